@@ -153,7 +153,7 @@ class Fit:
     def sent(self, which: np.ndarray, delay: float, before: int = 0) -> tuple[stands.Sent, stands.Sent]:
         """Return what was sent `delay` s late, from `before` steps before each window, and its rates over time."""
         windows = self.windows
-        sent, changing = (stands.Sent(value) for value in windows.targets(which, delay, before))
+        sent, changing = (stands.Sent(value) for value in windows.targets(which, delay, before, self.schedule))
         if self.schedule is not None:
             moments = windows.moments(which, before + windows.steps + 1, before) - delay
             gains, rate = self.schedule.at(moments, windows.time_step)

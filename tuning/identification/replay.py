@@ -21,7 +21,7 @@ from mjx_climb.scenario.model import MAX_STEPS
 from mjx_climb.walk import stand
 from tuning.identification.commanded import Carried, Commands, held
 from tuning.identification.log import KP, OFF, Log, Signal, joints_of
-from tuning.identification.schedule import schedule_of, without_jumps
+from tuning.identification.schedule import schedule_of
 
 Base = Literal["held", "free"]
 
@@ -152,14 +152,16 @@ def simulate(prepared: Prepared, engine: str = "limb") -> Replay:
 def _targets(log: Log, robot: Robot, scenario: mc.Scenario, on_a_stand: bool) -> Float[np.ndarray, "time limb joint"]:
     """Return the joint targets of every step, each command held until the next; of a stand as they reach the servos."""
     at, delay = scenario.time_step * np.arange(scenario.steps), scenario.hardware.command_delay
+    schedule = schedule_of(log.signals, scenario.control.kp) if on_a_stand else None
     targets = np.empty((len(at), len(robot.limbs), robot.joints))
     for joint, (row, column) in joints_of(robot).items():
         command, position = (log.signals.get(f"{joint}.{what}") for what in ("command", "position"))
         if command is None:
             targets[:, row, column] = robot.stance_joints[row, column] if position is None else position.value[0]
+        elif schedule is not None:
+            targets[:, row, column], _ = schedule.targets(command, at - delay, scenario.time_step)
         elif on_a_stand:
-            sent = without_jumps(command, log.signals)
-            targets[:, row, column], _ = stand.targets_of(sent.time + delay, sent.value, at, scenario.time_step)
+            targets[:, row, column], _ = stand.targets_of(command.time, command.value, at - delay, scenario.time_step)
         else:
             last = np.searchsorted(command.time, at + 1e-6 * scenario.time_step, side="right") - 1
             targets[:, row, column] = command.value[np.maximum(last, 0)]

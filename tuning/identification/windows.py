@@ -11,7 +11,7 @@ from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.stand import targets_of
 from tuning.identification.log import KP, OFF, Log, Signal, joints_of
-from tuning.identification.schedule import without_jumps
+from tuning.identification.schedule import Schedule
 
 LENGTH = 1.0  # s, of a window
 SHORTEST = 0.2  # s, of what is left at the end of a stretch
@@ -58,17 +58,23 @@ class Windows:
         """Return when steps of some windows begin, (windows, count) s, from `before` steps before each."""
         return np.asarray(self.begin[which, None] + (np.arange(count) - before) * self.time_step)
 
-    def targets(self, which: np.ndarray, delay: float, before: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def targets(
+        self, which: np.ndarray, delay: float, before: int = 0, schedule: Schedule | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return joint targets of some windows `delay` s late, rad, and their rates, rad/s.
 
-        Both are (windows, before + steps + 1, limb, joint), from `before` steps before each window.
+        Both are (windows, before + steps + 1, limb, joint), from `before` steps before each window. With a schedule of
+        gains they are weighed by it.
         """
         count = before + self.steps + 1
         at = self.moments(which, count, before) - delay
         values = np.broadcast_to(self.resting, (*at.shape, *self.resting.shape)).copy()
         rates = np.zeros_like(values)
         for (limb, joint), signal in self.commands.items():
-            found = targets_of(signal.time, signal.value, at, self.time_step)
+            if schedule is None:
+                found = targets_of(signal.time, signal.value, at, self.time_step)
+            else:
+                found = schedule.targets(signal, at, self.time_step)
             values[..., limb, joint], rates[..., limb, joint] = found
         return values, rates
 
@@ -89,7 +95,7 @@ def cut(
         ConfigError: a log without commands, without anything that can be predicted, or too short.
     """
     commands = {
-        place: without_jumps(log.signals[name], log.signals)
+        place: log.signals[name]
         for joint, place in joints_of(robot).items()
         if (name := f"{joint}.command") in log.signals
     }

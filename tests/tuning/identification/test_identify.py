@@ -153,18 +153,10 @@ def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_p
 SCHEDULE = ((0.0, 50.0), (1.5, 25.0), (3.0, 50.0), (3.6, 0.0), (3.8, 50.0))  # s, N m/rad; 0: torque off
 
 
-FALLS = "a limb without torque falls at some 100 rad/s, and dry friction comes out 3 % too large"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("schedule", "duration"),
-    [
-        (SCHEDULE[:3], 4.0),
-        pytest.param(
-            SCHEDULE, 6.0, marks=[pytest.mark.nightly, pytest.mark.xfail(reason=FALLS, raises=AssertionError)]
-        ),
-    ],
+    [(SCHEDULE[:3], 4.0), pytest.param(SCHEDULE, 6.0, marks=pytest.mark.nightly)],
     ids=["gains", "gains and a drop"],
 )
 def test_p_gains_and_a_drop_are_read_and_without_them_the_answer_is_another(schedule, duration):
