@@ -49,6 +49,7 @@ def test_noise_and_clock_are_told_apart(clock):
     found = noise_of(residuals, late, whole, (signal, stamp), known)
     assert found.clock == pytest.approx(clock, rel=0.2)
     np.testing.assert_allclose(found.signals, noise, rtol=0.15)  # four standard deviations
+    assert abs(np.log(found.signals / noise).mean()) < 0.05  # as many: stamps take none of the noise
 
 
 def test_errors_that_the_log_does_not_show_are_none():
