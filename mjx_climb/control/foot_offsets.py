@@ -87,5 +87,5 @@ def feet_shifted(reference: Reference, offsets: Offsets, rotation: Array, lost_s
     no_shift = jnp.zeros_like(reference.base_position, shape=6)
     share = jnp.clip((offsets.doubt.max() - SILENCE) / STIFFENING, 0.0, 1.0)
     kp = jnp.full_like(offsets.doubt, 1.0) + (offsets.stiffer - 1) * share
-    gains = JointGains(kp, jnp.ones_like(kp))
-    return Command(reference.base_position, reference.base_orientation, feet, no_shift, gains, lost_sensors)
+    command = Command(reference.base_position, reference.base_orientation, feet, no_shift, JointGains(kp))
+    return command._replace(lost_sensors=lost_sensors)

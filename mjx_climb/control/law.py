@@ -52,7 +52,7 @@ class JointGains(NamedTuple):
     """By how much a law multiplies the joint loop's gains, limb by limb."""
 
     kp: Array  # (limb,) 1
-    kd: Array  # (limb,) 1
+    kd: Any = ()  # (limb,) 1; (): as it is
     ki: Any = ()  # (limb,) 1; (): as it is
 
     @property
