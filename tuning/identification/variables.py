@@ -258,15 +258,29 @@ def _values(places: Sequence[Place], point: Array) -> dict[str, Array]:
     return {place.key: jnp.exp(x) if place.log else x for place, x in zip(places, point, strict=True)}
 
 
-def _robot_at(values: Mapping[str, Array], nominal: Robot) -> Robot:
-    robot, own = nominal, {_parted(key): v for key, v in values.items() if key.startswith("robot.")}
-    for (place, name), value in own.items():
-        if name in _JOINT:
-            robot = _with_joint(robot, place, name, value)
-    for place in dict.fromkeys(place for place, name in own if name not in _JOINT):
-        body = _body_at({name: v for (of, name), v in own.items() if of == place}, _body(nominal, place))
-        robot = _with_body(robot, place, body)
-    return robot
+def _robot_at(values: Mapping[str, Array], robot: Robot) -> Robot:
+    own: dict[tuple[str, ...], dict[str, Array]] = {}  # by body
+    for key, value in values.items():
+        if key.startswith("robot."):
+            place, name = _parted(key)
+            own.setdefault(place, {})[name] = value
+    changes: Any = {}
+    for name in _JOINT:
+        if there := {_at(robot, place): each[name] for place, each in own.items() if name in each}:
+            field = "frame_rotation" if name == "zero" else name
+            before = jnp.asarray(robot.link_mass * 0.0 if getattr(robot, field) is None else getattr(robot, field))
+            if name == "zero":
+                there = {at: turn_about_z(before[at], angle) for at, angle in there.items()}
+            changes[field] = _with(before, there)
+    bodies = {place: _body_at(each, _body(robot, place)) for place, each in own.items() if set(each) - set(_JOINT)}
+    if (base := bodies.pop(("base",), None)) is not None:
+        frames = jnp.asarray(robot.frame_position)  # the base's sits at its centre of mass, so that the hips move
+        changes["frame_position"] = jnp.concatenate([frames[:, :1] - base.center, frames[:, 1:]], axis=1)
+        changes |= {"base_mass": base.mass, "base_inertia": base.inertia}
+    for name in _Body._fields if bodies else ():
+        there = {_at(robot, place): getattr(body, name) for place, body in bodies.items()}
+        changes[f"link_{name}"] = _with(jnp.asarray(getattr(robot, f"link_{name}")), there)
+    return dataclasses.replace(robot, **changes)
 
 
 def _parted(key: str) -> tuple[tuple[str, ...], str]:
@@ -275,34 +289,19 @@ def _parted(key: str) -> tuple[tuple[str, ...], str]:
     return tuple(place), name
 
 
-def _with_joint(robot: Robot, place: tuple[str, ...], name: str, value: Array) -> Robot:
-    at, field = _at(robot, place), "frame_rotation" if name == "zero" else name
-    before = robot.link_mass * 0.0 if getattr(robot, field) is None else getattr(robot, field)
-    value = turn_about_z(jnp.asarray(before[at]), value) if name == "zero" else value
-    changed: Any = {field: jnp.asarray(before).at[at].set(value)}
-    return dataclasses.replace(robot, **changed)
-
-
-def _with_body(robot: Robot, place: tuple[str, ...], body: _Body) -> Robot:
-    """Return a robot with another base or link; the base's frame sits at its centre of mass, so that the hips move."""
-    if place == ("base",):
-        hips: Any = jnp.asarray(robot.frame_position).at[:, 0].add(-body.center)
-        return dataclasses.replace(robot, base_mass=body.mass, base_inertia=body.inertia, frame_position=hips)
-    changes: Any = {
-        name: jnp.asarray(getattr(robot, name)).at[_at(robot, place)].set(value)
-        for name, value in zip(("link_mass", "link_center", "link_inertia"), body, strict=True)
-    }
-    return dataclasses.replace(robot, **changes)
+def _with(before: Array, there: Mapping[tuple[int, int], Any]) -> Array:
+    """Return an array (N, M, ...) with other values in some places, by stacking: a kernel's regions cannot scatter."""
+    rows = [[there.get((n, m), each) for m, each in enumerate(row)] for n, row in enumerate(before)]
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def _body_at(own: Mapping[str, Array], body: _Body) -> _Body:
     """Return a body with other values; a mass alone scales the inertia with it."""
     mass = own.get("mass", jnp.asarray(body.mass))
     center = jnp.stack([own.get(name, jnp.asarray(body.center)[n]) for n, name in enumerate(_CENTER)])
-    factor = jnp.asarray(_cholesky(body), mass.dtype)
-    for name, at in zip(_INERTIA, _PLACES, strict=True):
-        if (value := own.get(f"inertia.{name}")) is not None:
-            factor = factor.at[at].set(jnp.exp(value) if at[0] == at[1] else value)
+    found = {at: own[key] for name, at in zip(_INERTIA, _PLACES, strict=True) if (key := f"inertia.{name}") in own}
+    found = {at: jnp.exp(value) if at[0] == at[1] else value for at, value in found.items()}
+    factor = _with(jnp.asarray(_cholesky(body), mass.dtype), found)
     moment = factor @ factor.T
     return _Body(mass, center, mass * (jnp.trace(moment) * jnp.eye(3, dtype=moment.dtype) - moment))
 
