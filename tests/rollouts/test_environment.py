@@ -76,7 +76,7 @@ def test_the_law_by_hand_is_the_law(env, walked, alone):
         np.testing.assert_allclose(again.joint_torque, samples.joint_torque, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_action_moves_the_robots(env, alone):
     """All of them, or each by its own."""
     up = mc.BaseShift(jnp.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0]))

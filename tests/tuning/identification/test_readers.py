@@ -53,7 +53,6 @@ def test_a_broken_table_is_told_in_one_line(tmp_path, text, expected):
         read_log(tmp_path / "log.csv", ROBOT)
 
 
-@pytest.mark.slow
 def test_a_walk_of_run_is_read_by_its_own_names(pushed, tmp_path):
     walk = pushed
     dataset.save(dataset.to_dataset(walk), tmp_path / "trajectory.nc")
