@@ -6,7 +6,7 @@ UNOPTIMISED := XLA_FLAGS=--xla_backend_optimization_level=0
 # Whole files to each worker, which a module's fixtures and programs ask for.
 SPREAD := -n 2 --dist loadfile
 
-.PHONY: sweep test test-slow test-all test-nightly lint types docs clean .venv
+.PHONY: sweep test test-slow test-nightly lint types docs clean .venv
 
 # The main job: search the paper's case 1.2 for better gains.
 sweep: .venv/.installed
@@ -20,11 +20,6 @@ test: .venv/.installed-test
 # Those that compare speeds run alone, and compiled as users' programs are.
 test-slow: .venv/.installed-test
 	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "slow and not timing and not nightly"
-	$(PYTEST) -m "timing and not nightly"
-
-# Both in one run: the slow tests of a file find there what its quick ones compiled.
-test-all: .venv/.installed-test
-	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "not timing and not nightly" $(COVER)
 	$(PYTEST) -m "timing and not nightly"
 
 # Whole searches and notebooks, every robot and shape from start to end: some two hours.
