@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve, solveh_banded
 from tuning.identification.iterates import Iterate, Iterates
 from tuning.identification.model import LATE, MEMORY, Fit, Model
 from tuning.identification.stamps import Stamped, stamped
-from tuning.identification.windows import KINDS
+from tuning.identification.windows import KINDS, Windows
 
 _STATE = (0.2, 3.0)  # prior sd of a start from its guess: rad, rad/s
 _TIGHT = 0.05  # of the noise, what a window's end may miss
@@ -175,9 +175,10 @@ class _Predicted(NamedTuple):
 def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents: dict[str, Any]) -> _Predicted:
     """Return what was predicted for each row, and its derivatives.
 
-    Between the steps angles and rates are on a parabola, efforts on a line.
+    Between the steps angles and rates are on a parabola, efforts on a line. A rate bends where the command jumps, and the
+    step there has its mean: it is on a parabola of the steps on its own side of the jump.
     """
-    rows, windows = problem.rows, problem.model.windows
+    rows, windows, delay = problem.rows, problem.model.windows, problem.model.torque_delay(x)
     delays = {v.key: float(each) for v, each in zip(problem.model.variables, x, strict=True) if v.key in LATE}
     count, lanes = len(rows.value), next(iter(tangents.values())).shape[1]
     made = _Predicted(
@@ -190,7 +191,9 @@ def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents
         w, limb, joint = problem.place[chosen], problem.limb[chosen], windows.joint[rows.signal[chosen]]
         key = next((key for key, late in LATE.items() if late == kind), "")
         at = rows.step[chosen] + rows.share[chosen] - delays.get(key, 0.0) / windows.time_step
-        step = np.clip(np.floor(at), 0, windows.steps - 1).astype(int)
+        step, across = np.clip(np.floor(at), 0, windows.steps - 1).astype(int), np.ones(len(at), int)
+        if kind == "velocity":
+            step, across = _beside_jumps(windows, rows.signal[chosen], (rows.window[chosen], at, step), delay)
         share = at - step
         before, after = (values[kind][w, step + n, limb, joint] for n in (0, 1))
         made.value[chosen] = before + share * (after - before)
@@ -201,7 +204,7 @@ def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents
             # a step's rate is the mean over the step: at its middle less a 24th of the second difference
             far = share * (share - 1) / 4 - (1 / 48 if kind == "velocity" else 0.0)
             for n, k in itertools.product((0, 1), (-1, 0, 1)):
-                at_k, factor = np.clip(step + n, 1, windows.steps - 1) + k, 1 - 3 * (k == 0)
+                at_k, factor = np.clip(step + n * across, 1, windows.steps - 1) + k, 1 - 3 * (k == 0)
                 there = values[kind][w, at_k, limb, joint]
                 made.value[chosen] += factor * far * there
                 made.along[chosen] += factor * far[:, None] * tangents[kind][w, :, at_k, limb, joint]
@@ -211,6 +214,28 @@ def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents
             made.late[chosen, list(LATE).index(key)] = -made.rate[chosen]
             made.known[chosen] = at >= -1e-6
     return made
+
+
+def _beside_jumps(
+    windows: Windows, signal: np.ndarray, place: tuple[np.ndarray, np.ndarray, np.ndarray], delay: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps from which rates are predicted, and 1, or 0 where that is by one parabola about the step.
+
+    Arguments:
+        windows: of the log.
+        signal: of each row.
+        place: the rows' windows, where in them rates are sought, in steps, and the step before.
+        delay: of torques behind commands, s.
+    """
+    window, at, step = place
+    before, after = windows.jumps(signal, windows.begin[window] + (at - 0.5) * windows.time_step - delay)
+    before, after = (at + jump / windows.time_step for jump in (before, after))
+    # the step within half a step of a jump has a part of it; a parabola takes three
+    first = np.maximum(np.ceil(before + 1.5 - 1e-6), 1)
+    last = np.minimum(np.floor(after - 1.5 + 1e-6), windows.steps - 1)
+    one_sided = ((before > step - 1.5) | (after < step + 2.5)) & (first <= last)
+    center = np.where(one_sided, np.clip(np.rint(at), first, last), step)
+    return center.astype(int), np.where(one_sided, 0, 1)
 
 
 def _normal(

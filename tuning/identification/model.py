@@ -25,6 +25,7 @@ from tuning.identification.windows import KINDS, Windows
 
 AT_ONCE = 8  # windows in one call of an executable
 DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
+SERVO_DELAY = "hardware.servo.delay"
 LATE = {"log.velocity.delay": "velocity", "log.effort.delay": "effort"}  # of what is recorded, behind the positions
 LEAD = "log.friction.lead"  # of dry friction, see `mjx_climb.walk.stand`
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
@@ -144,6 +145,11 @@ class Fit:
         """Return the delay of commands at a point of coordinates (n,), s."""
         own = {v.key: float(value) for v, value in zip(self.variables, x, strict=True)}
         return own.get(DELAY, float(self.parameters.command_delay)) + own.get(CLOCK, 0.0)
+
+    def torque_delay(self, x: np.ndarray) -> float:
+        """Return how late torques change after commands at a point of coordinates (n,), s."""
+        own = [float(x[n]) for n, v in enumerate(self.variables) if v.key == SERVO_DELAY]
+        return self.delay(x) + (own or [float(self.parameters.servo_delay)])[0]
 
     @functools.cached_property
     def schedule(self) -> Schedule | None:

@@ -78,6 +78,21 @@ class Windows:
             values[..., limb, joint], rates[..., limb, joint] = found
         return values, rates
 
+    def jumps(self, signal: np.ndarray, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how long before (negative) and after moments (rows,) s the torque of their signal's joint jumps, s.
+
+        It does where its command or a gain changes; infinite where it never does.
+        """
+        before, after = np.full((2, len(moments)), np.inf) * [[-1], [1]]
+        for number in np.unique(signal):
+            own, command = signal == number, self.commands[int(self.limb[number]), int(self.joint[number])]
+            each = (command, *self.gains.values())
+            changes = [s.time[1:][np.diff(s.value) != 0] for s in each]
+            jumps = np.concatenate([[-np.inf], np.unique(np.concatenate(changes)), [np.inf]])
+            next_one = np.searchsorted(jumps, moments[own] - 1e-6 * self.time_step)
+            before[own], after[own] = (jumps[next_one + n] - moments[own] for n in (-1, 0))
+        return before, after
+
 
 def cut(
     log: Log, robot: Robot, time_step: float, held_out: float, beside: Mapping[str, tuple[int, int, int]] | None = None
