@@ -22,11 +22,13 @@ from mjx_climb.hardware.stages import Stages, hardware_of
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import config_error
-from mjx_climb.walk.stand import Sent, targets_of
+from mjx_climb.walk.stand import Sent
 from tuning.identification import commanded
 from tuning.identification.commanded import Carried, Commands
 from tuning.identification.force_sensors import logged_force
+from tuning.identification.log import Signal
 from tuning.identification.motions import Axes
+from tuning.identification.schedule import Schedule
 from tuning.identification.variables import Place, Variable, applied
 from tuning.problem.excitation import Excitation
 
@@ -176,9 +178,10 @@ class Rig:
             before, into = np.concatenate([sent[: self.hold], sent[: -self.hold]]), np.arange(len(sent)) % self.hold
             sent = before + (sent - before) * ((into + 1) / self.hold)[:, None, None]
         time = np.arange(len(sent)) * step
-        each = [*sent.reshape(len(sent), -1).T, kp, np.where(kp > 0, 1.0, 0.0)]
-        late = zip(*(targets_of(time, values, time - delay, step) for values in each), strict=True)
-        reached, rates = (Sent(np.stack(v[:-2], 1).reshape(sent.shape), *v[-2:]) for v in late)
+        schedule = Schedule(time, kp, np.where(kp > 0, 1.0, 0.0))
+        each = [schedule.targets(Signal(time, own), time - delay, step) for own in sent.reshape(len(sent), -1).T]
+        late = zip(zip(*each, strict=True), schedule.at(time - delay, step), strict=True)
+        reached, rates = (Sent(np.stack(own, 1).reshape(sent.shape), **gains) for own, gains in late)
         return Commands(reached, rates, delays)
 
     def used(self, targets: np.ndarray, carried: Carried) -> tuple[float, str]:
