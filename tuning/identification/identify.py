@@ -1,6 +1,7 @@
 """From a log to the parameters of a scenario: `identify`, and its result."""
 
 import dataclasses
+import math
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -191,6 +192,7 @@ def identify(
     guessed = [_GUESSED] if base is None and chosen_base == "free" else []
     warnings = [*log.warnings, *guessed, *_of_schedule(model, estimates), *unseen]
     warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
+    warnings += [f"{key}: {each.remark}" for key, each in beside.items() if " bound" in each.remark]
     ahead = _predicted(problem, found)
     warnings += _of_fit(found, wrong, len(tests), ahead)
     return Identified(
@@ -321,7 +323,7 @@ def _remark(variable: Variable, x: float) -> str:
     low, high = variable.bounds
     for name, bound in (("lower", low), ("upper", high)):
         if np.isfinite(bound) and abs(x - bound) < 1e-9 + 1e-6 * abs(bound):
-            return f"on its {name} bound"
+            return f"on its {name} bound, {(math.exp(bound) if variable.log else bound):.3g} {variable.unit}"
     off = abs(x - variable.mean) / variable.sd
     return f"{off:.1f} sd off its prior" if off > 3 else ""
 

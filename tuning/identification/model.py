@@ -30,6 +30,7 @@ LATE = {"log.velocity.delay": "velocity", "log.effort.delay": "effort"}  # of wh
 LEAD = "log.friction.lead"  # of dry friction, see `mjx_climb.walk.stand`
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
 _LEADS = (0.0, 0.005, 0.03)  # s, mean and sd of the prior, and the upper bound
+_BENDS = 3.0  # prior sd of the logarithm of presliding: gears bend by mrad, a simulator's friction may not at all
 LATENESS = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter what they record
 
 
@@ -262,7 +263,7 @@ def with_nuisances(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Var
     found.append(Variable(LEAD, "s", 0.0, _LEADS[0], _LEADS[1], least, _LEADS[2]))
     if PRESLIDING not in keys:
         (bend,) = variables(scenario, [PRESLIDING], held=True)  # a friction that gives for longer is a spring
-        found.append(dataclasses.replace(bend, lower=bend.nominal / 20, upper=bend.nominal * 6))
+        found.append(dataclasses.replace(bend, sd=_BENDS, upper=bend.nominal * 6))
     return found
 
 

@@ -187,6 +187,17 @@ def test_velocities_sampled_as_the_command_jumps_are_predicted():
 
 
 @pytest.mark.slow
+def test_a_bound_that_binds_beside_what_is_asked_for_is_named():
+    """Commands come 1 ms late, which the config does not say: their clock may take a quarter of a time step."""
+    log = log_of(dataclasses.replace(TRUE, delay=0.001), 2.0)
+    log = dataclasses.replace(log, signals={k: v for k, v in log.signals.items() if k.startswith("LF")})
+    known = {key: VALUES[key] for key in ("control.kp", "control.kd")}
+    fit = ("hardware.servo.armature", "hardware.servo.coulomb_friction")
+    found = tuning.identify(SCENARIO.with_overrides(known), log, fit, starts=1, held_out=0.0)
+    assert "log.command.delay: on its upper bound, 0.00025 s" in found.warnings
+
+
+@pytest.mark.slow
 def test_a_known_mass_on_the_feet_tells_torques_from_masses_where_no_effort_is_recorded():
     """Without it masses, gains, armature and friction, all smaller by a sixth, make the same motion: the start."""
     log = log_of(dataclasses.replace(TRUE, heavier=1.2, mass=0.1), 3.0)
