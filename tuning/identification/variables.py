@@ -104,7 +104,7 @@ def variables(
     for key in asked:
         if key in _BY_STEPS:
             expected = "expected a key with a derivative, got one that works by steps"
-            raise ConfigError(f"--fit {key}: {expected} (--set each candidate, and compare the errors held out)")
+            raise ConfigError(f"--fit {key}: {expected} (on a log it acts as a delay: fit hardware.command_delay)")
         keys = [k for k in known if fnmatch.fnmatchcase(k, key) or k.startswith(f"{key}.")]
         grounded = [k for k in keys if held and k.startswith(ON_GROUND)]
         if key not in known:  # a pattern is of keys that such a log tells, with a value to begin at

@@ -274,7 +274,7 @@ def test_a_start_on_a_bound_and_a_link_without_weight_are_no_obstacle():
 @pytest.mark.parametrize(("fit", "drop", "words"), [
     ("hardware.servo.armatur", "", "did you mean hardware.servo.armature"),
     ("contact.stiffness", "", "a key that a robot on a stand can tell"),
-    ("hardware.servo.rate", "", "a key with a derivative, got one that works by steps .--set each candidate"),
+    ("hardware.servo.rate", "", "a key with a derivative, got one that works by steps .on a log it acts as a delay"),
     ("hardware.servo.torque_limit", "", "expected a value in the config to begin at, got null"),
     ("control.kp", "command", "expected the commands of all joints of a limb, as LF.coxa.command"),
     ("control.kp", "position", "expected positions, velocities or efforts, as LF.coxa.position"),
