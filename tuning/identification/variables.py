@@ -37,7 +37,12 @@ _JOINT = {"armature": "kg m^2", "friction": "N m", "damping": "N m s/rad", "zero
 _CENTER = ("center.x", "center.y", "center.z")
 _INERTIA = ("xx", "yy", "zz", "xy", "xz", "yz")
 _PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of these in A and in the inertia
-_BY_STEPS = ("hardware.control_period", "hardware.servo.rate", "hardware.force_sensor.resolution")  # no derivative
+_AS_DELAY = "as a delay: fit hardware.command_delay"
+_BY_STEPS = {  # keys without a derivative, and what they act as on a log
+    "hardware.control_period": _AS_DELAY,
+    "hardware.servo.rate": _AS_DELAY,
+    "hardware.force_sensor.resolution": "as noise",
+}
 _OTHERS = (  # keys whose values no log of joint commands tells
     "gait.", "disturbance.", "contact.capture_distance", "hardware.seed", "hardware.base_estimate.",
     "hardware.force_sensor.noise",
@@ -104,7 +109,7 @@ def variables(
     for key in asked:
         if key in _BY_STEPS:
             expected = "expected a key with a derivative, got one that works by steps"
-            raise ConfigError(f"--fit {key}: {expected} (on a log it acts as a delay: fit hardware.command_delay)")
+            raise ConfigError(f"--fit {key}: {expected} (on a log it acts {_BY_STEPS[key]})")
         keys = [k for k in known if fnmatch.fnmatchcase(k, key) or k.startswith(f"{key}.")]
         grounded = [k for k in keys if held and k.startswith(ON_GROUND)]
         if key not in known:  # a pattern is of keys that such a log tells, with a value to begin at
