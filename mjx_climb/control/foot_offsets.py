@@ -25,7 +25,7 @@ class Offsets(NamedTuple):
     heard: Array  # (limb, 3) N, world axes: the last reading of a foot's sensor since it stands, 0 without one
     # (limb,) s, from -SILENCE, as a sensor reads something; from 0 on it is not believed, from SILENCE on it is lost
     doubt: Array
-    stiffer: Array  # () by which factor kp is multiplied without a sensor, 1 or more
+    stiffer: Array  # shape of the period; by which factor kp is multiplied without a sensor, 1 or more
 
     @staticmethod
     def begin(start: Start, safe_kp: float) -> "Offsets":
@@ -86,6 +86,6 @@ def feet_shifted(reference: Reference, offsets: Offsets, rotation: Array, lost_s
     feet = reference.foot_position + offsets.displacement @ rotation.T
     no_shift = jnp.zeros_like(reference.base_position, shape=6)
     share = jnp.clip((offsets.doubt.max() - SILENCE) / STIFFENING, 0.0, 1.0)
-    kp = jnp.full_like(offsets.doubt, 1.0) + (offsets.stiffer - 1) * share
+    kp = jnp.ones_like(offsets.doubt) + (jnp.ravel(offsets.stiffer) - 1) * share
     command = Command(reference.base_position, reference.base_orientation, feet, no_shift, JointGains(kp))
     return command._replace(lost_sensors=lost_sensors)
