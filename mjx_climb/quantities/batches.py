@@ -32,13 +32,18 @@ def batch_shape(*trees: Any) -> tuple[int, ...]:
     """Return the batch shape that the values of trees broadcast to.
 
     Raises:
-        ValueError: shapes that do not broadcast.
+        ValueError: in one line, which values have shapes that do not broadcast.
     """
-    shapes = []
+    names: dict[tuple[int, ...], str] = {}  # of the first value of each shape
     for tree in trees:
-        pairs = zip(jax.tree.leaves(tree), jax.tree.leaves(own_axes(tree)), strict=True)
-        shapes += [jnp.shape(value)[: max(0, jnp.ndim(value) - own)] for value, own in pairs]
-    return jnp.broadcast_shapes(*shapes)
+        pairs = zip(jax.tree.leaves_with_path(tree), jax.tree.leaves(own_axes(tree)), strict=True)
+        for (path, value), own in pairs:
+            names.setdefault(jnp.shape(value)[: max(0, jnp.ndim(value) - own)], path[-1].name)
+    try:
+        return jnp.broadcast_shapes(*names)
+    except ValueError:
+        got = ", ".join(f"{name} {shape}" for shape, name in names.items() if shape)
+        raise ValueError(f"batch axes of gains and parameters: expected some that broadcast, got {got}") from None
 
 
 def over_batch(function: Callable[..., Any], trees: Sequence[Any], axes: Sequence[Any], shape: Sequence[int]) -> Any:

@@ -127,6 +127,16 @@ def test_directions_have_the_gains_that_the_gains_have(short, of_gains, of_direc
         mc.rollout_jvp(short, gains, mc.Gains(six, six, six, **rates))
 
 
+def test_batches_that_do_not_broadcast_are_named():
+    scenario = mc.load_scenario("case_1_2")
+    parameters = dataclasses.replace(own_parameters(scenario), cargo_mass=np.full((8, 1), 0.1))
+    expected = "batch axes of gains and parameters: expected some that broadcast, got damping (4, 1), cargo_mass (8, 1)"
+    with pytest.raises(ValueError, match=f"^{re.escape(expected)}$"):
+        mc.rollout_metrics(
+            scenario, {"damping": np.full((4, 1, 6), 500.0), "stiffness": 1e4, "inertia": 1.0}, parameters
+        )
+
+
 @pytest.mark.slow
 def test_tangents_of_a_batch_agree_with_central_differences(short):
     """Every robot under every member's parameters, along directions of its own."""
