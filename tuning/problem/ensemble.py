@@ -14,7 +14,6 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
-from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import given
@@ -118,6 +117,8 @@ class Posterior(Settings):
             if key in TILTS:
                 turns[:, TILTS.index(key)] = points[:, n]
         if turns.any():
+            from scipy.spatial.transform import Rotation  # takes 0.17 s to load: few commands draw any gravity
+
             found["gravity"] = Rotation.from_rotvec(turns).apply(gravity)[:, None]
         return found
 
