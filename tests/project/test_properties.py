@@ -122,7 +122,9 @@ def test_an_option_says_what_the_file_would(data, scenario):
     in_file = outcome(lambda: Scenario.from_yaml(yaml.dump(nested, Dumper=Dumper, allow_unicode=True), "walk"))
     as_option = outcome(lambda: Scenario().with_overrides([f"{key}={inline(value)}"]))
     if isinstance(in_file, str) and isinstance(as_option, str):
-        assert key.split(".")[0] in in_file and key.split(".")[0] in as_option
+        # where a value does not go with another key's, the line is about both
+        about_another = in_file.removeprefix("walk: ") in as_option
+        assert about_another or (key.split(".")[0] in in_file and key.split(".")[0] in as_option)
     else:
         assert in_file == as_option
 
