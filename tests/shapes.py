@@ -1,5 +1,9 @@
-"""Shapes checked while the tests run: jaxtyping's import hook over both packages, with beartype behind it."""
+"""Shapes checked while the tests run: jaxtyping's import hook over both packages, with beartype behind it.
 
+The hook alone would bind the arguments of every function, with shapes or without: a quarter of the tests' time.
+"""
+
+import dataclasses
 import functools
 import operator
 import types
@@ -7,35 +11,56 @@ from collections.abc import Callable
 from typing import Any, Union, get_args, get_origin
 
 import jax
+import jaxtyping
 import numpy as np
 from beartype import BeartypeConf, beartype
-from jaxtyping import AbstractArray, install_import_hook
+from jaxtyping import AbstractArray, install_import_hook, jaxtyped
 
 _CHECKED = beartype(conf=BeartypeConf(is_pep484_tower=True))  # an int where a float is expected is fine
 
 
 def check() -> None:
     """Check arguments, results and fields that are annotated with shapes, in all that is imported from here on."""
-    install_import_hook(["mjx_climb", "tuning"], "tests.shapes.checked")
+    jaxtyping.jaxtyped = lambda **_: checked  # the hook decorates with what has this name
+    install_import_hook(["mjx_climb", "tuning"], None)
 
 
-def checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function with its annotations checked, itself where none is of a shape."""
+def checked(of: Any) -> Any:
+    """Return a function, or a dataclass, with its annotations checked, itself where none is of a shape."""
+    if not isinstance(of, type):
+        return _checked_function(of)
+    if dataclasses.is_dataclass(of) and "__init__" in vars(of):
+        of.__init__ = _checked_fields(of.__init__)
+    return of
+
+
+def _checked_function(function: Callable[..., Any]) -> Callable[..., Any]:
     hints = getattr(function, "__annotations__", {})
     if not any(map(_is_shaped, hints.values())):
         return function
     function.__annotations__ = {name: _of_any_array(hint) for name, hint in hints.items()}
     whole = _CHECKED(function)
-    if function.__name__ != "__init__":
-        return whole
+    function.__annotations__ = hints
 
     @functools.wraps(function)
-    def filled(*fields: Any, **named: Any) -> Any:
+    def scoped(*values: Any, **named: Any) -> Any:
+        with jaxtyped("context"):  # in which a name in a shape stands for one length
+            return whole(*values, **named)
+
+    return scoped
+
+
+def _checked_fields(init: Callable[..., None]) -> Callable[..., None]:
+    """Return the `__init__` of a dataclass that checks arrays, and lets what JAX puts into trees pass."""
+    whole = _checked_function(init)
+
+    @functools.wraps(init)
+    def filled(*fields: Any, **named: Any) -> None:
         values = [value for value in (*fields[1:], *named.values()) if value is not None]
         counts = all(type(value) is int for value in values)  # a tree of what is to be known of another's arrays
-        return None if counts or any(map(_stands_for_a_leaf, values)) else whole(*fields, **named)
+        (init if counts or any(map(_stands_for_a_leaf, values)) else whole)(*fields, **named)
 
-    return filled
+    return init if whole is init else filled
 
 
 def _is_shaped(hint: object) -> bool:

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
+from beartype.roar import BeartypeCallHintViolation
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from jaxtyping import TypeCheckError
 
 import mjx_climb as mc
 from mjx_climb.dynamics.kinematics import Feet
@@ -181,7 +181,7 @@ def test_contact(contact, position, velocity, closed, ground, limit):
     ],
 )
 def test_wrong_shapes_are_seen(wrong):
-    with pytest.raises(TypeCheckError):
+    with pytest.raises(BeartypeCallHintViolation):
         wrong()
 
 
