@@ -151,7 +151,7 @@ class Law:
     """The paper's Eqs. 2 and 3 in the ways of docs/physics.md, and pd."""
 
     def __init__(self, scenario, reference, limbs):
-        self.control, self.reference, self.lost = scenario.control, reference, np.zeros(limbs, bool)  # sensors
+        self.control, self.reference = scenario.control, reference
         self.period = scenario.hardware.control_period or scenario.time_step
         axes = 3 if self.control.controller == "end_effector_admittance" else 6
         names = ("inertia", "damping", "stiffness")
@@ -160,7 +160,7 @@ class Law:
         systems = [[[0, 1, 0], [-k / m, -d / m, 1 / m], [0, 0, 0]] for m, d, k in zip(*self.gains, strict=True)]
         self.exact = expm(np.array(systems) * self.period)[:, :2]
 
-    def say(self, position, base, force, wrench, support, feet, times):
+    def say(self, position, base, force, wrench, support, known, feet, times):
         """Return where base, its attitude and the feet shall be, and the shift of the base."""
         into, shift, turn = self.reference.inv(), np.zeros(6), Rotation.identity()
         own = np.concatenate([into.apply(wrench[:3]), into.apply(wrench[3:])])
@@ -185,6 +185,33 @@ class Law:
         return position + self.reference.apply(shift[:3]), self.reference * turn, feet, shift
 
 
+class Watch:
+    """Which force sensors are believed, by the rules of docs/laws.md, in a loop of some period in s."""
+
+    def __init__(self, period, limbs):
+        self.period, self.share = period, 0.0
+        self.heard, self.doubt = np.zeros((limbs, 3)), np.zeros(limbs)
+
+    def listen(self, force, support):
+        """Return forces to believe, and whether they can be."""
+        silent = ~(np.isfinite(force).all(1) & (np.abs(force).sum(1) > 1e-6))
+        for limb in range(len(force)):
+            if not silent[limb]:
+                self.heard[limb], self.doubt[limb] = force[limb], -0.1
+            elif not support[limb]:
+                self.heard[limb] = 0.0
+        loaded, unheard = np.abs(self.heard).sum() > 1, self.doubt == 0
+        self.doubt[silent & support & (loaded | (self.doubt > 0))] += self.period
+        believed = (self.doubt < 0) | (unheard & (not loaded))
+        self.share = min(max(self.share + (1 if self.lost.any() else -1) * self.period / 0.5, 0), 1)
+        known = believed[support].all() and not self.lost.any()
+        return self.heard * known, known
+
+    @property
+    def lost(self):
+        return self.doubt >= 0.1
+
+
 class Servos:
     """From joint targets to the torques that turn the joints."""
 
@@ -192,8 +219,10 @@ class Servos:
         self.servo, self.step = scenario.hardware.servo, scenario.time_step
         servo, control = self.servo, scenario.control
         self.voltage, self.period = servo.drive == "voltage", round(1 / (number(servo.rate, 1 / self.step) * self.step))
+        self.safe_kp = control.safe_kp
         richer = servo.supply_voltage / servo.rated_voltage if servo.supply_voltage else 1.0
         self.kp, self.ki, self.kd = (g * (richer if self.voltage else 1) for g in (control.kp, control.ki, control.kd))
+        self.soft_kp, self.safe_kp = self.kp, self.safe_kp * (richer if self.voltage else 1)
         self.stall, self.fast = (number(v) * richer for v in (servo.torque_limit, servo.no_load_speed))
         self.current = number(servo.current_limit)
         own = np.where(model.jnt_actfrclimited[1:], model.jnt_actfrcrange[1:, 1], np.inf).reshape(joints.shape)
@@ -204,6 +233,10 @@ class Servos:
         self.dry = self.servo.coulomb_friction + model.dof_frictionloss[6:].reshape(joints.shape)
         self.asked, self.bend = [np.zeros_like(joints)], np.zeros_like(joints)
         self.goal, self.speed, self.integral, self.wound = joints, np.zeros_like(joints), np.zeros_like(joints), False
+
+    def stiffen(self, share):
+        """Have kp rise to what is safe without a force sensor."""
+        self.kp = self.soft_kp + share * max(self.safe_kp - self.soft_kp, 0)
 
     def follow(self, target, h):
         """Return the servos' goals a period later."""
@@ -374,7 +407,10 @@ def again(walk, law=None):
     grips = Grips(scenario.contact, feet, body.data.site_xmat.reshape(-1, 3, 3))
     law = Law(scenario, reference, body.limbs) if law is None else law(scenario, reference, body.limbs)
     servos = Servos(scenario, body.model, angles)
-    forces, bases, commands, filtered = [np.zeros_like(feet)], [], [angles], np.zeros_like(feet)
+    forces, bases, commands, shares, filtered = [np.zeros_like(feet)], [], [angles], [0.0], np.zeros_like(feet)
+    reads = not isinstance(law, Law) or scenario.control.controller != "pd"
+    watch = Watch(law.period, body.limbs) if reads and (sensor.resolution or sensor.dead is not None) else None
+    known = True
     read, by_law = np.zeros(feet.size + 6), sensor.filtered_by == "law"
     share = 1 - np.exp(-2 * np.pi * (law.period if by_law else h) * number(sensor.filter))
     period, rows = round(law.period / h), []
@@ -409,7 +445,9 @@ def again(walk, law=None):
         instants = dict(sensor.dead.items()) if sensor.dead is not None else {}
         dead = [step * h > instants.get(limb, np.inf) - h / 2 for limb in walk.limbs]
         force = np.where(np.array(dead)[:, None], 0.0, force)
-        sampled = np.concatenate([force.ravel(), wrench_of(force)])
+        if watch is not None and step % period == 0:
+            force, known = watch.listen(force, held["support"])
+        sampled = np.concatenate([force.ravel(), known * wrench_of(force)])
         if not by_law or step % period == 0:
             read = read + share * (sampled - read) if by_law else sampled
         bases.append(np.concatenate(state[:4]))
@@ -417,7 +455,7 @@ def again(walk, law=None):
         drawn = noise(hardware.seed, step, 1000 + np.arange(6))
         base[0], base[2] = base[0] + estimate.position_noise * drawn[:3], base[2] + estimate.velocity_noise * drawn[3:]
         if step % period == 0:
-            sensed = read[:-6].reshape(-1, 3), read[-6:], held["support"]
+            sensed = read[:-6].reshape(-1, 3), read[-6:], held["support"], known
             command = law.say(wanted, base, *sensed, targets, h * gait.times(step))
             before = said
             if three:
@@ -429,6 +467,8 @@ def again(walk, law=None):
         into = (step % period + 1) / period if hardware.interpolation == "linear" else 1.0
         commands.append(before + into * (said - before))
         goal = late(commands, hardware.command_delay / h)
+        shares.append(0.0 if watch is None else watch.share)
+        servos.stiffen(late(shares, hardware.command_delay / h))
         torque, turning, armature = servos.turn(step, goal, angles, rates, body.loads(held))
         cargo, push = windows(scenario, step)
         body.model.body_mass[1] = body.mass[1] + cargo
@@ -447,7 +487,7 @@ def again(walk, law=None):
         rows.append(row | held | {
             "base_linear_acceleration": found[0], "base_angular_acceleration": found[1],
             "joint_accelerations": found[2], "joint_targets": goal, "joint_torque": torque, "foot_target": command[2],
-            "sensor_lost": law.lost,
+            "sensor_lost": np.zeros(body.limbs, bool) if watch is None else watch.lost,
             "base_reference": wanted, "base_displacement": command[3],
             "base_wrench": wrench, "push": push, "cargo_mass": cargo, "center_of_mass": com, "tsm": tsm,
             "gia_margin": gia,

@@ -63,52 +63,30 @@ class OfFeet:
 
     def __init__(self, scenario, reference, limbs):
         self.reference, self.period = reference, scenario.hardware.control_period or scenario.time_step
-        self.offset, self.heard, self.doubt = np.zeros((limbs, 3)), np.zeros((limbs, 3)), np.zeros(limbs)
+        self.offset = np.zeros((limbs, 3))
 
-    def trusted(self, force, support):
-        """Return which sensors of feet that stand have read something within 0.1 s; all by rules of docs/laws.md."""
-        for limb, own in enumerate(force):
-            if np.isfinite(own).all() and np.abs(own).sum() > 1e-6:
-                self.heard[limb], self.doubt[limb] = own, -0.1
-            elif not support[limb]:
-                self.heard[limb] = 0.0
-        for limb, own in enumerate(force):
-            silent = support[limb] and not (np.isfinite(own).all() and np.abs(own).sum() > 1e-6)
-            if silent and (np.abs(self.heard).sum() > 1 or self.doubt[limb] >= 0):
-                self.doubt[limb] += self.period
-        return support & (self.doubt < 0)
-
-    def whole(self, support):
-        """Return whether every foot that stands is believed and no sensor is lost: else nothing gives way."""
-        return (self.doubt[support] < 0).all() and not self.lost.any()
-
-    @property
-    def lost(self):
-        return self.doubt >= 0.1
-
-    def say(self, position, base, force, wrench, support, feet, times):
+    def say(self, position, base, force, wrench, support, known, feet, times):
         """Return where base, its attitude and the feet shall be, and the shift of the base."""
         where, quaternion, *_ = base
         into = self.reference.inv()
-        trusted = self.trusted(force, support)
-        levers, own = into.apply(feet - where), into.apply(self.heard)
+        levers, own = into.apply(feet - where), into.apply(force)
         turn = (into * Rotation.from_quat(quaternion, scalar_first=True)).as_quat(canonical=True)
         error = np.concatenate([into.apply(where - position), 2 * turn[:3] * turn[3]])
-        self.move(levers, np.where(trusted[:, None], own, 0), error, support, trusted, times)
+        self.move(levers, np.where(support[:, None], own, 0), error, support, known, times)
         return position, self.reference, feet + self.reference.apply(self.offset), np.zeros(6)
 
 
 class LoadTransfer(OfFeet):
-    def move(self, levers, force, error, support, trusted, times):
+    def move(self, levers, force, error, support, known, times):
         gains, h = self.gains, self.period
         before, after = np.ravel(gains["unloading"]), np.ravel(gains["loading"])  # of all limbs, or of each
         ramps = np.minimum(times[0] / before, 1) * np.minimum(times[1] / after, 1)
-        weight = support * np.where(trusted, np.maximum(ramps, 0.02), 0.02)
+        weight = support * np.maximum(ramps, 0.02)
         wanted = shared(grasp(levers) @ force.ravel(), levers, weight, gains["pull_limit"])
         whole = rigid(levers, self.offset, support * 1.0)
         damping = np.ones((len(force), 1)) * gains["tangential_damping"] * [1, 1, 0]
         damping = damping + np.ones((len(force), 1)) * gains["normal_damping"] * [0, 0, 1]
-        rate = self.whole(support) * (force - wanted) / damping
+        rate = known * (force - wanted) / damping
         rate = rate - gains["leak"] * (self.offset - whole) - gains["leveling"] * whole
         moved = bounded(self.offset + h * bounded(rate, 0.1), 0.02)
         lands = -gains["landing"] * (error[:3] + np.cross(error[3:], levers))
@@ -117,11 +95,11 @@ class LoadTransfer(OfFeet):
 
 
 class InternalForce(OfFeet):
-    def move(self, levers, force, error, support, trusted, times):
+    def move(self, levers, force, error, support, known, times):
         stiffness, h = self.gains["stiffness"], self.period
-        weight = support * np.where(trusted, 1, 0.02)
+        weight = support * 1.0
         wrench = grasp(levers) @ force.ravel()
-        internal = self.whole(support) * (force - (pseudoinverse(levers, weight) @ wrench).reshape(-1, 3))
+        internal = known * (force - (pseudoinverse(levers, weight) @ wrench).reshape(-1, 3))
         kept = np.exp(-h * stiffness / self.gains["damping"])
         moved = bounded(internal / stiffness + kept * (self.offset - internal / stiffness), 0.02)
         self.offset = np.where(support[:, None], moved, self.offset * np.exp(-h / 0.05))
@@ -130,13 +108,13 @@ class InternalForce(OfFeet):
 class ClimbSDK(OfFeet):
     steps = 0
 
-    def move(self, levers, force, error, support, trusted, times):
+    def move(self, levers, force, error, support, known, times):
         gains, h = self.gains, self.period
         change = np.zeros_like(self.offset)
         if self.steps % round(0.05 / h) == 0:
-            weight = support * np.where(trusted, 1, 0.02)
-            wanted = of_largest_margin(grasp(levers) @ force.ravel(), levers, weight, trusted, gains["force_cost"])
-            pushed = self.whole(support) * (force - wanted)
+            weight = support * 1.0
+            wanted = of_largest_margin(grasp(levers) @ force.ravel(), levers, weight, support, gains["force_cost"])
+            pushed = known * (force - wanted)
             change = gains["force_gain"] * (pushed - rigid(levers, pushed, support * 1.0))
             change = change + gains["body_gain"] * (error[:3] + np.cross(error[3:], levers))
         self.steps += 1

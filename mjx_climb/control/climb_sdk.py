@@ -20,7 +20,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.foot_offsets import LEAST, SAFE_KP, Offsets, base_error, feet_shifted, released, trusted_forces
+from mjx_climb.control.foot_offsets import Offsets, base_error, feet_shifted, released, standing_forces
 from mjx_climb.control.force_distribution import Sharing, moved_rigidly, net_wrench, pushed_up, rigid_part, sharing
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.virtual_mass import bounded
@@ -47,11 +47,10 @@ class ClimbSDK(Law):
     )
     update_period: float = 0.05  # s
     max_offset: float = 0.02  # m
-    safe_kp: float = SAFE_KP  # N m/rad, of the joint loop at least, once a force sensor is lost
 
     def init(self, start: Start) -> Clocked:
         """Return no offsets, and an update that is due."""
-        return Clocked(Offsets.begin(start, self.safe_kp), jnp.asarray(self.update_period))
+        return Clocked(Offsets.begin(start), jnp.asarray(self.update_period))
 
     def step(self, state: Clocked, measured: Measurement, reference: Reference) -> tuple[Clocked, Command]:
         """Integrate, where an update is due, and shift the feet; the offset of an open gripper fades."""
@@ -59,10 +58,9 @@ class ClimbSDK(Law):
         due = state.since > self.update_period - state.offsets.period / 2
         rotation = quaternion_to_matrix(reference.base_orientation)
         lever = (reference.foot_position - measured.base_position) @ rotation
-        offsets, (force, trusted, lost, whole) = trusted_forces(state.offsets, measured, rotation)
-        weight = jnp.where(support, jnp.where(trusted, 1.0, LEAST), 0.0)
-        wanted = of_largest_margin(sharing(net_wrench(lever, force), lever, weight), trusted, self.force_cost)
-        pushed = jnp.where(whole, force - wanted, 0.0)
+        offsets, force, weight = state.offsets, standing_forces(measured, rotation), jnp.where(support, 1.0, 0.0)
+        wanted = of_largest_margin(sharing(net_wrench(lever, force), lever, weight), support, self.force_cost)
+        pushed = jnp.where(measured.forces_known, force - wanted, 0.0)
         pushed = pushed - rigid_part(lever, pushed, jnp.where(support, 1.0, 0.0))
         change = self.force_gain * pushed + self.body_gain * moved_rigidly(
             lever, base_error(measured, reference, rotation)
@@ -71,7 +69,7 @@ class ClimbSDK(Law):
         displacement = jnp.where(support[:, None], moved, released(offsets, 0.0))
         since = jnp.where(due, 0.0, state.since) + offsets.period
         offsets = offsets._replace(displacement=displacement)
-        return Clocked(offsets, since), feet_shifted(reference, offsets, rotation, lost)
+        return Clocked(offsets, since), feet_shifted(reference, offsets, rotation)
 
 
 def of_largest_margin(share: Sharing, bears: Array, cost: Array) -> Array:

@@ -70,7 +70,6 @@ class Sum(Law, metaclass=Made):
             foot_position=first.foot_position + (second.foot_position - reference.foot_position),
             base_displacement=first.base_displacement + second.base_displacement,
             joint_gains=product(first.joint_gains, second.joint_gains),
-            lost_sensors=_either(first.lost_sensors, second.lost_sensors),
         )
         return (one, other), command
 
@@ -87,13 +86,6 @@ def product(first: Any, second: Any) -> Any:
     for name, factor in second.moved.items():
         both[name] = both[name] * factor if name in both else factor
     return JointGains(**both)
-
-
-def _either(first: Any, second: Any) -> Any:
-    """Return the sensors that one of two laws has lost; () is of a law that does not look after them."""
-    if isinstance(first, tuple) or isinstance(second, tuple):
-        return second if isinstance(first, tuple) else first
-    return first | second
 
 
 def combined(first: Law, second: Law) -> Law:

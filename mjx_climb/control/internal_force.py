@@ -10,7 +10,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.foot_offsets import LEAST, SAFE_KP, Offsets, feet_shifted, released, trusted_forces
+from mjx_climb.control.foot_offsets import Offsets, feet_shifted, released, standing_forces
 from mjx_climb.control.force_distribution import least_forces, net_wrench
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.virtual_mass import bounded
@@ -23,13 +23,12 @@ class InternalForce(Law):
     damping: Array = gain("N s/m", length=3, bounds=(1e0, 1e5), default=5e2, long_name="virtual damping D")
     stiffness: Array = gain("N/m", length=3, bounds=(1e1, 1e6), default=1e3, long_name="virtual stiffness K")
     max_offset: float = 0.02  # m
-    safe_kp: float = SAFE_KP  # N m/rad, of the joint loop at least, once a force sensor is lost
 
     LIMBWISE: ClassVar[frozenset[str]] = frozenset({"damping", "stiffness"})
 
     def init(self, start: Start) -> tuple[Offsets, Array]:
         """Return no offsets, and the share (3,) of them that a step leaves."""
-        return Offsets.begin(start, self.safe_kp), jnp.exp(-start.period * self.stiffness / self.damping)
+        return Offsets.begin(start), jnp.exp(-start.period * self.stiffness / self.damping)
 
     def step(
         self, state: tuple[Offsets, Array], measured: Measurement, reference: Reference
@@ -38,10 +37,9 @@ class InternalForce(Law):
         offsets, kept = state
         rotation = quaternion_to_matrix(reference.base_orientation)
         lever = (reference.foot_position - measured.base_position) @ rotation
-        offsets, (force, trusted, lost, whole) = trusted_forces(offsets, measured, rotation)
-        weight = jnp.where(measured.support, jnp.where(trusted, 1.0, LEAST), 0.0)
-        internal = jnp.where(whole, force - least_forces(net_wrench(lever, force), lever, weight), 0.0)
+        force, weight = standing_forces(measured, rotation), jnp.where(measured.support, 1.0, 0.0)
+        internal = force - least_forces(net_wrench(lever, force), lever, weight)
         moved = bounded(kept * offsets.displacement + (1 - kept) * internal / self.stiffness, self.max_offset)
         displacement = jnp.where(measured.support[:, None], moved, released(offsets, 0.0))
         offsets = offsets._replace(displacement=displacement)
-        return (offsets, kept), feet_shifted(reference, offsets, rotation, lost)
+        return (offsets, kept), feet_shifted(reference, offsets, rotation)

@@ -36,6 +36,7 @@ class Measurement(NamedTuple):
     joint_angles: Array | float = 0.0  # (limb, joint) rad, of the servos' encoders
     joint_rates: Array | float = 0.0  # (limb, joint) rad/s
     joint_torque: Array | float = 0.0  # (limb, joint) N m, of the motors in the time step before, from their current
+    forces_known: Array | bool = True  # () bool: no force sensor is dead; where one is, all forces and the wrench are 0
 
 
 class Reference(NamedTuple):
@@ -69,8 +70,6 @@ class Command(NamedTuple):
     foot_position: Array  # (limb, 3) m
     base_displacement: Array  # (6,) m, rad: the law's shift of the base, reference axes
     joint_gains: JointGains | tuple[()] = ()  # (): the joint loop's own
-    # (limb,) bool: feet whose force sensor the law has done without for a while; (): it does not look after them
-    lost_sensors: Array | tuple[()] = ()
 
 
 class Start(NamedTuple):
@@ -79,7 +78,6 @@ class Start(NamedTuple):
     period: float | Array  # () s, from one step of the law to the next
     reference: Reference  # at the start
     joint_angles: Array | None = None  # (limb, joint) rad; None: not known
-    kp: Array | float = jnp.inf  # N m/rad, () or (limb, joint), of the joint loop; infinite: not known
 
 
 def shifted(reference: Reference, displacement: Array, turn: Array | None = None) -> Command:
@@ -161,7 +159,7 @@ class Law:
         dataclasses.dataclass(frozen=True, eq=False)(cls)
         fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # a dataclass from here on
         gains = {field.name: field.metadata["gain"] for field in fields if "gain" in field.metadata}
-        for name in {"kp", "kd", "ki"} & gains.keys():
+        for name in {"kp", "kd", "ki", "safe_kp"} & gains.keys():
             raise ValueError(f"{cls.__name__}.{name}: expected another name, this one is the joint loop's")
         cls.GAINS = MappingProxyType(gains)
         cls.AXES = MappingProxyType({name: int(field.length > 1) for name, field in gains.items()})
@@ -199,9 +197,9 @@ class Beginning(NamedTuple):
     """What is known of a law before its first step."""
 
     state: Any
-    reads_servos: bool  # whether its step looks at what the joints' servos report
+    reads_forces: bool  # whether its step looks at foot forces or their wrench
+    reads_servos: bool  # whether it looks at what the joints' servos report
     joint_gains: JointGains | tuple[()]  # of its first command: ones, () of a law that leaves them alone
-    lost_sensors: Array | tuple[()]  # of its first command: none, () of a law that does not look after them
 
 
 def begin(law: Law, start: Start) -> Any:
@@ -225,19 +223,23 @@ def beginning(law: Law, start: Start) -> Beginning:
     state = jax.tree.map(as_array, law.init(start))
     six, support = jnp.zeros_like(position, shape=6), jnp.ones(len(feet), bool)
     joints = jnp.zeros_like(feet) if start.joint_angles is None else start.joint_angles
-    measured = Measurement(*start.reference[:2], position, position, feet, six, support, joints, joints, joints)
+    known = jnp.asarray(True)
+    measured = Measurement(*start.reference[:2], position, position, feet, six, support, joints, joints, joints, known)
     program, found = jax.make_jaxpr(law.step, return_shape=True)(state, measured, start.reference)
     one = jnp.ones_like(feet[:, 0])
     own = getattr(found[1], "joint_gains", ())
     gains = JointGains(**dict.fromkeys(own.moved, one)) if isinstance(own, JointGains) else ()
-    lost = () if isinstance(getattr(found[1], "lost_sensors", ()), tuple) else ~support
-    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six, gains, lost)}
+    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six, gains)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
         # maps whole trees, so that the message shows the names of their fields
         own, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
         if jax.tree.flatten(own) != jax.tree.flatten(other):
             raise ValueError(f"{type(law).__name__}.step: expected {what}, {own}, got {other}")
-    last = len(jax.tree.leaves((state, measured)))
-    servos = program.jaxpr.invars[last - 3 : last]
+    first = len(jax.tree.leaves(state))
+    given = Measurement(*program.jaxpr.invars[first : first + len(measured)])
     read = [*program.jaxpr.outvars, *(variable for equation in program.jaxpr.eqns for variable in equation.invars)]
-    return Beginning(state, any(variable is servo for variable in read for servo in servos), gains, lost)
+
+    def reads(*names: str) -> bool:
+        return any(variable is getattr(given, name) for name in names for variable in read)
+
+    return Beginning(state, reads("foot_force", "wrench"), reads("joint_angles", "joint_rates", "joint_torque"), gains)

@@ -16,7 +16,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.foot_offsets import LEAST, SAFE_KP, Offsets, base_error, feet_shifted, released, trusted_forces
+from mjx_climb.control.foot_offsets import LEAST, Offsets, base_error, feet_shifted, released, standing_forces
 from mjx_climb.control.force_distribution import distributed, moved_rigidly, net_wrench, rigid_part
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.virtual_mass import bounded
@@ -43,7 +43,6 @@ class LoadTransfer(Law):
     max_offset: float = 0.02  # m
     max_rate: float = 0.1  # m/s
     torque_limit: float = math.inf  # N m, of the servos: from there on more offset makes no more force
-    safe_kp: float = SAFE_KP  # N m/rad, of the joint loop at least, once a force sensor is lost
 
     LIMBWISE: ClassVar[frozenset[str]] = frozenset(
         {"normal_damping", "tangential_damping", "leak", "leveling", "unloading", "loading", "landing"}
@@ -51,16 +50,16 @@ class LoadTransfer(Law):
 
     def init(self, start: Start) -> Offsets:
         """Return no offsets."""
-        return Offsets.begin(start, self.safe_kp)
+        return Offsets.begin(start)
 
     def step(self, offsets: Offsets, measured: Measurement, reference: Reference) -> tuple[Offsets, Command]:
         """Let the feet that stand give way towards the wanted forces; the offset of an open gripper fades."""
         rotation = quaternion_to_matrix(reference.base_orientation)
         lever = (reference.foot_position - measured.base_position) @ rotation
-        offsets, sensed = trusted_forces(offsets, measured, rotation)
-        weight = jnp.where(sensed.trusted, self.weights(reference), LEAST) * jnp.where(measured.support, 1.0, 0.0)
-        wanted = distributed(net_wrench(lever, sensed.force), lever, weight, self.pull_limit)
-        pushed = jnp.where(sensed.whole, sensed.force - wanted, 0.0)
+        force = standing_forces(measured, rotation)
+        weight = jnp.where(measured.support, self.weights(reference), 0.0)
+        wanted = distributed(net_wrench(lever, force), lever, weight, self.pull_limit)
+        pushed = jnp.where(measured.forces_known, force - wanted, 0.0)
 
         # what of the offsets only turns and shifts the base: its way back, and where a swinging foot finds the ground
         before = offsets.displacement
@@ -77,7 +76,7 @@ class LoadTransfer(Law):
         lands = -self.landing * moved_rigidly(lever, base_error(measured, reference, rotation))
         displacement = jnp.where(measured.support[:, None], moved, released(offsets, lands))
         offsets = offsets._replace(displacement=displacement)
-        return offsets, feet_shifted(reference, offsets, rotation, sensed.lost)
+        return offsets, feet_shifted(reference, offsets, rotation)
 
     def weights(self, reference: Reference) -> Array:
         """Return the shares (limb,) that the gait wants the feet to have, if they stand."""

@@ -29,6 +29,7 @@ class Stages(NamedTuple):
     force_resolution: bool = False
     force_filter: bool = False
     force_dead: bool = False
+    silent_sensors: bool = False  # a force sensor of a foot that bears something may read nothing
     sampled_filter: bool = False  # the law filters what it samples
     base_delay: int = 0
     base_noise: bool = False
@@ -93,6 +94,7 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
         **found,
         force_filter=filtered and not by_law,
         force_dead=_finite(parameters.force_dead),
+        silent_sensors=found["force_resolution"] or _finite(parameters.force_dead),
         sampled_filter=filtered and by_law,
         base_noise=some("position_noise", "velocity_noise"),
         linear=found["control_period"] and scenario.hardware.interpolation == "linear",
@@ -190,7 +192,7 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
     limit, stall = ("current_limit", "torque_limit") if stages.voltage else ("torque_limit", "")
     for name, own, combined in (
         ("kp", "driven", jnp.multiply), ("kd", "driven", jnp.multiply), ("ki", "driven", jnp.multiply),
-        (stall, "driven", jnp.multiply), (limit, "torque_limit", jnp.minimum),
+        ("safe_kp", "driven", jnp.multiply), (stall, "driven", jnp.multiply), (limit, "torque_limit", jnp.minimum),
         ("coulomb_friction", "friction", jnp.add), ("viscous_friction", "damping", jnp.add),
     ):  # fmt: skip
         if name and robot is not None and getattr(robot, own) is not None:
@@ -208,6 +210,6 @@ def _at_supply_voltage(parameters: Parameters, stages: Stages) -> Parameters:
         return parameters
     known = jnp.isfinite(parameters.supply_voltage) & jnp.isfinite(parameters.rated_voltage)
     supply, rated = (jnp.where(known, getattr(parameters, f"{name}_voltage"), 1.0) for name in ("supply", "rated"))
-    names = ("torque_limit", "no_load_speed", *(("kp", "kd", "ki") if stages.voltage else ()))
+    names = ("torque_limit", "no_load_speed", *(("kp", "kd", "ki", "safe_kp") if stages.voltage else ()))
     scaled = {name: getattr(parameters, name) * (supply / rated) for name in names}
     return dataclasses.replace(parameters, **scaled)

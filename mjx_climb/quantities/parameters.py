@@ -48,7 +48,7 @@ class Gains:
     """Gains of the admittance law (paper Eqs. 2 and 3): scalar, six axes, or a batch of six axes.
 
     Axes: three translations, then three rotations, about the axes of the walk (x ahead, z up). The end-effector law
-    uses the translations. `kp`, `kd` and `ki` replace the scenario's joint gains where given.
+    uses the translations. `kp`, `kd`, `ki` and `safe_kp` replace the scenario's joint gains where given.
     """
 
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType({"inertia": 1, "damping": 1, "stiffness": 1})
@@ -59,6 +59,7 @@ class Gains:
     kp: _JointGain | None = _of("control.kp", "N m/rad", "joint gain kp", default=None)
     kd: _JointGain | None = _of("control.kd", "N m s/rad", "joint gain kd", default=None)
     ki: _JointGain | None = _of("control.ki", "N m/(rad s)", "joint gain ki", default=None)
+    safe_kp: _JointGain | None = _of("control.safe_kp", "N m/rad", "joint gain kp without a sensor", default=None)
 
 
 @jax.tree_util.register_dataclass
@@ -84,6 +85,7 @@ class Parameters:
     kp: _Scalar = _of("control.kp", "N m/rad", "joint gain kp")
     kd: _Scalar = _of("control.kd", "N m s/rad", "joint gain kd")
     ki: _Scalar = _of("control.ki", "N m/(rad s)", "joint gain ki")
+    safe_kp: _Scalar = _of("control.safe_kp", "N m/rad", "joint gain kp without a sensor")
     stride: _Scalar = _of("gait.stride", "m", "stride")
     step_height: _Scalar = _of("gait.step_height", "m", "step height")
     cycle: _Scalar = _of("gait.cycle", "s", "gait cycle")

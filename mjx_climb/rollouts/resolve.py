@@ -21,7 +21,7 @@ from mjx_climb.scenario.model import Scenario
 
 AnyGains = Gains | Law | Mapping[str, Any]  # values by name
 
-_JOINT_LOOP = ("kp", "kd", "ki")
+_JOINT_LOOP = ("kp", "kd", "ki", "safe_kp")
 _NUMBERS = {3: "three", 6: "six"}
 
 

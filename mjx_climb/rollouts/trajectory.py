@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mjx_climb.control.foot_offsets import SILENCE
+from mjx_climb.control.sensor_watch import SILENCE
 from mjx_climb.quantities.parameters import Gains, Parameters
 from mjx_climb.scenario.model import Scenario
 

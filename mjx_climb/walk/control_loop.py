@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control import Command, Law, Measurement, Reference, Start, shifted
+from mjx_climb.control import Command, JointGains, Law, Measurement, Reference, Start, sensor_watch, shifted
 from mjx_climb.control.law import beginning
 from mjx_climb.dynamics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
 from mjx_climb.dynamics.kinematics import Feet, Turning, base_wrench_of_foot_force
@@ -56,6 +56,7 @@ class Memory(NamedTuple):
 
     law: Any  # its state
     force_sensor: sensors.ForceSensor
+    sensor_watch: Any  # `SensorWatch`, () where the law reads no forces, or no sensor is ever silent
     filtered: Any  # foot forces (limb, 3) N and wrench (6,) N, N m that the law samples; () where it filters nothing
     base_estimate: Any  # buffers, one for each field of a `sensors.Base`
     held: Any  # `Held`
@@ -63,7 +64,7 @@ class Memory(NamedTuple):
     servo: servo.Servo
     posture: Any  # (limb, joint) rad, the joint angles last solved for, () where there is a closed form
     reports: Any  # `Reports`, () where the law does not read them
-    joint_gains: Any  # buffers of the law's factors of the joint gains, () where it leaves these alone
+    joint_gains: Any  # buffers of what is sent of the joint gains, () where that is nothing
 
 
 class Reports(NamedTuple):
@@ -93,26 +94,26 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
     hardware, angles, feet = controller.hardware, state.joint_angles, reference.foot_position
     stages, no_force, no_torque = hardware.stages, jnp.zeros_like(feet), jnp.zeros_like(angles)
     no_wrench = jnp.zeros_like(state.base_position, shape=6)
-    law, reads_servos, factors, lost = beginning(
-        controller.law, Start(hardware.law_period, reference, angles, servo.gains_of(hardware).kp)
-    )
+    law = beginning(controller.law, Start(hardware.law_period, reference, angles))
+    watch = sensor_watch.begin(feet) if stages.silent_sensors and law.reads_forces else ()
     held: Any = ()
     if stages.control_period:
-        command = Command(state.base_position, state.base_orientation, feet, no_wrench, factors, lost)
+        command = Command(state.base_position, state.base_orientation, feet, no_wrench, law.joint_gains)
         held = Held(command, JointSolution(angles, jnp.ones(len(angles), bool)), angles if stages.linear else ())
     base = sensors.true_base(state) if stages.base_delay else ()
     reported = tuple((value,) * stages.command_delay for value in (angles, state.joint_rates, no_torque))
     return Memory(
-        law=law,
+        law=law.state,
         force_sensor=sensors.ForceSensor((no_force,) * stages.force_delay, no_force if stages.force_filter else ()),
+        sensor_watch=watch,
         filtered=(no_force, no_wrench) if stages.sampled_filter else (),
         base_estimate=tuple((value,) * stages.base_delay for value in base),
         held=held,
         targets=(angles,) * stages.command_delay,
         servo=servo.begin(angles, stages),
         posture=angles if isinstance(controller.geometry, Chain) else (),
-        reports=Reports(reported, no_torque) if reads_servos else (),
-        joint_gains=tuple((factor,) * stages.command_delay for factor in factors.moved.values()) if factors else (),
+        reports=Reports(reported, no_torque) if law.reads_servos else (),
+        joint_gains=tuple((value,) * stages.command_delay for value in _sent(law.joint_gains, watch).values()),
     )
 
 
@@ -132,9 +133,8 @@ def control(
     law_state, command = controller.law.step(memory.law, measured, reference)
     if action is not None:
         displacement = action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(actual.wrench)
-        own = jax.tree.map(jnp.ones_like, command.joint_gains)
-        law_state, lost = memory.law, command.lost_sensors
-        command = shifted(reference, displacement)._replace(joint_gains=own, lost_sensors=lost)
+        own, law_state = jax.tree.map(jnp.ones_like, command.joint_gains), memory.law
+        command = shifted(reference, displacement)._replace(joint_gains=own)
     joints, posture = _solve(controller.geometry, memory.posture, command, reference)
     if isinstance(action, JointTargets):
         joints = joints._replace(joint_angles=action.angles)
@@ -153,24 +153,32 @@ def control(
         targets, late = signals.delayed(targets, joints.joint_angles, pace.command)
         joints = joints._replace(joint_angles=late)
 
-    late_gains, gains = _joint_gains(hardware, memory.joint_gains, command.joint_gains)
+    sent = _sent(command.joint_gains, memory.sensor_watch)
+    late_gains, gains = _joint_gains(hardware, memory.joint_gains, sent)
     servos, drive = servo.joint_loop(memory.servo, joints.joint_angles, state, gains, hardware)
     reports = memory.reports._replace(torque=drive.motor_torque) if memory.reports else ()
     memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture, reports=reports)
     return memory._replace(joint_gains=late_gains), command, joints, drive
 
 
-def _joint_gains(hardware: Hardware, buffers: Any, factors: Any) -> tuple[Any, servo.JointGains]:
-    """Return what is on its way to the joint loop, and its gains in a step: by the law's factors, if it has any."""
+def _sent(factors: JointGains | tuple[()], watch: Any) -> dict[str, Array]:
+    """Return what goes to the joint loop with its targets, by name: factors of its gains, and how far kp is to rise."""
+    return (factors.moved if factors else {}) | ({"stiffness": watch.stiffness} if watch else {})
+
+
+def _joint_gains(hardware: Hardware, buffers: Any, sent: dict[str, Array]) -> tuple[Any, servo.JointGains]:
+    """Return what is on its way to the joint loop, and its gains in a step: by what it was sent, if anything."""
     gains = servo.gains_of(hardware)
-    if not factors:
-        return (), gains
-    moved = factors.moved
-    if hardware.stages.command_delay:  # by the bus that takes the joint targets
-        both = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, moved.values(), strict=True)]
+    if hardware.stages.command_delay and sent:  # by the bus that takes the joint targets
+        both = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, sent.values(), strict=True)]
         buffers, late = zip(*both, strict=True)
-        moved = dict(zip(moved, late, strict=True))
-    return buffers, gains._replace(**{name: getattr(gains, name) * each[:, None] for name, each in moved.items()})
+        sent = dict(zip(sent, late, strict=True))
+    factors = {name: each for name, each in sent.items() if name != "stiffness"}
+    gains = gains._replace(**{name: getattr(gains, name) * each[:, None] for name, each in factors.items()})
+    if "stiffness" in sent:
+        safe = jnp.asarray(hardware.parameters.safe_kp)
+        gains = gains._replace(kp=sensor_watch.stiffened(gains.kp, safe, sent["stiffness"]))
+    return buffers, gains
 
 
 def _measure(
@@ -182,6 +190,13 @@ def _measure(
     if stages.force:
         sensor, force = sensors.measured_force(sensor, force, step, hardware)
         wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
+    watch, known = memory.sensor_watch, jnp.asarray(True)
+    if watch:
+        watch, force, known = sensor_watch.watched(watch, force, actual.grip.support, hardware.law_period)
+        wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
+        wrench = jnp.where(known, wrench, 0.0)
+        if stages.control_period:
+            watch = signals.held(into == 0, watch, memory.sensor_watch)
     filtered = memory.filtered
     if stages.sampled_filter:
         force, wrench = (y + share * (u - y) for y, u in zip(filtered, (force, wrench), strict=True))
@@ -190,8 +205,10 @@ def _measure(
         filtered = force, wrench
     buffers, base = sensors.estimated_base(memory.base_estimate, sensors.true_base(actual.state), step, hardware)
     reports, joints = _reported(hardware, memory.reports, actual.state)
-    memory = memory._replace(force_sensor=sensor, filtered=filtered, base_estimate=buffers, reports=reports)
-    return memory, Measurement(*base, force, wrench, actual.grip.support, *joints)
+    memory = memory._replace(force_sensor=sensor, sensor_watch=watch, filtered=filtered)
+    memory = memory._replace(base_estimate=buffers, reports=reports)
+    measured = Measurement(*base, force, wrench, actual.grip.support, *joints)
+    return memory, measured._replace(forces_known=known)
 
 
 def _reported(hardware: Hardware, reports: Any, state: State) -> tuple[Any, tuple[Array, ...]]:

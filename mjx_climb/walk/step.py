@@ -149,7 +149,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     acceleration = _accelerations(walk, actual, drive, push, cargo)
     com = center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale)
     tsm, gia = _stability_margins(walk, actual, push, com, cargo)
-    lost = command.lost_sensors
+    watch, no_sensor = memory.sensor_watch, jnp.zeros_like(actual.grip.support)
     sample = Sample(
         time=step * jnp.asarray(walk.structure.time_step, com.dtype), **vars(state), **actual.grip._asdict(),
         base_linear_acceleration=acceleration.base_linear, base_angular_acceleration=acceleration.base_angular,
@@ -157,7 +157,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         joint_targets=joints.joint_angles, reachable=joints.reachable,
         foot_position=actual.feet.position, foot_velocity=actual.feet.velocity, foot_target=command.foot_position,
         grip_point=actual.contact.grip_point, contact=actual.contact.touching, detached=carry.contact.detached,
-        sensor_lost=jnp.zeros_like(actual.grip.support) if isinstance(lost, tuple) else lost,
+        sensor_lost=watch.lost if watch else no_sensor,
         base_reference=reference.base_position, base_displacement=command.base_displacement,
         base_wrench=actual.wrench, push=push, cargo_mass=cargo, center_of_mass=com, tsm=tsm, gia_margin=gia,
     )  # fmt: skip

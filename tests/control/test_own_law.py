@@ -144,7 +144,10 @@ def test_another_class_of_the_same_name_walks_as_itself(scenario, law):
 @pytest.mark.parametrize(
     ("gains", "said"),
     [
-        ({"cutof": 1.0}, "gains.cutof: expected one of inertia, damping, stiffness, cutoff, share, kp, kd, ki, the"),
+        (
+            {"cutof": 1.0},
+            "gains.cutof: expected one of inertia, damping, stiffness, cutoff, share, kp, kd, ki, safe_kp, the",
+        ),
         ({"cutoff": -1.0}, "gains.cutoff: expected finite numbers above 0, got -1"),
         ({"cutoff": np.ones((2, 5))}, "gains.cutoff: expected a scalar or a last axis of six, got shape (2, 5)"),
         ({"share": np.nan}, "gains.share: expected finite numbers above 0, got nan"),

@@ -141,7 +141,7 @@ def test_each_foot_hands_its_load_over_by_the_gains_of_its_own_phase(scene):
     for _ in range(5):
         feet = twin.say(
             np.array(reference.base_position), base, np.array(measured.foot_force), None, np.array(measured.support),
-            np.array(reference.foot_position), np.array([UNTIL, SINCE]),
+            True, np.array(reference.foot_position), np.array([UNTIL, SINCE]),
         )[2]  # fmt: skip
     np.testing.assert_allclose(command.foot_position, feet, rtol=0, atol=1e-12)
     assert np.abs(command.foot_position - reference.foot_position).max() > 1e-4

@@ -83,9 +83,10 @@ WALKS = {  # changes, and what is to happen
             "control.reading": "measured_pose", "control.damping": 300.0, "control.stiffness": 2e4,
             "gait.base_reference": "actual", "gait.settling": 0.3,
             "hardware.base_estimate": {"delay": 0.0025, "position_noise": 1e-4, "velocity_noise": 1e-3},
-            "hardware.force_sensor": {"filter": 60.0, "filtered_by": "law"}, "hardware.control_period": 0.002,
+            "hardware.force_sensor": {"filter": 60.0, "filtered_by": "law", "dead": {"LF": 0.02}},
+            "hardware.control_period": 0.002, "hardware.command_delay": 0.0017, "control.safe_kp": 60.0,
         },
-        lambda walk: np.ptp(walk.base_displacement),
+        lambda walk: np.ptp(walk.base_displacement) and list(walk.lost_sensors) == ["LF"],
     ),
     "a base that sways, low over feet that land fast": (
         {

@@ -95,8 +95,8 @@ class Walk(Options):
             gains = {f"control.{name}" for name in law.GAINS}
             mine = {key: changes.pop(key) for key in list(changes) if key in gains}
             for key in changes:
-                if key.split(".")[0] == "control" and key not in ("control.kp", "control.kd", "control.ki"):
-                    expected = f"one of {', '.join([*law.GAINS, 'kp', 'kd', 'ki'])} in control"
+                if key.split(".")[0] == "control" and key.removeprefix("control.") not in gains_file.OPTIONAL:
+                    expected = f"one of {', '.join([*law.GAINS, *gains_file.OPTIONAL])} in control"
                     raise InputError(f"--set {key}: expected {expected}, which {type(law).__name__} reads")
             try:
                 law = of_one(law, {key[8:]: value for key, value in mine.items()}) if mine else law

@@ -1,8 +1,8 @@
-"""Gains files: what a search found, whole, as YAML: a law, its gains and limits, kp, kd and ki, the gait.
+"""Gains files: what a search found, whole, as YAML: a law, its gains and limits, the joint loop's, the gait.
 
 The gains are inertia, damping and stiffness, or those of another law as it names them. `law` says whose they are: the
-name of a shipped law, or FILE.py:NAME; without it they are the config's law's. `kp`, `kd`, `ki` and the keys of `gait`
-are the config's where they are not given.
+name of a shipped law, or FILE.py:NAME; without it they are the config's law's. `kp`, `kd`, `ki`, `safe_kp` and the keys
+of `gait` are the config's where they are not given.
 """
 
 import inspect
@@ -26,7 +26,7 @@ from tuning.gains import own_section
 from tuning.gains.ros2_control import commented
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
-OPTIONAL = ("kp", "kd", "ki")
+OPTIONAL = ("kp", "kd", "ki", "safe_kp")
 LAW = "law"  # whose gains they are: the name of a shipped law, or FILE.py:NAME; the config's where there is none
 SECTION = "gait"
 LIMITS = "limits"  # of a law: numbers beside its gains, for which a walk is compiled

@@ -79,8 +79,10 @@ template <std::size_t Limbs>
 struct LoadTransferState {
   Feet<Limbs> offset{};  ///< m, axes of the base reference
   Feet<Limbs> heard{};   ///< N, last reading of a foot's sensor since it stands
-  /// s, from -0.1, as a sensor reads something; from 0 on it is not believed, from 0.1 on it is lost
+  /// s, from -0.1, as a sensor reads something; 0: it has not read anything yet; beyond it is not believed, from 0.1 on
+  /// it is lost
   std::array<double, Limbs> doubt{};
+  double stiffness = 0.0;  ///< how far kp has risen to what is safe, from 0 to 1
 };
 
 namespace detail {
@@ -90,7 +92,7 @@ using Matrix6 = std::array<Vector6, 6>;
 
 constexpr double kRelease = 0.05;       // s, in which an offset fades once its gripper has opened
 constexpr double kSilence = 0.1;         // s without a reading, after which a sensor is not believed
-constexpr double kStiffening = 0.5;      // s, in which kp rises once a sensor is lost
+constexpr double kStiffening = 0.5;      // s, in which kp rises once a sensor is lost, and falls once none is
 constexpr double kNothing = 1e-6;        // N, finer than any sensor tells
 constexpr double kLoaded = 1.0;          // N in all, with which a robot stands firmly
 constexpr double kLeast = 0.02;         // weight of a foot that stands: three of them can always take the wrench
@@ -279,10 +281,11 @@ constexpr double weight_of(const LoadTransferGains& gains, double until_lift_off
 
 inline double size_of(const Vector3& v) { return std::abs(v.x) + std::abs(v.y) + std::abs(v.z); }
 
-/// Take in what the sensors read. One that reads exactly 0, or no number, is believed to read what it last did since its
-/// foot stands. After 0.1 s of it on a foot that stands, while feet bear something, it is dead until it reads something.
+/// Take in what the sensors read, and return whether their forces are to be believed. One that reads exactly 0, or no
+/// number, is believed to read what it last did since its foot stands. After 0.1 s of it on a foot that stands, while
+/// feet bear something, it is dead until it reads something; so it is at the start, until it first does.
 template <std::size_t Limbs>
-void listen(LoadTransferState<Limbs>& state, const LoadTransferInput<Limbs>& input, double period) {
+bool listen(LoadTransferState<Limbs>& state, const LoadTransferInput<Limbs>& input, double period) {
   std::array<bool, Limbs> reads{};
   double loads = 0.0;
   for (std::size_t limb = 0; limb < Limbs; ++limb) {
@@ -295,14 +298,22 @@ void listen(LoadTransferState<Limbs>& state, const LoadTransferInput<Limbs>& inp
     }
     loads += size_of(state.heard[limb]);
   }
+  const bool loaded = loads > kLoaded;
+  bool known = true, lost = false;
   for (std::size_t limb = 0; limb < Limbs; ++limb) {
     double& doubt = state.doubt[limb];
     if (reads[limb]) {
       doubt = -kSilence;
-    } else if (input.support[limb] && (loads > kLoaded || doubt >= 0.0)) {
-      doubt = std::fmin(doubt + period, kSilence + kStiffening);
+    } else if (input.support[limb] && (loaded || doubt > 0.0)) {
+      doubt = std::fmin(doubt + period, 2.0 * kSilence);
     }
+    const bool believed = doubt < 0.0 || (!(doubt > 0.0) && !loaded);
+    lost = lost || doubt >= kSilence;
+    known = known && (believed || !input.support[limb]);
   }
+  const double change = (lost ? period : -period) / kStiffening;
+  state.stiffness = std::fmin(std::fmax(state.stiffness + change, 0.0), 1.0);
+  return known && !lost;
 }
 
 }  // namespace detail
@@ -313,13 +324,10 @@ bool sensor_lost(const LoadTransferState<Limbs>& state, std::size_t limb) {
   return state.doubt[limb] >= detail::kSilence;
 }
 
-/// Return what kp of all joints should be, N m/rad, where it is `kp` as long as no sensor is lost. It rises slowly.
+/// Return what kp of all joints should be, N m/rad, where it is `kp` as long as no sensor is lost. It rises and falls slowly.
 template <std::size_t Limbs>
 double safe_kp(const LoadTransferGains& gains, const LoadTransferState<Limbs>& state, double kp) {
-  double doubt = 0.0;
-  for (const double each : state.doubt) doubt = std::fmax(doubt, each);
-  const double share = std::fmin(std::fmax((doubt - detail::kSilence) / detail::kStiffening, 0.0), 1.0);
-  return kp + share * std::fmax(gains.safe_kp - kp, 0.0);
+  return kp + state.stiffness * std::fmax(gains.safe_kp - kp, 0.0);
 }
 
 /// Advance the state by one period and return where the inverse kinematics should put the feet, (limb) m, world axes.
@@ -328,19 +336,13 @@ Feet<Limbs> step(const LoadTransferGains& gains, LoadTransferState<Limbs>& state
                  const LoadTransferInput<Limbs>& input) {
   using namespace detail;
   const Rotation axes(input.base_orientation_reference);
-  listen(state, input, gains.period);
+  const bool known = listen(state, input, gains.period);
   Feet<Limbs> force{}, lever{};
   std::array<double, Limbs> standing{}, weight{};
-  bool whole = true;  // all that stands is trusted, and no sensor is lost
   for (std::size_t limb = 0; limb < Limbs; ++limb) {
     lever[limb] = axes.from_world(input.foot_position_reference[limb] - input.base_position);
-    whole = whole && !sensor_lost(state, limb);
     if (!input.support[limb]) continue;
     standing[limb] = 1.0;
-    weight[limb] = kLeast;
-    const bool trusted = state.doubt[limb] < 0.0;
-    whole = whole && trusted;
-    if (!trusted) continue;
     weight[limb] = weight_of(gains, input.until_lift_off[limb], input.since_touchdown[limb]);
     force[limb] = axes.from_world(state.heard[limb]);
   }
@@ -356,7 +358,7 @@ Feet<Limbs> step(const LoadTransferGains& gains, LoadTransferState<Limbs>& state
     Vector3& offset = state.offset[limb];
     if (input.support[limb]) {
       // without one of the sensors all feet only go back
-      const Vector3 excess = whole ? force[limb] - wanted[limb] : Vector3{};
+      const Vector3 excess = known ? force[limb] - wanted[limb] : Vector3{};
       const Vector3 yielding{excess.x / gains.tangential_damping, excess.y / gains.tangential_damping,
                              excess.z / gains.normal_damping};
       const Vector3 back = -gains.leak * (offset - rigid[limb]) - gains.leveling * rigid[limb];

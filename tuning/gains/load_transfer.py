@@ -16,9 +16,9 @@ Parameters = dict[str, tuple[float, str, str]]  # value, unit and meaning by nam
 _BOUNDS = {
     "max_offset": ("m", "distance of a standing foot from its reference, at most"),
     "max_rate": ("m/s", "speed of a standing foot, at most"),
-    "safe_kp": ("N m/rad", "kp of all joints at least, once a force sensor is lost"),
     "torque_limit": ("N m", "torque of a servo from where on its foot is not moved further out; infinite: never"),
 }
+_SAFE_KP = "N m/rad", "kp of all joints at least, once a force sensor is lost"
 _HEADER = """\
 Gains of load transfer, written by mjx-climb export for the law in load_transfer.hpp, which says what goes in and out.
 {found}
@@ -50,11 +50,12 @@ inline constexpr LoadTransferGains load_transfer_gains = [] {{
 """
 
 
-def parameters(law: LoadTransfer, period: float) -> Parameters:
-    """Return what the law in C++ reads, with its period in s."""
+def parameters(law: LoadTransfer, period: float, safe_kp: float) -> Parameters:
+    """Return what the law in C++ reads, with its period in s and the joint loop's gain without a sensor."""
     gains = {name: (float(getattr(law, name)), field.unit, field.long_name) for name, field in law.GAINS.items()}
     bounds = {name: (float(getattr(law, name)), *words) for name, words in _BOUNDS.items()}
-    return {"period": (float(period), "s", "from one step of the law to the next")} | gains | bounds
+    more = {"period": (float(period), "s", "from one step of the law to the next")}
+    return more | gains | bounds | {"safe_kp": (float(safe_kp), *_SAFE_KP)}
 
 
 def texts(
@@ -76,7 +77,8 @@ def texts(
         found = (
             f"They come from simulation, and were walked with the joint gains, gait and hardware in {names['yaml']}."
         )
-    header, values = _HEADER.format(found=found, period=period), parameters(law, period)
+    safe_kp = given.get("safe_kp", mc.Scenario().control.safe_kp) if walked is None else walked.control.safe_kp
+    header, values = _HEADER.format(found=found, period=period), parameters(law, period, safe_kp)
     return {
         names["yaml"]: _comment("#", header) + _yaml(values) + (_given(given) if walked is None else _walked(walked)),
         names["cpp"]: _cpp(header, values),

@@ -45,7 +45,7 @@ _BY_STEPS = {  # keys without a derivative, and what they act as on a log
 }
 _OTHERS = (  # keys whose values no log of joint commands tells
     "gait.", "disturbance.", "contact.capture_distance", "hardware.seed", "hardware.base_estimate.",
-    "hardware.force_sensor.noise",
+    "hardware.force_sensor.noise", "control.safe_kp",
 )  # fmt: skip
 ON_GROUND = ("contact.", "hardware.force_sensor.", "robot.base.", "log.")  # a robot on a stand does not tell them
 

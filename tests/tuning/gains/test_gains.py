@@ -373,7 +373,15 @@ GAIT = {"gait.duty": 0.8, "gait.cycle": 3.2, "gait.step_height": 0.02}
 def test_a_file_holds_law_joint_gains_and_gait(law, tmp_path):
     """Whatever law the scenario has: it walks under that of the file, as fast, on its own gait."""
     scenario = mc.load_scenario("case_1_2")
-    gains = {"inertia": 1.0, "damping": [1.0, 2, 3, 4, 5, 6], "stiffness": 3e3, "kp": 40.0, "kd": 0.4, **GAIT}
+    gains = {
+        "inertia": 1.0,
+        "damping": [1.0, 2, 3, 4, 5, 6],
+        "stiffness": 3e3,
+        "kp": 40.0,
+        "kd": 0.4,
+        "safe_kp": 60.0,
+        **GAIT,
+    }
     path = gains_file.save(gains_file.completed(scenario, gains), tmp_path / "g.yaml", law=law)
     whole = gains_file.whole(path, scenario)
     assert type(whole.law) is type(law)
@@ -394,7 +402,7 @@ def test_a_file_holds_the_limits_of_its_law_and_a_config_too(tmp_path):
     """Beside --law as well; what a config.yaml does not say is the law's own."""
     scenario, law = mc.load_scenario("case_1_2"), LoadTransfer(max_offset=0.01, torque_limit=1.5)
     path = gains_file.save(law, tmp_path / "g.yaml", law=law)
-    assert "limits: {max_offset: 0.01, max_rate: 0.1, torque_limit: 1.5, safe_kp: 50.0}" in path.read_text()
+    assert "limits: {max_offset: 0.01, max_rate: 0.1, torque_limit: 1.5}" in path.read_text()
     read = gains_file.whole(path, scenario).law
     found = [read, gains_file.walker(path, scenario)[1], gains_file.limited(path, LoadTransfer())]
     named = own_section.section(law)
@@ -422,7 +430,7 @@ def test_a_file_that_names_a_shipped_law_with_its_module_still_reads(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("law: PD\ndamping: 1", "damping: expected only the keys kp, kd, ki, got another"),
+        ("law: PD\ndamping: 1", "damping: expected only the keys kp, kd, ki, safe_kp, got another"),
         ("law: mine.py:Mine\nkp: 1", "law: expected gains of the config's law, got those of mine.py:Mine"),
         ("law: PD\nlimits: {max_offset: 1}", "limits.max_offset: expected none, as the law has no limits of its own"),
         ("law: PD\ngait: 3", "gait: expected a mapping with keys stride, step_height, cycle, duty, settling, height, "),

@@ -6,22 +6,23 @@ import subprocess
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
 
 import mjx_climb as mc
-from mjx_climb.control import LoadTransfer, Measurement, Reference, Start
+from mjx_climb.control import LoadTransfer, Measurement, Reference, Start, sensor_watch
 from tuning.evaluation import deployment
 from tuning.gains import load_transfer
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
-STEPS, PERIOD = 400, 0.005
+STEPS, PERIOD, SAFE_KP = 400, 0.005, 34.5
 # all of them matter in a walk of random scenes: offsets and rates meet their bounds now and then
 LAW = LoadTransfer(
     normal_damping=87.3, tangential_damping=112.1, leak=0.31, leveling=0.93, unloading=0.21, loading=0.37,
     landing=0.83, pull_limit=0.54, max_offset=0.0061, max_rate=0.057,
-    torque_limit=2.3, safe_kp=34.5,
+    torque_limit=2.3,
 )  # fmt: skip
 
 
@@ -50,7 +51,7 @@ def scenes(limbs):
         force[random.random(support.shape) < 0.02] = dead
     force[50:90, 0] = force[250:, 1] = 0.0  # for a while, and for good
     unread, torque = np.zeros(STEPS), random.normal(0, 1, (STEPS, limbs, 3))
-    measured = Measurement(*base, unread, unread, force, unread, support, unread, unread, torque)
+    measured = Measurement(*base, unread, unread, force, unread, support, unread, unread, torque, unread == 0)
     return measured, Reference(position, orientation, foot, *times)
 
 
@@ -59,18 +60,22 @@ def here(law, scenes):
     """The foot targets (STEPS, limb, 3) of the law in Python, and kp of joints that have 20 N m/rad."""
 
     def step(state, scene):
-        state, command = law.step(state, *scene)
-        return state, (command.foot_position, 20 * command.joint_gains.kp[0])
+        (watch, own), (measured, reference) = state, scene
+        watch, force, known = sensor_watch.watched(watch, measured.foot_force, measured.support, PERIOD)
+        own, command = law.step(own, measured._replace(foot_force=force, forces_known=known), reference)
+        kp = sensor_watch.stiffened(jnp.asarray(20.0), jnp.asarray(SAFE_KP), watch.stiffness)
+        return (watch, own), (command.foot_position, kp)
 
-    start = Start(PERIOD, jax.tree.map(lambda value: value[0], scenes[1]), kp=20.0)
-    return jax.lax.scan(step, law.init(start), scenes)[1]
+    start = Start(PERIOD, jax.tree.map(lambda value: value[0], scenes[1]))
+    state = sensor_watch.begin(start.reference.foot_position), law.init(start)
+    return jax.lax.scan(step, state, scenes)[1]
 
 
 @pytest.fixture(scope="module")
 def there(tmp_path_factory):
     """The same of the law in C++, from the files that are exported."""
     folder = tmp_path_factory.mktemp("exported")
-    for name, text in load_transfer.texts(LAW, PERIOD).items():
+    for name, text in load_transfer.texts(LAW, PERIOD, given={"safe_kp": SAFE_KP}).items():
         (folder / name).write_text(text)
 
     def there(measured, reference):
@@ -180,7 +185,7 @@ def test_a_filter_that_the_law_had_is_said(export, tmp_path):
         (
             (),
             {"limits": {"max_pull": 1}},
-            "limits.max_pull: expected only the keys max_offset, max_rate, torque_limit, safe_kp",
+            "limits.max_pull: expected only the keys max_offset, max_rate, torque_limit",
         ),
         ((), {"limits": {"max_rate": 0}}, "limits.max_rate: expected a number above 0, got 0"),
         ((), {"law": [1]}, "law: expected gains of the config's law, got those of [1]"),

@@ -74,7 +74,7 @@ def test_set_reaches_a_law_of_ones_own(file, tmp_path, given):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("control.deadband=1", "expected one of inertia, damping, stiffness, share, kp, kd, ki in control"),
+        ("control.deadband=1", "expected one of inertia, damping, stiffness, share, kp, kd, ki, safe_kp in control"),
         ("control.stiffness.2=1", "expected one of inertia"),
         ("control.controller=pd", "expected one of inertia"),
         ("control.stiffness=-1", "expected finite numbers above 0, got -1"),

@@ -1,0 +1,67 @@
+"""Which force sensors are believed, and what a robot does without one: no law gets forces, and its joints are stiff.
+
+What three feet are measured to bear says nothing of how the fourth shares it. So a law that reads forces gets none at
+all once the sensor of a foot that stands is dead: what it made of them fades as its gains have it. Gains that were
+searched with forces may leave joints so soft that the gait alone tears grippers off. So once a sensor is said to be
+lost kp rises to what is safe without, slowly: a robot that sags is lifted by it; and falls as slowly once all read.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+SILENCE = 0.1  # s without a reading, after which a sensor is not believed; after as much again it is said to be lost
+STIFFENING = 0.5  # s, in which the joint loop becomes stiffer once a sensor is lost, and softer once it is not
+_NOTHING = 1e-6  # N, finer than any sensor tells
+_LOADED = 1.0  # N in all, with which a robot stands so firmly that a foot has something to bear
+
+
+class SensorWatch(NamedTuple):
+    """What the sensors said."""
+
+    heard: Array  # (limb, 3) N, world axes: the last reading of a foot's sensor since it stands, 0 without one
+    # (limb,) s, from -SILENCE, as a sensor reads something; 0: it has not read anything yet; beyond it is not believed
+    doubt: Array
+    stiffness: Array  # () 1, how far kp has risen to what is safe
+
+    @property
+    def lost(self) -> Array:
+        """The sensors that have been dead for a while, (limb,) bool."""
+        return self.doubt >= SILENCE
+
+
+def begin(feet: Array) -> SensorWatch:
+    """Return what is known of the sensors of feet (limb, 3) m before they read anything."""
+    none = jnp.zeros_like(feet)
+    return SensorWatch(none, none[:, 0], none[0, 0])
+
+
+def watched(
+    watch: SensorWatch, readings: Array, support: Array, period: float | Array
+) -> tuple[SensorWatch, Array, Array]:
+    """Return the watch a period later, in s, forces (limb, 3) N to believe, and whether they can be, () bool.
+
+    A sensor reads nothing where it says exactly 0, or what is no number. Its last reading since the foot stands then
+    takes the place, 0 where there is none: a sensor with a resolution reads 0 of a foot that bears next to nothing.
+    Once a foot that stands among others that bear something has read nothing for `SILENCE`, its sensor is dead, also
+    in later stances, until it reads something. So it is at the start, until it first does.
+    """
+    size = jnp.abs(readings).sum(1)
+    reads = (size > _NOTHING) & jnp.isfinite(size)
+    heard = jnp.where(reads[:, None], readings, jnp.where(support[:, None], watch.heard, 0.0))
+    loaded = jnp.abs(heard).sum() > _LOADED
+    grown = jnp.minimum(watch.doubt + period, 2 * SILENCE)
+    doubt = jnp.where(support & (loaded | (watch.doubt > 0)), grown, watch.doubt)
+    doubt = jnp.where(reads, -SILENCE, doubt)
+    believed = (doubt < 0) | ((doubt == 0) & ~loaded)
+    lost = doubt >= SILENCE
+    known = ((believed | ~support) & ~lost).all()
+    change = jnp.where(lost.any(), period, -period) / STIFFENING
+    stiffness = jnp.clip(watch.stiffness + change, 0.0, 1.0)
+    return SensorWatch(heard, doubt, stiffness), jnp.where(known, heard, 0.0), known
+
+
+def stiffened(kp: Array, safe_kp: Array, stiffness: Array) -> Array:
+    """Return kp, () or (limb, joint) N m/rad, raised to `safe_kp` as far as the watch says."""
+    return kp + stiffness * jnp.maximum(safe_kp - kp, 0.0)
