@@ -29,7 +29,6 @@ class Stages(NamedTuple):
     force_resolution: bool = False
     force_filter: bool = False
     force_dead: bool = False
-    silent_sensors: bool = False  # a force sensor of a foot that bears something may read nothing
     sampled_filter: bool = False  # the law filters what it samples
     base_delay: int = 0
     base_noise: bool = False
@@ -61,6 +60,11 @@ class Stages(NamedTuple):
         """Whether the law reads other foot forces than act."""
         chain = self.force_delay, self.force_noise, self.force_bias, self.force_resolution, self.force_filter
         return any((*chain, self.force_dead))
+
+    @property
+    def silent_sensors(self) -> bool:
+        """Whether a force sensor of a foot that bears something may read nothing."""
+        return self.force_dead or self.force_resolution
 
 
 IDEAL = Stages()
@@ -94,7 +98,6 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
         **found,
         force_filter=filtered and not by_law,
         force_dead=_finite(parameters.force_dead),
-        silent_sensors=found["force_resolution"] or _finite(parameters.force_dead),
         sampled_filter=filtered and by_law,
         base_noise=some("position_noise", "velocity_noise"),
         linear=found["control_period"] and scenario.hardware.interpolation == "linear",

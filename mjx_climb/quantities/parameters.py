@@ -175,7 +175,8 @@ def own_parameters(scenario: Scenario) -> Parameters:
     check_process()
     values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
     values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}
-    dead = scenario.hardware.force_sensor.dead
+    control, dead = scenario.control, scenario.hardware.force_sensor.dead
+    values["safe_kp"] = control.kp if control.safe_kp is None else control.safe_kp
     instants = dict(dead.items()) if dead is not None else {}
     values["force_dead"] = [instants.get(limb, math.inf) for limb in load_robot(scenario.robot).limbs]
     arrays = {name: np.asarray(value, float) for name, value in values.items()}

@@ -158,8 +158,9 @@ class Control(v.Section):
     kp: v.Positive = setting(50.0, "proportional gain of the joint loop, N m/rad")
     kd: v.NonNegative = setting(0.2, "derivative gain of the joint loop, N m s/rad")
     ki: v.NonNegative = setting(0.0, "integral gain of the joint loop, N m/(rad s); 0: no integral term")
-    safe_kp: v.Positive = setting(
-        50.0, "kp of all joints at least, once a law that reads forces has lost a force sensor, N m/rad"
+    safe_kp: v.PositiveOrNull = setting(
+        None,
+        "kp of all joints at least, once a law that reads forces has lost a sensor, N m/rad; null: the kp above",
     )
     integration: Literal["exact", "semi_implicit"] = setting(
         "exact", "of the virtual mass: exact, or semi-implicit Euler in substeps of at most 2 ms, as on the robot"

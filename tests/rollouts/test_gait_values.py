@@ -92,7 +92,7 @@ def test_what_a_walk_is_not_compiled_for_is_refused_where_it_is_traced():
         ({"gait.step_height": 0.0}, r"gains\.gait\.step_height: expected a number above 0, 100 at most, got 0"),
         ({"gait.height": [1.0, 2.5]}, r"gains\.gait\.height: expected at most 1\.\d+, with which all feet are within"),
         ({"gait.height": 1.7, "gait.sway": 0.9}, r"gains\.gait\.sway: expected at most 0\.\d+, with which all feet"),
-        ({"gait.heading": 0.1}, r"gains\.gait\.heading: expected one of inertia, damping, stiffness, kp, kd, ki, the"),
+        ({"gait.heading": 0.1}, r"gains\.gait\.heading: expected one of inertia, damping, stiffness, kp, kd, ki, safe"),
     ],
 )  # fmt: skip
 def test_what_no_gait_could_have_is_refused_in_one_line(gains, message):

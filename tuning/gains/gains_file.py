@@ -68,7 +68,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
         control = overridden(mc.Scenario(), {f"control.{key}": value for key, value in joint.items()}, source).control
     except ConfigError as error:
         raise ConfigError(str(error).replace(f"{source}: control.", f"{source}: ", 1)) from None
-    values = {key: np.asarray(getattr(control, key), float) for key in joint}
+    values = {key: np.asarray(value, float) for key in joint if (value := getattr(control, key)) is not None}
     if law is None:
         return values | gait if gait or name == PD.__name__ else mc.Gains(**values)
     try:
@@ -225,6 +225,8 @@ def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
     """Return the scenario with these gains in its control section, and their gait, as far as it has them."""
     values = by_name(gains)
     control = {f"control.{name}": value for name, value in values.items() if name in REQUIRED + OPTIONAL}
+    if "kp" in values and scenario.control.safe_kp is None:  # the scenario's own kp, not that of the gains
+        control = {"control.safe_kp": scenario.control.kp} | control
     return scenario_with_gait(scenario.with_overrides(control), values)
 
 

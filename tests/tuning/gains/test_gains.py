@@ -393,6 +393,8 @@ def test_a_file_holds_law_joint_gains_and_gait(law, tmp_path):
     walked, _ = gains_file.replaced(place, own, gains_file.load(path))
     assert own is None and isinstance(mc.control.law_of(walked), type(law))
     assert (walked.gait.duty, walked.gait.cycle, walked.control.kd) == (0.8, 3.2, 0.4)
+    assert walked.control.safe_kp == 60
+    assert gains_file.applied(scenario, {"kp": 15.0}).control.safe_kp == scenario.control.kp  # not what was searched
     assert walked.gait.stride / 3.2 == pytest.approx(scenario.gait.stride / scenario.gait.cycle)
     assert gains_file.apart(scenario, whole.gains)[0].gait == walked.gait
     assert gains_file.whole(path, walked).law is None  # the scenario's
