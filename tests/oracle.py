@@ -219,7 +219,7 @@ class Servos:
         self.servo, self.step = scenario.hardware.servo, scenario.time_step
         servo, control = self.servo, scenario.control
         self.voltage, self.period = servo.drive == "voltage", round(1 / (number(servo.rate, 1 / self.step) * self.step))
-        self.safe_kp = control.safe_kp
+        self.safe_kp = control.kp if control.safe_kp is None else control.safe_kp
         richer = servo.supply_voltage / servo.rated_voltage if servo.supply_voltage else 1.0
         self.kp, self.ki, self.kd = (g * (richer if self.voltage else 1) for g in (control.kp, control.ki, control.kd))
         self.soft_kp, self.safe_kp = self.kp, self.safe_kp * (richer if self.voltage else 1)

@@ -9,7 +9,6 @@ import mjx_climb as mc
 from mjx_climb.control import sensor_watch
 
 STEP = 5e-3
-FORCE = np.array([[0.5, -0.3, 2.0], [0.2, 0.4, 3.0], [0.0, 0.1, 2.5], [-0.4, 0.2, 1.5]])
 WALK = {
     "duration": 0.6, "control.kp": 20.0, "control.safe_kp": 50.0, "contact.holding_limit": None,
     "hardware.force_sensor.dead": {"RH": 0.1},
