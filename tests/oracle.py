@@ -3,6 +3,7 @@
 Each row starts from the state that the walk has there; the state of the next row is part of what must come out.
 """
 
+import jax
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -452,8 +453,10 @@ def again(walk, law=None):
             read = read + share * (sampled - read) if by_law else sampled
         bases.append(np.concatenate(state[:4]))
         base = np.split(late(bases, estimate.delay / h), [3, 7, 10])
-        drawn = noise(hardware.seed, step, 1000 + np.arange(6))
-        base[0], base[2] = base[0] + estimate.position_noise * drawn[:3], base[2] + estimate.velocity_noise * drawn[3:]
+        if estimate.position_noise or estimate.velocity_noise:
+            drawn = noise(hardware.seed, step, 1000 + np.arange(6))
+            base[0] = base[0] + estimate.position_noise * drawn[:3]
+            base[2] = base[2] + estimate.velocity_noise * drawn[3:]
         if step % period == 0:
             sensed = read[:-6].reshape(-1, 3), read[-6:], held["support"], known
             command = law.say(wanted, base, *sensed, targets, h * gait.times(step))
@@ -504,7 +507,10 @@ def assert_is(walk, law=None):
 
 def noise(seed, step, channels):
     """Return the package's own noise, of which other tests know that it is white."""
-    return np.asarray(normal(np.asarray(float(seed)), np.asarray(step), channels, np.dtype(float)))
+    return np.asarray(_normal(np.asarray(float(seed)), np.asarray(step), channels, np.dtype(float)))
+
+
+_normal = jax.jit(normal, static_argnums=3)
 
 
 def judged(walk):

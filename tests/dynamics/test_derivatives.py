@@ -17,8 +17,8 @@ from tests.dynamics.test_shapes import SHAPES, mjcf
 BATCH = 5
 QUICK = "two of two, one slides"  # XLA compiles by the number of links
 ROBOTS = {QUICK: (2, 2, (1,), 0.0), "hubrobo": None}
-NIGHTLY = ("three of four, one slides", "four of two")
-ROBOTS |= {name: SHAPES[name] for name in (*NIGHTLY, "four booms")}
+NIGHTLY = ("three of four, one slides", "four of two", "four booms")
+ROBOTS |= {name: SHAPES[name] for name in NIGHTLY}
 
 
 def by_the_equations(robot, state, *acting):
@@ -96,7 +96,7 @@ def test_nothing_is_missing_at_the_accelerations_of_the_equations():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moving", [(0,), (1, 3), (4,)])
+@pytest.mark.parametrize("moving", [(0,), (1, 3), pytest.param((4,), marks=pytest.mark.nightly)])
 def test_tangents_where_some_of_it_moves(moving):
     """What does not move has no part: as where it moves by nothing."""
     robot = read(QUICK)

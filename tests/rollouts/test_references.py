@@ -73,7 +73,7 @@ def test_a_walk_is_climblabs_and_calmer(case, walk, recording):
     ("law", "within"),
     [
         ("virtual_model", 4e-4),
-        ("measured_pose", 3e-3),
+        pytest.param("measured_pose", 3e-3, marks=pytest.mark.nightly),
         pytest.param("pd", 4e-4, marks=pytest.mark.nightly),
         pytest.param("end_effector", 3e-3, marks=pytest.mark.nightly),
     ],
