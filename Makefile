@@ -20,7 +20,7 @@ test: .venv/.installed-test
 # Those that compare speeds run alone, and compiled as users' programs are.
 test-slow: .venv/.installed-test
 	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "slow and not timing and not nightly"
-	$(PYTEST) -m "timing and not nightly"
+	$(PYTEST) -m "timing and not nightly" $$(grep -rl mark.timing tests)
 
 # Whole searches and notebooks, every robot and shape from start to end: some two hours.
 test-nightly: .venv/.installed-test
