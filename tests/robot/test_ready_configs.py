@@ -31,7 +31,7 @@ def test_a_ready_config_stands(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["lemur_like_cliff", "station_arms_handrail"])
+@pytest.mark.parametrize("name", [pytest.param("lemur_like_cliff", marks=pytest.mark.nightly), "station_arms_handrail"])
 def test_a_ready_config_begins_to_walk(name):
     """XLA has ended the process while it compiled one of them."""
     scenario = mc.load_scenario(config_path(f"{name}.yaml")).with_overrides({"duration": 0.02})

@@ -147,7 +147,9 @@ def test_a_command_that_came_to_its_end_says_so(monkeypatch, call, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["schema", "export", "run"])  # the others take minutes: the script has them
+@pytest.mark.parametrize(
+    "command", ["schema", pytest.param("export", marks=pytest.mark.nightly), "run"]
+)  # the others take minutes: the script has them
 def test_signals_at_random_instants(command, tmp_path):
     """Four of the two hundred that `python -m tests.interrupts` tries."""
     given, rng = {"gains": tmp_path / "gains.yaml"}, np.random.default_rng()

@@ -176,6 +176,7 @@ def test_gains_of_any_law_have_margins(case, law):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("name", [pytest.param("soft", marks=pytest.mark.nightly), "damped"])
 def test_margins_are_those_of_the_independent_program(case, name):
     """Between its last walk that was better than pd and its first that was not, likewise for lost grippers."""
