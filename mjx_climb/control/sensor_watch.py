@@ -23,7 +23,7 @@ class SensorWatch(NamedTuple):
     heard: Array  # (limb, 3) N, world axes: the last reading of a foot's sensor since it stands, 0 without one
     # (limb,) s, from -SILENCE, as a sensor reads something; 0: it has not read anything yet; beyond it is not believed
     doubt: Array
-    stiffness: Array  # () 1, how far kp has risen to what is safe
+    kp_rise: Array  # () 1, how far kp has risen to what is safe
 
     @property
     def lost(self) -> Array:
@@ -58,10 +58,10 @@ def watched(
     lost = doubt >= SILENCE
     known = ((believed | ~support) & ~lost).all()
     change = jnp.where(lost.any(), period, -period) / STIFFENING
-    stiffness = jnp.clip(watch.stiffness + change, 0.0, 1.0)
-    return SensorWatch(heard, doubt, stiffness), jnp.where(known, heard, 0.0), known
+    kp_rise = jnp.clip(watch.kp_rise + change, 0.0, 1.0)
+    return SensorWatch(heard, doubt, kp_rise), jnp.where(known, heard, 0.0), known
 
 
-def stiffened(kp: Array, safe_kp: Array, stiffness: Array) -> Array:
+def raised_kp(kp: Array, safe_kp: Array, kp_rise: Array) -> Array:
     """Return kp, () or (limb, joint) N m/rad, raised to `safe_kp` as far as the watch says."""
-    return kp + stiffness * jnp.maximum(safe_kp - kp, 0.0)
+    return kp + kp_rise * jnp.maximum(safe_kp - kp, 0.0)

@@ -163,7 +163,7 @@ def control(
 
 def _sent(factors: JointGains | tuple[()], watch: Any) -> dict[str, Array]:
     """Return what goes to the joint loop with its targets, by name: factors of its gains, and how far kp is to rise."""
-    return (factors.moved if factors else {}) | ({"stiffness": watch.stiffness} if watch else {})
+    return (factors.moved if factors else {}) | ({"kp_rise": watch.kp_rise} if watch else {})
 
 
 def _joint_gains(hardware: Hardware, buffers: Any, sent: dict[str, Array]) -> tuple[Any, servo.JointGains]:
@@ -173,11 +173,11 @@ def _joint_gains(hardware: Hardware, buffers: Any, sent: dict[str, Array]) -> tu
         both = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, sent.values(), strict=True)]
         buffers, late = zip(*both, strict=True)
         sent = dict(zip(sent, late, strict=True))
-    factors = {name: each for name, each in sent.items() if name != "stiffness"}
+    factors = {name: each for name, each in sent.items() if name != "kp_rise"}
     gains = gains._replace(**{name: getattr(gains, name) * each[:, None] for name, each in factors.items()})
-    if "stiffness" in sent:
+    if "kp_rise" in sent:
         safe = jnp.asarray(hardware.parameters.safe_kp)
-        gains = gains._replace(kp=sensor_watch.stiffened(gains.kp, safe, sent["stiffness"]))
+        gains = gains._replace(kp=sensor_watch.raised_kp(gains.kp, safe, sent["kp_rise"]))
     return buffers, gains
 
 

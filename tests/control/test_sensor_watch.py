@@ -19,13 +19,13 @@ WALK = {
 def _watched(readings, support):
     def step(watch, now):
         watch, force, known = sensor_watch.watched(watch, *now, STEP)
-        return watch, (force, known, watch.lost, watch.stiffness)
+        return watch, (force, known, watch.lost, watch.kp_rise)
 
     return jax.lax.scan(step, sensor_watch.begin(readings[0]), (readings, support))[1]
 
 
 def heard(readings, support=True, others=2.0):
-    """Return forces, whether they are known, whether the first sensor is lost, and the stiffness, step by step.
+    """Return forces, whether they are known, whether the first sensor is lost, and how far kp has risen, step by step.
 
     The first sensor reads newtons along z; others stand.
     """
@@ -33,9 +33,9 @@ def heard(readings, support=True, others=2.0):
     force, standing = np.full((len(first), 4, 3), others / 3), np.ones((len(first), 4), bool)
     force[:, 0], standing[:, 0] = 0.0, stands
     force[:, 0, 2] = first
-    force, known, lost, stiffness = map(np.asarray, _watched(force, standing))
+    force, known, lost, kp_rise = map(np.asarray, _watched(force, standing))
     assert (force[~known] == 0).all()
-    return force, known, lost[:, 0], stiffness
+    return force, known, lost[:, 0], kp_rise
 
 
 @pytest.mark.parametrize("nothing", [0.0, np.nan, np.inf])
@@ -65,19 +65,19 @@ def test_a_dead_sensor_stays_dead_over_a_swing_and_one_that_never_read_anything_
 def test_where_nothing_bears_anything_no_reading_says_nothing():
     """Without weight, of sensors that tell a tenth of a newton."""
     for first in (0.1, 0.0):
-        _, known, lost, stiffness = heard([first] + [0.0] * 60, others=0.2)
-        assert known.all() and not lost.any() and not stiffness.any()
+        _, known, lost, kp_rise = heard([first] + [0.0] * 60, others=0.2)
+        assert known.all() and not lost.any() and not kp_rise.any()
 
 
 def test_joints_become_as_stiff_as_is_safe_and_soft_again_slowly():
     """By half a second after a sensor is lost: kp 20 to 50; a joint loop of more keeps its own."""
-    _, _, lost, stiffness = heard([3.0] + [0.0] * 160 + [3.0] * 160)
+    _, _, lost, kp_rise = heard([3.0] + [0.0] * 160 + [3.0] * 160)
     first, last = np.flatnonzero(lost)[[0, -1]]
-    assert not stiffness[:first].any()
-    np.testing.assert_allclose(stiffness[first : first + 100], np.arange(1, 101) / 100, rtol=1e-5)
-    np.testing.assert_allclose(stiffness[last + 1 : last + 101], 1 - np.arange(1, 101) / 100, atol=1e-5)
+    assert not kp_rise[:first].any()
+    np.testing.assert_allclose(kp_rise[first : first + 100], np.arange(1, 101) / 100, rtol=1e-5)
+    np.testing.assert_allclose(kp_rise[last + 1 : last + 101], 1 - np.arange(1, 101) / 100, atol=1e-5)
     kp, safe = jnp.array([[20.0, 80.0]]), jnp.array(50.0)
-    np.testing.assert_allclose(sensor_watch.stiffened(kp, safe, jnp.asarray(0.25)), [[27.5, 80.0]])
+    np.testing.assert_allclose(sensor_watch.raised_kp(kp, safe, jnp.asarray(0.25)), [[27.5, 80.0]])
 
 
 class Shy(mc.Law):

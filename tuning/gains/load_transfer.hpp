@@ -82,7 +82,7 @@ struct LoadTransferState {
   /// s, from -0.1, as a sensor reads something; 0: it has not read anything yet; beyond it is not believed, from 0.1 on
   /// it is lost
   std::array<double, Limbs> doubt{};
-  double stiffness = 0.0;  ///< how far kp has risen to what is safe, from 0 to 1
+  double kp_rise = 0.0;  ///< how far kp has risen to what is safe, from 0 to 1
 };
 
 namespace detail {
@@ -312,7 +312,7 @@ bool listen(LoadTransferState<Limbs>& state, const LoadTransferInput<Limbs>& inp
     known = known && (believed || !input.support[limb]);
   }
   const double change = (lost ? period : -period) / kStiffening;
-  state.stiffness = std::fmin(std::fmax(state.stiffness + change, 0.0), 1.0);
+  state.kp_rise = std::fmin(std::fmax(state.kp_rise + change, 0.0), 1.0);
   return known && !lost;
 }
 
@@ -327,7 +327,7 @@ bool sensor_lost(const LoadTransferState<Limbs>& state, std::size_t limb) {
 /// Return what kp of all joints should be, N m/rad, where it is `kp` as long as no sensor is lost. It rises and falls slowly.
 template <std::size_t Limbs>
 double safe_kp(const LoadTransferGains& gains, const LoadTransferState<Limbs>& state, double kp) {
-  return kp + state.stiffness * std::fmax(gains.safe_kp - kp, 0.0);
+  return kp + state.kp_rise * std::fmax(gains.safe_kp - kp, 0.0);
 }
 
 /// Advance the state by one period and return where the inverse kinematics should put the feet, (limb) m, world axes.

@@ -63,7 +63,7 @@ def here(law, scenes):
         (watch, own), (measured, reference) = state, scene
         watch, force, known = sensor_watch.watched(watch, measured.foot_force, measured.support, PERIOD)
         own, command = law.step(own, measured._replace(foot_force=force, forces_known=known), reference)
-        kp = sensor_watch.stiffened(jnp.asarray(20.0), jnp.asarray(SAFE_KP), watch.stiffness)
+        kp = sensor_watch.raised_kp(jnp.asarray(20.0), jnp.asarray(SAFE_KP), watch.kp_rise)
         return (watch, own), (command.foot_position, kp)
 
     start = Start(PERIOD, jax.tree.map(lambda value: value[0], scenes[1]))
