@@ -71,6 +71,7 @@ def test_feet_are_where_climblab_has_them(states):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("engine", [pytest.param(n, marks=[pytest.mark.nightly] * (n == "mjx")) for n in mc.ENGINES])
 def test_one_state_without_batch_axes(engine, states, forces):
     """A state without batch axes has the accelerations that it has as one of a batch."""
     batch = dynamics(states, *forces, 0.5, engine)

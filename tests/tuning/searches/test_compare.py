@@ -215,6 +215,7 @@ def test_the_pictures_are_drawn_again(shell, tmp_path):
         assert (tmp_path / f"{name}.png").stat().st_size > 1000
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_ctrl_c_keeps_what_was_searched_and_the_same_command_goes_on(shell, files, tmp_path):
     process = start(*COMMAND.format(files=files).split(), "--out", tmp_path)

@@ -137,6 +137,7 @@ print("whole", flush=True)
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_sweep_killed_at_random_instants_resumes_bit_by_bit(scenario, tmp_path, killed):
     """SIGKILL at any instant, while it compiles, walks or writes; as often as it takes to see it whole."""
