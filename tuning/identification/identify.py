@@ -183,20 +183,26 @@ def identify(
     model = problem.model
     with Parts(out, lambda: identity_of_fit(scenario, log, model, held_out, starts) | {"base": chosen_base}) as parts:
         found, problem = _searched(problem, starts, Iterates(parts, progress))
+    guessed = [_GUESSED] if base is None and chosen_base == "free" else []
+    return _identified(scenario, log, chosen, (found, problem), [*log.warnings, *guessed])
+
+
+def _identified(
+    scenario: mc.Scenario, log: Log, chosen: Sequence[Variable], fit: tuple[Fitted, LeastSquares], warnings: list[str]
+) -> Identified:
+    """Return the result, with what is to be said of the fit behind the warnings so far."""
+    found, problem = fit
     tests = inference.whiteness(problem, found)
     wrong = inference.suspicious(tests)
     known = inference.posterior(problem, found, tests, wrong)
-    beside = _estimates(model, found, known)
+    model, beside, ahead = problem.model, _estimates(problem.model, found, known), _predicted(problem, found)
     estimates = {v.key: beside.pop(v.key) for v in chosen}
     unseen = [line for line in known.unseen if any(v.key in line for v in chosen)]
-    guessed = [_GUESSED] if base is None and chosen_base == "free" else []
-    warnings = [*log.warnings, *guessed, *_of_schedule(model, estimates), *unseen]
-    warnings += [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
-    warnings += [f"{key}: {each.remark}" for key, each in beside.items() if " bound" in each.remark]
-    ahead = _predicted(problem, found)
-    warnings += _of_fit(found, wrong, len(tests), ahead)
+    remarks = [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
+    bounds = [f"{key}: {each.remark}" for key, each in beside.items() if " bound" in each.remark]
+    said = [*_of_schedule(model, estimates), *unseen, *remarks, *bounds, *_of_fit(found, wrong, len(tests), ahead)]
     return Identified(
-        scenario, log, estimates, beside, ahead, tuple(warnings), known.combined, model, problem, found, known, tests
+        scenario, log, estimates, beside, ahead, (*warnings, *said), known.combined, model, problem, found, known, tests
     )
 
 
