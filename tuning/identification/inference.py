@@ -78,7 +78,7 @@ def posterior(
     blocks = len(scores)
     spread = fisher @ (scores.T @ scores * (blocks / max(blocks - 1, 1))) @ fisher
     of_data = fisher @ information @ fisher  # what the samples' noise alone would give
-    excess = np.diag(spread) / np.maximum(np.diag(of_data), 1e-300)
+    excess = np.diag(spread) / np.maximum(np.diag(of_data), 1e-12 * np.diag(fisher))
     widening = np.sqrt(np.maximum(excess, 1.0)) if blocks >= 8 else np.ones(len(sd))
     widening = np.sqrt(widening**2 + sum(test.lacking for test in suspicious))
     seen = sd < SEEN * prior.sd

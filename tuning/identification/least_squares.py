@@ -12,6 +12,7 @@ References:
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -395,7 +396,7 @@ def eliminated(normal: Normal, damping: float = 0.0) -> tuple[np.ndarray, np.nda
     for n in range(len(normal.mixed)):
         mixed = normal.mixed[n].swapaxes(1, 2).reshape(-1, len(gradient))
         right = np.concatenate([mixed, normal.state_gradient[n].reshape(-1, 1)], axis=1)
-        way = solveh_banded(_banded(normal, n, damping), right, lower=True)
+        way = _solved(_banded(normal, n, damping), right)
         matrix -= mixed.T @ way[:, :-1]
         gradient -= mixed.T @ way[:, -1]
         ways.append(way)
@@ -499,10 +500,22 @@ def _step(
 
 def _factor(matrix: np.ndarray) -> Any:
     """Return a Cholesky factor; what is not positive definite by rounding is raised by as much."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    for raised in (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-3, 1.0):
+    diagonal = np.diag(np.maximum(np.diag(matrix), 1e-300))
+    return _raised(lambda share: cho_factor(matrix + share * diagonal, lower=True))
+
+
+def _solved(band: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the solution for a banded matrix, raised as that of `_factor`: states may hardly move what is measured."""
+    diagonal = np.zeros_like(band)
+    diagonal[0] = np.maximum(band[0], 1e-300)
+    return np.asarray(_raised(lambda share: solveh_banded(band + share * diagonal, right, lower=True)))
+
+
+def _raised(solve: Callable[[float], Any]) -> Any:
+    """Return what `solve` does with the least share of the diagonal that makes its matrix positive definite."""
+    for share in (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-3, 1.0):
         try:
-            return cho_factor(matrix + raised * np.diag(scale**2), lower=True)
+            return solve(share)
         except np.linalg.LinAlgError:
             continue
     raise FloatingPointError("the normal equations are not finite")

@@ -65,6 +65,20 @@ def test_gradient_is_that_of_the_cost_by_finite_differences():
 
 
 @pytest.mark.slow
+def test_states_that_only_together_are_told_do_not_end_a_fit():
+    """As where motors are on their torque limit all along: a matrix that is singular to rounding."""
+    at = problem(("control.kp", "control.kd"))
+    (normal,) = least_squares.linearized(at, begin(at.model.variables)[None], at.guess[None])
+    told = [np.diag(least_squares.eliminated(normal)[1])]
+    normal.state_hessian[0, 1] += 1e24  # their sum is told to all digits
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(normal.state_hessian[0, 1])
+    gradient, matrix, _ = least_squares.eliminated(normal)
+    told.append(np.diag(matrix))
+    assert np.isfinite(gradient).all() and (told[1] > 0.9 * told[0]).all()
+
+
+@pytest.mark.slow
 def test_truths_are_inside_their_intervals_with_noise_delay_and_jitter():
     found = identified(jitter=0.0005)
     for key, truth in VALUES.items():
