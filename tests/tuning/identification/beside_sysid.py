@@ -2,7 +2,7 @@
 
 Armature and dry friction of each joint, from a start on their lower bound, zero; positions and velocities with noise;
 kp, kd and the delay of commands are known to both, and the state at the start to `mujoco.sysid`. Without a delay
-commands jump as samples are taken, and velocities there are not predicted as well by `identify`.
+commands jump as samples are taken.
 """
 
 import functools
