@@ -167,6 +167,7 @@ def test_a_walk_is_that_of_mujoco(climber, name):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_gradient_of_a_walk_of_an_odd_shape(climber):
     """Three limbs of four joints, the last on springs, grips that hold turns: slopes are central differences."""
     springs = {f"L{limb}_3": {"stiffness": 2.0, "damping": 0.02} for limb in range(3)}

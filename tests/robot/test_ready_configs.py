@@ -70,6 +70,7 @@ def test_a_ready_config_walks(name):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_six_limbs_are_drawn_stored_and_compared_at_the_shell(tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["run", "hexapod_ceiling", "--set", "duration=0.2", "--compare", "pd", "--out", str(tmp_path)])

@@ -64,6 +64,7 @@ def assert_derivatives(scenarios, six_gains, numbers, directions, nominal=None):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_two_gains_in_case_2(case, gains, numbers):
     """Damping and stiffness of all axes at once, at gains that matter: every smooth metric's derivative is right."""
     assert_derivatives([case("case_2", "virtual_model")], gains, numbers, ISOTROPIC[1:], nominal=(1.0, 1e2, 3e3))

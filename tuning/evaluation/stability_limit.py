@@ -9,10 +9,10 @@ not the product over the cycle: a disturbance that grows in one stance and dies 
 cycle, and yet tears grippers off in between. This is the limit of the loop as it is simulated, not of the law by
 itself: the virtual model alone is stable for any positive gains.
 
-What has no linear part is left out: noise, bias, resolution, the limits of torque, offset and rate, the profile of the
-servos' goals. The servos' own loop runs every time step here, whatever its rate. Left out are also dry friction,
-backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of larger motions,
-which slip.
+What has no linear part is left out: noise, bias, resolution, a sensor that dies, the limits of torque, offset and rate,
+the profile of the servos' goals. The servos' own loop runs every time step here, whatever its rate. Left out are also
+dry friction, backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of
+larger motions, which slip.
 """
 
 import dataclasses
@@ -58,10 +58,10 @@ _ENTRIES_OF_A_CALL = 20_000
 _FINEST = 16  # values along an axis of a map
 _FINEST_WITH_MEMORY = 8  # the same where delays make the matrices large
 _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the ground there
-_NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "base_noise", "torque_limit", "current_limit",
-               "dry_friction", "stribeck", "load_torque", "profile", "servo_rate", "backlash", "capture")  # fmt: skip
+_NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "force_dead", "base_noise", "torque_limit",
+               "current_limit", "dry_friction", "stribeck", "load_torque", "profile", "servo_rate", "backlash",
+               "capture")  # fmt: skip
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
-_ALIVE = 1e-3  # N, what sensors say of no force
 _Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, parameters where they vary
 
 
@@ -101,18 +101,14 @@ def by_stance(
 
     The other arguments are those of `spectral_radius`; `only` is the number of one stance, which is then the only one.
     """
-    own = law is not None
     if law is None:
         law = law_of(scenario.with_overrides(_UNBOUNDED))
     calm = own_parameters(scenario) if parameters is None else jax.tree.map(np.asarray, parameters)
     none = {name: getattr(calm, name) * 0 for name in ("gravity", "push_force", "push_moment")}
     calm = dataclasses.replace(calm, **none, cargo_start=np.zeros(()), cargo_stop=np.full((), np.inf))
-    calm = dataclasses.replace(calm, force_bias=np.full_like(calm.force_bias, _ALIVE))
     found = resolve_in(scenario, law, gains, calm, np.float64)
     walk = structure(scenario, engine, found.parameters, law=law, smooth=True)
-    # a law that takes a force of exactly 0 for a dead sensor would not be in the loop
-    linear = dict.fromkeys(_NOT_LINEAR, False) | {"force_bias": own}
-    walk = walk._replace(stages=walk.stages._replace(**linear))
+    walk = walk._replace(stages=walk.stages._replace(**dict.fromkeys(_NOT_LINEAR, False)))
     periods = np.ones(found.shape, int)
     if walk.stages.control_period:
         periods[...] = np.asarray(period_steps(jnp.asarray(found.parameters.control_period), scenario.time_step))

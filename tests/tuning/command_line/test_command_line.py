@@ -308,6 +308,7 @@ def test_a_sweep_from_python_writes_what_the_command_writes(swept, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch, tmp_path):
     walk, calls = mc.rollout_histories, []
 

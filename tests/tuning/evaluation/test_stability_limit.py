@@ -135,9 +135,10 @@ def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypa
 
 
 @pytest.mark.slow
-def test_a_law_that_knows_dead_sensors_is_in_the_loop(case):
+def test_a_law_whose_sensors_may_die_is_in_the_loop(case):
     """No force is no dead sensor: feet that give way much faster than their grips and forces allow are unstable."""
-    scenario = case("case_1_1", "pd", {"hardware.control_period": 0.005, "hardware.force_sensor.delay": 0.005})
+    sensor = {"delay": 0.005, "resolution": 0.1, "dead": {"LF": 0.0}}
+    scenario = case("case_1_1", "pd", {"hardware.control_period": 0.005, "hardware.force_sensor": sensor})
     gains = {name: np.array([200.0, 1.0]) for name in ("normal_damping", "tangential_damping")}
     radius = stability_limit.by_stance(scenario, gains, only=0, law=LoadTransfer())[:, 0]
     assert radius[0] < 1 < 1.01 < radius[1]

@@ -137,11 +137,8 @@ def test_a_limit_is_penalised_before_it_breaks_and_judged_where_it_breaks():
     assert float(score.penalty[0]) == 0 and 0 < float(score.penalty[1]) < float(score.penalty[2])
 
 
-@pytest.mark.parametrize(
-    "layout",
-    [pytest.param(name, marks=getattr(pytest.mark, when))
-     for name, when in (("isotropic", "slow"), ("split", "nightly"), ("diagonal", "nightly"))],
-)  # fmt: skip
+@pytest.mark.nightly
+@pytest.mark.parametrize("layout", ["isotropic", "split", "diagonal"])
 def test_gradients_agree_with_central_differences(scenario, layout):
     """Each slope of the smooth objective, in float64, against differences of the same program's values."""
     weights = dict.fromkeys(("force_variation", "peak_foot_force", "peak_joint_torque", "min_tsm"), 1.0)
