@@ -189,14 +189,14 @@ def _measure(
     sensor, force, wrench = memory.force_sensor, actual.grip.foot_force, actual.wrench
     if stages.force:
         sensor, force = sensors.measured_force(sensor, force, step, hardware)
-        wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
     watch, known = memory.sensor_watch, jnp.asarray(True)
     if watch:
         watch, force, known = sensor_watch.watched(watch, force, actual.grip.support, hardware.law_period)
-        wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
-        wrench = jnp.where(known, wrench, 0.0)
         if stages.control_period:
             watch = signals.held(into == 0, watch, memory.sensor_watch)
+    if stages.force:
+        wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
+        wrench = jnp.where(known, wrench, 0.0) if watch else wrench
     filtered = memory.filtered
     if stages.sampled_filter:
         force, wrench = (y + share * (u - y) for y, u in zip(filtered, (force, wrench), strict=True))

@@ -324,7 +324,8 @@ bool sensor_lost(const LoadTransferState<Limbs>& state, std::size_t limb) {
   return state.doubt[limb] >= detail::kSilence;
 }
 
-/// Return what kp of all joints should be, N m/rad, where it is `kp` as long as no sensor is lost. It rises and falls slowly.
+/// Return what kp of all joints should be, N m/rad, where it is `kp` as long as no sensor is lost. It rises and falls
+/// slowly.
 template <std::size_t Limbs>
 double safe_kp(const LoadTransferGains& gains, const LoadTransferState<Limbs>& state, double kp) {
   return kp + state.kp_rise * std::fmax(gains.safe_kp - kp, 0.0);

@@ -77,9 +77,8 @@ def texts(
         found = (
             f"They come from simulation, and were walked with the joint gains, gait and hardware in {names['yaml']}."
         )
-    safe_kp = given.get("safe_kp", mc.Scenario().control.kp)
-    if walked is not None:
-        safe_kp = walked.control.kp if walked.control.safe_kp is None else walked.control.safe_kp
+    own = float(mc.parameters(mc.Scenario() if walked is None else walked).safe_kp)
+    safe_kp = given.get("safe_kp", own) if walked is None else own
     header, values = _HEADER.format(found=found, period=period), parameters(law, period, safe_kp)
     return {
         names["yaml"]: _comment("#", header) + _yaml(values) + (_given(given) if walked is None else _walked(walked)),
