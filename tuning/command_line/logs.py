@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -57,6 +58,9 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
         shell.written(files, to_json(written.summary(found)))
 
 
+FILES = ("log", "signals")  # fields of Recorded
+
+
 class Recorded(Options):
     """What was recorded, how it is read, and how the robot stood."""
 
@@ -75,6 +79,11 @@ class Recorded(Options):
         from tuning.identification.readers import read_log
 
         return read_log(self.log, load_robot(scenario.robot), self.signals)
+
+    def files_from(self, folder: Path) -> list[str]:
+        """Return the options that name its files, as seen from another folder: a log may be too large to be copied."""
+        named = {name: path for name in FILES if (path := getattr(self, name)) is not None}
+        return [word for name, path in named.items() for word in (f"--{name}", os.path.relpath(path, folder))]
 
     def say_guess(self, log: "Log", shell: "Session") -> None:
         """Say where each signal was found, where that was guessed."""
@@ -131,7 +140,8 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         shell.show(from_page(table(found)), *(f"warning: {line}" for line in found.warnings), *found.combined)
         shell.show(f"{found.sentence}.")
         if output.out is not None:
-            again = repeated(["identify"], *(f"--{name.replace('_', '-')}" for name in Fitted.model_fields))
+            options = (f"--{name.replace('_', '-')}" for name in Fitted.model_fields if name not in FILES)
+            again = repeated(["identify", *asked.files_from(output.out)], *options)
             where = origin(walk.config.stem, again)
             files = found.write(output.out, origin=where, figures=output.figures, stage=shell.stage)
             shell.written(files, json.dumps(found.as_json(), indent=2))

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.identification.gripped import FORCE_DELAY, LATE, GrippedModel
-from tuning.identification.least_squares import LeastSquares, Normal
+from tuning.identification.least_squares import DIVERGED, LeastSquares, Normal
 from tuning.identification.stamps import stamped
 from tuning.identification.windows import KINDS
 
@@ -34,7 +34,7 @@ class Chain(LeastSquares):
         super().__post_init__()
         rows, windows = self.rows, self.model.windows
         early = ~windows.abuts[rows.window] & ((rows.step + rows.share) * windows.time_step < _UNSETTLED)
-        vars(self)["fitted"] = self.fitted & ~early
+        vars(self).update(fitted=self.fitted & ~early, predicted=self.predicted & ~early)
 
     def some(self, count: int) -> np.ndarray:
         """Return the first windows of those that are fitted."""
@@ -83,7 +83,7 @@ class Chain(LeastSquares):
         """Return the sums of samples."""
         rows, count, windows = self.rows, along.shape[1], len(self.which)
         fitted = self.fitted
-        finite = bool(np.isfinite(value).all() and np.isfinite(along).all())
+        finite = bool((np.abs(value) < DIVERGED).all() and (np.abs(along) < DIVERGED).all())
         value, along = (v if finite else np.zeros_like(v) for v in (value, along))
         residuals = rows.value - value
         # time stamps are taken as they are

@@ -21,6 +21,7 @@ SHORTEST = 5 * LONGEST_LAG  # s, of a log in which commands and positions are se
 SLOWEST, FASTEST = 2.0, 2e4  # samples per second that logs have
 DEGREES = 180 / np.pi
 _MOST = 8192  # samples that are correlated
+_IS_STUCK = "suspected to be stuck (leave it out in signals.yaml)"
 
 Read = Mapping[str, Signal]
 
@@ -36,7 +37,7 @@ def doubts(read: Read, recorded: Read, robot: Robot, signals: Signals) -> tuple[
     """
     joints = list(joints_of(robot))
     found = [*_spacing(recorded, signals), *_clock_unit(recorded), *_beyond_limits(read, robot), *_rates(read, joints)]
-    return (*found, *_against_commands(read, joints))
+    return (*found, *_stuck(read, robot), *_against_commands(read, joints))
 
 
 def several(some: Iterable[str]) -> str:
@@ -126,6 +127,8 @@ def _rates(read: Read, joints: Iterable[str]) -> Iterator[str]:
             position, velocity = read.get(f"{joint}.position"), read.get(f"{joint}.velocity")
             if position is None or velocity is None or np.ptp(position.value) < MOVES or len(position.time) < 10:
                 continue
+            if not np.ptp(velocity.value):
+                continue
             rate = np.interp(velocity.time, position.time, np.gradient(position.value, position.time))
             ratio = float(rate @ velocity.value / (rate @ rate))
             if np.corrcoef(rate, velocity.value)[0, 1] ** 2 < FOLLOWS**2:
@@ -142,17 +145,38 @@ def _rates(read: Read, joints: Iterable[str]) -> Iterator[str]:
     return _together(lines())
 
 
+def _stuck(read: Read, robot: Robot) -> Iterator[str]:
+    """Yield which measured signals stay the same while what they depend on moves."""
+
+    def moved(joint: str, *kinds: str) -> float:
+        there = [read[name].value for kind in kinds if (name := f"{joint}.{kind}") in read]
+        return max((float(np.ptp(value)) for value in there), default=0.0)
+
+    def same(name: str, resolution: float = 0.0) -> bool:
+        return name in read and float(np.ptp(read[name].value)) <= resolution
+
+    def lines() -> Iterator[tuple[str, str]]:
+        for joint in (joints := list(joints_of(robot))):
+            by = moved(joint, "command")
+            if by > MOVES and same(f"{joint}.position", STILL):
+                yield f"{joint}.position", f"the same all the time while its command moves by {by:.3g} rad, {_IS_STUCK}"
+        moving = [joint for joint in joints if moved(joint, "command", "position") > MOVES]
+        for name in (f"{joint}.{kind}" for kind in ("velocity", "effort") for joint in moving):
+            if same(name):
+                yield name, f"the same all the time while its joint moves, {_IS_STUCK}"
+        limbs = dict.fromkeys(joint.rpartition(".")[0] for joint in moving)
+        for name in (f"{limb}.force.{axis}" for limb in limbs for axis in "xyz"):
+            if same(name) and read[name].value[0] != 0:  # of a foot in the air
+                yield name, f"the same all the time while its limb moves, {_IS_STUCK}"
+
+    return _together(lines())
+
+
 def _against_commands(read: Read, joints: Iterable[str]) -> Iterator[str]:
-    """Yield what comes of setting positions beside commands: stuck sensors, axes, swapped limbs, and the clocks."""
+    """Yield what comes of setting positions beside commands: axes, swapped limbs, and the clocks."""
     both = [joint for joint in joints if f"{joint}.position" in read and f"{joint}.command" in read]
     moved = [joint for joint in both if np.ptp(read[f"{joint}.command"].value) > MOVES]
-    stuck = [joint for joint in moved if np.ptp(read[f"{joint}.position"].value) < STILL]
-    yield from (
-        f"{joint}.position: the same all the time while its command moves by "
-        f"{np.ptp(read[f'{joint}.command'].value):.3g} rad, suspected to be stuck (leave it out in signals.yaml)"
-        for joint in stuck
-    )
-    moved = [joint for joint in moved if joint not in stuck]
+    moved = [joint for joint in moved if np.ptp(read[f"{joint}.position"].value) >= STILL]
     if not moved:
         return
     start, end = _overlap(read, moved)

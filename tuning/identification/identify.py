@@ -19,12 +19,13 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Stage, silent
 from tuning.identification import inference
 from tuning.identification.chain import Chain
+from tuning.identification.doubts import several
 from tuning.identification.gripped import cut_gripped, gripped_model
 from tuning.identification.inference import Posterior, Whiteness
 from tuning.identification.iterates import Iterates, Progress
 from tuning.identification.least_squares import Fitted, LeastSquares, Problem, prior_of, scaled_residuals, search
 from tuning.identification.log import Log
-from tuning.identification.model import DELAY, PRESLIDING, Fit, model_of, with_nuisances
+from tuning.identification.model import DELAY, PRESLIDING, SERVO_DELAY, Fit, model_of, with_nuisances
 from tuning.identification.readers import read_log
 from tuning.identification.replay import Base, base_of
 from tuning.identification.stamps import Noise, noise_of
@@ -45,15 +46,17 @@ _UNHEARD = 30.0  # times their noise, where starts are compared
 _GUESSED = "the log has base or foot forces: base free, all grippers shut (--base held: on a stand)"
 _OTHERS = 4  # starts, where all those that were asked for diverge
 _SPREAD = 0.7  # sd of the starts, of the prior's
+_SHOWN = 3.0  # sd, of a delay that is there
+_THINNEST, _SMALL = 1e-4, 0.01  # of a value, an interval; of the prior's sd, a value that is next to nothing
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
     """What is known of one key, SI units."""
 
-    value: float
-    low: float  # 95 % interval
-    high: float
+    value: float  # where the search ended
+    low: float | None  # 95 % interval; None: the fit is none that gives one
+    high: float | None
     seen: bool  # the log told it
     before: float
     unit: str
@@ -91,13 +94,18 @@ class Identified:
         shown = {key: {n: getattr(each, n) for n in names} for key, each in self.estimates.items()}
         return {"parameters": shown, "held_out": dict(self.held_out), "warnings": list(self.warnings)}
 
+    @property
+    def known(self) -> dict[str, Estimate]:
+        """The estimates that have an interval, by key: the others are as they were."""
+        return {key: each for key, each in self.estimates.items() if each.low is not None}
+
     def overrides(self) -> dict[str, Any]:
         """Return the keys of a scenario with their new values; those of the robot go by its file."""
-        found: dict[str, Any] = {k: each.value for k, each in self.estimates.items() if k in set(KEYS.values())}
+        found: dict[str, Any] = {k: each.value for k, each in self.known.items() if k in set(KEYS.values())}
         found = {key: max(value, 0.0) if key.endswith("delay") else value for key, value in found.items()}
         if (bend := self.beside.get(PRESLIDING)) is not None and bend.seen:  # the friction that was found goes with it
             found[PRESLIDING] = bend.value
-        tilt = [self.estimates.get(f"gravity.tilt_{axis}") for axis in "xy"]
+        tilt = [self.known.get(f"gravity.tilt_{axis}") for axis in "xy"]
         if any(tilt):
             angles = [0.0 if each is None else each.value for each in tilt]
             found["gravity"] = (turned(angles) @ np.asarray(self.scenario.gravity)).tolist()
@@ -106,8 +114,10 @@ class Identified:
     def robot(self) -> Robot:
         """Return the robot with what was identified of it, constants of NumPy."""
         places, nominal = self.model.structure.places, load_robot(self.scenario.robot)
+        before, known = begin(self.model.variables), self.known
+        x = np.where([v.key in known for v in self.model.variables], self.fitted.x, before)
         with jax.enable_x64(True):
-            _, robot = applied(places, jnp.asarray(self.fitted.x), self.model.parameters, nominal)
+            _, robot = applied(places, jnp.asarray(x), self.model.parameters, nominal)
         constants: Robot = jax.tree.map(np.asarray, robot)
         return constants
 
@@ -196,14 +206,37 @@ def _identified(
     wrong = inference.suspicious(tests)
     known = inference.posterior(problem, found, tests, wrong)
     model, beside, ahead = problem.model, _estimates(problem.model, found, known), _predicted(problem, found)
+    useless = inference.useless(found.noise, _moved(model), ahead.get("error_over_noise"))
+    blind = known.blind(model.variables)
+    beside = {
+        v.key: beside[v.key] if nothing else trusted(beside[v.key], v, refuted=bool(wrong), useless=bool(useless))
+        for v, nothing in zip(model.variables, blind, strict=True)
+    }
     estimates = {v.key: beside.pop(v.key) for v in chosen}
     unseen = [line for line in known.unseen if any(v.key in line for v in chosen)]
     remarks = [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
     bounds = [f"{key}: {each.remark}" for key, each in beside.items() if " bound" in each.remark]
-    said = [*_of_schedule(model, estimates), *unseen, *remarks, *bounds, *_of_fit(found, wrong, len(tests), ahead)]
+    said = [*_of_windows(model), *_of_schedule(model, estimates), *unseen, *remarks, *bounds]
+    said += _of_log_step(model, found, beside)
+    said += [*_of_fit(found, wrong, len(tests), {} if useless else ahead), *([useless] if useless else [])]
+    combined = () if useless else known.combined
     return Identified(
-        scenario, log, estimates, beside, ahead, (*warnings, *said), known.combined, model, problem, found, known, tests
+        scenario, log, estimates, beside, ahead, (*warnings, *said), combined, model, problem, found, known, tests
     )
+
+
+def trusted(estimate: Estimate, variable: Variable, *, refuted: bool, useless: bool) -> Estimate:
+    """Return an estimate, without its interval where that says nothing: of a fit that is useless, or of no width."""
+    if estimate.low is None or estimate.high is None:
+        return estimate
+    size = max(abs(estimate.value), abs(estimate.before), 0.0 if variable.log else _SMALL * variable.sd)
+    width = estimate.high - estimate.low
+    thin = width == 0 or (refuted and width < _THINNEST * size)
+    if not (thin or useless):
+        return estimate
+    why = "no interval: it would be thinner than a ten-thousandth of the value, on a model that the residuals refute"
+    remark = "; ".join(filter(None, [estimate.remark, why if thin and not useless else ""]))
+    return dataclasses.replace(estimate, low=None, high=None, seen=False, remark=remark)
 
 
 def identity_of_fit(scenario: mc.Scenario, log: Log, model: Fit, held_out: float, starts: int) -> dict[str, Any]:
@@ -213,11 +246,54 @@ def identity_of_fit(scenario: mc.Scenario, log: Log, model: Fit, held_out: float
     return {**identity_of(Walks(scenario)), **more}
 
 
+def _of_windows(model: Fit) -> Iterator[str]:
+    """Yield what of a log is not fitted."""
+    windows = model.windows
+    if count := len(windows.unknown):
+        seconds = float(np.diff(windows.unknown).sum())
+        yield (
+            f"commands are missing in {count} holes, {seconds:.3g} s in all: what happens in one is not fitted, and "
+            "what follows begins anew"
+        )
+    if windows.constant:
+        yield f"{several(windows.constant)}: the same all the time, not fitted"
+
+
+def _of_log_step(model: Fit, found: Fitted, beside: Mapping[str, Estimate]) -> Iterator[str]:
+    """Yield what a simulator's time step may have made of the values, where velocities come late as its would.
+
+    One of first order has velocities of half a step before its angles: what damps a joint then acts as late.
+    """
+    late = beside.get("log.velocity.delay")
+    if late is None or late.low is None or late.high is None or not late.seen:
+        return
+    sd = (late.high - late.low) / 2 / inference.Z
+    if abs(late.value) < _SHOWN * sd or abs(late.value) < model.windows.time_step / 2:
+        return
+    own = dict(zip((v.key for v in model.variables), found.x.tolist(), strict=True))
+    kd, viscous = (
+        float(own.get(key, np.asarray(getattr(model.parameters, field))))
+        for key, field in (("control.kd", "kd"), ("hardware.servo.viscous_friction", "viscous_friction"))
+    )
+    size = abs(late.value)
+    doubts = {DELAY: f"{size:.2g} s", "hardware.servo.armature": f"{(kd + viscous) * size:.2g} kg m^2"}
+    named = [f"{key} by {doubt}" for key, doubt in doubts.items() if key in own]
+    yield (
+        f"velocities come {1e3 * late.value:.3g} ms after positions, as those of a simulator with steps of "
+        f"{2e3 * size:.3g} ms do: if one made this log, its step is a doubt beside the intervals"
+        + (f" ({', '.join(named)})" if named else "")
+    )
+
+
 def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
     """Yield what is to be said of P gains by time and of torque off."""
     if (schedule := model.schedule) is None:
         return
     kp = float(np.asarray(model.parameters.kp))
+    if not schedule.share.any():
+        what = "control.kp is 0" if schedule.on.any() else "the torque is off"
+        yield f"{what} all the while in the log, which tells nothing of the P gain and of commands"
+        return
     if "control.kp" in chosen and not (schedule.share == 1).any():
         yield (
             f"control.kp stands for what the log calls {kp:g} N m/rad, as the config has it; the log's own gains are "
@@ -231,9 +307,16 @@ def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
 def _held(
     scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float, mass: float
 ) -> LeastSquares:
-    windows = cut(log, robot, scenario.time_step, held_out)
+    windows = cut(log, robot, scenario.time_step, held_out, late=_latest(scenario, chosen))
     model = model_of(scenario, windows, with_nuisances(scenario, windows, chosen), mass)
     return Problem(model, np.arange(len(windows.begin)), _rough_noise(model))
+
+
+def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
+    """Return the longest time that commands may take to the motors, s."""
+    fitted, own = {v.key: v.upper for v in chosen}, scenario.hardware
+    nominal = {DELAY: own.command_delay, SERVO_DELAY: own.servo.delay}
+    return sum(fitted.get(key, delay) for key, delay in nominal.items())
 
 
 def _gripped(
@@ -296,6 +379,12 @@ def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitte
     return found, problem
 
 
+def _moved(model: Fit) -> np.ndarray:
+    """Return the standard deviation of each signal (signals,), SI units."""
+    rows = model.windows.rows
+    return np.array([np.std(rows.value[rows.signal == n]) for n in range(len(model.windows.names))])
+
+
 def _rough_noise(model: Fit) -> np.ndarray:
     """Return noise (signals,) from second differences, which hold some motion too."""
     rows, noise = model.windows.rows, np.ones(len(model.windows.names))
@@ -336,7 +425,7 @@ def _remark(variable: Variable, x: float) -> str:
 
 def _predicted(problem: LeastSquares, found: Fitted) -> dict[str, Any]:
     """Return how what was held out is predicted: errors (rms) over the noise, of all and of each signal."""
-    held = problem.model.windows.held_out[problem.rows.window]
+    held = problem.predicted
     if not held.any():
         return {}
     scaled = scaled_residuals(problem, found.normal)

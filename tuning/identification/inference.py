@@ -31,6 +31,10 @@ _FALSE_ALARM = 1e-3  # of the test of all signals together
 _LAGS, _MATTERS = 20, 0.1  # samples, and a correlation below which it is none that matters
 _CLOCK = 0.1  # of a time step, to which the time of a command is known
 _CLIP = 4.0  # of the noise: outliers say nothing of correlation
+_WORST = 3.0  # error of what was held out, over the noise, beyond which nothing is told
+_UNEXPLAINED = 0.5  # of a signal's standard deviation, that of its residuals: beyond it the fit explains nothing
+_BLIND = 0.99  # of the prior's sd
+_ROUNDING, _LEAST = 1e-10, 1e-300  # of the largest information along a direction
 
 
 class Posterior(NamedTuple):
@@ -43,6 +47,11 @@ class Posterior(NamedTuple):
     seen: np.ndarray  # (P,) bool
     unseen: tuple[str, ...]  # directions, in words
     combined: tuple[str, ...]  # combinations of what was not seen that were, in words
+
+    def blind(self, variables: Sequence[Variable]) -> list[bool]:
+        """Return of which variables the samples say nothing at all, so that their prior stays."""
+        sd = np.sqrt(np.diag(self.fisher))
+        return [bool(own > _BLIND * v.sd) for own, v in zip(sd, variables, strict=True)]
 
 
 class Whiteness(NamedTuple):
@@ -71,7 +80,7 @@ def posterior(
     variables, prior = problem.model.variables, prior_of(problem.model)
     _, information, _ = eliminated(found.normal)
     information = (information + information.T) / 2
-    fisher = np.linalg.inv(_positive(information + np.diag(1 / prior.sd**2)))
+    fisher = covariance_of(information, prior.sd)
     sd = np.sqrt(np.diag(fisher))
     scores = condensed_by_block(found.normal)[:, ~problem.model.windows.held_out[problem.which]].reshape(-1, len(sd))
     scores = scores[scores.any(axis=1)]
@@ -81,11 +90,27 @@ def posterior(
     excess = np.diag(spread) / np.maximum(np.diag(of_data), 1e-12 * np.diag(fisher))
     widening = np.sqrt(np.maximum(excess, 1.0)) if blocks >= 8 else np.ones(len(sd))
     widening = np.sqrt(widening**2 + sum(test.lacking for test in suspicious))
-    seen = sd < SEEN * prior.sd
+    widened = np.clip(widening, 1.0, np.maximum(prior.sd / sd, 1.0))  # no log makes the prior worse
+    seen = widened * sd < SEEN * prior.sd
     unseen, combined = _directions(variables, information, prior.sd, found.x)
-    widened = np.where(seen, widening, 1.0)
     covariance = fisher * np.outer(widened, widened) + np.diag(_of_clock(problem, found, sd) ** 2)
     return Posterior(covariance, fisher, information, widened, seen, unseen, combined)
+
+
+def useless(noise: Float[np.ndarray, " signals"], moved: Float[np.ndarray, " signals"], ahead: float | None) -> str:
+    """Return why a fit as a whole tells nothing, in a line; "" where it does.
+
+    Arguments:
+        noise: standard deviation of the residuals of each signal.
+        moved: standard deviation of each signal.
+        ahead: error of what was held out, over the noise; None: nothing was.
+    """
+    if ahead is not None and not ahead <= _WORST:
+        return f"what was held out is predicted {ahead:.3g} times worse than the noise: no interval is given"
+    left = float(np.median(noise / moved))
+    if not left <= _UNEXPLAINED:
+        return f"the fit leaves {100 * left:.0f} % of what the signals move by unexplained: no interval is given"
+    return ""
 
 
 def _of_clock(problem: LeastSquares, found: Fitted, sd: np.ndarray) -> np.ndarray:
@@ -102,9 +127,16 @@ def _of_clock(problem: LeastSquares, found: Fitted, sd: np.ndarray) -> np.ndarra
     return np.array([most if key == DELAY else 0.0 for key in keys])
 
 
-def _positive(matrix: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray((vectors * np.maximum(values, 1e-14 * values.max())) @ vectors.T)
+def covariance_of(information: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Return the covariance (P, P) of variables of which a prior knows each to `sd`, in what unit they are.
+
+    What rounding leaves of a direction is no information: of that the prior alone is known.
+    """
+    scale = np.sqrt(np.diag(information).clip(0.0) + 1 / sd**2)
+    of_prior = 1 / (scale * sd) ** 2
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale) + np.diag(of_prior))
+    known = np.where(values > _ROUNDING, values, np.maximum(vectors.T**2 @ of_prior, _LEAST))
+    return np.asarray((vectors / known) @ vectors.T / np.outer(scale, scale))
 
 
 def _directions(

@@ -22,11 +22,12 @@ from scipy.linalg import cho_factor, cho_solve, solveh_banded
 from tuning.identification.iterates import Iterate, Iterates
 from tuning.identification.model import LATE, MEMORY, Fit, Model
 from tuning.identification.stamps import Stamped, stamped
-from tuning.identification.windows import KINDS, Windows
+from tuning.identification.windows import KINDS, SHORTEST, Windows
 
 _STATE = (0.2, 3.0)  # prior sd of a start from its guess: rad, rad/s
 _TIGHT = 0.05  # of the noise, what a window's end may miss
 _ENOUGH = 0.02  # decrease of the cost, half a chi^2, at which the search ends
+DIVERGED = 1e20  # SI units: squares of larger values and derivatives tell nothing, or overflow
 _DAMPING, _SOFTER, _HARDER, _MOST = 1e-4, 0.1, 10.0, 1e3
 
 
@@ -79,11 +80,15 @@ class LeastSquares:
         rows = type(windows.rows)(*(column[inside] for column in windows.rows))
         order = np.lexsort((windows.limb[rows.signal], rows.window))
         rows = type(rows)(*(column[order] for column in rows))
+        ahead = windows.held_out[rows.window]
+        # behind a hole nothing says where the robot is but the first of what is held out
+        first = ~windows.abuts[rows.window] & ((rows.step + rows.share) * windows.time_step < SHORTEST)
         vars(self).update(
             rows=rows,
             place=place[rows.window],
             limb=windows.limb[rows.signal],
-            fitted=~windows.held_out[rows.window],
+            fitted=~ahead | first,
+            predicted=ahead & ~first,
             inside=np.flatnonzero(inside)[order],
         )
 
@@ -91,6 +96,7 @@ class LeastSquares:
     place: Any = dataclasses.field(init=False, default=None)  # of the window of each row in `which`
     limb: Any = dataclasses.field(init=False, default=None)
     fitted: Any = dataclasses.field(init=False, default=None)  # (rows,) bool
+    predicted: Any = dataclasses.field(init=False, default=None)  # (rows,) bool, held out
     inside: Any = dataclasses.field(init=False, default=None)  # of the model's rows
 
     @property
@@ -157,7 +163,7 @@ def linearized(problem: Problem, x: np.ndarray, start: np.ndarray) -> list[Norma
     found = []
     for k in range(len(x)):
         own, along = ({name: v[k] for name, v in each.items()} for each in (values, tangents))
-        finite = all(np.isfinite(v).all() for each in (own, along) for v in each.values())
+        finite = all((np.abs(v) < DIVERGED).all() for each in (own, along) for v in each.values())
         if not finite:  # the model diverges there: a point to keep away from
             own, along = ({name: np.zeros_like(v) for name, v in each.items()} for each in (own, along))
         normal = _normal(problem, x[k], start[k], own, along)

@@ -34,7 +34,15 @@ if TYPE_CHECKING:
 FILE = "result.json"
 RESIDUALS = "Residuals over the noise of their signal, over time; grey: held out, predicted only."
 CORRELATION = "Autocorrelation of the residuals of each signal; outside the band by chance once in twenty."
-PREDICTION = "The signal that is predicted worst: log, and model with the values before and after."
+PREDICTION = (
+    "The signal that is predicted worst, two seconds of it: log, model with the values before and after, and below "
+    "what each misses in units of the noise; grey: twice the noise."
+)
+SHOWN = 2.0  # s
+# before is a broad band, so that after does not hide it
+_MODELS: dict[str, dict[str, Any]] = {
+    "before": {"color": plots.ORANGE, "linewidth": 2.4, "alpha": 0.7}, "after": {"color": plots.BLUE, "linewidth": 0.9},
+}  # fmt: skip
 COLUMNS = ("parameter", "unit", "before", "after", "95 % interval", "remark")
 
 
@@ -48,7 +56,7 @@ def write(
     texts = {
         "identified.yaml": portable_yaml(identified, folder),
         "hardware.yaml": _yaml({"hardware": identified.hardware.model_dump(mode="json")}),
-        "posterior.yaml": ensemble_of(found).to_yaml(),
+        **({"posterior.yaml": ensemble_of(found).to_yaml()} if found.known else {}),
         FILE: json.dumps(_result(found, call if origin is None else origin.asked), indent=2) + "\n",
     }
     drawn = {
@@ -70,8 +78,9 @@ def identified_scenario(found: "Identified", scenario: mc.Scenario, folder: Path
 
 def ensemble_of(found: "Identified") -> Ensemble:
     """Return the ensemble whose members are drawn from the posterior; all else is the scenario's own."""
-    known = set(KEYS.values()) | set(TILTS)
-    chosen = [n for n, v in enumerate(found.model.variables) if v.key in known]
+    of_scenario = set(KEYS.values()) | set(TILTS)
+    told = {key: each for key, each in {**found.beside, **found.estimates}.items() if each.low is not None}
+    chosen = [n for n, v in enumerate(found.model.variables) if v.key in of_scenario and v.key in told]
     variables = [found.model.variables[n] for n in chosen]
     lower = [max(v.lower, 0.0) if v.unit == "s" else v.lower for v in variables]
     return Ensemble(
@@ -81,7 +90,7 @@ def ensemble_of(found: "Identified") -> Ensemble:
             mean=tuple(found.fitted.x[chosen].tolist()),
             covariance=tuple(map(tuple, found.posterior.covariance[np.ix_(chosen, chosen)].tolist())),
             lower=tuple(lower), upper=tuple(v.upper for v in variables),
-            held=tuple(key for key in found.estimates if key not in known and not key.startswith("log.")),
+            held=tuple(key for key in found.estimates if key not in of_scenario and not key.startswith("log.")),
         ),
     )  # fmt: skip
 
@@ -115,7 +124,8 @@ def table(found: "Identified") -> page.Table:
 
 def _rows(estimates: "dict[str, Estimate] | Any") -> list[list[str]]:
     return [
-        [key, e.unit, number(e.before), number(e.value), f"{number(e.low)} to {number(e.high)}",
+        [key, e.unit, number(e.before), number(e.value),
+         "none" if e.low is None or e.high is None else f"{number(e.low)} to {number(e.high)}",
          e.remark or ("" if e.seen else "not told")]
         for key, e in estimates.items()
     ]  # fmt: skip
@@ -193,22 +203,40 @@ def plot_correlation(found: "Identified") -> Figure:
 
 @plots.style()
 def plot_prediction(found: "Identified") -> Figure:
-    """Return log and model, before and after the fit, of the signal with the largest error over its noise."""
+    """Return log and model, before and after the fit, where the signal with the largest error over its noise is worst.
+
+    Two seconds are shown, and below what the model misses of the log, in units of the noise.
+    """
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
     scaled = np.abs(scaled_residuals(found.problem, found.fitted.normal))
     means = [float(scaled[rows.signal == n].mean()) for n in range(len(windows.names))]
     worst = int(np.argmax(means))
     own = np.flatnonzero(rows.signal == worst)
     own = own[np.argsort(time[own], kind="stable")]
-    figure = Figure(figsize=(7.0, 2.4), layout="constrained")
-    axis = figure.subplots()
-    axis.plot(time[own], rows.value[own], ".", color="black", markersize=2, label="log")
-    first, last = begin(found.model.variables)[None], found.fitted.start[None]
-    before = rows.value[own] - found.problem.linearized(first, last)[0].residuals[own]
-    after = rows.value[own] - found.fitted.normal.residuals[own]
-    axis.plot(time[own], before, color=plots.ORANGE, label="before")
-    axis.plot(time[own], after, color=plots.BLUE, label="after")
-    axis.set_xlabel("time, s")
-    axis.set_ylabel(windows.names[worst])
-    axis.legend(ncols=3)
+    first = begin(found.model.variables)[None]
+    missed = {
+        "before": found.problem.linearized(first, found.fitted.start[None])[0].residuals[own],
+        "after": found.fitted.normal.residuals[own],
+    }
+    middle = time[own][int(np.argmax(np.abs(missed["after"])))]
+    shown = np.abs(time[own] - np.clip(middle, time[own][0] + SHOWN / 2, time[own][-1] - SHOWN / 2)) <= SHOWN / 2
+    own, missed = own[shown], {name: values[shown] for name, values in missed.items()}
+    gap = np.flatnonzero(np.diff(time[own]) > 5 * np.median(np.diff(time[own]))) + 1  # lines break in holes
+
+    def broken(values: np.ndarray) -> np.ndarray:
+        return np.insert(values, gap, np.nan)
+
+    name, kind = windows.names[worst], int(windows.kind[worst])
+    noise = float(found.fitted.noise[worst])
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
+    for label, look in _MODELS.items():
+        above.plot(broken(time[own]), broken(rows.value[own] - missed[label]), label=f"model, {label}", **look)
+        below.plot(broken(time[own]), broken(missed[label] / noise), **look)
+    above.plot(time[own], rows.value[own], ".", color="black", markersize=2, label="log", zorder=3)
+    below.axhspan(-2, 2, color="0.9", zorder=0)
+    above.set_ylabel(f"{name} [{UNITS[kind]}]")
+    below.set(xlabel="time [s]", ylabel="log - model [noise]")
+    below.set_yscale("symlog", linthresh=5.0)
+    figure.legend(*above.get_legend_handles_labels(), ncols=3, loc="outside upper center")
     return figure

@@ -47,13 +47,15 @@ class Schedule(NamedTuple):
 
 def schedule_of(signals: Mapping[str, Signal], kp: float) -> Schedule | None:
     """Return what the signals of a log say of P gains and torque; None where they are the config's `kp`, N m/rad."""
-    there = [signals[name] for name in (KP, OFF) if name in signals]
+    there = [signals[name] for name in (KP, OFF) if name in signals and len(signals[name].time)]
     if not there:
         return None
     time = np.unique(np.concatenate([signal.time for signal in there]))
 
     def held(name: str, otherwise: float) -> np.ndarray:
-        signal = signals.get(name, Signal(time[:1], np.array([otherwise])))
+        signal = signals.get(name, Signal(time[:0], time[:0]))
+        if not len(signal.time):
+            return np.full(len(time), otherwise)
         return signal.value[np.maximum(np.searchsorted(signal.time, time, side="right") - 1, 0)]
 
     on = np.where(held(OFF, 0.0) > 0.5, 0.0, 1.0)

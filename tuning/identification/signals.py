@@ -66,6 +66,9 @@ class Signals(Settings):
     repeats: Literal["drop", "keep"] = setting(
         "drop", "what is done with measured samples that repeat the one before to the last bit, all of one message"
     )
+    turns: Literal["unwrap", "keep"] = setting(
+        "unwrap", "what is done with joint angles that jump by whole turns between neighbours"
+    )
     longest_gap: Annotated[NonNegative, Field(gt=1)] = setting(
         5.0, "spacing that is called a gap, in usual spacings, 1"
     )

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.stand import targets_of
+from tuning.identification.doubts import several
 from tuning.identification.log import KP, OFF, Log, Signal, joints_of
 from tuning.identification.schedule import Schedule
 
@@ -21,6 +22,7 @@ KINDS = (  # what is recorded; of a joint, of a foot, of the base
 )  # fmt: skip
 UNITS = ("rad", "rad/s", "N m", "N", "m", "1", "m/s", "rad/s")
 _GAP, _PERIODS = 0.1, 5  # s, and periods of the log: a longer silence is a gap
+_USUAL, _MISSED, _FEW = 0.8, 1.6, 10  # quantile of the spacing of commands, how many of it lack one, least commands
 _NEAR = 0.05  # s, samples by which a rate is guessed
 
 
@@ -53,6 +55,8 @@ class Windows:
     commands: Mapping[tuple[int, int], Signal]  # by limb and joint
     resting: Float[np.ndarray, "limb joint"]  # rad, targets of joints without commands
     gains: Mapping[str, Signal]  # what the log says of P gains and torque off
+    unknown: Float[np.ndarray, "holes 2"]  # s, from when to when commands are missing
+    constant: tuple[str, ...]  # signals that never change: they say nothing of their noise, and are not predicted
 
     def moments(self, which: np.ndarray, count: int, before: int = 0) -> np.ndarray:
         """Return when steps of some windows begin, (windows, count) s, from `before` steps before each."""
@@ -95,9 +99,12 @@ class Windows:
 
 
 def cut(
-    log: Log, robot: Robot, time_step: float, held_out: float, beside: Mapping[str, tuple[int, int, int]] | None = None
-) -> Windows:
+    log: Log, robot: Robot, time_step: float, held_out: float, beside: Mapping[str, tuple[int, int, int]] | None = None,
+    late: float = 0.0,
+) -> Windows:  # fmt: skip
     """Return the windows of a log, joints and what stands beside them; the last share `held_out` is not fitted.
+
+    No window runs through a hole of the commands: the next one begins when the first command behind it has arrived.
 
     Arguments:
         log: its joints count where all of their limb have commands.
@@ -105,6 +112,7 @@ def cut(
         time_step: of the model, s.
         held_out: share of the windows.
         beside: by name, limb, axis and kind of further signals.
+        late: the longest time that a command takes to the motors, s.
 
     Raises:
         ConfigError: a log without commands, without anything that can be predicted, or too short.
@@ -122,18 +130,25 @@ def cut(
         if n in whole and f"{joint}.{kind}" in log.signals
     }
     placed |= beside or {}
+    constant = tuple(name for name in placed if not np.ptp(log.signals[name].value))
+    placed = {name: place for name, place in placed.items() if name not in constant}
     names = tuple(placed)
+    if constant and not names:
+        raise ConfigError(f"{log.source}: expected signals that change, got {several(constant)}, the same all the time")
     if not names:
         missing = "the commands of all joints of a limb" if not whole else "positions, velocities or efforts"
         first = f"{robot.limbs[0]}.{robot.joint_names[0]}.{'position' if whole else 'command'}"
         raise ConfigError(f"{log.source}: expected {missing}, as {first}, got {', '.join(list(log.signals)[:4])}")
     signals, steps = [log.signals[name] for name in names], round(LENGTH / time_step)
     length = steps * time_step
-    begin, abuts, ends = _stretches(signals, length)
+    unknown = _unknown([each for place, each in commands.items() if place[0] in whole], log.signals.get(OFF))
+    begin, abuts, ends = _stretches(signals, length, unknown + np.array([0.0, late]))
     # commands change when samples are taken, and a step holds one target: samples fall between steps
     begin, ends = begin - time_step / 2, ends + time_step
     if len(begin) < 2:
-        raise ConfigError(f"{log.source}: expected two seconds or more, got {log.duration:.3g} s without gaps")
+        known = f"{(ends - begin).sum():.3g} s of {log.duration:.3g} s in stretches of {SHORTEST:g} s or more"
+        lost = f" (commands are missing in {len(unknown) - 1} holes)" if len(unknown) > 1 else ""
+        raise ConfigError(f"{log.source}: expected two seconds or more without gaps, got {known}{lost}")
     count = len(begin) - min(round(held_out * len(begin)), len(begin) - 1)
     limb, joint, kind = np.array(list(placed.values())).T
     rows = _rows(signals, kind == 1, begin, ends, steps, time_step)
@@ -142,14 +157,45 @@ def cut(
         names=names, limb=limb, joint=joint, kind=kind, rows=rows,
         start=_start(log, robot, begin), commands=commands, resting=np.asarray(robot.stance_joints, float),
         gains={name: log.signals[name] for name in (KP, OFF) if name in log.signals},
+        unknown=unknown[1:], constant=constant,
     )  # fmt: skip
 
 
-def _stretches(signals: Sequence[Signal], length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return begins of windows, which of them go on, and where their samples end, all in s."""
+def _unknown(commands: Sequence[Signal], off: Signal | None) -> Float[np.ndarray, "holes 2"]:
+    """Return from when to when commands are not known, s: before the first one, and where some are missing.
+
+    Where the torque is off, by the signal `off`, none is needed.
+    """
+    spans = []
+    for time in (signal.time for signal in commands if len(signal.time) >= _FEW):
+        spacing = np.diff(time)
+        usual = float(np.quantile(spacing, _USUAL))  # a rate that the log's clock rounds has spacings of two kinds
+        for n in np.flatnonzero(spacing > _MISSED * usual).tolist():
+            between = [] if off is None else off.value[(off.time > time[n]) & (off.time < time[n + 1])] > 0.5
+            if not len(between) or not np.all(between):
+                spans.append((float(time[n]) + usual, float(time[n + 1])))
+    found = [(-np.inf, max(float(signal.time[0]) for signal in commands))] if commands else []
+    for start, end in sorted(set(spans)):
+        if start <= found[-1][1]:
+            found[-1] = (found[-1][0], max(end, found[-1][1]))
+        else:
+            found.append((start, end))
+    return np.reshape(found, (-1, 2))
+
+
+def _stretches(
+    signals: Sequence[Signal], length: float, unknown: Float[np.ndarray, "holes 2"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return begins of windows, which of them go on, and where their samples end, all in s; none is in a hole."""
     time = np.unique(np.concatenate([signal.time for signal in signals]))
     period = max(float(np.median(np.diff(signal.time))) for signal in signals)
-    breaks = np.flatnonzero(np.diff(time) > max(_GAP, _PERIODS * period))
+    stretch = np.cumsum(np.r_[0, np.diff(time) > max(_GAP, _PERIODS * period)])  # of each time
+    hole = np.searchsorted(unknown[:, 0], time - 1e-9, side="left")
+    known = time > np.r_[-np.inf, unknown[:, 1]][hole] - 1e-9
+    time, stretch, hole = time[known], stretch[known], hole[known]
+    breaks = np.flatnonzero((np.diff(stretch) != 0) | (np.diff(hole) != 0))
+    if not len(time):
+        return np.zeros(0), np.zeros(0, bool), np.zeros(0)
     firsts, lasts = time[np.r_[0, breaks + 1]], time[np.r_[breaks, len(time) - 1]]
     begin, abuts, ends = [], [], []
     for first, last in zip(firsts, lasts, strict=True):

@@ -1,6 +1,6 @@
 """What an excitation leaves in its folder: commands as CSV and as a trajectory for ROS 2, a picture, a page, JSON."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ FILE = "excitation.csv"  # by it the folder is known
 TRAJECTORY = "excitation_trajectory.yaml"
 APPROACH = 3.0  # s, in which a trajectory controller takes the robot to the first posture
 _EARTH = 9.81  # m/s^2
+BINS = 150  # of a picture's envelopes
 
 
 def write(found: Excited, folder: Path, origin: Origin | None, figures: Collection[str], stage: Stage) -> str:
@@ -174,23 +175,47 @@ def notes(found: Excited) -> list[str]:
 
 @plots.style()
 def plot(found: Excited) -> Figure:
-    """Draw commands, rates and torques over time: a colour for each joint of a limb, limbs over each other."""
-    figure = Figure(figsize=(2 * plots.COLUMN, 5.0), layout="constrained")
+    """Draw the commands, a lane for each joint, and how fast and how hard the joints of each kind move at most."""
+    robot, time = found.robot, found.time
+    lanes = robot.joint_lower.size
+    figure = Figure(figsize=(2 * plots.COLUMN, 2.6 + 0.28 * lanes), layout="constrained")
+    ratios = (0.28 * lanes, 1.0, 1.0)
+    commanded, rates, torques = figure.subplots(3, 1, sharex=True, height_ratios=ratios)
     _, off = gains(found)
-    commands = np.where(off[:, None, None], np.nan, found.best.motion.targets)
-    colors, time = _colors(found.robot.joints), found.time
-    panels: Iterable[Any] = figure.subplots(3, 1, sharex=True)
-    rows = (("command [rad]", commands), ("rate [rad/s]", found.carried.rates), ("torque [N m]", found.carried.torque))
-    for panel, (label, values) in zip(panels, rows, strict=True):
+    moved = np.where(off[:, None, None], np.nan, found.best.motion.targets - found.best.motion.targets[0])
+    apart = 2.2 * float(np.nanmax(np.abs(moved))) or 1.0
+    colors = _colors(robot.joints)
+    names = list(joints_of(robot))
+    for place, values in enumerate(moved.reshape(len(time), lanes).T):
+        commanded.plot(time, values - apart * place, color=colors[place % robot.joints], lw=0.5)
+    commanded.set_yticks(-apart * np.arange(lanes), names)
+    commanded.set(ylim=(-apart * (lanes - 0.4), apart), title=f"commands, {apart:.2g} rad from lane to lane")
+    for panel, label, values in (
+        (rates, "rate [rad/s]", found.carried.rates),
+        (torques, "torque [N m]", found.carried.torque),
+    ):
         for joint, color in enumerate(colors):
-            panel.plot(time, np.asarray(values)[:, :, joint], color=color, lw=0.4, alpha=0.7)
-        for segment in found.best.motion.segments[1:]:
-            panel.axvline(segment.start * found.period, color="0.5", lw=0.6, ls=":")
-        panel.set_ylabel(label)
-    panel.set(xlabel="time [s]", xlim=(0, time[-1]))
-    handles = [plots.key(name, color=color) for name, color in zip(found.robot.joint_names, colors, strict=True)]
+            panel.plot(*_largest(time, np.asarray(values)[:, :, joint]), color=color, lw=1.0)
+        panel.set(ylabel=f"largest\n{label}", ylim=(0, None))
+    for segment in found.best.motion.segments:
+        start = segment.start * found.period
+        for panel in (commanded, rates, torques):
+            panel.axvline(start, color="0.5", lw=0.6, ls=":")
+        commanded.annotate(
+            segment.name, (start, 0.6 * apart), (2, -2), textcoords="offset points", va="top", fontsize=6.5
+        )
+    torques.set(xlabel="time [s]", xlim=(0, time[-1]))
+    handles = [
+        plots.key(f"{name}, of all limbs", color=color) for name, color in zip(robot.joint_names, colors, strict=True)
+    ]
     plots.legend_below(figure, handles, len(handles))
     return figure
+
+
+def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return times, and the largest magnitude of the columns of values (time, columns) in each of `BINS` stretches."""
+    parts = np.array_split(np.arange(len(time)), min(BINS, len(time)))
+    return time[[part[0] for part in parts]], np.array([np.abs(values[part]).max() for part in parts])
 
 
 def _colors(count: int) -> list[str]:

@@ -40,6 +40,14 @@ def stuck(columns):
     return columns | {"RF.coxa.position": np.full(1000, 0.25)}
 
 
+def stuck_rate(columns):
+    return columns | {f"{joint}.velocity": np.full(1000, 0.1) for joint in JOINTS}
+
+
+def stuck_force(columns):
+    return columns | {f"LF.force.{axis}": np.full(1000, 2.5) for axis in "xyz"}
+
+
 def swapped(columns):
     limbs = {"LF": "RF", "RF": "LF"}
     return {
@@ -74,6 +82,8 @@ WRONG = {
     milliseconds: "times: a sample every 10 s, suspected to be ms .time_unit: ms",
     wrong_name: "LH.tibja.position: not read, the robot has no such signal .did you mean LH.tibia.position",
     stuck: "RF.coxa.position: the same all the time while its command moves by 0.4 rad, suspected to be stuck",
+    stuck_rate: "LF.coxa.velocity and 11 more: the same all the time while its joint moves, suspected to be stuck",
+    stuck_force: "LF.force.x and 2 more: the same all the time while its limb moves, suspected to be stuck",
     swapped: "(LF: its positions follow the commands of RF|RF: its .* commands of LF), suspected to be swapped limbs",
     jitter: "LF.coxa.command and 23 more: samples come every 0.0[0-9]* s with a jitter of 3. %",
     early: "positions: come 0.22 s before their commands, suspected to be another clock .shift: 0.22",
@@ -116,6 +126,59 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, break_it):
     # never a silent correction
     for name in set(log.signals) & set(columns):
         np.testing.assert_array_equal(log.signals[name].value, columns[name])
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0, 1e-308])
+@pytest.mark.parametrize("kind", ["velocity", "effort"])
+def test_what_no_sensor_measured_is_left_out_by_name(tmp_path, kind, value):
+    """NumPy's warnings are errors here: none comes of such columns."""
+    none = {f"{joint}.{kind}": np.full(1000, value) for joint in JOINTS}
+    log = read(tmp_path, recorded() | none)
+    assert not any(name.endswith(kind) for name in log.signals) and len(log.signals) == 24
+    assert [line.partition(": ")[2] for line in log.warnings] == [
+        f"LF.coxa.{kind} and 11 more: 0 all along while the joint moves, not measured: left out"
+    ]
+
+
+def test_a_joint_at_rest_at_zero_is_measured(tmp_path):
+    still = {f"RF.coxa.{kind}": np.zeros(1000) for kind in ("command", "position", "velocity")}
+    log = read(tmp_path, recorded() | still)
+    assert not log.signals["RF.coxa.velocity"].value.any() and log.warnings == ()
+
+
+def wrapped(angle):
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+@pytest.mark.parametrize("which", [("position",), ("command",), ("command", "position")])
+def test_jumps_by_a_turn_are_unwrapped_and_named(tmp_path, which):
+    columns = recorded()
+    beyond = 3.1 - ROBOT.stance_joints[0, 0]
+    columns |= {f"LF.coxa.{kind}": columns[f"LF.coxa.{kind}"] + beyond for kind in ("command", "position")}
+    cut = columns | {f"LF.coxa.{kind}": wrapped(columns[f"LF.coxa.{kind}"]) for kind in which}
+    log = read(tmp_path, cut)
+    apart = log.signals["LF.coxa.position"].value - columns["LF.coxa.position"]
+    np.testing.assert_allclose(apart, np.broadcast_to(2 * np.pi * np.round(apart[0] / 2 / np.pi), 1000), atol=1e-9)
+    np.testing.assert_allclose(
+        log.signals["LF.coxa.command"].value - columns["LF.coxa.command"], apart, atol=1e-9
+    )  # the two go together
+    (said,) = [line for line in log.warnings if "jumps of 2 pi" in line]
+    counts = [int((np.abs(np.diff(cut[f"LF.coxa.{kind}"])) > 3).sum()) for kind in which]
+    more = " and 1 more" if len(which) > 1 else ""
+    assert f"LF.coxa.{which[0]}{more}: {sum(counts)} jumps of 2 pi between neighbours, unwrapped (turns: keep" in said
+    sources = {name: {"column": name} for name in cut if name != "time"}
+    kept = read(tmp_path, cut, Signals.make({"time": "time", "turns": "keep", "signals": sources}))
+    np.testing.assert_array_equal(kept.signals[f"LF.coxa.{which[0]}"].value, cut[f"LF.coxa.{which[0]}"])
+    assert not any("2 pi" in line for line in kept.warnings)
+
+
+def test_a_position_that_is_a_turn_off_its_command_is_named(tmp_path):
+    columns = recorded()
+    log = read(tmp_path, columns | {"LF.coxa.position": columns["LF.coxa.position"] - 2 * np.pi})
+    np.testing.assert_allclose(log.signals["LF.coxa.position"].value, columns["LF.coxa.position"], atol=1e-9)
+    assert [line.partition(": ")[2][:60] for line in log.warnings] == [
+        "LF.coxa.position: whole turns off the command, taken away (turns: keep in signals.yaml keeps them)"[:60]
+    ]
 
 
 @pytest.mark.parametrize(("break_it", "answer", "top"), [

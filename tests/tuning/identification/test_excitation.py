@@ -1,6 +1,7 @@
 """What to command: within limits and as informative as said, by MuJoCo's C code with the base welded."""
 
 import dataclasses
+import itertools
 import json
 
 import jax
@@ -16,9 +17,10 @@ from mjx_climb.robot.constants import load_robot
 from tests.tuning.identification.stand_in_mujoco import JOINTS, Truth, welded
 from tuning.identification import excitation, motions
 from tuning.identification.information import information
+from tuning.identification.log import joints_of
 from tuning.identification.readers import read_log
 from tuning.identification.schedule import schedule_of
-from tuning.output.excitation import columns, summary
+from tuning.output.excitation import columns, plot, summary
 from tuning.problem.excitation import ENCODER, Excitation
 
 ROBOT = load_robot("hubrobo_v3_2")
@@ -155,6 +157,18 @@ def test_what_is_written_is_read_back(found, tmp_path):
     positions = [point["positions"] for point in message["points"]]
     np.testing.assert_allclose(positions, found.best.motion.targets[~off].reshape(-1, 12), atol=1e-6)
     assert json.loads((tmp_path / "a" / "excitation.json").read_text()) == json.loads(json.dumps(summary(found)))
+
+
+@pytest.mark.slow
+def test_the_picture_has_a_lane_for_each_joint_and_the_largest_rate_and_torque_of_each_kind(found):
+    commanded, rates, torques = plot(found).axes
+    lanes = [line.get_ydata() for line in commanded.lines[:12]]
+    for above, below in itertools.pairwise(lanes):
+        assert np.nanmin(above) > np.nanmax(below)
+    assert [tick.get_text() for tick in commanded.get_yticklabels()] == list(joints_of(ROBOT))
+    for panel, values in ((rates, found.carried.rates), (torques, found.carried.torque)):
+        largest = [line.get_ydata().max() for line in panel.lines[:3]]
+        np.testing.assert_allclose(largest, np.abs(values).max((0, 1)))
 
 
 def told(fit, noise, moved, **changes):

@@ -2,7 +2,10 @@
 
 import dataclasses
 import functools
+import html
 import json
+import re
+import shlex
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +21,12 @@ from mjx_climb.scenario.model import RobotFile, validated
 from tests.tuning.identification.coverage import counted
 from tests.tuning.identification.stand_in_mujoco import NOISE, TRUTH, columns_of, log_of
 from tuning.identification import least_squares, robot_files
+from tuning.identification.log import Signal
 from tuning.identification.model import model_of, with_nuisances
+from tuning.identification.output import SHOWN, plot_prediction
 from tuning.identification.readers import write_csv
 from tuning.identification.variables import Place, applied, begin, variables
-from tuning.identification.windows import KINDS, cut
+from tuning.identification.windows import KINDS, UNITS, cut
 from tuning.problem import ensemble as ensembles
 
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -94,6 +99,23 @@ def test_truths_are_inside_their_intervals_with_noise_delay_and_jitter():
 
 
 @pytest.mark.slow
+def test_the_picture_of_the_worst_signal_shows_the_model_before_and_after_and_what_each_misses():
+    found = identified(jitter=0.0005)
+    above, below = plot_prediction(found).axes
+    before, after, log = above.lines
+    assert [line.get_label() for line in above.lines] == ["model, before", "model, after", "log"]
+    assert before.get_linewidth() > 2 * after.get_linewidth()  # nor does the one hide the other
+    name = above.get_ylabel().partition(" [")[0]
+    assert above.get_ylabel() == f"{name} [{UNITS[KINDS.index(name.rpartition('.')[2])]}]"
+    noise = found.fitted.noise[found.model.windows.names.index(name)]
+    missed = [line.get_ydata() * noise for line in below.lines[:2]]
+    for model, own in zip((before, after), missed, strict=True):
+        np.testing.assert_allclose(model.get_ydata() + own, log.get_ydata(), atol=1e-12)
+    assert np.std(missed[0]) > 3 * np.std(missed[1])
+    assert np.ptp(log.get_xdata()) == pytest.approx(SHOWN, abs=0.03)
+
+
+@pytest.mark.slow
 def test_errors_of_time_stamps_are_told_from_noise():
     """Half a millisecond moves a joint by three times the noise of its position."""
     found = identified(misread=0.0005)
@@ -150,10 +172,12 @@ def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_p
         made["parameters"]["robot.LF.tibia.mass"]["value"],
         rel=1e-5,  # MuJoCo writes six digits
     )
-    hardware = tmp_path / "out" / "hardware.yaml"
+    page, hardware = (tmp_path / "out" / "report.html").read_text(), tmp_path / "out" / "hardware.yaml"
     code, out, _ = call("run", "case_1_2", "--hardware", hardware, "--set", "duration=0.1", "--set", "gait.cycle=0.1",
                         "--set", "gait.stride=0", "--json", "--out", tmp_path / "run")  # fmt: skip
     assert json.loads(out)["diverged"] is False
+    again = shlex.split(html.unescape(re.search(r"To repeat it.*?<pre>(.*?)</pre>", page, re.DOTALL)[1]))
+    assert (tmp_path / "out" / again[again.index("--log") + 1]).samefile(tmp_path / "log.csv")
     ensemble = ensembles.Ensemble.load(tmp_path / "out" / "posterior.yaml", members=400)
     drawn = ensembles.draw(read, ensemble)
     kp = made["parameters"]["control.kp"]
@@ -257,7 +281,8 @@ def test_what_the_log_cannot_see_is_said(fit, unseen, words):
 def test_a_truth_that_the_model_does_not_have_is_never_a_narrow_wrong_answer(change):
     found = identified(dataclasses.replace(TRUE, **change))
     told = [line for line in found.warnings if "the model is wrong" in line]
-    wrong = [key for key, truth in VALUES.items() if not found.estimates[key].low < truth < found.estimates[key].high]
+    given = {key: each for key, each in found.estimates.items() if each.low is not None}
+    wrong = [key for key, each in given.items() if not each.low < VALUES[key] < each.high]
     assert not wrong or (told and found.posterior.widening.min() > 3)
 
 
@@ -270,6 +295,73 @@ def test_dry_friction_as_mujoco_has_it_by_default_is_in_the_model():
     assert found.estimates["hardware.servo.coulomb_friction"].high < 1.1 * TRUE.friction
     lead = found.beside["log.friction.lead"]
     assert lead.value == pytest.approx(0.02 * 0.95 / 2, abs=1e-3)  # timeconst dmax / 2
+
+
+def of_one_limb(log):
+    kept = {k: v for k, v in log.signals.items() if k.startswith("LF") or k.count(".") < 2}
+    return dataclasses.replace(log, signals=kept)
+
+
+def without_rows(log, holes):
+    signals = {}
+    for name, signal in log.signals.items():
+        there = np.all([(signal.time <= start) | (signal.time >= end) for start, end in holes], axis=0)
+        signals[name] = Signal(signal.time[there], signal.value[there])
+    return dataclasses.replace(log, signals=signals)
+
+
+@pytest.mark.slow
+def test_rows_that_were_lost_with_their_commands_cost_only_what_they_hold():
+    """Eighteen holes of 60 ms: friction was 0.271 (0.271 to 0.271) for 0.05."""
+    starts = np.sort(np.random.default_rng(5).uniform(0.2, 5.8, 18))
+    log = without_rows(of_one_limb(log_of(TRUE, 6.0)), [(start, start + 0.06) for start in starts])
+    found = tuning.identify(SCENARIO, log, tuple(VALUES), starts=1)
+    for key, truth in VALUES.items():
+        estimate = found.estimates[key]
+        half = (estimate.high - estimate.low) / 2
+        assert abs(estimate.value - truth) < 1.5 * half and half < 0.1 * truth, (key, estimate)
+    assert found.held_out["error_over_noise"] < 1.2
+    assert any(line.startswith("commands are missing in 14 holes") for line in found.warnings)
+
+
+@pytest.mark.slow
+def test_what_a_log_with_the_torque_off_or_a_p_gain_of_nothing_cannot_tell_keeps_its_prior(tmp_path):
+    log = of_one_limb(log_of(TRUE, 3.0))
+    time = log.signals["LF.coxa.command"].time
+    log = dataclasses.replace(log, signals={**log.signals, "control.kp": Signal(time, 0 * time)})
+    found = tuning.identify(SCENARIO, log, tuple(VALUES), starts=1)
+    kp = found.estimates["control.kp"]
+    assert (kp.seen, kp.value) == (False, 50.0)
+    np.testing.assert_allclose((kp.low, kp.high), 50.0 * np.exp([-1.96, 1.96]), rtol=1e-3)
+    assert not any(each.seen for each in found.estimates.values())
+    assert found.known.keys() <= {"control.kp", "control.kd", "hardware.command_delay"}
+    assert any("control.kp is 0 all the while" in line for line in found.warnings)
+    found.write(tmp_path / "out")
+    written = mc.load_scenario(tmp_path / "out" / "identified.yaml")
+    assert written.hardware.servo.armature == SCENARIO.hardware.servo.armature
+
+
+@pytest.mark.slow
+def test_limits_that_the_robot_does_not_have_give_no_interval():
+    scenario = SCENARIO.with_overrides({"hardware.servo.torque_limit": 0.3})
+    found = tuning.identify(scenario, of_one_limb(log_of(TRUE, 3.0)), tuple(VALUES), starts=1)
+    assert not any(each.seen for each in found.estimates.values()) and not found.known
+    assert any("no interval is given" in line for line in found.warnings), found.warnings
+    assert found.sentence.startswith("log.csv tells 0 of 5 parameters")
+
+
+@pytest.mark.slow
+def test_the_step_of_a_simulator_that_made_the_log_is_a_doubt():
+    """Armature was 0.0115 (0.0113 to 0.0117) for 0.012, the delay 2.02 ms for 4."""
+    truth = dataclasses.replace(TRUE, integrator="EULER")
+    log = of_one_limb(log_of(truth, 4.0, rate=125.0, step=0.004))
+    found = tuning.identify(SCENARIO, log, tuple(VALUES), starts=1)
+    (line,) = [line for line in found.warnings if "if one made this log, its step is a doubt" in line]
+    steps = float(re.search(r"steps of ([\d.]+) ms", line)[1])
+    assert steps == pytest.approx(4.0, rel=0.1)
+    doubt = float(re.search(r"hardware.servo.armature by ([\d.e-]+) kg", line)[1])
+    armature = found.estimates["hardware.servo.armature"]
+    assert armature.low - doubt < TRUE.armature < armature.high + doubt
 
 
 # ------------------------------------------------------------------------------------- starts, bounds, bad input

@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -324,3 +325,14 @@ def test_the_twist_of_an_odometry_has_the_axes_of_the_body_and_is_not_taken():
     )}  # fmt: skip
     found, _ = guess(Recording({"/base/odom": Table("/base/odom", time, fields)}, "log"), ROBOT)
     assert list(found.signals) == ["base.position.x"]
+
+
+def test_files_of_a_log_are_named_as_they_are_found_from_the_folder_of_a_result(tmp_path, monkeypatch):
+    from tuning.command_line.logs import Recorded
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.csv").touch()
+    option, path = Recorded(log=Path("log.csv")).files_from(Path("results/found"))
+    assert option == "--log" and (tmp_path / "results/found" / path).resolve() == tmp_path / "log.csv"
+    both = Recorded(log=tmp_path / "log.csv", signals=tmp_path / "signals.yaml").files_from(tmp_path / "found")
+    assert both == ["--log", "../log.csv", "--signals", "../signals.yaml"]

@@ -138,12 +138,18 @@ def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path):
 
 
 def test_the_picture_shows_what_was_commanded_logged_and_simulated(log):
-    figure = plot_replay(replay(log, SCENARIO))
-    assert len(figure.axes) == 16
+    found = replay(log, SCENARIO)
+    figure = plot_replay(found)
+    assert len(figure.axes) == 4 * (2 * 3 + 1)
     lines = [line.get_ydata() for line in figure.axes[0].lines]
     np.testing.assert_array_equal(lines[0], log.signals["LF.coxa.command"].value)
     np.testing.assert_array_equal(lines[1], log.signals["LF.coxa.position"].value)
-    assert len(figure.axes[12].lines) == 6
+    assert not any(panel.texts for panel in figure.axes)  # nothing is written over the curves
+    error = found.errors["LF.coxa.position"]
+    missed = figure.axes[4].lines[0].get_ydata()
+    assert 1e-3 * np.sqrt(np.mean(missed**2)) == pytest.approx(error.rms, abs=1e-12)
+    assert figure.axes[4].get_title(loc="right") == f"{1e3 * error.rms:.3g} mrad"
+    assert len(figure.axes[24].lines) == 6
 
 
 @pytest.mark.slow

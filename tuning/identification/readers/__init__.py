@@ -14,6 +14,7 @@ from tuning.identification.guess import guess
 from tuning.identification.log import BASE, JOINT, KP, OFF, Log, Signal, names, unit_of
 from tuning.identification.readers import csv_file, netcdf_file, rosbag
 from tuning.identification.readers.csv_file import write_csv as write_csv
+from tuning.identification.repairs import without_turns, without_unmeasured
 from tuning.identification.signals import SECONDS, UNITS, Signals, Source
 from tuning.identification.table import Recording, Table
 
@@ -59,6 +60,10 @@ def read_log(
         )
     raw = {name: _taken(recording, signals, name, robot, place) for name in signals.signals}
     read, said = _cleaned(raw, signals)
+    repairs = (without_unmeasured, without_turns) if signals.turns == "unwrap" else (without_unmeasured,)
+    for repair in repairs:
+        read, more = repair(read, robot)
+        said += more
     start = min(float(signal.time[0]) for signal in read.values())
     read = {name: Signal(signal.time - start, signal.value) for name, signal in read.items()}
     said += doubts(read, {name: signal for name, (signal, _) in raw.items()}, robot, signals)

@@ -1,0 +1,91 @@
+"""Windows: none runs through a hole of the commands, and what follows one begins anew."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from tests.tuning.identification.recorded import ROBOT, recorded
+from tuning.identification.least_squares import LeastSquares
+from tuning.identification.log import OFF, Log, Signal
+from tuning.identification.model import model_of
+from tuning.identification.windows import SHORTEST, cut
+
+STEP, LATE = 1e-3, 0.02  # s
+HOLES = [(2.0, 2.4), (5.5, 5.56)]
+
+
+def logged(lost=(), kinds=("command", "position"), rate=100.0, jitter=0.0):
+    """Return a log of ten seconds, without the samples inside the holes `lost` of the kinds of signals."""
+    columns = recorded(rate)
+    time = columns.pop("time")
+    time = time + jitter / rate * np.random.default_rng(0).uniform(-0.5, 0.5, len(time))
+    there = (
+        np.all([(time <= start) | (time >= end) for start, end in lost], axis=0) if lost else np.full(len(time), True)
+    )
+    of = {name: there if name.endswith(kinds) else np.full(len(time), True) for name in columns}
+    return Log({name: Signal(time[of[name]], value[of[name]]) for name, value in columns.items()}, "log.csv")
+
+
+def sampled(windows):
+    """Return when the samples of the windows were taken, s, and the beginning of each one's window."""
+    rows, begin = windows.rows, windows.begin[windows.rows.window]
+    return begin + (rows.step + rows.share) * windows.time_step, begin
+
+
+@pytest.mark.parametrize("kinds", [("command", "position"), ("command",)], ids=["rows lost", "commands lost"])
+def test_no_window_runs_through_a_hole_of_the_commands(kinds):
+    windows = cut(logged(HOLES, kinds), ROBOT, STEP, 0.0, late=LATE)
+    np.testing.assert_allclose(windows.unknown, [(start + 0.01, end) for start, end in HOLES], atol=1e-9)
+    time, begin = sampled(windows)
+    for start, end in HOLES:
+        assert not ((begin < end) & (time > start + 0.011)).any()
+        assert not ((time > start + 0.011) & (time < end + LATE - STEP)).any()
+        after = windows.begin[windows.begin > start]
+        assert after[0] == pytest.approx(end + LATE, abs=0.011)
+        assert not windows.abuts[windows.begin > start][0]
+    assert time[0] >= LATE - STEP  # commands before the log's first are unknown too
+    whole = cut(logged(), ROBOT, STEP, 0.0, late=LATE)
+    assert len(windows.rows.value) > 0.9 * len(whole.rows.value)
+
+
+@pytest.mark.parametrize(("log", "why"), [
+    (logged(HOLES, ("position",)), "measurements alone are lost"),
+    (logged(jitter=0.8), "jitter"),
+    (logged(rate=1000.0 / 12), "another rate"),
+    (Log({n: Signal(s.time.round(2), s.value) for n, s in logged(rate=75.0).signals.items()}, ""), "rounded times"),
+])  # fmt: skip
+def test_there_is_no_hole_where_no_command_is_missing(log, why):
+    assert not len(cut(log, ROBOT, STEP, 0.0).unknown), why
+
+
+def test_with_the_torque_off_no_command_is_missing():
+    log = logged(HOLES[:1], ("command",))
+    time = log.signals["LF.coxa.position"].time
+    off = Signal(time, ((time > 2.0) & (time < 2.4)) * 1.0)
+    assert not len(cut(dataclasses.replace(log, signals={**log.signals, OFF: off}), ROBOT, STEP, 0.0).unknown)
+
+
+def test_a_log_of_holes_alone_is_refused():
+    holes = [(start, start + 0.05) for start in np.arange(0.1, 10, 0.15)]
+    with pytest.raises(mc.ConfigError, match=r"expected two seconds or more without gaps, got 0.* missing in 66 holes"):
+        cut(logged(holes), ROBOT, STEP, 0.0)
+
+
+def test_a_signal_that_never_changes_is_not_predicted():
+    log = logged()
+    still = {"LF.coxa.position": Signal(log.signals["LF.coxa.position"].time, np.full(1000, 0.3))}
+    windows = cut(dataclasses.replace(log, signals=log.signals | still), ROBOT, STEP, 0.0)
+    assert windows.constant == ("LF.coxa.position",) and "LF.coxa.position" not in windows.names
+
+
+def test_what_is_held_out_behind_a_hole_is_predicted_from_its_own_first_samples():
+    windows = cut(logged([(8.5, 8.9)]), ROBOT, STEP, 0.2, late=LATE)
+    fit = LeastSquares(model_of(mc.Scenario(), windows, []), np.arange(len(windows.begin)), np.ones(len(windows.names)))
+    time, begin = sampled(windows)
+    time, begin = (each[fit.inside] for each in (time, begin))
+    placed = fit.fitted & windows.held_out[fit.rows.window]
+    assert placed.any() and (time[placed] - begin[placed] < SHORTEST).all()
+    assert (~fit.predicted == fit.fitted).all()
+    np.testing.assert_allclose(begin[placed].min(), 8.9 + LATE, atol=0.011)
