@@ -18,7 +18,7 @@ from mjx_climb.robot.constants import load_robot
 from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.searches import result
-from tuning.searches.methods import METHODS, Method, Request, Task, refined_grid
+from tuning.searches.methods import METHODS, Method, Request, Task, descents, refined_grid
 from tuning.searches.rounds import follow
 from tuning.searches.tune import problem_of, start_of
 from tuning.tune import tune
@@ -210,12 +210,58 @@ def test_methods_find_the_bottom_of_a_bowl(scenario, method, layout):
     assert len(found) <= rounds
 
 
+@pytest.mark.parametrize("method", search.METHODS)
+@pytest.mark.parametrize("pins", [{}, {"damping": 150.0}])
+def test_every_method_evaluates_the_configs_own_gains_and_searches_one_gain_too(scenario, method, pins):
+    """So no result is worse than the config; as `tune --help` says."""
+    if method == "optuna":
+        pytest.importorskip("optuna")
+    found, rounds = searched(scenario, method=method, pins=pins)
+    space = spaces.space(scenario, search.Search(pins=pins))
+    own = start_of(Problem(scenario, space))
+    nearest = [np.abs(request.theta - own).max(1).min() for request, _ in found]
+    assert min(nearest[:2]) < 1e-9 and space.size == 2 - len(pins)
+    assert min(np.nanmin(answer.value) for _, answer in found) < 0.5 + 0.06
+    assert len(found) <= rounds
+
+
+def test_a_population_of_one_is_refused(scenario):
+    with pytest.raises(mc.ConfigError, match="^starts: expected a population of 2 or more for cmaes, got 1$"):
+        searched(scenario, method="cmaes", starts=1)
+
+
+class Slope(Bowl):
+    """A plane that falls steeply along the first axis and hardly along the second."""
+
+    def evaluate(self, theta, directions=None):
+        slopes = np.array([-1.0, -1e-4])
+        zero, value = np.zeros(len(theta)), theta @ slopes
+        gradient = np.tile(slopes @ directions.T, (len(theta), 1))
+        return Evaluation(value, value, zero, np.ones(len(theta), bool), gradient, gradient, {})
+
+
+def test_lbfgs_takes_a_step_that_a_bound_cuts_for_what_is_left_of_it(scenario):
+    """What the gradient promises beyond the bound is not asked for: the start goes on along the other axis."""
+    space = spaces.space(scenario, search.Search())
+    slope, points = Slope(scenario, space), []
+    leg = descents.Leg((space.upper - [1e-5, 3.0])[None], np.eye(2), 4, "", np.ones(1))
+
+    def evaluate(request):
+        points.append(request.theta[0])
+        return slope.evaluate(request.theta, request.directions)
+
+    follow(descents.by_lbfgs(Task(slope, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
+    assert points[-1][0] == space.upper[0]
+    assert (np.diff(points, axis=0)[:, 1] > 0).all()  # one that is refused is tried again, shorter
+
+
 def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenario, monkeypatch):
     """About its best point alone: nothing between two points of a grid is left out by the next, finer one."""
     monkeypatch.setattr(refined_grid, "CELLS", 1)
     walked = {"grid": [], "refined grid": []}
     for request, _ in searched(scenario, method="grid")[0]:
         walked[request.phase].append(request.theta)
+    walked["grid"][0] = walked["grid"][0][1:]  # without the config's own gains
     levels = [np.concatenate(walked["grid"]), *walked["refined grid"]]
     assert len(levels) == 3
     for coarse, fine in itertools.pairwise(levels):

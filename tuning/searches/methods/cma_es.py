@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mjx_climb import execution
+from mjx_climb.scenario.messages import ConfigError
 from tuning.searches.rounds import Points, Request, Task
 
 if TYPE_CHECKING:
@@ -25,8 +26,14 @@ def rounds(task: Task) -> int:
 
 
 def population(task: Task) -> int:
-    """Return how many points a generation has: the package's own number, many where they walk side by side on a GPU."""
+    """Return how many points a generation has: the package's own number, many where they walk side by side on a GPU.
+
+    Raises:
+        ConfigError: fewer than two, which cannot be compared.
+    """
     size = task.problem.space.size
+    if task.search.starts == 1:
+        raise ConfigError("starts: expected a population of 2 or more for cmaes, got 1")
     few = 4 + math.floor(3 * math.log(size))
     if task.search.starts or not execution.many_at_once(task.problem.dtype):
         return task.search.starts or few
@@ -34,18 +41,21 @@ def population(task: Task) -> int:
 
 
 def run(task: Task) -> Points:
-    """Draw populations, the first round the scenario's own gains, until they agree or the generations are spent."""
+    """Draw populations about the scenario's own gains until they agree or the generations are spent.
+
+    The first point of the first population is the scenario's own gains: no result is worse than these.
+    """
     from cmaes import CMA
 
     space, by_kernel = task.problem.space, execution.many_at_once(task.problem.dtype)
-    if space.size == 1:
-        raise ValueError("cmaes: expected two gains or more to search")
     width, box = space.upper - space.lower, np.tile([0.0, 1.0], (space.size, 1))
     mean, size = (task.start - space.lower) / width, population(task)
     optimizer = CMA(mean=mean, sigma=SPREAD, bounds=box, seed=task.search.seed, population_size=size)
     best: list[float] = []
-    for _ in range(rounds(task)):
+    for generation in range(rounds(task)):
         unit = drawn(optimizer)
+        if generation == 0:
+            unit[0] = mean
         found = yield Request(space.lower + width * unit, None, "population")
         optimizer.tell(list(zip(unit, found.merit.astype(float).tolist(), strict=True)))
         best = [*best, float(found.merit.min())][-PATIENCE:]

@@ -225,8 +225,9 @@ def by_lbfgs(task: Task, leg: Leg, rng: np.random.Generator) -> Descent:
             along = -free / np.maximum(np.linalg.norm(free, axis=1, keepdims=True), 1e-12)
             state, step = choose(stuck, (blank, along), (state, step))
             length = np.where(stuck, 0.1, length)
-        aim = place + length[:, None] * step
-        trial = space.clip(theta + (aim - place) @ ties)
+        trial = space.clip(theta + length[:, None] * step @ ties)
+        # the step as the bounds cut it: promises and curvature are of the points that were walked
+        aim = place + (trial - theta) @ ties.T / ties.sum(1)
         unborn = np.isinf(value)
         if unborn.any():
             trial = choose(unborn, space.draw_tied(rng, count), trial)

@@ -23,22 +23,25 @@ def _plan(task: Task) -> tuple[int, int, int]:
         got = f"got {n} (pin some, or choose another method)"
         raise ConfigError(f"method: expected a space of at most {MOST} gains for a grid, {got}")
     points = task.search.starts or POINTS[n]
-    dense = points**n
+    dense = points**n + 1  # with the scenario's own gains
     return points, REFINEMENTS if again is None else again - 1, math.ceil(dense / math.ceil(dense / BATCH))
 
 
 def rounds(task: Task) -> int:
     """Return how many rounds a run takes."""
     n, (points, refinements, batch) = task.problem.space.size, _plan(task)
-    return int(math.ceil(points**n / batch) + refinements * math.ceil(CELLS * FINE[n] ** n / batch))
+    return int(math.ceil((points**n + 1) / batch) + refinements * math.ceil(CELLS * FINE[n] ** n / batch))
 
 
 def run(task: Task) -> Points:
-    """Evaluate a grid of `starts` points per coordinate, then refine `iterations` - 1 times round its best points."""
+    """Evaluate a grid of `starts` points per coordinate, then refine `iterations` - 1 times round its best points.
+
+    The scenario's own gains are the first point of all, and may be refined round as any other.
+    """
     space, (count, refinements, batch) = task.problem.space, _plan(task)
     axes = [np.linspace(*ends, count) for ends in zip(space.lower, space.upper, strict=True)]
     cell = np.array([axis[1] - axis[0] if axis.size > 1 else 0.0 for axis in axes])
-    points = np.array(list(itertools.product(*axes)))
+    points = np.array([task.start, *itertools.product(*axes)])
     evaluated, merits = [], []
     for level in range(1 + refinements):
         phase = "grid" if level == 0 else "refined grid"
