@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,13 @@ from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
 _TIMES = 16  # more than one damaged block of a disk takes away
+# in which a file is read that `save` did not write: s, and what is added by its size
+PATIENCE, BYTES_A_SECOND = 20.0, 20e6
+_READ = """
+import sys, h5netcdf
+with h5netcdf.File(sys.argv[1]) as file:
+    [(dict(each.attrs), each[...]) for each in file.variables.values()], dict(file.attrs)
+"""
 PACKAGES = {"mjx_climb": "mjx-climb", "mujoco": "mujoco", "mjx": "mujoco-mjx", "jax": "jax", "numpy": "numpy"}
 
 AXES = ["x", "y", "z"]
@@ -191,19 +199,34 @@ def _seal(content: bytes) -> bytes:
 def load(path: str | os.PathLike[str]) -> xr.Dataset:
     """Read a dataset that `save` wrote, or another program.
 
+    HDF5 may hang where a file is damaged: one without the digest of `save` is read by another process first.
+
     Raises:
-        ConfigError: no netCDF4 file, or not what `save` wrote: HDF5 may hang where a file is damaged.
+        ConfigError: no netCDF4 file, not what `save` wrote, or one that is not read in `PATIENCE`.
     """
     try:
         content = Path(path).read_bytes()
         seal = content[-len(_seal(b"")) :]
-        if seal.count(b"sha256 ") and seal != _seal(content[: -len(seal)]):
+        if not seal.count(b"sha256 "):
+            _try_to_read(path, PATIENCE + len(content) / BYTES_A_SECOND)
+        elif seal != _seal(content[: -len(seal)]):
             raise ValueError("damaged")
         return xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, LookupError, TypeError, RuntimeError) as error:  # what its readers raise
         number = getattr(error, "errno", None)  # HDF5's own text is long
         reason = os.strerror(number) if number else "another file, or a damaged one"
         raise ConfigError(f"{os.fspath(path)}: expected a netCDF4 file, got {reason.lower()}") from None
+
+
+def _try_to_read(path: str | os.PathLike[str], limit: float) -> None:
+    """Read a file in another process; ValueError where that takes longer than a limit in s, or crashes."""
+    command = [sys.executable, "-c", _READ, os.fspath(path)]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=limit)
+    except subprocess.TimeoutExpired:
+        raise ValueError("damaged") from None
+    if done.returncode < 0:
+        raise ValueError("damaged")
 
 
 def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:

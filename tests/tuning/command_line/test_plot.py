@@ -87,12 +87,27 @@ BROKEN = {
 }
 
 
+def test_a_damaged_file_on_which_hdf5_hangs_gets_one_line(plot, folder, monkeypatch):
+    """An object of its heap that is 0 bytes long, and no digest: the end of the file is lost too."""
+    with xr.open_dataset(folder / "sweep.nc") as data:
+        data.load().to_netcdf(folder / "sweep.nc.new", engine="h5netcdf")
+    content = (folder / "sweep.nc.new").read_bytes()
+    (folder / "sweep.nc").write_bytes(content)
+    assert plot(folder)[:2] == (0, ["maps.png"])
+    at = content.index(b"GCOL") + 48  # the size of its second object
+    (folder / "sweep.nc").write_bytes(content[:at] + bytes(8) + content[at + 8 :])
+    monkeypatch.setattr(dataset, "PATIENCE", 3.0)
+    code, out, err = plot(folder)
+    assert (code, out) == (2, [])
+    assert err.endswith("sweep.nc: expected a netCDF4 file, got another file, or a damaged one")
+
+
 @pytest.mark.parametrize("case", BROKEN)
 def test_what_another_program_wrote_or_what_has_gaps_gets_one_line(plot, folder, case):
     name, made, files = BROKEN[case]
     if made is not None:
         (folder / "sweep.nc").unlink()
-        made().to_netcdf(folder / name, engine="h5netcdf")
+        dataset.save(made(), folder / name)
     for file, text in files.items():
         (folder / file).unlink() if text is None else (folder / file).write_text(text)
     code, out, err = plot(folder)
