@@ -118,7 +118,7 @@ def test_folder_of_another_sweep_is_refused(scenario, tmp_path, differs, changes
 def test_best_is_the_least_among_walks_that_hold(whole):
     values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], np.float32)
     limb, diverged = np.full((3, 2), -1, np.int32), np.zeros((3, 2), bool)
-    limb[0, 0], diverged[0, 1] = 2, True
+    limb[0, 0], diverged[0, 1] = 0, True  # the first limb has number 0
     cells = {"force_variation": values, "min_tsm": values, "detached_limb": limb, "diverged": diverged}
     made = whole.assign({name: (("stiffness", "damping"), each) for name, each in cells.items()})
     best = sweeps.best_cell(made)

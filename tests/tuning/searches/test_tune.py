@@ -226,7 +226,7 @@ def test_every_method_evaluates_the_configs_own_gains_and_searches_one_gain_too(
 
 
 def test_a_population_of_one_is_refused(scenario):
-    with pytest.raises(mc.ConfigError, match="^starts: expected a population of 2 or more for cmaes, got 1$"):
+    with pytest.raises(mc.ConfigError, match=r"^starts: expected a population of 2 or more for cmaes, got 1$"):
         searched(scenario, method="cmaes", starts=1)
 
 
