@@ -308,13 +308,24 @@ def _choice(which: Number, *cases: Number) -> Number | None:
     return cases[0] if len({_name_of(case) for case in cases}) == 1 else None
 
 
+# of an operation on numbers of a type: the neutral and the absorbing number
+_ENDS: dict[str, Callable[[np.dtype], tuple[Any, Any]]] = {
+    "add": lambda dtype: (0, None),
+    "mul": lambda dtype: (1, 0),
+    "and": lambda dtype: (~np.zeros((), dtype), 0),
+    "or": lambda dtype: (0, ~np.zeros((), dtype)),
+    "max": _range,
+    "min": lambda dtype: _range(dtype)[::-1],
+}
+
+
+def neutral(combine: core.Primitive, dtype: np.dtype) -> Any:
+    """Return the number that an operation does nothing with: what it makes of no numbers at all."""
+    return _ENDS[combine.name](dtype)[0]
+
+
 SHORTCUTS: dict[str, Shortcut] = {
-    "add": _with(lambda dtype: (0, None), itself=False),
-    "mul": _with(lambda dtype: (1, 0), itself=False),
-    "and": _with(lambda dtype: (~np.zeros((), dtype), 0)),
-    "or": _with(lambda dtype: (0, ~np.zeros((), dtype))),
-    "max": _with(_range),
-    "min": _with(lambda dtype: _range(dtype)[::-1]),
+    **{name: _with(ends, itself=name not in ("add", "mul")) for name, ends in _ENDS.items()},
     "sub": _difference,
     "xor": _difference,
     "rem": _remainder,

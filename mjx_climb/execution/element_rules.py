@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jax.extend import core
 
-from mjx_climb.execution.element_operations import Operations, computed_now
+from mjx_climb.execution.element_operations import Operations, computed_now, neutral
 from mjx_climb.execution.elements import MOVES, Elements, Shared, Unsupported, Value, along, as_array, known, objects
 from mjx_climb.execution.jax_internals import inner_program, scan_sizes
 
@@ -135,8 +135,9 @@ def _reduction(combine: core.Primitive) -> Rule:
         axes.sort(key=lambda axis: (do.runs_over_lanes(given[0], axis), -axis))  # first what a lane does on its own
         while axes:
             gone = axes.pop(0)
-            if array.shape[gone] == 0 and combine in (lax.add_p, lax.or_p):  # an empty table of pushes, say
-                array = np.zeros(np.delete(array.shape, gone), cast(Any, equation.outvars[0].aval).dtype)
+            if array.shape[gone] == 0:  # a table of no pushes, the third feet of two limbs
+                dtype = cast(Any, equation.outvars[0].aval).dtype
+                array = np.full(np.delete(array.shape, gone), neutral(combine, dtype), dtype)
             else:
                 array = do.together(combine, along(array, gone))
             axes = [axis - (axis > gone) for axis in axes]

@@ -38,6 +38,15 @@ KNOWN = {
     "reduce_prod": lambda v, m, n: m.prod(1),
     "reduce_max": lambda v, m, n: (m.max(0), m.min(1)),
     "reduce_and": lambda v, m, n: ((m > 0).all(0), (m > 1).any(1)),
+    "reductions of nothing": lambda v, m, n: (
+        m[:, :0].sum(1),
+        m[:0].prod(0),
+        m[:, :0].max(1, initial=0.5),
+        m[:0].min(initial=0.5, axis=0),
+        (m[:, :0] > 0).all(1),
+        (m[:0] > 0).any(0),
+        jnp.round(m[:, :0]).astype(jnp.int32).max(1, initial=-9),
+    ),
     "dot_general": lambda v, m, n: (m @ v, m @ m.T, jnp.einsum("ij,ij->i", m, m), jnp.dot(v, v)),
     "dot_general of whole numbers": lambda v, m, n: lax.dot(
         jnp.round(m).astype(jnp.int8), jnp.round(v).astype(jnp.int8), preferred_element_type=jnp.int32

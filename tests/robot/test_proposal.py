@@ -562,3 +562,27 @@ def test_a_held_joint_is_a_body_turned(saved):
         found.append((mass, data.qfrc_bias.copy()))
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("limbs", "joints"),
+    [pytest.param(*shape, marks=() if shape in {(2, 7), (8, 7)} else pytest.mark.nightly) for shape in MANY],
+)
+def test_every_shape_walks_alone_in_a_batch_and_with_tangents(saved, limbs, joints):
+    """As proposed, for some steps: a batch walks as the rollout does, tangents are central differences."""
+    scenario = scenario_of(propose(saved(climbers.mjcf(limbs, joints))))
+    scenario = scenario.with_overrides({"duration": 12 * scenario.time_step})
+    damping, step = np.array([1e2, 2e2]), 1e-4
+    measured = mc.metrics(mc.rollout(scenario, {"damping": damping[1]}))
+    ends = np.append(damping, damping[1] * (1 + np.array([step, -step])))[:, None]
+    walked = mc.rollout_metrics(scenario, {"damping": ends}, dtype=np.float64)
+    _, tangents = mc.rollout_jvp(
+        scenario, {"damping": damping[:, None]}, {"damping": np.ones((1, 6))}, dtype=np.float64
+    )
+    for name in ("peak_foot_force", "peak_joint_torque", "cost_of_transport", "base_deviation"):
+        np.testing.assert_allclose(walked[name][1], measured[name], rtol=1e-9, err_msg=name)
+        slope = (walked[name][2] - walked[name][3]) / (2 * step * damping[1])
+        floor = 1e-9 * abs(measured[name]) / (step * damping[1])
+        np.testing.assert_allclose(tangents[name][0, 1], slope, rtol=1e-3, atol=floor, err_msg=name)
+    assert not walked["diverged"].any()
