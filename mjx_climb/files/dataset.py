@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import importlib.metadata
 import json
@@ -28,6 +29,7 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 
+_PACKAGE = Path(__file__).parents[1]
 _TIMES = 16  # more than one damaged block of a disk takes away
 # in which a file is read that `save` did not write: s, and what is added by its size
 PATIENCE, BYTES_A_SECOND = 20.0, 20e6
@@ -154,12 +156,22 @@ def provenance(scenario: Scenario) -> dict[str, str]:
     for name, distribution in PACKAGES.items():
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             attrs[f"{name}_version"] = importlib.metadata.version(distribution)
-    # the commit checked out in the working directory, with "-dirty" where files differ from it
-    command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    return attrs | ({"git_revision": revision} if (revision := _revision(_PACKAGE)) else {})
+
+
+@functools.cache
+def _revision(package: Path) -> str:
+    """Return the commit of the checkout that a package is part of, "-dirty" where its files differ from it; or "".
+
+    It is part of none where no file of it is tracked: where it is installed into an environment in somebody's checkout.
+    """
+    git = ["git", "-C", str(package)]
+    how: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 5, "check": True}
     with contextlib.suppress(OSError, subprocess.SubprocessError):
-        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
-        attrs |= {"git_revision": done.stdout.strip()} if done.stdout.strip() else {}
-    return attrs
+        if subprocess.run([*git, "ls-files", "__init__.py"], **how).stdout.strip():
+            describe = ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+            return str(subprocess.run([*git, *describe], **how).stdout.strip())
+    return ""
 
 
 def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import re
+import subprocess
 from unittest.mock import Mock
 
 import jax
@@ -76,10 +77,34 @@ def test_walk_survives_a_file(trajectory, tmp_path, kp, dtype):
     assert dataset.attrs["jax_version"] == jax.__version__
 
 
-def test_no_revision_outside_of_a_checkout(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    assert "git_revision" not in sweep().attrs
+@pytest.fixture
+def checkout(tmp_path):
+    """Return a folder under git with a package, and with another one that is ignored, as environments are."""
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package" / "__init__.py").touch()
+    (tmp_path / ".venv").mkdir()
+    (tmp_path / ".venv" / "__init__.py").touch()
+    (tmp_path / ".gitignore").write_text(".venv")
+    who = ("-c", "user.name=me", "-c", "user.email=me@example.org")
+    for command in (["init", "-q"], ["add", "."], [*who, "commit", "-q", "-m", "first"]):
+        subprocess.run(["git", *command], cwd=tmp_path, check=True)
+    return tmp_path
+
+
+def test_the_revision_is_that_of_the_package(checkout, monkeypatch):
+    """And not of the folder that a walk is started in, nor of one that the package is installed into."""
+    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=checkout, capture_output=True, text=True).stdout.strip()
+    before = sweep().attrs
+    monkeypatch.chdir(checkout)
+    assert sweep().attrs == before and before.get("git_revision", "").removesuffix("-dirty") != head
+    for name, found in (("package", head), (".venv", "")):
+        monkeypatch.setattr(ds, "_PACKAGE", checkout / name)
+        assert sweep().attrs.get("git_revision", "") == found
+    (checkout / "package" / "__init__.py").write_text("changed")
+    ds._revision.cache_clear()
+    monkeypatch.setattr(ds, "_PACKAGE", checkout / "package")
+    assert sweep().attrs["git_revision"] == f"{head}-dirty"
+    ds._revision.cache_clear()
     monkeypatch.setenv("PATH", "")
     assert "git_revision" not in sweep().attrs
 
