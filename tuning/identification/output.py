@@ -237,6 +237,6 @@ def plot_prediction(found: "Identified") -> Figure:
     below.axhspan(-2, 2, color="0.9", zorder=0)
     above.set_ylabel(f"{name} [{UNITS[kind]}]")
     below.set(xlabel="time [s]", ylabel="log - model [noise]")
-    below.set_yscale("symlog", linthresh=5.0)
+    below.set_yscale("symlog", linthresh=10.0)
     figure.legend(*above.get_legend_handles_labels(), ncols=3, loc="outside upper center")
     return figure

@@ -58,7 +58,7 @@ def plot_replay(replay: Replay) -> Figure:
         key("commanded", color=GREY, linewidth=_WIDE),
         key("logged", color=BLACK),
         key("simulated", color=BLUE),
-        key("logged - simulated, rms", color=VERMILLION),
+        key("logged - simulated, and its rms", color=VERMILLION),
     ]
     if forces:
         handles += [key(f"force {axis}", color=color) for axis, color in zip("xyz", AXIS_COLORS, strict=True)]
