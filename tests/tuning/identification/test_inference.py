@@ -57,6 +57,7 @@ def test_a_fit_that_does_not_predict_what_was_held_out_tells_nothing():
     assert useless(noise, moved, 2.9) == useless(noise, moved, None) == ""
     assert useless(noise, moved, 26.0).startswith("what was held out is predicted 26 times worse than the noise")
     assert useless(noise, moved, np.nan)
-    assert useless(100 * noise, moved, 1.0).startswith("the fit leaves 100 % of what the signals move by unexplained")
+    assert useless(np.array([0.1004, 3.0]), moved, 1.0).startswith("the fit leaves 50 % or more of what each signal")
+    assert useless(noise, np.array([0.2, 0.03]), 1.0) == ""  # of a joint at rest
     wide = Estimate(40.0, 30.0, 50.0, True, 40.0, "N m/rad")
     assert trusted(wide, KP, refuted=False, useless=True).low is None
