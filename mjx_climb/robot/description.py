@@ -5,6 +5,7 @@ import re
 import warnings
 from collections.abc import Collection
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -105,6 +106,16 @@ def is_urdf(file: str) -> bool:
     """Return whether a file is a URDF, by its outermost element; MuJoCo goes by that too, whatever a file is called."""
     outermost = re.search(r"<\s*([\w:]+)", re.sub(r"<[?!].*?>", "", _text(file), flags=re.DOTALL))
     return outermost is not None and outermost[1] == "robot"
+
+
+def urdf_limits(file: str, attribute: str) -> dict[str, float]:
+    """Return an attribute of the limits of a URDF's joints, by joint, where it is given; nothing of an MJCF."""
+    try:
+        joints = ElementTree.fromstring(_text(file)).iter("joint") if is_urdf(file) else ()
+    except ElementTree.ParseError:  # MuJoCo is less strict
+        return {}
+    given = ((joint.get("name", ""), limit.get(attribute)) for joint in joints for limit in joint.iter("limit"))
+    return {name: float(value) for name, value in given if value is not None}
 
 
 def _check_numbers(file: str, spec: mujoco.MjSpec) -> None:

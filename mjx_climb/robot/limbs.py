@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, RobotError, bare, compiled, described, driven_joints, one_limit
+from mjx_climb.robot.description import JOINTS, SPECK, RobotError, bare, compiled, described, driven_joints, one_limit
 from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS, Limb
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
@@ -66,6 +66,9 @@ class Found:
         if base is None and (base := _middle_of(self.model)):
             self.model = robot_in(self.path, base)
             why = "the middle of the one row of joints, from foot to foot; --base takes another"
+        elif base is None and (base := _below_dummies(self.model)):
+            self.model = robot_in(self.path, base)
+            why = "the link that all limbs meet in; those from the file's root to it weigh nothing"
         hub = self.model.body(base).id if base else _hub_of(self.model)
         self.root = base  # the body that was made the model's root; None: it is the file's
         self.base = int(self.model.body_rootid[hub])  # joints from there to the hub are of no limb
@@ -179,6 +182,25 @@ def _check_level(path: str, model: mujoco.MjModel, limbs: dict[str, Chain], base
             f"{path}: expected limbs that stand on the ground, got {', '.join(high)} above {', '.join(low)}: choose "
             f"with --limbs {','.join(low)}, or --limbs {','.join(limbs)}"
         )
+
+
+def _below_dummies(model: mujoco.MjModel) -> str | None:
+    """Return the body that all limbs hang on, where it is not the root and what is above it weighs nothing; else None.
+
+    Many a URDF has such a root, `base_footprint`, on the floor (ROS REP 120). A file with keyframes keeps its root,
+    which these place.
+    """
+    hub = _hub_of(model)
+    rows = []  # of bodies, from the hub to what each limb hangs on
+    for body in model.body_parentid[_beyond(model, hub)].tolist():
+        row = [body]
+        while row[0] not in (0, hub):
+            row.insert(0, int(model.body_parentid[row[0]]))
+        rows.append(row)
+    shared = [bodies[0] for bodies in zip(*rows, strict=False) if len(set(bodies)) == 1]
+    if model.nkey or len(shared) < 2 or model.body_rootid[hub] != hub or (model.body_mass[shared[:-1]] > SPECK).any():
+        return None
+    return str(model.body(shared[-1]).name)
 
 
 def rigid_parts(model: mujoco.MjModel, held: Set[int] = frozenset()) -> np.ndarray:
@@ -333,13 +355,11 @@ def robot_in(file: str, base: str | None = None) -> mujoco.MjModel:
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, base) < 1:
         known = ", ".join(model.body(body).name for body in range(1, model.nbody)) or "none"
         raise RobotError(f"{file}: robot.base: expected a body of the file ({known[:200]}), got {base!r}")
-    if model.neq:
-        raise RobotError(f"{file}: robot.base: expected a file without equality constraints, got {model.neq}")
     return compiled(file, rerooted(model, base))
 
 
 def rerooted(model: mujoco.MjModel, base: str) -> mujoco.MjSpec:
-    """Return a robot with another of its bodies as the root: masses, joints and sites, no shapes.
+    """Return a robot with another of its bodies as the root: masses, joints, sites and constraints, no shapes.
 
     With the joints at zero all bodies are where they were; a joint that is passed the other way round turns about the
     opposite axis, so that its angle stays what it was. Joints between the old root and the world are left out.
@@ -366,6 +386,15 @@ def rerooted(model: mujoco.MjModel, base: str) -> mujoco.MjSpec:
                 made.add_site(name=model.site(site).name, pos=model.site_pos[site], quat=model.site_quat[site])
         around = [*np.flatnonzero(model.body_parentid == body), model.body_parentid[body]]
         todo += [(int(other), body, made, place, turn) for other in around if other not in (0, before, body)]
+    for constraint in range(model.neq):
+        kind, of = mujoco.mjtEq(model.eq_type[constraint]), mujoco.mjtObj(model.eq_objtype[constraint])
+        named = mujoco.mjtObj.mjOBJ_JOINT if kind == mujoco.mjtEq.mjEQ_JOINT else of
+        ends = (model.eq_obj1id[constraint], model.eq_obj2id[constraint])
+        name1, name2 = (mujoco.mj_id2name(model, named, end) or "" for end in ends)
+        spec.add_equality(
+            name=model.equality(constraint).name, type=kind, objtype=of, name1=name1, name2=name2,
+            data=model.eq_data[constraint], active=bool(model.eq_active0[constraint]),
+        )  # fmt: skip
     return spec
 
 

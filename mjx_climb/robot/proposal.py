@@ -7,7 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import JOINTS, SPECK, SPECK_MOMENT, driven_joints, impossible, one_limit
+from mjx_climb.robot.description import (
+    JOINTS,
+    SPECK,
+    SPECK_MOMENT,
+    driven_joints,
+    impossible,
+    is_urdf,
+    one_limit,
+    urdf_limits,
+)
 from mjx_climb.robot.limbs import Found, Note, at_zero, foot_of
 from mjx_climb.robot.robot_file import REACH
 from mjx_climb.robot.stance import STANDING, Stance, Standing, checked, searched
@@ -149,7 +158,8 @@ def _note_the_rest(robot: Found) -> None:
         (len(full.meshes) - model.nmesh, "ignored", "{} meshes", "looks: masses and inertias are written down"),
         (len(full.sensors), "ignored", "{} sensors", "not simulated"),
         (len(full.tendons), "ignored", "{} tendons", "not simulated"),
-        (len(full.equalities), "ignored", "{} equality constraints", "not simulated"),
+        (len(full.equalities), "ignored", "{} mimics" if is_urdf(robot.path) else "{} equality constraints",
+         "not simulated"),
         (len(others), "ignored", "{} other bodies", "not the robot"),
         (len(full.actuators), "changed", "{} actuators", "the joint loop's torques take their place"),
         (model.body_gravcomp.any(), "ignored", "gravity compensation", "all links weigh what they weigh"),
@@ -183,6 +193,13 @@ def _note_drives(robot: Found) -> None:
     ):
         if values.any():
             robot.note("taken", what, f"{values.min():.3g} to {values.max():.3g}{of}")
+    efforts, speeds = (urdf_limits(robot.path, key) for key in ("effort", "velocity"))
+    names = [model.joint(joint).name for joint in joints]
+    if none := sum(efforts.get(name) == 0 for name in names):
+        robot.note("changed", f"torque limits of {none} joints", 'effort="0" in the file: taken for none given')
+    if given := [speeds[name] for name in names if name in speeds]:
+        why = f"{min(given):.3g} to {max(given):.3g} in the file: hardware.servo.no_load_speed limits speeds"
+        robot.note("ignored", f"velocity limits of {len(given)} joints", why)
     if model.dof_dampingpoly[dofs].any() or model.jnt_stiffnesspoly[joints].any():
         robot.note("ignored", "damping and stiffness", "beyond the part that is linear")
     if free := int((model.jnt_limited[joints] == 0).sum()):

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import Robot, frame_along, robot_from_model
-from mjx_climb.robot.description import COLUMNS, FILLING, JOINTS, PASSIVE, ROWS, SPECK, RobotError, line_of
+from mjx_climb.robot.description import COLUMNS, FILLING, JOINTS, PASSIVE, ROWS, SPECK, RobotError, is_urdf, line_of
 from mjx_climb.robot.limbs import add_joint, at_zero, beginning, foot_of, quaternion, rigid_parts, robot_in
 from mjx_climb.scenario.model import RobotFile
 
@@ -148,7 +148,8 @@ class _File:
                 yield "limbs", expected, repr(names[joint]), names[joint]
         for constraint in np.flatnonzero(model.eq_active0):
             if (name := self._bound(int(constraint), own)) is not None:
-                yield "file", "no equality constraints between moving parts", f"one at {name!r}", name
+                kind = "mimic" if is_urdf(self.source.file) else "equality constraints"
+                yield "file", f"no {kind} between moving parts", f"one at {name!r}", name
         for name in self.springs.keys() - {names[joint] for joint in ours}:
             yield f"springs.{name}", "a joint of a limb", "one of none", name
         for limb, keys in self.limbs.items():
@@ -165,9 +166,14 @@ class _File:
         if model.eq_type[constraint] == mujoco.mjtEq.mjEQ_JOINT:
             idle = all(end in self.held or not own[model.jnt_bodyid[end]] for end in ends)
             names.append(model.joint(ends[0]).name)
-        elif model.eq_objtype[constraint] == mujoco.mjtObj.mjOBJ_BODY:
-            idle = len({self.part[end] for end in ends}) == 1 or not own[ends].any()
-            names.append(model.body(ends[0]).name)
+        elif (kind := mujoco.mjtObj(model.eq_objtype[constraint])) in (
+            mujoco.mjtObj.mjOBJ_BODY,
+            mujoco.mjtObj.mjOBJ_SITE,
+        ):
+            sites = kind == mujoco.mjtObj.mjOBJ_SITE
+            bodies = model.site_bodyid[ends].tolist() if sites else ends
+            idle = len({self.part[body] for body in bodies}) == 1 or not own[bodies].any()
+            names.append((model.site if sites else model.body)(ends[0]).name)
         return None if idle else next(filter(None, names), "")
 
     def link(self, first: int) -> _Link:

@@ -586,3 +586,67 @@ def test_every_shape_walks_alone_in_a_batch_and_with_tangents(saved, limbs, join
         floor = 1e-9 * abs(measured[name]) / (step * damping[1])
         np.testing.assert_allclose(tangents[name][0, 1], slope, rtol=1e-3, atol=floor, err_msg=name)
     assert not walked["diverged"].any()
+
+
+def footprint(text, height):
+    """Return a URDF whose root is a link without a mass, so high below the trunk, m."""
+    joint = f'<joint name="up" type="fixed"><parent link="base_footprint"/><child link="trunk"/><origin xyz="0 0 {height}"/>'
+    return text.replace('<link name="trunk">', f'<link name="base_footprint"/>{joint}</joint><link name="trunk">')
+
+
+@pytest.mark.parametrize("height", [0.0, 0.25, 0.3, -0.1])
+def test_a_root_that_weighs_nothing_changes_no_stance(saved, height):
+    """`base_footprint` lies anywhere below or above the trunk; fingers that mimic each other hang on a limb."""
+    text, _ = urdf(1)
+    finger = (
+        '<link name="f{0}"><inertial><mass value="0.01"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" '
+        'iyz="0"/></inertial></link><joint name="f{0}" type="prismatic"><parent link="trunk"/><child link="f{0}"/>'
+        '<limit lower="0" upper="0.02" effort="1" velocity="1"/>{1}</joint>'
+    )
+    text = text.replace(
+        "</robot>", finger.format(1, "") + finger.format(2, '<mimic joint="f1" multiplier="1"/>') + "</robot>"
+    )
+    own, other = propose(saved(text, "own.urdf")), propose(file := saved(footprint(text, height), "other.urdf"))
+    assert other.sections["robot"] == own.sections["robot"] | {"base": "trunk", "file": str(file)}
+    assert other.sections["gait"] == own.sections["gait"]
+    assert "taken base 'trunk' the link that all limbs meet in" in told(other)
+    assert "ignored 1 mimics not simulated" in told(other)
+    loaded, expected = (scenario_of(each).robot for each in (other, own))
+    np.testing.assert_allclose(load_robot(loaded).stance_joints, load_robot(expected).stance_joints, atol=1e-9)
+
+
+def test_what_a_urdf_limits_is_said(saved):
+    """Speeds, which nothing limits here, and torques of 0, which MuJoCo takes for none."""
+    text = urdf(1)[0].replace('effort="9" velocity="9"', 'effort="0" velocity="4"', 3)
+    proposal = told(propose(saved(text, "robot.urdf")))
+    assert "taken torque limits 9 to 9, of 9 joints" in proposal
+    assert 'changed torque limits of 3 joints effort="0" in the file' in proposal
+    assert "ignored velocity limits of 12 joints 4 to 9 in the file" in proposal
+    assert "velocity limits" not in told(propose(saved(PLAIN)))
+
+
+def test_a_mimic_is_called_so(saved):
+    mimic = 'velocity="9"/><mimic joint="LF_lift" multiplier="-1"/>'
+    text = urdf(1)[0].replace("></", ">\n</")
+    knee = text.index('name="LF_knee"')
+    file = saved(text[:knee] + text[knee:].replace('velocity="9"/>', mimic, 1), "robot.urdf")
+    line = text[:knee].count("\n") + 1
+    with pytest.raises(
+        mc.RobotError, match=rf"robot.urdf:{line}: .* expected no mimic between .* got one at 'LF_knee'"
+    ):
+        propose(file)
+
+
+def test_a_loop_closed_by_sites(saved):
+    """Between held parts it holds nothing that moves; between a held part and a limb it is refused by its site."""
+    mast = (
+        '<body name="mast" pos="0 0 0.05"><joint name="mast"/><site name="end" pos="0 0 0.1"/>'
+        '<inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body><site name="hook" pos="0 0 0.15"/>'
+    )
+    text = climbers.mjcf(4, 3, on_base=mast)
+    loop = '</worldbody><equality><connect site1="end" site2="{}"/></equality>'
+    proposal = propose(saved(text.replace("</worldbody>", loop.format("hook"))))
+    assert scenario_of(proposal).robot.locked.items() == {("mast", 0.0)}
+    assert "ignored 1 equality constraints" in told(proposal)
+    with pytest.raises(mc.RobotError, match="no equality constraints between moving parts, got one at 'end'"):
+        propose(saved(text.replace("</worldbody>", loop.format("foot0"))))
