@@ -7,14 +7,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.plots.events import whole
+from mjx_climb.plots.events import row_at, whole
 from mjx_climb.rendering import backend
+from mjx_climb.rendering.proportions import size_of
 from mjx_climb.rollouts.trajectory import Trajectory
 
 AZIMUTH, ELEVATION = 98.0, -38.0  # degrees, at heading zero: to the robot's right, so high that no limb hides
 MICROGRAVITY = 0.02  # m/s^2; below, there is no down
 MARGIN = 1.12
-TALLEST = 0.6  # m, a robot that flies off leaves the picture
+STRAYS = 0.15  # m, of HubRobo's: a base that strays farther from its reference is followed
+LOST = 30.0  # m, of HubRobo's: a walk whose base has come so far shows where it was before
+FARTHEST = 0.6  # m, of HubRobo's: what is farther from its base does not fit into the picture
+LOOKED_AT = 40  # instants of a walk, at which what is to be seen is measured
 MAX_GEOMS = 4000
 OPAQUE = 70  # of 255: a mark at least this bright hides what is behind it
 
@@ -29,6 +33,14 @@ def pose(model: mujoco.MjModel, data: mujoco.MjData, trajectory: Trajectory, row
     data.time = trajectory.time[row]
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
+
+
+def shown_rows(walk: Trajectory) -> int:
+    """Return how many rows can be drawn: those before the state stops being finite, or the base is far away."""
+    rows = whole(walk)
+    away = np.linalg.norm(walk.base_position[:rows] - walk.base_reference[:rows], axis=-1)
+    lost = away > LOST * size_of(walk)
+    return max(int(lost.argmax()), 1) if lost.any() else rows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,9 +63,15 @@ class View:
         return np.stack([np.cross(forward, up), up, forward])
 
 
-def follower(trajectories: Sequence[Trajectory], fovy: float, aspect: float) -> Callable[[float], View]:
-    """Return the view over time, s: it glides with the gait's base reference, and shows all feet and bases."""
-    first = max(trajectories, key=whole)
+def follower(
+    trajectories: Sequence[Trajectory], model: mujoco.MjModel, aspect: float
+) -> Callable[[Trajectory, float], View]:
+    """Return the view of one of some walks over time, s.
+
+    It glides with the gait's base reference, which all walks share, and with a robot that strays far from it. All links
+    and feet of all walks fit into the picture.
+    """
+    first, size = max(trajectories, key=whole), size_of(trajectories[0])
     scenario, rows = first.scenario, whole(first)
     # the moving average over a cycle, the path's ends held
     window = round(scenario.gait.cycle / scenario.time_step)
@@ -61,19 +79,26 @@ def follower(trajectories: Sequence[Trajectory], fovy: float, aspect: float) -> 
     sums = np.cumsum(padded, axis=0)
     path = (sums[window:] - sums[:-window]) / window
 
-    def target(time: np.ndarray | float) -> np.ndarray:
-        return np.stack([np.interp(time, first.time[:rows], line) for line in path.T], axis=-1)
+    def followed(walk: Trajectory, time: float) -> np.ndarray:
+        row = min(row_at(walk, time), shown_rows(walk) - 1)
+        strays = walk.base_position[row] - walk.base_reference[row]
+        beyond = max(0.0, 1 - STRAYS * size / max(float(np.linalg.norm(strays)), 1e-9))
+        return np.array([np.interp(time, first.time[:rows], line) for line in path.T]) + beyond * strays
 
-    radius = 0.0  # m, of the ball around what is to be seen, which must fit the narrower side of the picture
+    data, seen = mujoco.MjData(model), []  # m, places of links and feet, from what is followed
     for walk in trajectories:
-        some = slice(0, whole(walk), 20)
-        points = np.concatenate([walk.foot_position[some], walk.base_position[some, None]], axis=1)
-        away = np.linalg.norm(points - target(walk.time[some])[:, None], axis=-1)
-        radius = max(radius, away[np.isfinite(away) & (away < TALLEST)].max(initial=0.2))
-    half = np.deg2rad(fovy) / 2
+        for row in np.unique(np.linspace(0, shown_rows(walk) - 1, LOOKED_AT).round().astype(int)):
+            pose(model, data, walk, row)
+            points = np.concatenate([data.xpos[1:], data.geom_xpos[model.geom_bodyid > 0], walk.foot_position[row]])
+            near = np.linalg.norm(points - walk.base_position[row], axis=-1) < FARTHEST * size
+            seen.append(points[near] - followed(walk, float(walk.time[row])))
+    places = np.concatenate(seen)
+    middle = (places.min(0) + places.max(0)) / 2
+    radius = float(np.linalg.norm(places - middle, axis=-1).max())  # of a ball that fits the picture's narrower side
+    half = np.deg2rad(float(model.vis.global_.fovy)) / 2
     distance = MARGIN * radius / np.sin(min(half, np.arctan(np.tan(half) * aspect * 0.8)))
     azimuth, gravity = AZIMUTH + float(np.rad2deg(scenario.gait.heading)), np.asarray(scenario.gravity)
-    return lambda time: View(target(time) * [1, 1, 0.55], distance, azimuth, gravity)
+    return lambda walk, time: View(followed(walk, time) + middle, distance, azimuth, gravity)
 
 
 class Canvas:

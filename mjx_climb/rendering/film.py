@@ -18,7 +18,7 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.plots.events import row_at
 from mjx_climb.rendering import marks, surroundings
 from mjx_climb.rendering.backend import require_display
-from mjx_climb.rendering.canvas import AZIMUTH, ELEVATION, Canvas, View, follower, pose
+from mjx_climb.rendering.canvas import AZIMUTH, ELEVATION, MARGIN, Canvas, View, follower, pose, shown_rows
 from mjx_climb.rendering.captions import Caption, ForceTrace, controller
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.description import bare, compiled, described
@@ -32,7 +32,9 @@ SNAPSHOTS, SNAPSHOT_SIZE = 4, (800, 600)
 QUALITY = "20"  # x264's constant rate factor: smaller is better and larger
 PAUSE = 1.0  # s, in the viewer, at the end of a walk, before the next one starts
 GROUND_ALPHA = 0.6  # there, for pulling forces point into the ground
-STANCE_MARK, STANCE_AWAY = 0.04, 3.4  # half widths of a robot: the radius of a mark, and how far the camera is
+STANCE_MARK = 0.03  # of a robot's size, the radius of a mark
+# neither light nor dark, so that light and dark robots stand out
+STANCE_SKY, STANCE_GROUND = (0.56, 0.60, 0.65), (0.42, 0.45, 0.49, 1.0)
 
 
 def pictures(
@@ -46,18 +48,19 @@ def pictures(
     size = size[0], size[1] - strip
     model = surroundings.model(trajectories)
     data, fovy = mujoco.MjData(model), float(model.vis.global_.fovy)
-    view_at, scale = follower(trajectories, fovy, size[0] / size[1]), marks.scale(trajectories)
+    view_at, scale = follower(trajectories, model, size[0] / size[1]), marks.scale(trajectories)
     focal = size[1] / (2 * np.tan(np.deg2rad(fovy) / 2))  # pixels
     named = zip(trajectories, labels or map(controller, trajectories), strict=True)
     captions = [Caption(trajectory, label, size, scale) for trajectory, label in named]
     with Canvas(model, *size) as canvas:
         for instant in map(float, times):
-            view, panels = view_at(instant), []
+            panels = []
             for number, trajectory in enumerate(trajectories):
-                row = row_at(trajectory, instant)
-                pose(model, data, trajectory, row)
-                forces = functools.partial(marks.forces, trajectory=trajectory, row=row, scale=scale)
-                around = functools.partial(marks.around, trajectory=trajectory, row=row)
+                row, view = row_at(trajectory, instant), view_at(trajectory, instant)
+                drawn = min(row, shown_rows(trajectory) - 1)
+                pose(model, data, trajectory, drawn)
+                forces = functools.partial(marks.forces, trajectory=trajectory, row=drawn, scale=scale)
+                around = functools.partial(marks.around, trajectory=trajectory, row=drawn)
                 picture = canvas.draw(data, view, forces, around)
                 legend = focal / view.distance if number == len(trajectories) - 1 else None
                 panel = captions[number].draw(picture, row, view, legend)
@@ -204,7 +207,7 @@ def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[
     model.geom(surroundings.GROUND).rgba[3] = model.mat("paint").rgba[3] = GROUND_ALPHA
     model.light("sun").castshadow = False  # such a ground takes none
     data, scale = mujoco.MjData(model), marks.scale(trajectories)
-    start = follower(trajectories, float(model.vis.global_.fovy), 1.5)(0.0)
+    start = follower(trajectories, model, 1.5)(trajectories[0], 0.0)
     pose(model, data, trajectories[0], 0)
     with _joined(), launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
         with window.lock():
@@ -216,7 +219,7 @@ def view(*trajectories: Trajectory, rounds: int | None = None, until: Callable[[
             if rounds is not None and shown >= rounds * len(trajectories):
                 break
             trajectory = trajectories[int(shown) % len(trajectories)]
-            row = row_at(trajectory, now)
+            row = min(row_at(trajectory, now), shown_rows(trajectory) - 1)
             with window.lock():
                 pose(model, data, trajectory, row)
                 window.user_scn.ngeom = 0
@@ -268,8 +271,8 @@ def stance(robot: str | RobotFile) -> np.ndarray:
     sky, plane = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtGeom.mjGEOM_PLANE
     flat, head = mujoco.mjtBuiltin.mjBUILTIN_FLAT, spec.visual.headlight
     head.ambient, head.diffuse, head.active = [0.4] * 3, [0.5] * 3, 1
-    spec.add_texture(name="sky", type=sky, builtin=flat, rgb1=[0.95] * 3, rgb2=[0.95] * 3, width=64, height=384)
-    ground = spec.worldbody.add_geom(type=plane, pos=[0, 0, 1], size=[10, 10, 0.1], rgba=[0.8, 0.78, 0.75, 1])
+    spec.add_texture(name="sky", type=sky, builtin=flat, rgb1=STANCE_SKY, rgb2=STANCE_SKY, width=64, height=384)
+    ground = spec.worldbody.add_geom(type=plane, pos=[0, 0, 1], size=[10, 10, 0.1], rgba=STANCE_GROUND)
     ground.name = "ground of the picture"
     model = compiled(robot.file, spec)
     data, loaded = mujoco.MjData(model), load_robot(robot)
@@ -289,14 +292,20 @@ def stance(robot: str | RobotFile) -> np.ndarray:
         mujoco.mj_kinematics(model, data)
     feet = np.array([foot_of(model, data, limb) for limb in limbs])
     model.geom(ground.name).pos[2] = feet[:, 2].mean()
-    middle = (feet.mean(0) + data.xpos[1:].mean(0)) / 2
-    half = float(np.linalg.norm(feet - middle, axis=1).max())
+    anchors = [data.xanchor[[model.joint(joint).id for joint in limb.joints]] for limb in limbs]
+    hips = np.array([points[0] for points in anchors])
+    places = np.concatenate([feet, *anchors])
+    middle = (places.min(0) + places.max(0)) / 2
+    half = float(np.linalg.norm(places - middle, axis=1).max())
+    model.stat.extent, model.vis.map.znear, model.vis.map.zfar, model.vis.global_.fovy = half, 0.01, 100, 45
+    away = MARGIN * half / np.sin(np.deg2rad(model.vis.global_.fovy / 2))
 
     def mark(scene: mujoco.MjvScene) -> None:
-        for number, (limb, foot) in enumerate(zip(limbs, feet, strict=True)):
-            points = np.array([*(data.xanchor[model.joint(joint).id] for joint in limb.joints), foot])
+        for number, (joints, foot) in enumerate(zip(anchors, feet, strict=True)):
+            # from the middle of the hips on: a trunk whose meshes are missing is there all the same
+            points = np.array([hips.mean(0), *joints, foot])
             marks.limb(scene, points, STANCE_MARK * half, marks.PATHS[number % len(marks.PATHS)])
 
     mujoco.mj_forward(model, data)
     with Canvas(model, *SNAPSHOT_SIZE) as canvas:
-        return canvas.draw(data, View(middle, STANCE_AWAY * half, AZIMUTH, np.zeros(3)), mark)
+        return canvas.draw(data, View(middle, away, AZIMUTH, np.zeros(3)), mark)

@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.plots.events import whole
 from mjx_climb.plots.styling import LIMB_COLORS, ORANGE, RED, SKY, VERMILLION
+from mjx_climb.rendering.proportions import size_of
 from mjx_climb.rollouts.trajectory import Trajectory
 
 RGB = tuple[float, float, float]  # a colour, in [0, 1]
 
+# lengths beside HubRobo, others in proportion
 LONGEST = 0.24  # m, of the largest arrow
 SHORTEST = 0.004  # m, shorter ones are left out
 SHAFT = 0.0045  # m, radius
@@ -41,7 +43,7 @@ def scale(trajectories: Sequence[Trajectory]) -> float:
         forces = np.linalg.norm(trajectory.foot_force[:rows], axis=-1).max(1)
         # a kick of few milliseconds may be longer than that
         largest = max(largest, np.quantile(forces, 0.999), np.linalg.norm(trajectory.push[:rows, :3], axis=-1).max())
-    return LONGEST / float(largest)
+    return LONGEST * size_of(trajectories[0]) / float(largest)
 
 
 def color(force: np.ndarray, limit: float | None) -> RGB:
@@ -58,18 +60,18 @@ def pulled(share: float) -> RGB:
 
 def forces(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, scale: float) -> None:
     """Add an arrow for the force on every foot, one for the push on the base, and a cross on torn feet."""
-    limit = trajectory.scenario.contact.holding_limit
+    limit, size = trajectory.scenario.contact.holding_limit, size_of(trajectory)
     for limb, force in enumerate(trajectory.foot_force[row]):
         foot = trajectory.foot_position[row, limb]
-        arrow(scene, foot, foot + scale * force, color(force, limit))
+        arrow(scene, foot, foot + scale * force, color(force, limit), size)
         if trajectory.detached[row, limb] or trajectory.torn_off[row, limb]:
-            for across in np.array([[0.028, 0.028, 0.0], [0.028, -0.028, 0.0]]):
-                _connect(scene, _CAPSULE, 0.004, (foot - across, foot + across), to_rgb(RED), emission=0.8)
+            for across in size * np.array([[0.028, 0.028, 0.0], [0.028, -0.028, 0.0]]):
+                _connect(scene, _CAPSULE, 0.004 * size, (foot - across, foot + across), to_rgb(RED), emission=0.8)
     push = trajectory.push[row, :3]
-    if scale * (strength := float(np.linalg.norm(push))) > SHORTEST:
+    if scale * (strength := float(np.linalg.norm(push))) > SHORTEST * size:
         # it ends at the hull, not inside
-        hit = trajectory.base_position[row] - 0.055 * push / strength
-        arrow(scene, hit - scale * push, hit, PUSH, 1.5)
+        hit = trajectory.base_position[row] - 0.055 * size * push / strength
+        arrow(scene, hit - scale * push, hit, PUSH, size, 1.5)
 
 
 def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
@@ -79,40 +81,46 @@ def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
     """
     every = max(round(PATH_STEP / trajectory.scenario.time_step), 1)
     rows = np.unique([*range(0, row + 1, every), row])
+    size = size_of(trajectory)
     rims = [(limb, to_rgb(PATHS[limb % len(PATHS)])) for limb in range(len(trajectory.limbs))]
     for limb, rim in rims:
         held, grips = trajectory.support[rows, limb], trajectory.grip_point[rows, limb]
         for point in np.unique(grips[held].round(3), axis=0):
             current = held[-1] and np.abs(point - grips[-1]).max() < 1e-3
-            _add(scene, _CYLINDER, [0.031 if current else 0.026, 0.0012, 0], point, rim)
-            _add(scene, _CYLINDER, [0.025 if current else 0.022, 0.0016, 0], point, GRIP)
+            for wide, high, rgb in (
+                (0.031 if current else 0.026, 0.0012, rim),
+                (0.025 if current else 0.022, 0.0016, GRIP),
+            ):
+                _add(scene, _CYLINDER, size * np.array([wide, high, 0]), point, rgb)
     for limb, rgb in rims:
         start, *points = trajectory.foot_position[rows, limb]
         for point in points:
-            if np.linalg.norm(point - start) > PIECE:
-                _connect(scene, _CYLINDER, 0.0022, (start, point), rgb, emission=0.5)
+            if np.linalg.norm(point - start) > PIECE * size:
+                _connect(scene, _CYLINDER, 0.0022 * size, (start, point), rgb, emission=0.5)
                 start = point
     if (mass := float(trajectory.cargo_mass[row])) > 0:
         half, rotation = (mass / CARGO_DENSITY) ** (1 / 3) / 2, np.empty(9)
         mujoco.mju_quat2Mat(rotation, np.asarray(trajectory.base_orientation[row], float))
-        position = trajectory.base_position[row] + rotation.reshape(3, 3)[:, 2] * (0.036 + half)
-        for size, rgb in (([1, 1, 1], to_rgb("#C9A227")), ([1.03, 0.2, 1.03], STRAP), ([0.2, 1.03, 1.03], STRAP)):
-            _add(scene, _BOX, half * np.array(size), position, rgb, rotation)
+        position = trajectory.base_position[row] + rotation.reshape(3, 3)[:, 2] * (0.036 * size + half)
+        for sides, rgb in (([1, 1, 1], to_rgb("#C9A227")), ([1.03, 0.2, 1.03], STRAP), ([0.2, 1.03, 1.03], STRAP)):
+            _add(scene, _BOX, half * np.array(sides), position, rgb, rotation)
 
 
 def limb(scene: mujoco.MjvScene, points: np.ndarray, radius: float, color: str) -> None:
     """Add lines between the joints of a limb and its foot, (N, 3) m from the base outwards, and a ball at the foot."""
     for ends in itertools.pairwise(points):
-        _connect(scene, _CAPSULE, radius / 4, ends, to_rgb(color), emission=0.8)
+        _connect(scene, _CAPSULE, radius / 2, ends, to_rgb(color), emission=0.8)
     _connect(scene, _CAPSULE, radius, (points[-1], points[-1] + 1e-5), to_rgb(color), emission=0.8)
 
 
-def arrow(scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: RGB, width: float = 1) -> None:
-    """Add an arrow between two points, (3,) m, so many times as thick as others."""
-    if SHORTEST < np.linalg.norm(end - start) < 10 * LONGEST:  # longer: the walk has long failed
+def arrow(
+    scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgb: RGB, size: float = 1, width: float = 1
+) -> None:
+    """Add an arrow between two points, (3,) m, beside a robot of a size, so many times as thick as others."""
+    if SHORTEST * size < np.linalg.norm(end - start) < 10 * LONGEST * size:  # longer: the walk has long failed
         # half of the light is its own: shaded, and still of the legend's colour
         red, green, blue = rgb
-        _connect(scene, _ARROW, width * SHAFT, (start, end), (red / 2, green / 2, blue / 2), emission=1.3)
+        _connect(scene, _ARROW, width * SHAFT * size, (start, end), (red / 2, green / 2, blue / 2), emission=1.3)
 
 
 def _connect(

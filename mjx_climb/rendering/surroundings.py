@@ -7,10 +7,12 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.plots.events import whole
+from mjx_climb.rendering.proportions import size_of
 from mjx_climb.robot.constants import load_spec
 from mjx_climb.rollouts.trajectory import Trajectory
 
 GROUND = "relief"  # the geom's name
+# lengths beside HubRobo, others in proportion
 REACH = 1.8  # m, half the width of the ground that has relief
 CELLS = 120  # of the relief, along each side
 TEXTURE = 512  # pixels
@@ -43,7 +45,8 @@ def model(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
 
     The strength of gravity chooses the looks.
     """
-    scenario, center, grips = trajectories[0].scenario, trajectories[0].base_reference[[0, -1], :2].mean(0), []
+    scenario, size, grips = trajectories[0].scenario, size_of(trajectories[0]), []
+    center = trajectories[0].base_reference[[0, -1], :2].mean(0)
     for walk in trajectories:
         rows = whole(walk)
         gripped = walk.grip_point[:rows][walk.contact[:rows] | walk.support[:rows]]
@@ -57,11 +60,11 @@ def model(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
     dark, bright = looks.sky
     stars = {"mark": mujoco.mjtMark.mjMARK_RANDOM, "markrgb": [0.9] * 3, "random": 0.0008} if dark[2] < 0.1 else {}
     spec.add_texture(name="sky", type=skybox, builtin=gradient, rgb1=dark, rgb2=bright, width=512, height=3072, **stars)
-    _add_ground(spec, looks, np.concatenate(grips), center)
+    _add_ground(spec, looks, np.concatenate(grips), center, size)
     towards = np.array([0.28, 0.42, -1.0])  # low enough for the robot's shadow to lie beside it
     spec.worldbody.add_light(
         name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=True, dir=towards,
-        pos=[*center, 0.0] - 1.5 * towards, diffuse=[looks.sun] * 3, ambient=[0.0] * 3, specular=[0.25] * 3,
+        pos=[*center, 0.0] - 1.5 * size * towards, diffuse=[looks.sun] * 3, ambient=[0.0] * 3, specular=[0.25] * 3,
     )  # fmt: skip
     scene = spec.compile()
     quality, head, scene.vis.global_.fovy = scene.vis.quality, scene.vis.headlight, 30
@@ -69,11 +72,11 @@ def model(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
     quality.numslices, quality.numstacks = 20, 4  # a foot's path has hundreds of round pieces
     head.ambient[:], head.diffuse[:], head.specular[:] = looks.ambient, 0.18, 0.05
     scene.vis.map.znear, scene.vis.map.zfar = 0.02, 14
-    scene.stat.extent, scene.stat.center[:] = 0.5, [*center, 0.05]
+    scene.stat.extent, scene.stat.center[:] = 0.5 * size, [*center, 0.05 * size]
     return scene
 
 
-def _add_ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.ndarray) -> None:
+def _add_ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np.ndarray, size: float) -> None:
     random, station, side = np.random.default_rng(7), looks.name == "station", 2 * REACH
     if station:
         paint = _panels(random)
@@ -87,20 +90,21 @@ def _add_ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "paint"
     material.texrepeat = [side / (2 * PANEL)] * 2 if station else [3, 3]
 
-    height = relief_of(random, looks.relief, grips - [*center, 0.0])
+    height = size * relief_of(random, looks.relief, (grips - [*center, 0.0]) / size)
     low, high = float(height.min()), float(height.max())
-    relief = spec.add_hfield(name=GROUND, nrow=CELLS, ncol=CELLS, size=[REACH, REACH, max(high - low, 1e-3), 0.1])
-    relief.userdata = ((height - low) / max(high - low, 1e-3)).ravel()
+    span = max(high - low, 1e-3 * size)
+    relief = spec.add_hfield(name=GROUND, nrow=CELLS, ncol=CELLS, size=[REACH * size, REACH * size, span, 0.1 * size])
+    relief.userdata = ((height - low) / span).ravel()
     geom = spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=GROUND)
     geom.pos, geom.material, geom.contype, geom.conaffinity, geom.group = [*center, low], "paint", 0, 0, 0
-    for y in center[1] + np.array([-0.45, 0.45]) if station else ():  # handrails beside the way
+    for y in center[1] + size * np.array([-0.45, 0.45]) if station else ():  # handrails beside the way
         rail = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": 0, "conaffinity": 0, "group": 0}
         rail["rgba"] = [0.86, 0.68, 0.16, 1]
-        for left in center[0] + np.arange(-1.3, 1.3, 0.65):
-            right = left + 0.5
-            spec.worldbody.add_geom(fromto=[left, y, 0.05, right, y, 0.05], size=[0.009, 0, 0], **rail)
+        for left in center[0] + size * np.arange(-1.3, 1.3, 0.65):
+            right, low, high = left + 0.5 * size, -0.01 * size, 0.05 * size
+            spec.worldbody.add_geom(fromto=[left, y, high, right, y, high], size=[0.009 * size, 0, 0], **rail)
             for x in (left, right):
-                spec.worldbody.add_geom(fromto=[x, y, -0.01, x, y, 0.05], size=[0.007, 0, 0], **rail)
+                spec.worldbody.add_geom(fromto=[x, y, low, x, y, high], size=[0.007 * size, 0, 0], **rail)
 
 
 def _noise(random: np.random.Generator, size: int, power: float, shortest: int = 2) -> np.ndarray:

@@ -19,7 +19,7 @@ _SHORT = 1e-3  # m, links too short to draw
 _LIMITED = mujoco.mjtLimited.mjLIMITED_TRUE
 _COLORS = {  # red, green, blue, opacity
     "ground": [0.60, 0.56, 0.51, 1],
-    "shell": [0.86, 0.87, 0.88, 1],
+    "shell": [0.68, 0.70, 0.72, 1],  # lighter, all shading would be lost in the sun
     "servo": [0.16, 0.17, 0.19, 1],
     "frame": [0.95, 0.55, 0.15, 1],
     "gripper": [0.30, 0.33, 0.37, 1],
@@ -60,6 +60,8 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, Robot, np.ndarray]:
     half = np.abs(hips @ axes).max(0).clip(0.01)
     _shape(body, mujoco.mjtGeom.mjGEOM_BOX, "shell", size=[0.95 * half[0], 0.95 * half[1], 0.2 * half[:2].min()])
     names = _joint_names([limb.joints for limb in file.limbs.values()])
+    ahead = {"size": [0.06 * half[0], 0.6 * half[1], 0.22 * half[:2].min()], "pos": [0.7 * half[0], 0, 0]}
+    _shape(body, mujoco.mjtGeom.mjGEOM_BOX, "frame", **ahead)
     for limb in file.limbs:
         _add_limb(file, limb, names, body)
     try:
@@ -161,19 +163,16 @@ class _File:
     def _bound(self, constraint: int, own: np.ndarray) -> str | None:
         """Return what an equality constraint is at that could move a part of the robot; None of one that cannot."""
         model, names = self.model, [self.model.equality(constraint).name]
+        site, body = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY
         ends = [int(end[constraint]) for end in (model.eq_obj1id, model.eq_obj2id) if end[constraint] >= 0]
         idle = False
         if model.eq_type[constraint] == mujoco.mjtEq.mjEQ_JOINT:
             idle = all(end in self.held or not own[model.jnt_bodyid[end]] for end in ends)
             names.append(model.joint(ends[0]).name)
-        elif (kind := mujoco.mjtObj(model.eq_objtype[constraint])) in (
-            mujoco.mjtObj.mjOBJ_BODY,
-            mujoco.mjtObj.mjOBJ_SITE,
-        ):
-            sites = kind == mujoco.mjtObj.mjOBJ_SITE
-            bodies = model.site_bodyid[ends].tolist() if sites else ends
-            idle = len({self.part[body] for body in bodies}) == 1 or not own[bodies].any()
-            names.append((model.site if sites else model.body)(ends[0]).name)
+        elif (kind := mujoco.mjtObj(model.eq_objtype[constraint])) in (site, body):
+            bodies = model.site_bodyid[ends] if kind == site else np.array(ends)
+            idle = len(set(self.part[bodies])) == 1 or not own[bodies].any()
+            names.append((model.site if kind == site else model.body)(ends[0]).name)
         return None if idle else next(filter(None, names), "")
 
     def link(self, first: int) -> _Link:

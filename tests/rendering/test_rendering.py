@@ -4,6 +4,7 @@ import ctypes.util
 import dataclasses
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -209,6 +210,64 @@ def test_down_is_down_in_the_picture(gravity):
     assert not any(gravity) or (gravity @ up < 0 and abs(gravity @ right) < 1e-9)
 
 
+MAGENTA = (1.0, 0.0, 1.0)
+EARTH = (0.0, 0.0, -9.81)
+
+
+def standing(robot, gravity=EARTH, at=0.0, falls=0.0):
+    """Return a robot that stands on ground at a height, m, and falls by so many metres away from it."""
+    scenario = mc.Scenario.model_validate({**robot, "duration": 0.4, "time_step": 0.01, "gravity": gravity})
+    model = load_model(scenario.robot)
+    data, stance = mujoco.MjData(model), model.key_qpos[0].copy()
+    stance[2] += at
+    data.qpos[:] = stance
+    mujoco.mj_kinematics(model, data)
+    way = np.linspace(0, 1, scenario.steps)[:, None] ** 2 * np.array([0, 0, falls])
+    feet, joints = data.site_xpos.copy(), stance[7:].reshape(model.nsite, -1)
+    return still(
+        scenario, base_position=stance[:3] + way, base_orientation=stance[3:7], joint_angles=joints,
+        foot_position=feet + way[:, None], grip_point=feet, base_reference=stance[:3], foot_force=UNLOADED,
+        push=np.zeros(6),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("size", "how"),
+    [
+        (1.0, {}),
+        (1.0, {"gravity": (0.0, 0.0, 9.81)}),
+        (1.0, {"gravity": (-1.62, 0.0, 0.0)}),
+        (10.0, {"gravity": (0.0, 0.0, 0.0)}),
+        (0.1, {}),
+        (1.0, {"at": 3.0}),
+        (1.0, {"gravity": (0.0, 0.0, 9.81), "falls": 12.0}),
+        (1.0, {"falls": -1e9}),
+    ],
+    ids=["on the ground", "ceiling", "cliff", "large", "small", "high up", "falls off", "diverges"],
+)
+def test_the_camera_finds_the_robot(gl, monkeypatch, tmp_path, size, how):
+    """It is whole, in the middle, and as large wherever it is: counted by pixels of a robot that is painted."""
+    file = tmp_path / "climber.xml"
+    scaled = lambda pos: f'pos="{" ".join(str(size * float(number)) for number in pos[1].split())}"'  # noqa: E731
+    file.write_text(re.sub('pos="([^"]*)"', scaled, climbers.mjcf(4, 3)))
+    sections = climbers.config(file, 4, 3, foothold=0.24 * size, height=0.12 * size)
+    painted, made = surroundings.model, []
+
+    def painting(walks):
+        model = painted(walks)
+        own = model.geom_bodyid > 0
+        model.geom_matid[own], model.geom_rgba[own] = -1, [*MAGENTA, 1]
+        made.append(model)
+        return model
+
+    monkeypatch.setattr(surroundings, "model", painting)
+    shown = picture(standing(sections, **how), time=0.3)
+    assert amount(shown, MAGENTA) > 300
+    rows, columns = np.nonzero((shown[..., 0] > 90) & (shown[..., 2] > 90) & (shown[..., 1] < 60))
+    assert 5 < rows.min() < 90 and 150 < rows.max() < 235
+    assert 5 < columns.min() and columns.max() < 315
+
+
 # ------------------------------------------------------------------------------------------------------------
 # Files
 
@@ -247,17 +306,20 @@ def test_an_interrupted_video_leaves_nothing(tmp_path):
 
 
 def test_a_robot_from_a_file_is_shown_with_its_feet(gl, tmp_path):
-    """Each limb in its own colour, as far as the place that is taken for its foot."""
+    """Each limb in its own colour, as far as the place that is taken for its foot; a white trunk stands out."""
     file = tmp_path / "climber.xml"
-    file.write_text(climbers.mjcf(4, 3, on_base='<geom type="box" size="0.08 0.08 0.02"/>'))
+    file.write_text(climbers.mjcf(4, 3, on_base='<geom type="box" size="0.05 0.05 0.02" rgba="1 1 1 1"/>'))
     robot = mc.Scenario.model_validate(climbers.config(file, 4, 3)).robot
     long_limbs = rendering.stance(robot)
     limbs = {name: limb.model_dump() for name, limb in robot.limbs.items()}
     limbs["limb0"]["at"] = (-0.08, 0, 0)
     shorter = rendering.stance(robot.model_validate(robot.model_dump() | {"limbs": limbs}))
+    assert (long_limbs.min(-1) > 200).sum() > 2000 and (shorter[:50, :50].max(-1) < 180).all()
+    colored = np.ptp(long_limbs.astype(int), axis=-1) > 60
+    assert colored.any(1).sum() > 250 and colored.any(0).sum() > 400
     for number, color in enumerate(marks.PATHS[:4]):
         long, short = (amount(picture, to_rgb(color)) for picture in (long_limbs, shorter))
-        assert long > 50
+        assert long > 150
         assert (short < 0.9 * long) == (number == 0)
 
 
