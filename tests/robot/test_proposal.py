@@ -19,7 +19,7 @@ from mjx_climb.robot.description import bare, compiled, described, driven_joints
 from mjx_climb.robot.limbs import Found, rerooted
 from mjx_climb.robot.proposal import propose
 from mjx_climb.robot.stance import Stance, Standing
-from mjx_climb.rollouts import remedies
+from mjx_climb.rollouts import first_walks
 from tests.robot import climbers
 from tests.robot.test_robot_file import robot_of, urdf
 
@@ -268,25 +268,52 @@ def test_odd_files_walk_on_a_slope(saved, name):
     assert measured["travel"] == pytest.approx(way, abs=0.3 * scenario.gait.stride)
 
 
-@pytest.mark.parametrize(("gravity", "asked"), [(9.81, []), (1.62, ["--gravity", "1.62"])])
-def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, monkeypatch, ended):
+@pytest.mark.parametrize(
+    ("gravity", "asked", "turned"),
+    [
+        (9.81, [], (0, 0, -9.81)),
+        (1.62, ["--gravity", "1.62"], (0, 0, -1.62)),
+        (1.62, ["--gravity", "1.62", "--slope", "30"], (-0.81, 0, -1.62 * np.cos(np.pi / 6))),
+        (9.81, ["--slope", "90"], (-9.81, 0, 0)),
+        (9.81, ["--ceiling"], (0, 0, 9.81)),
+    ],
+)
+def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, turned, monkeypatch, ended):
     """It is said and written, also where the walk says that it does not hold; no time is spent on walking here."""
-    monkeypatch.setattr(remedies, "slow_enough", lambda scenario: (scenario, False, "falls"))
+    monkeypatch.setattr(first_walks, "with_joint_gains", lambda scenario: (scenario, "as they were"))
+    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario: (scenario, False, "falls", np.nan))
     monkeypatch.setattr(rendering, "stance", picture := Mock(side_effect=rendering.RenderingError("no OpenGL")))
     file = saved(dog())
     config = file.with_suffix(".yaml")
     code, out, _ = ended(file, "--write", config, *asked)
     assert code == 1 and re.search(r"failed +walk +falls", out)
     assert f"taken    gravity {gravity} m/s^2" in out
-    assert mc.load_scenario(config).gravity == (0, 0, -gravity)
+    assert mc.load_scenario(config).gravity == pytest.approx(turned)
     assert "no picture: no OpenGL" in out and picture.call_args.args[0].file == str(file)
     assert not config.with_suffix(".png").exists()
+
+
+def test_what_the_first_walks_show_is_said(saved, monkeypatch, ended):
+    """Joint gains that were found are written; a load and a ceiling that a robot may not bear are warned of."""
+    changed = lambda scenario: scenario.with_overrides({"control.kp": 77.0, "control.kd": 0.7})  # noqa: E731
+    monkeypatch.setattr(first_walks, "with_joint_gains", lambda scenario: (changed(scenario), "found"))
+    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario: (scenario, True, "holds", 1e4))
+    monkeypatch.setattr(first_walks, "on_ceiling", lambda scenario: (False, "lets go"))
+    code, out, _ = ended(saved(dog()))
+    assert code == 0 and "kp: 77.0, kd: 0.7" in out
+    for line in ("changed +kp 77, kd 0.7 +found", "taken +walk +holds", "warning +ceiling +lets go",
+                 r"warning +load +1e\+04 N on one foot, 67 times its weight on Earth"):  # fmt: skip
+        assert re.search(line, out)
 
 
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
         (["--gravity", "inf"], "gravity: expected a list of three"),
+        (["--gravity", "-9.81"], "--gravity: expected its strength, 0 or more, got -9.81; --ceiling turns it round"),
+        (["--slope", "200"], "--slope: expected 180 at most, got "),
+        (["--slope", "20", "--ceiling"], "--ceiling: expected none with --slope 20"),
+        (["--gravity", "0", "--ceiling"], "--ceiling: expected gravity, got none"),
         (["--write", "robot.xml"], "another file than the robot's own"),
     ],
 )
@@ -590,8 +617,9 @@ def test_every_shape_walks_alone_in_a_batch_and_with_tangents(saved, limbs, join
 
 def footprint(text, height):
     """Return a URDF whose root is a link without a mass, so high below the trunk, m."""
-    joint = f'<joint name="up" type="fixed"><parent link="base_footprint"/><child link="trunk"/><origin xyz="0 0 {height}"/>'
-    return text.replace('<link name="trunk">', f'<link name="base_footprint"/>{joint}</joint><link name="trunk">')
+    ends = '<parent link="base_footprint"/><child link="trunk"/>'
+    joint = f'<joint name="up" type="fixed">{ends}<origin xyz="0 0 {height}"/></joint>'
+    return text.replace('<link name="trunk">', f'<link name="base_footprint"/>{joint}<link name="trunk">')
 
 
 @pytest.mark.parametrize("height", [0.0, 0.25, 0.3, -0.1])
@@ -603,9 +631,8 @@ def test_a_root_that_weighs_nothing_changes_no_stance(saved, height):
         'iyz="0"/></inertial></link><joint name="f{0}" type="prismatic"><parent link="trunk"/><child link="f{0}"/>'
         '<limit lower="0" upper="0.02" effort="1" velocity="1"/>{1}</joint>'
     )
-    text = text.replace(
-        "</robot>", finger.format(1, "") + finger.format(2, '<mimic joint="f1" multiplier="1"/>') + "</robot>"
-    )
+    fingers = finger.format(1, "") + finger.format(2, '<mimic joint="f1" multiplier="1"/>')
+    text = text.replace("</robot>", f"{fingers}</robot>")
     own, other = propose(saved(text, "own.urdf")), propose(file := saved(footprint(text, height), "other.urdf"))
     assert other.sections["robot"] == own.sections["robot"] | {"base": "trunk", "file": str(file)}
     assert other.sections["gait"] == own.sections["gait"]
@@ -631,9 +658,7 @@ def test_a_mimic_is_called_so(saved):
     knee = text.index('name="LF_knee"')
     file = saved(text[:knee] + text[knee:].replace('velocity="9"/>', mimic, 1), "robot.urdf")
     line = text[:knee].count("\n") + 1
-    with pytest.raises(
-        mc.RobotError, match=rf"robot.urdf:{line}: .* expected no mimic between .* got one at 'LF_knee'"
-    ):
+    with pytest.raises(mc.RobotError, match=rf"urdf:{line}: .* expected no mimic between .* got one at 'LF_knee'"):
         propose(file)
 
 

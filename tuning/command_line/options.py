@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -139,6 +140,25 @@ class Walk(Options):
         from tuning.gains import gains_file
 
         return None if self.gains is None else gains_file.load(self.gains, law)
+
+
+class Incline(Options):
+    """How the ground lies: x is up the slope."""
+
+    slope: float | None = setting(None, "slope of the ground, degrees; 90 is a cliff", metavar="DEG", ge=0, le=180)
+    ceiling: bool = setting(False, "walk on a ceiling: a slope of 180 degrees")
+
+    def gravity(self, own: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return gravity on such ground, as strong as `own`, m/s^2 in the ground's axes; without options `own`."""
+        if self.ceiling and self.slope is not None:
+            raise InputError(f"--ceiling: expected none with --slope {self.slope:g}")
+        slope = 180.0 if self.ceiling else self.slope
+        if slope is None:
+            return own
+        if not (strength := math.hypot(*own)):
+            raise InputError(f"{'--ceiling' if self.ceiling else '--slope'}: expected gravity, got none")
+        sine, cosine = (round(turn(math.radians(slope)), 12) for turn in (math.sin, math.cos))
+        return -strength * sine + 0.0, 0.0, -strength * cosine + 0.0
 
 
 def _formats(text: str) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ from pydantic import BeforeValidator
 
 import mjx_climb as mc
 from tuning.command_line.from_models import command
-from tuning.command_line.options import Output
+from tuning.command_line.options import Incline, Output
+from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
 
@@ -18,21 +19,30 @@ class Robot(Options):
 
     file: Path = setting(..., "MJCF (.xml) or URDF (.urdf) of the robot", metavar="FILE", argument=True)
     write: Path | None = setting(None, "scenario to write, ready for run; null: print it", metavar="CONFIG")
-    gravity: float = setting(9.81, "gravity on level ground, m/s^2; on the Moon 1.62", metavar="M/S2", ge=0)
+    gravity: float = setting(9.81, "strength of gravity, m/s^2; on the Moon 1.62", metavar="M/S2")
     base: str | None = setting(None, "body that the limbs begin at; null: found", metavar="BODY")
     limbs: Annotated[tuple[str, ...], BeforeValidator(lambda text: text.split(","))] = setting(
         (), "limbs to stand on; others are held; null: all", metavar="NAME,NAME,..."
     )
 
+    def strength(self) -> float:
+        """Return the strength of gravity, m/s^2, refused where it has a sign."""
+        if self.gravity < 0:
+            raise InputError(
+                f"--gravity: expected its strength, 0 or more, got {self.gravity:g}; --ceiling turns it round"
+            )
+        return self.gravity
+
 
 @command()
-def robot(asked: Robot) -> None:
+def robot(asked: Robot, incline: Incline) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 
     Limbs are the rows of two to seven joints that start at one base and end in what is called a foot, or the like. The
     stance is a keyframe's, or searched. Stride, grip and gains are HubRobo's in proportion to mass and reach. Prints
     what was taken from the file, changed and ignored, each with the reason; then the scenario, for you to look through.
-    Walks the proposal, and with cycles twice and four times as long, and takes the first with which it holds.
+    Walks the proposal: under pd with 45 pairs of kp and kd, to take that of least force variation; with cycles twice
+    and four times as long, to take the first with which it holds; on a ceiling, to say what holding limit it takes.
 
     Beside CONFIG a picture shows the robot by its own shapes, and where its feet are taken to be.
 
@@ -43,30 +53,42 @@ def robot(asked: Robot) -> None:
       mjx-climb robot go2.xml
       mjx-climb robot anymal.urdf --write anymal.yaml
       mjx-climb robot humanoid.xml --limbs left_leg,right_leg
-      mjx-climb robot limbero.urdf --gravity 1.62
+      mjx-climb robot limbero.urdf --gravity 1.62 --slope 30
     """
     from mjx_climb import rendering
     from mjx_climb.checks.time_step import largest_time_step
     from mjx_climb.files import dataset
     from mjx_climb.robot.proposal import propose
-    from mjx_climb.rollouts.remedies import slow_enough
+    from mjx_climb.rollouts import first_walks
     from mjx_climb.scenario.model import validated
     from tuning.command_line.session import Session
 
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(f"{write}: expected another file than the robot's own")
+    gravity = incline.gravity((0.0, 0.0, -asked.strength()))
     proposal = propose(file, asked.gravity, asked.base, asked.limbs)
-    scenario = validated(mc.Scenario, {**proposal.sections, "time_step": 0.001}, str(file))
+    scenario = validated(mc.Scenario, {**proposal.sections, "gravity": gravity, "time_step": 0.001}, str(file))
     step = min(0.001, largest_time_step(scenario, str(file)))
     scenario = scenario.with_overrides({"time_step": step})
     rows = [*proposal.notes, ("changed", f"time step {step:g} s", "short enough for contacts and joint loop")]
     what = max(len(row[1]) for row in rows)
     for row in rows:
         typer.echo(f"{row[0]:7}  {row[1]:{what}}  {row[2]}")
-    with Session(sys.stdout, Output()).stage("walking it, with slower gaits beside"):
-        scenario, walks, how = slow_enough(scenario)
-    typer.echo(f"{'taken' if walks else 'failed':7}  {'walk':{what}}  {how}")
+
+    def tell(kind: str, name: str, why: str) -> None:
+        typer.echo(f"{kind:7}  {name:{what}}  {why}")
+
+    with Session(sys.stdout, Output()).stage("walking it, with other joint gains and slower gaits beside"):
+        scenario, searched = first_walks.with_joint_gains(scenario)
+        scenario, walks, how, load = first_walks.slow_enough(scenario)
+        hung = first_walks.on_ceiling(scenario) if walks and any(gravity) and not incline.ceiling else None
+    tell("changed", f"kp {scenario.control.kp:g}, kd {scenario.control.kd:g}", searched)
+    tell("taken" if walks else "failed", "walk", how)
+    if heavy := first_walks.heavy_load(scenario, load):
+        tell("warning", "load", heavy)
+    if hung:
+        tell("taken" if hung[0] else "warning", "ceiling", hung[1])
     if write is None:
         typer.echo("\n" + scenario.to_yaml(), nl=False)
     else:

@@ -1,5 +1,6 @@
 """`mjx-climb run`: one robot through one scenario, with pictures, video, snapshots and the viewer."""
 
+import dataclasses
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +12,7 @@ from pydantic import BeforeValidator
 import mjx_climb as mc
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
-from tuning.command_line.options import ControllerName, Output, Walk
+from tuning.command_line.options import ControllerName, Incline, Output, Walk
 from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
@@ -107,7 +108,7 @@ class Recording(Options):
 
 
 @command("results/<config>-<controller>")
-def run(walk: Walk, output: Output, pictures: Pictures, recording: Recording) -> None:
+def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, recording: Recording) -> None:
     """Walk one robot through a scenario, in double precision.
 
     Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories
@@ -130,12 +131,15 @@ def run(walk: Walk, output: Output, pictures: Pictures, recording: Recording) ->
       mjx-climb run case_2 --law my_law.py:Filtered --gains best.yaml
       mjx-climb run case_1_2 --snapshots --at 2.5,4.6
       mjx-climb run case_1_2 --mcap
+      mjx-climb run case_1_2 --ceiling --snapshots
     """
     with output.session() as shell:
         from mjx_climb import rendering
         from mjx_climb.robot.constants import load_robot
 
         loaded = walk.load_with_gains()
+        gravity = incline.gravity(loaded.scenario.gravity)
+        loaded = dataclasses.replace(loaded, scenario=loaded.scenario.with_overrides({"gravity": gravity}))
         law, scenario = loaded.law, loaded.scenario
         name = scenario.control.controller if law is None else type(law).__name__
         load_robot(scenario.robot)

@@ -412,3 +412,21 @@ def test_configs_that_come_with_the_program_are_found_by_name(call, monkeypatch,
     (tmp_path / "case_2").write_text("duration: -1")  # a file of one's own comes first
     code, _, err = call("run", "case_2")
     assert (code, "case_2: duration: expected" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("options", "gravity"),
+    [([], (0, 0, -9.81)), (["--slope", "90"], (-9.81, 0, 0)), (["--ceiling"], (0, 0, 9.81))],
+)
+def test_run_turns_gravity_as_it_is_told(options, gravity, monkeypatch, tmp_path):
+    """Its strength stays the config's; nothing is walked here."""
+    walked = []
+
+    def refuse(scenario, **_):
+        walked.append(scenario.gravity)
+        raise mc.ConfigError("enough")
+
+    monkeypatch.setattr(mc, "rollout", refuse)
+    with pytest.raises(SystemExit):
+        main(["run", "case_1_2", "--set", "gravity=[0,0,-9.81]", "--out", str(tmp_path / "out"), *options])
+    assert walked == [pytest.approx(gravity)]
