@@ -83,7 +83,7 @@ def follower(
         row = min(row_at(walk, time), shown_rows(walk) - 1)
         strays = walk.base_position[row] - walk.base_reference[row]
         beyond = max(0.0, 1 - STRAYS * size / max(float(np.linalg.norm(strays)), 1e-9))
-        return np.array([np.interp(time, first.time[:rows], line) for line in path.T]) + beyond * strays
+        return np.asarray([np.interp(time, first.time[:rows], line) for line in path.T] + beyond * strays)
 
     data, seen = mujoco.MjData(model), []  # m, places of links and feet, from what is followed
     for walk in trajectories:
