@@ -51,6 +51,7 @@ _MODULES = {  # and the commands in each
     "searches": ("sweep", "merge", "tune", "judge", "compare", "pareto", "schedule"),
     "results": ("plot", "margins", "reproduce", "export"), "robot": ("robot", "schema"), "machine": ("bench", "doctor"),
 }  # fmt: skip
+_TRUE = ("1", "true", "t", "yes", "y", "on")  # as JAX reads its settings
 _LONGEST = 1000  # characters of a line
 _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "LostProcess", "RenderingError"}
 _OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
@@ -161,6 +162,9 @@ def _check_surroundings(arguments: Sequence[str]) -> None:
     for name, text in texts.items():
         if text != text.encode(errors="replace").decode():
             raise InputError(f"{name}: expected UTF-8, which reports are written in, got {text!r}")
+    uncompiled = os.environ.get("JAX_DISABLE_JIT", "")
+    if uncompiled.lower() in _TRUE and not {"-h", "--help", "--version"} & {*arguments}:
+        raise InputError(f"JAX_DISABLE_JIT: expected 0, as no walk ends that is not compiled, got {uncompiled!r}")
 
 
 def _say(text: str) -> None:
@@ -174,6 +178,12 @@ def user_error(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT:  # files raise OutputError
         reason = os.strerror(error.errno).lower()
         message = f"standard output: expected a place that takes what is printed, got '{reason}'"
+    elif _raised_in(error) == "jax/_src/config.py":
+        named = [name for name, value in os.environ.items() if name.startswith("JAX_") and repr(value) in str(error)]
+        message = f"{', '.join(named) or 'JAX_...'}: expected a value that JAX knows, got '{error}'"
+    elif _raised_in(error) == "jax/_src/xla_bridge.py" and isinstance(error, AssertionError):
+        asked = os.environ.get("JAX_PLATFORMS", "")
+        message = f"JAX_PLATFORMS: expected devices that JAX can use, got {asked!r}, of which there are none"
     elif isinstance(error, RuntimeError) and "Unable to initialize backend" in str(error):
         message = f"JAX_PLATFORMS: expected devices that JAX can use, got '{str(error).partition(' (set ')[0]}'"
     elif type(error).__name__ in ("InternalFloatingPointError", "FloatingPointError"):
@@ -190,6 +200,16 @@ def user_error(error: Exception) -> str | None:
         return None
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+
+
+def _raised_in(error: Exception) -> str:
+    """Return the file of JAX that an error was raised in, by its folder in the package; "" for any other file."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    file = trace.tb_frame.f_code.co_filename.replace(os.sep, "/") if trace else ""
+    _, folder, name = file.rpartition("/jax/_src/")
+    return f"jax/_src/{name}" if folder else ""
 
 
 def _nearest(option: str, command: Any) -> str:

@@ -109,6 +109,9 @@ def test_a_weight_on_what_pd_has_not_is_refused_before_anything_is_written(line,
 WALK = f"run {CONFIG} --set duration=0.02 --out out"
 SURROUNDINGS = {  # a line for the shell, and what is said
     "no tpu": (f"JAX_PLATFORMS=tpu {{program}} {WALK}", "JAX_PLATFORMS: expected devices that JAX can use"),
+    "no cuda": (f"JAX_PLATFORMS=cuda {{program}} {WALK}", "JAX_PLATFORMS: expected devices that JAX can use, got 'cud"),
+    "no truth": (f"JAX_ENABLE_X64=x {{program}} {WALK}", "JAX_ENABLE_X64: expected a value that JAX knows, got"),
+    "not compiled": (f"JAX_DISABLE_JIT=1 {{program}} {WALK}", "JAX_DISABLE_JIT: expected 0, as no walk ends that is"),
     "no nan": (f"JAX_DEBUG_NANS=1 {{program}} {WALK}", "JAX_DEBUG_NANS, JAX_DEBUG_INFS: expected none"),
     "full": ("{program} schema >/dev/full", "standard output: expected a place that takes what is printed, got 'no"),
     "full, little": ("{program} --version >/dev/full", "standard output: expected a place that takes what is"),
