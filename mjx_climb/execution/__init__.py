@@ -28,7 +28,7 @@ _too_late = False
 
 def _after_fork() -> None:
     global _too_late
-    bridge = sys.modules.get("jax._src.xla_bridge")  # not public; jax is pinned to one minor version
+    bridge = sys.modules.get("jax._src.xla_bridge")  # not public; None where JAX has another name for it
     _too_late = bridge is not None and bridge.backends_are_initialized()
 
 

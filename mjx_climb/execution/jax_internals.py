@@ -1,4 +1,4 @@
-"""What this package needs of JAX that JAX does not promise, and what differs between 0.10 and 0.11; nowhere else."""
+"""What compiled walks need of JAX that JAX does not promise, and what differs between 0.10 and 0.11."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -165,25 +165,6 @@ def _middle_of(model: mujoco.MjModel) -> str | None:
     return str(model.body(joints[len(joints) // 2 - 1]).name)
 
 
-def _check_level(path: str, model: mujoco.MjModel, limbs: dict[str, Chain], base: int) -> None:
-    data = at_zero(model)
-    if model.nkey:
-        data.qpos[:] = model.key_qpos[0]
-        mujoco.mj_kinematics(model, data)
-    up = data.xmat[base].reshape(3, 3)[:, 2]
-    # of the first and the last joint of each limb, (limb, 2) m
-    heights = data.xanchor[[[chain.joints[0], chain.joints[-1]] for chain in limbs.values()]] @ up
-    above = heights - heights.min(0)
-    quarter = (heights[:, 0].max() - heights[:, 1].min()) / 4
-    low = [name for name, each in zip(limbs, above, strict=True) if each.max() < quarter]
-    high = [name for name, each in zip(limbs, above, strict=True) if each.min() > quarter]
-    if len(low) >= MIN_LIMBS and high:
-        raise RobotError(
-            f"{path}: expected limbs that stand on the ground, got {', '.join(high)} above {', '.join(low)}: choose "
-            f"with --limbs {','.join(low)}, or --limbs {','.join(limbs)}"
-        )
-
-
 def _below_dummies(model: mujoco.MjModel) -> str | None:
     """Return the body that all limbs hang on, where it is not the root and what is above it weighs nothing; else None.
 
