@@ -13,7 +13,7 @@ The walk itself is `mjx_climb.walk.step`; how a function of one robot is carried
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypedDict, Unpack
 
 import jax
@@ -29,18 +29,18 @@ from mjx_climb.control import Law, law_of
 from mjx_climb.dynamics import DEFAULT_ENGINE, checked_engine
 from mjx_climb.dynamics.state import State
 from mjx_climb.execution.batches import Progress
+from mjx_climb.hardware.stages import Stages, given, stages_of
 from mjx_climb.quantities.base import check_base
-from mjx_climb.quantities.batches import axes_behind, over_batch
+from mjx_climb.quantities.batches import axes_behind, batch_shape, is_traced, over_batch
 from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot.stance import check_stance
-from mjx_climb.rollouts.gait_values import check_compiled, gait_of, moving_stages, scenario_with_gait
+from mjx_climb.rollouts.gait_values import gait_of, scenario_with_gait
 from mjx_climb.rollouts.resolve import (
     AnyGains,
     by_name,
     check_robots,
     checked,
-    is_traced,
     recorded,
     resolve,
     resolve_in,
@@ -57,7 +57,7 @@ from mjx_climb.rollouts.walks import (
     together,
 )
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.control_loop import Action
+from mjx_climb.walk.control_loop import Action, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, set_up, walk_of
@@ -70,6 +70,7 @@ class How(TypedDict, total=False):
     dtype: DTypeLike
     batch_size: int | None
     progress: Progress | None
+    unsteady: bool
 
 
 @jax.tree_util.register_dataclass
@@ -153,11 +154,14 @@ class Simulation:
     @functools.cached_property
     def structure(self) -> Structure:
         """What the scenario's own walk is compiled for."""
-        return self._structure(own_parameters(self.scenario))
+        return self._structure(own_parameters(self.scenario), {})
 
-    def _structure(self, parameters: Parameters) -> Structure:
+    def _structure(self, parameters: Parameters, called: Mapping[str, str]) -> Structure:
         """Return what a walk under these parameters is compiled for: they say which stages of hardware there are."""
-        return structure(self.scenario, self.engine, parameters, law=self.law, metrics=self.table, smooth=self.smooth)
+        return structure(
+            self.scenario, self.engine, parameters, law=self.law, metrics=self.table, smooth=self.smooth,
+            called=lambda name: called.get(name, f"parameters.{name}"),
+        )  # fmt: skip
 
     def rollout(
         self,
@@ -182,8 +186,8 @@ class Simulation:
         resolved = resolve_in(self.scenario, self.law, gains, parameters, dtype)
         if resolved.shape != ():
             raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
-        check_time_step(self.scenario, parameters=resolved.parameters)
-        shape = self._structure(resolved.parameters)
+        check_time_step(self.scenario, parameters=resolved.walked)
+        shape = self._structure(resolved.walked, resolved.called)
         if targets is None:
             samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters)
         else:
@@ -209,6 +213,7 @@ class Simulation:
         dtype: DTypeLike = np.float32,
         batch_size: int | None = None,
         progress: Progress | None = None,
+        unsteady: bool = False,
     ) -> dict[str, np.ndarray]:
         """Walk a batch of robots on all devices and return their metrics; memory does not grow with time.
 
@@ -219,17 +224,19 @@ class Simulation:
             batch_size: at most so many robots at once, one such share at a time on a GPU and one on each core of a CPU.
                 Few robots walk on the CPU although there is a GPU: they are there sooner.
             progress: called with the number of robots that have walked and the number in all, after each share.
+            unsteady: walk robots too whose own contacts or joints the time step is too long for, as searches do, which
+                leave them out of their results.
 
         Returns:
             Arrays with the batch axes of gains and parameters, by the names of the metrics; NaN and -1 as `simulate`
             says.
 
         Raises:
-            ConfigError: a time step too long for the scenario's contacts and joints.
+            ConfigError: a time step too long for the contacts and joints of a robot.
             ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, parameters that
                 no scenario could have, no robots, or another precision than float32 and float64.
         """
-        how = How(dtype=dtype, batch_size=batch_size, progress=progress)
+        how = How(dtype=dtype, batch_size=batch_size, progress=progress, unsteady=unsteady)
         found: dict[str, np.ndarray] = self._run(metrics_of, gains, parameters, **how)
         return found
 
@@ -239,7 +246,7 @@ class Simulation:
         """Walk a batch of robots and return metrics as `metrics` does, and some histories over time beside them.
 
         Returns:
-            The metrics, and arrays (*batch, 2, stretches), by the names of `rollouts.histories.LINES`, in their units.
+            The metrics, and arrays (*batch, 2, stretches), by the names of `rollouts.walks.LINES`, in their units.
             These are the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the
             state stopped being finite.
         """
@@ -274,16 +281,17 @@ class Simulation:
         parameters: Parameters | None,
         directions: AnyGains | None = None,
         dtype: DTypeLike = np.float32,
+        unsteady: bool = False,
         **how: Any,
     ) -> Any:
         resolved = resolve_in(self.scenario, self.law, gains, parameters, dtype)
-        check_time_step(self.scenario)
-        law, own, batch, _ = resolved
-        shape, arguments, axes = self._structure(own), (law, own), resolved.axes
+        check_time_step(self.scenario, parameters=None if unsteady else resolved.walked)
+        law, own, batch = resolved[:3]
+        shape, arguments, axes = self._structure(resolved.walked, resolved.called), (law, own), resolved.axes
         if directions is None:
             return execution.run(function, shape, execution.Robots(arguments, axes, batch), **how)
         along = resolved_directions(resolved, gains, directions)
-        shape = shape._replace(stages=moving_stages(shape.stages, along))
+        shape = shape._replace(stages=stages_of(self.scenario, resolved.walked, load_robot(shape.robot), along))
         moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in along}
         of_moving = {name: law.AXES.get(name, 0) for name in along}
         robots = execution.Robots((moving, *arguments), (of_moving, *axes), batch, along)
@@ -295,8 +303,8 @@ class Simulation:
 
         Arguments:
             gains: in place of the law's own, with any leading batch axes; their precision is the simulation's.
-            parameters: with leading batch axes that broadcast with the gains'. Of hardware they may have what the
-                scenario has.
+            parameters: with leading batch axes that broadcast with the gains'. What JAX traces of them may have a value
+                that decides about a stage of hardware only where the scenario has that stage.
 
         Returns:
             Arrays with the batch axes, named and in units as the metrics say. NaN stands for what is not defined:
@@ -304,13 +312,15 @@ class Simulation:
             stopped being finite, `diverged`, the others are those of the walk until then.
 
         Raises:
-            ValueError: gains that the law does not have, or cannot have, or a metric that does not keep its shapes.
+            ConfigError: a time step too long for the scenario's contacts and joints.
+            ValueError: gains that the law does not have, or cannot have, a metric that does not keep its shapes, or
+                parameters that JAX traces and that decide about hardware.
         """
         leaves = jax.tree.leaves(self.law if gains is None else gains)
         dtypes = [leaf.dtype for leaf in leaves if hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)]
         resolved = resolve(self.scenario, self.law, gains, parameters, jnp.result_type(*(dtypes or [float])))
-        check_compiled(self.scenario, self.structure.stages, {} if gains is None else by_name(gains))
-        walk = _carried_out(metrics_of, self.structure)
+        check_time_step(self.scenario, parameters=resolved.walked)
+        walk = _carried_out(metrics_of, self._structure(resolved.walked, resolved.called))
         found: Metrics = over_batch(walk, resolved[:2], resolved.axes, resolved.shape)
         return found
 
@@ -325,8 +335,9 @@ class Simulation:
             dtype: precision of the simulation; JAX's own setting where None.
 
         Raises:
+            ConfigError: a time step too long for the robot's contacts and joints.
             ValueError: batched gains or parameters (`jax.vmap` makes a batch), gains that the law does not have, or
-                parameters with hardware that the scenario does not have.
+                parameters that JAX traces and that decide about hardware.
         """
         return self.start(gains, parameters, dtype)
 
@@ -336,18 +347,25 @@ class Simulation:
         parameters: Parameters | None,
         dtype: DTypeLike | None,
         batch: tuple[int, ...] | None = None,
+        stages: Stages | None = None,
     ) -> SimulationState:
-        """Return what `reset` does, of a batch of robots with further axes `batch` where this is not None."""
-        precision, stages = jnp.result_type(float) if dtype is None else dtype, self.structure.stages
+        """Return what `reset` does, of a batch of robots with further axes `batch` where this is not None.
+
+        With the stages of hardware that are given, whatever the parameters, which JAX may trace then.
+        """
+        precision = jnp.result_type(float) if dtype is None else dtype
         resolved = resolve(self.scenario, self.law, gains, parameters, precision)
-        if not is_traced(resolved.own) and (asked := self._structure(resolved.own).stages) != stages:
-            raise ValueError(
-                f"parameters: expected the stages of hardware and the longest delays of the scenario, {stages}, got "
-                f"{asked}; make the simulation of a scenario that has them"
-            )
+        if stages is None:
+            structure = self._structure(resolved.walked, resolved.called)
+        else:
+            structure = self.structure._replace(stages=stages)
+        check_time_step(self.scenario, parameters=resolved.walked)
+        if not all(isinstance(count, int | np.integer) and count >= 0 for count in batch or ()):
+            raise ValueError(f"batch: expected whole numbers of robots, got {batch}")
         if batch is None and resolved.shape:
             raise ValueError("reset is of one robot: a batch is made by jax.vmap, or by mjx_climb.Environment")
-        shape, begin_one = jnp.broadcast_shapes(resolved.shape, batch or ()), functools.partial(_start, self.structure)
+        shape = batch_shape(others={"gains and parameters": resolved.shape, "batch": batch or ()})
+        begin_one = functools.partial(_start, structure)
         check_robots(shape)
         state: SimulationState = over_batch(begin_one, resolved[:2], resolved.axes, shape)
         return state
@@ -362,9 +380,17 @@ class Simulation:
         Returns:
             The state after the step, and a sample with the fields of `mjx_climb.Trajectory` without the axis of time,
             which is the state at the start of the step, and the forces and accelerations that act in it.
+
+        Raises:
+            ValueError: an action of another shape.
         """
-        after: tuple[SimulationState, Sample] = _carried_out(_step, self.structure)(state, action)
+        action = checked_action(action, load_robot(self.scenario.robot), state.parameters.kp.dtype)
+        after: tuple[SimulationState, Sample] = _carried_out(_step, self._structure_of(state))(state, action)
         return after
+
+    def _structure_of(self, state: SimulationState) -> Structure:
+        """Return what the walk of a robot is compiled for: the hardware that it began with."""
+        return self.structure._replace(stages=state.setup.hardware.stages)
 
     def with_gains(self, state: SimulationState, gains: AnyGains) -> SimulationState:
         """Return a robot, or a batch of them with its axes in front, that goes on with other gains; pure.
@@ -373,7 +399,8 @@ class Simulation:
         change.
 
         Raises:
-            ValueError: gains that the law does not have, or cannot have, or for more robots than there are; a gait.
+            ValueError: gains that the law does not have, or cannot have, or for more robots than there are; a gait; a
+                `ki` of a robot that began without.
         """
         if gait := gait_of(by_name(gains)):
             raise ValueError(f"gains.{next(iter(gait))}: expected none, a robot that walks keeps its gait")
@@ -381,7 +408,10 @@ class Simulation:
         resolved = resolve(self.scenario, state.law, gains, state.parameters, state.parameters.kp.dtype)
         if resolved.shape != shape:
             raise ValueError(f"gains: expected batch axes that broadcast to the state's {shape}, got {resolved.shape}")
-        change, axes = functools.partial(_with_law, self.structure), (axes_behind(state, shape), *resolved.axes)
+        structure, ki = self._structure_of(state), resolved.walked.ki
+        if "ki" in resolved.called and not structure.stages.integral and (is_traced(ki) or given(ki)):
+            raise ValueError("gains.ki: expected 0, as the robot began without an integral gain, got another value")
+        change, axes = functools.partial(_with_law, structure), (axes_behind(state, shape), *resolved.axes)
         changed: SimulationState = over_batch(change, (state, *resolved[:2]), axes, shape)
         return changed
 

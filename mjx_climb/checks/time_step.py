@@ -10,7 +10,7 @@ import functools
 import itertools
 import math
 import operator
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -18,7 +18,8 @@ from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.hardware.servo import RELAXATION
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.quantities.batches import is_traced
+from mjx_climb.quantities.parameters import KEYS, Parameters
 from mjx_climb.robot.constants import load_model, load_robot
 from mjx_climb.robot.description import PASSIVE
 from mjx_climb.robot.stance import MET, limb_joints
@@ -26,10 +27,12 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
 _ROUNDING = 1e-7  # a free motion is twice the eigenvalue 1: rounding parts the two by its square root, 1e-8
-_STIFFENING = {  # keys of a scenario by the parameters that take their place
-    "kp": "control.kp", "kd": "control.kd",
-    "contact_stiffness": "contact.stiffness", "contact_damping": "contact.damping",
-}  # fmt: skip
+# parameters that shorten the time step as they grow: stiffness and damping are linear in each
+_STIFFENING = (
+    "kp", "kd", "contact_stiffness", "contact_damping", "rotational_stiffness", "rotational_damping",
+    "viscous_friction",
+)  # fmt: skip
+_AT_ONCE = 1024  # robots
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
@@ -74,18 +77,15 @@ def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
 
 
 def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Parameters | None = None) -> None:
-    """Refuse a time step too long for the robot's contacts and joint loop; `parameters` replace the scenario's.
+    """Refuse a time step too long for the robot's contacts and joint loop.
+
+    Parameters, with any batch axes, replace the scenario's: the step is short enough for each robot. Those that JAX
+    traces stay the scenario's.
 
     Raises:
         ConfigError: in one line, the time step that would do.
     """
-    if parameters is not None:  # those that shorten the time step, where they are not the scenario's own
-        others = {
-            key: float(getattr(parameters, name))
-            for name, key in _STIFFENING.items()
-            if not math.isclose(getattr(parameters, name), operator.attrgetter(key)(scenario), rel_tol=1e-6)
-        }
-        scenario = scenario.with_overrides(others) if others else scenario
+    scenario = scenario if parameters is None else _stiffest(scenario, parameters)
     grows = growth(scenario)
     if grows <= 1 + _ROUNDING:
         return
@@ -99,6 +99,43 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
         f"control.kd {control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
         f"{largest_time_step(scenario, source):g} would do"
     )
+
+
+def _stiffest(scenario: Scenario, parameters: Parameters) -> Scenario:
+    """Return the scenario of a robot that the time step is too long for, of the stiffest where there is none.
+
+    Where the step is short enough for the largest value of each parameter it is for all robots: a disturbance does not
+    grow while 4 M - 2 h D - h^2 K is positive definite, of which the three are symmetric.
+    """
+    known = {n: np.asarray(v, float) for n in _STIFFENING if not is_traced(v := getattr(parameters, n))}
+    own = {name: float(operator.attrgetter(KEYS[name])(scenario)) for name in known}
+    largest = {name: float(values.max()) for name, values in known.items()}
+
+    def of(values: Mapping[str, float]) -> Scenario:
+        others = {KEYS[n]: value for n, value in values.items() if not math.isclose(value, own[n], rel_tol=1e-6)}
+        return scenario.with_overrides(others) if others else scenario
+
+    stiffest = of(largest)
+    if all(values.size == 1 for values in known.values()) or short_enough(stiffest):
+        return stiffest
+    rows = np.unique(np.stack(np.broadcast_arrays(*known.values()), -1).reshape(-1, len(known)), axis=0)
+    least, change = _definite(stiffest), []
+    for name, most in largest.items():
+        half = of(largest | {name: most / 2}) if most else stiffest
+        change.append((least - _definite(half)) / (most / 2 if most else 1.0))
+    for start in range(0, len(rows), _AT_ONCE):
+        some = rows[start : start + _AT_ONCE]
+        definite = least + np.tensordot(some - [*largest.values()], np.stack(change), 1)
+        for row in some[(np.linalg.eigvalsh(definite)[..., 0] < 0).any(1)]:
+            if not short_enough(found := of(dict(zip(known, row.tolist(), strict=True)))):
+                return found
+    return of(dict(zip(known, rows[0].tolist(), strict=True)))
+
+
+def _definite(scenario: Scenario) -> np.ndarray:
+    """Return 4 M - 2 h D - h^2 K of each posture, (S, 18, 18)."""
+    h = scenario.time_step
+    return np.stack([4 * m - 2 * h * d - h * h * k for m, k, d in _systems(scenario, h)])
 
 
 def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

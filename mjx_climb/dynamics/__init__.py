@@ -19,6 +19,7 @@ from mjx_climb.dynamics import limb_engine
 from mjx_climb.dynamics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.shapes import check_shape
 
 # state, joint torque (limb, joint), foot force (limb, 3), base wrench (6,), cargo mass (), gravity (3,)
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
@@ -71,9 +72,16 @@ def forward_dynamics(
 
     Raises:
         ConfigError: no such engine.
+        ValueError: a state or loads of another shape.
     """
     checked_engine(engine)
     robot = load_robot(robot) if isinstance(robot, str) else robot
+    sizes, batch = {"limbs": len(robot.limbs), "joints": robot.joint_lower.size}, jnp.shape(state.base_position)[:-1]
+    own = zip(vars(state), ("3", "4", "3", "3", "joints", "joints"), strict=True)
+    dims = {f"state.{name}": (getattr(state, name), each) for name, each in own}
+    dims |= {"tau": (tau, "joints"), "foot_force": (foot_force, "limbs 3"), "base_wrench": (base_wrench, "6")}
+    for name, (value, each) in (dims | {"cargo_mass": (cargo_mass, ""), "gravity": (gravity, "3")}).items():
+        check_shape(name, jnp.shape(value), each, sizes, batch)
     loads = Loads(*(jnp.asarray(load) for load in (tau, foot_force, base_wrench, cargo_mass, gravity)))
     return cast(Acceleration, _forward_dynamics(state, loads, robot, engine))
 

@@ -1,16 +1,18 @@
 """Which stages of hardware a walk has, decided once before it is compiled, and what they need of its parameters."""
 
 import dataclasses
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.extend.core import concrete_or_error
 from jax.typing import ArrayLike
 
 from mjx_climb.hardware.signals import Buffer, buffer_length, period_steps, weights
-from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.quantities.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.model import Scenario
 
@@ -70,11 +72,15 @@ class Stages(NamedTuple):
 IDEAL = Stages()
 
 
-def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = None) -> Stages:
+def stages_of(
+    scenario: Scenario, parameters: Parameters, robot: Robot | None = None, moving: Collection[str] = ()
+) -> Stages:
     """Return the stages that some robot of a batch needs; buffers are as long as the longest delay needs.
 
+    The parameters named in `moving` have their stages whatever their values, as derivatives along them need.
+
     Raises:
-        TypeError: parameters that are traced by JAX, so that nothing can be decided by them.
+        TypeError: parameters that are traced by JAX, so that nothing can be decided by them: see `stages_under_trace`.
     """
     for name, value in vars(parameters).items():
         if isinstance(value, jax.core.Tracer):
@@ -82,42 +88,88 @@ def stages_of(scenario: Scenario, parameters: Parameters, robot: Robot | None = 
     step, voltage = scenario.time_step, scenario.hardware.servo.drive == "voltage"
     if voltage:
         _check_voltage(parameters)
-    filtered, by_law = _finite(parameters.force_filter), scenario.hardware.force_sensor.filtered_by == "law"
     limited, dry, viscous = (
         robot is not None and getattr(robot, name) is not None for name in ("torque_limit", "friction", "damping")
     )
 
     def some(*names: str) -> bool:
         """Return whether a parameter of these is not zero for some robot."""
-        return any(given(getattr(parameters, name)) for name in names)
+        return any(name in moving or given(getattr(parameters, name)) for name in names)
 
+    def finite(name: str) -> bool:
+        return name in moving or bool(np.any(np.isfinite(np.asarray(getattr(parameters, name)))))
+
+    def length(name: str) -> int:
+        return buffer_length(np.maximum(getattr(parameters, name), step if name in moving else 0.0), step)
+
+    filtered, by_law = finite("force_filter"), scenario.hardware.force_sensor.filtered_by == "law"
     simple = ("force_noise", "force_bias", "force_resolution", "control_period", "armature", "backlash")
     found: dict[str, Any] = {name: some(name) for name in simple}
-    found |= {f"{part}_delay": buffer_length(getattr(parameters, f"{part}_delay"), step) for part in _DELAYED}
+    found |= {f"{part}_delay": length(f"{part}_delay") for part in _DELAYED}
     return Stages(
         **found,
         force_filter=filtered and not by_law,
-        force_dead=_finite(parameters.force_dead),
+        force_dead=finite("force_dead"),
         sampled_filter=filtered and by_law,
         base_noise=some("position_noise", "velocity_noise"),
         linear=found["control_period"] and scenario.hardware.interpolation == "linear",
-        servo_rate=_finite(parameters.servo_rate),
-        profile=_finite(parameters.profile_velocity),
+        servo_rate=finite("servo_rate"),
+        profile=finite("profile_velocity"),
         integral=some("ki"),
         voltage=voltage,
-        supply_voltage=_finite(parameters.supply_voltage),
-        torque_limit=limited or _finite(parameters.torque_limit),
-        current_limit=(voltage and limited) or _finite(parameters.current_limit),
+        supply_voltage=finite("supply_voltage"),
+        torque_limit=limited or finite("torque_limit"),
+        current_limit=(voltage and limited) or finite("current_limit"),
         dry_friction=dry or some("coulomb_friction", "load_friction", *_OF_LOAD, *_STRIBECK),
         stribeck=some(*_STRIBECK),
         load_torque=some(*_OF_LOAD),
         viscous_friction=viscous or some("viscous_friction"),
-        capture=_finite(parameters.capture_distance),
+        capture=finite("capture_distance"),
         rotational=some("rotational_stiffness"),
-        height=given(np.asarray(parameters.height) - 1),
+        height="height" in moving or given(np.asarray(parameters.height) - 1),
         sway=some("sway"),
         landing_speed=some("landing_speed"),
     )
+
+
+def stages_under_trace(
+    scenario: Scenario,
+    parameters: Parameters,
+    robot: Robot | None = None,
+    called: Callable[[str], str] = "parameters.{}".format,
+) -> Stages:
+    """Return the stages that parameters need, of which JAX may trace some.
+
+    What a derivative alone traces is known; what `jit` or `vmap` traces counts as the scenario's own.
+
+    Arguments:
+        called: how a parameter, by its name, is called where it is refused.
+
+    Raises:
+        ValueError: a parameter that is traced and decides about a stage which is not there, or a delay that is traced,
+            whose buffer has a length.
+    """
+    values, traced = dict(vars(parameters)), {}
+    for name, value in vars(parameters).items():
+        if isinstance(value, jax.core.Tracer):
+            try:
+                values[name], traced[name] = np.asarray(concrete_or_error(None, value)), True
+            except jax.errors.ConcretizationTypeError:
+                values[name], traced[name] = getattr(own_parameters(scenario), name), False
+    known = Parameters(**values)
+    stages = stages_of(scenario, known, robot)
+    for name, is_known in traced.items():
+        late = name.removesuffix("_delay") in _DELAYED and not is_known
+        if late or lacking(stages, stages_of(scenario, known, robot, (name,))):
+            known_one = "a value that is known where the walk is compiled"
+            expected = known_one if late else f"{known_one}, or a scenario that has such a stage"
+            raise ValueError(f"{called(name)}: expected {expected}, got one that JAX traces: trace only what varies")
+    return stages
+
+
+def lacking(stages: Stages, asked: Stages) -> bool:
+    """Return whether there is a stage among those asked for that is not there."""
+    return any(wanted and not there for there, wanted in zip(stages, asked, strict=True))
 
 
 def _check_voltage(parameters: Parameters) -> None:
@@ -130,10 +182,6 @@ def _check_voltage(parameters: Parameters) -> None:
 def given(value: ArrayLike) -> bool:
     """Return whether any number of an array is not zero."""
     return bool(np.any(np.asarray(value) != 0))
-
-
-def _finite(value: ArrayLike) -> bool:
-    return bool(np.any(np.isfinite(np.asarray(value))))
 
 
 class Pace(NamedTuple):

@@ -4,7 +4,8 @@ A tree here has `AXES`: how many axes one environment's value has, by field, whe
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import jax
@@ -13,6 +14,11 @@ import jax.numpy as jnp
 from mjx_climb.execution.batches import flattened
 
 Tree = TypeVar("Tree")
+
+
+def is_traced(tree: Any) -> bool:
+    """Return whether JAX traces any value of a tree, so that it is not known."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def own_axes(tree: Tree) -> Tree:
@@ -28,8 +34,8 @@ def axes_behind(tree: Tree, shape: Sequence[int]) -> Tree:
     return own
 
 
-def batch_shape(*trees: Any) -> tuple[int, ...]:
-    """Return the batch shape that the values of trees broadcast to.
+def batch_shape(*trees: Any, others: Mapping[str, tuple[int, ...]] = MappingProxyType({})) -> tuple[int, ...]:
+    """Return the batch shape that the values of trees, and other batch axes by name, broadcast to.
 
     Raises:
         ValueError: in one line, which values have shapes that do not broadcast.
@@ -39,6 +45,8 @@ def batch_shape(*trees: Any) -> tuple[int, ...]:
         pairs = zip(jax.tree.leaves_with_path(tree), jax.tree.leaves(own_axes(tree)), strict=True)
         for (path, value), own in pairs:
             names.setdefault(jnp.shape(value)[: max(0, jnp.ndim(value) - own)], path[-1].name)
+    for name, shape in others.items():
+        names.setdefault(shape, name)
     try:
         return jnp.broadcast_shapes(*names)
     except ValueError:

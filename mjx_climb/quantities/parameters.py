@@ -167,7 +167,8 @@ COORDINATES: dict[str, tuple[str, str]] = {
 def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
     """Return the parameters of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
     known = vars(own_parameters(scenario))
-    return Parameters(**{n: jnp.asarray(value, dtype or jnp.result_type(float)) for n, value in known.items()})
+    with jax.ensure_compile_time_eval():  # values under `jit` too: they say which hardware a walk is compiled for
+        return Parameters(**{n: jnp.asarray(value, dtype or jnp.result_type(float)) for n, value in known.items()})
 
 
 def own_parameters(scenario: Scenario) -> Parameters:
@@ -225,9 +226,9 @@ def check_ranges(parameters: Parameters) -> None:
             except ValidationError as invalid:
                 expected = invalid.errors()[0]["ctx"]["expected"].replace("or null", "or infinite")
                 raise ValueError(f"parameters.{name}: expected {expected}, got {end:g}") from None
-    pushes = {name: np.shape(getattr(parameters, name))[axis] for name, axis in _PUSHES.items()}
+    pushes = {name: np.shape(getattr(parameters, name))[axis:][:1] for name, axis in _PUSHES.items()}
     if len(set(pushes.values())) > 1:
-        counts = ", ".join(f"{count} of {name}" for name, count in pushes.items())
+        counts = ", ".join(f"{count[0] if count else 'none'} of {name}" for name, count in pushes.items())
         raise ValueError(f"parameters.push_start: expected as many of each for the pushes, got {counts}")
 
 

@@ -11,14 +11,15 @@ from numpy.typing import DTypeLike
 from mjx_climb import execution
 from mjx_climb.control import Law
 from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.quantities.batches import axes_behind, over_batch
+from mjx_climb.quantities.batches import axes_behind, is_traced, over_batch
 from mjx_climb.quantities.parameters import Parameters
-from mjx_climb.rollouts.resolve import AnyGains, checked_dtype, is_traced
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.rollouts.resolve import AnyGains, checked_dtype
 from mjx_climb.rollouts.trajectory import Trajectory, named
 from mjx_climb.rollouts.walks import Metrics, metrics_of_samples
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.simulation import Simulation, SimulationState
-from mjx_climb.walk.control_loop import Action, JointTargets
+from mjx_climb.walk.control_loop import Action, JointTargets, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.structure import structure
@@ -103,12 +104,13 @@ def simulator(
     if is_traced(leaves):
         return simulation.simulate
     values = tuple((array.shape, array.dtype.str, array.tobytes()) for array in map(np.asarray, leaves))
-    if len(_SIMULATIONS) >= 64:
-        del _SIMULATIONS[next(iter(_SIMULATIONS))]  # the oldest
-    return _SIMULATIONS.setdefault((scenario, simulation.structure, tree, values), simulation).simulate
+    if len(_SIMULATORS) >= 64:
+        del _SIMULATORS[next(iter(_SIMULATORS))]  # the oldest
+    # JAX knows a function by the object: a bound method is another one each time it is looked up
+    return _SIMULATORS.setdefault((scenario, simulation.structure, tree, values), simulation.simulate)
 
 
-_SIMULATIONS: dict[Any, Simulation] = {}  # of `simulator`, by what they simulate
+_SIMULATORS: dict[Any, Callable[..., Metrics]] = {}  # by what they simulate
 
 
 def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict[str, float | str | bool | None]:
@@ -158,17 +160,18 @@ class Environment:
         self.dtype: np.dtype = checked_dtype(jnp.result_type(float) if dtype is None else dtype)
 
     def reset(
-        self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, batch: tuple[int, ...] = ()
+        self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, batch: int | tuple[int, ...] = ()
     ) -> SimulationState:
         """Return robots in the rest stance with all grippers shut, as `Simulation.reset` does one.
 
         Gains and parameters have any leading batch axes that broadcast; `batch` has further ones, where neither has
-        them: `batch=(64,)` for 64 equal robots.
+        them: `batch=(64,)`, or 64, for 64 equal robots.
 
         Raises:
             ValueError: as `Simulation.reset`, but for batch axes, and shapes that do not broadcast, or no robots.
         """
-        return self.simulation.start(gains, parameters, self.dtype, tuple(batch))
+        sizes = tuple(batch) if isinstance(batch, Iterable) else (batch,)
+        return self.simulation.start(gains, parameters, self.dtype, sizes)
 
     def step(
         self, state: SimulationState, action: Action = None, gains: AnyGains | None = None
@@ -179,12 +182,12 @@ class Environment:
         robots or have the batch axes of the state.
 
         Raises:
-            ValueError: gains as of `reset`, or for more robots than there are.
+            ValueError: gains as of `reset`, or for more robots than there are; an action of another shape.
         """
         if gains is not None:
             state = self.simulation.with_gains(state, gains)
         shape = state.step.shape
-        acting: Action = jax.tree.map(lambda value: jnp.asarray(value, self.dtype), action)
-        axes = (axes_behind(state, shape), jax.tree.map(lambda _: 2 if isinstance(action, JointTargets) else 1, action))
+        acting = checked_action(action, load_robot(self.scenario.robot), self.dtype, shape)
+        axes = (axes_behind(state, shape), jax.tree.map(lambda _: 2 if isinstance(action, JointTargets) else 1, acting))
         after: tuple[SimulationState, Sample] = over_batch(self.simulation.step, (state, acting), axes, shape)
         return after

@@ -7,8 +7,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from mjx_climb.hardware.stages import Stages
 from mjx_climb.quantities.base import check_base
+from mjx_climb.quantities.batches import batch_shape
 from mjx_climb.quantities.parameters import KEYS, Parameters, whole_steps
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
@@ -51,25 +51,11 @@ def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, Any]) ->
     if why := why_fixed(scenario, values):
         raise ValueError(f"gains.{why}")
     walked = replace(own, **changed)
+    batch_shape(walked)
     each = [getattr(walked, name) for name in GAIT.values()]
     if not any(isinstance(value, jax.core.Tracer) for value in each):
         _check(scenario, dict(zip(GAIT, np.broadcast_arrays(*map(np.asarray, each)), strict=True)))
     return walked
-
-
-def moving_stages(stages: Stages, names: Iterable[str]) -> Stages:
-    """Return the stages of a walk with derivatives along parameters by name: some have one where there is no stage."""
-    there = {name: True for name in names if name in GAIT.values() and name in stages._fields}
-    return stages._replace(**there)
-
-
-def check_compiled(scenario: Scenario, stages: Stages, gains: Mapping[str, Any]) -> None:
-    """Raise a ValueError for values of the gait for which a walk of these stages is not compiled."""
-    for key, value in gait_of(gains).items():
-        own = getattr(scenario.gait, GAIT[key])
-        if not getattr(stages, GAIT[key], True) and (isinstance(value, jax.core.Tracer) or np.any(value != own)):
-            expected = f"expected a scenario whose own is not {own:g}, so that the walk is compiled with it"
-            raise ValueError(f"gains.{key}: {expected}")
 
 
 def scenario_with_gait(scenario: Scenario, gains: Mapping[str, Any]) -> Scenario:

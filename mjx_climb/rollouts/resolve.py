@@ -16,8 +16,11 @@ from mjx_climb.control import PD, Law
 from mjx_climb.dynamics.spatial import namespace
 from mjx_climb.quantities.batches import batch_shape, own_axes
 from mjx_climb.quantities.parameters import Gains, Parameters, check_ranges, own_parameters, with_whole_steps
+from mjx_climb.quantities.swing import COUNT
+from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.gait_values import GAIT, TIMES, with_gait
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.shapes import broadcasts, check_fields
 
 AnyGains = Gains | Law | Mapping[str, Any]  # values by name
 
@@ -32,6 +35,8 @@ class Resolved(NamedTuple):
     parameters: Parameters  # with the joint gains that were given, and with times that are whole time steps
     shape: tuple[int, ...]
     own: Parameters  # as they were given, with the gait among the gains, without either of these
+    walked: Parameters  # as `parameters`, in the precision given: values that JAX does not trace are known
+    called: Mapping[str, str]  # the names of the parameters among the gains, by their names
 
     @property
     def axes(self) -> tuple[Law, Parameters]:
@@ -59,21 +64,23 @@ def resolve(
     array = functools.partial(xp.asarray, dtype=checked_dtype(dtype))
     own = own_parameters(scenario) if parameters is None else parameters
     check_ranges(own)
+    check_fields("parameters", own, {"limbs": len(load_robot(scenario.robot).limbs), "K": range(COUNT + 1)})
     values = _values_by_name(law, gains)
+    called = {GAIT.get(name, name): f"gains.{name}" for name in values if name in (*GAIT, *_JOINT_LOOP)}
     own = with_gait(
         scenario, own, {key: _checked(f"gains.{key}", values.pop(key), 1, 0.0) for key in GAIT if key in values}
     )
-    joint = {name: array(_checked(f"gains.{name}", values.pop(name), 1)) for name in _JOINT_LOOP if name in values}
+    joint = {name: _checked(f"gains.{name}", values.pop(name), 1) for name in _JOINT_LOOP if name in values}
     law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
-    parameters = jax.tree.map(array, with_whole_steps(own, scenario.time_step))
-    parameters = dataclasses.replace(parameters, **joint)
+    walked = dataclasses.replace(with_whole_steps(own, scenario.time_step), **joint)
+    parameters = jax.tree.map(array, walked)
     # gains of a law without any still say how many robots there are
-    others = [jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS]
-    shape = jnp.broadcast_shapes(batch_shape(law, parameters), *others)
+    others = {name: jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS}
+    shape = batch_shape(law, parameters, others=others)
     check_robots(shape)
     if shape != batch_shape(law, parameters):
         parameters = dataclasses.replace(parameters, kp=xp.broadcast_to(parameters.kp, shape))
-    return Resolved(law, parameters, shape, own)
+    return Resolved(law, parameters, shape, own, walked, called)
 
 
 def resolve_in(
@@ -95,11 +102,6 @@ def checked_dtype(dtype: DTypeLike) -> np.dtype:
     if np.dtype(dtype) not in (np.float32, np.float64):
         raise ValueError(f"dtype: expected float32 or float64, got {np.dtype(dtype)}")
     return np.dtype(dtype)
-
-
-def is_traced(tree: Any) -> bool:
-    """Return whether JAX traces any value of a tree, so that it is not known."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def with_gains(law: Law, gains: AnyGains) -> Law:
@@ -219,7 +221,8 @@ def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: 
     """Return rates of gains (k, *batch, n) by name as (*batch, k, n), without the last axis where a gain is one number.
 
     Raises:
-        ValueError: in one line, `kp`, `kd` or `ki` in one of two `Gains` alone, or a time of the gait that changes.
+        ValueError: in one line, `kp`, `kd` or `ki` in one of two `Gains` alone, a time of the gait that changes, or
+            another shape.
     """
     if isinstance(gains, Gains) and isinstance(directions, Gains):
         for name, rates in vars(directions).items():
@@ -236,8 +239,12 @@ def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: 
         | dict.fromkeys(GAIT.values(), 1)
         | {n: own.length for n, own in law.GAINS.items()}
     )
+    count = max([np.shape(rates)[0] for rates in given.values() if np.ndim(rates)], default=1)
     for name in (name for name in given if name in lengths):
         value, own = np.asarray(given[name], dtype), (lengths[name],) if lengths[name] > 1 else ()
+        if value.ndim <= len(own) or value.shape[0] != count or not broadcasts(value.shape[1:], (*shape, *own)):
+            expected = f"shape {(count, *shape, *own)}, or fewer batch axes behind the first"
+            raise ValueError(f"directions.{name}: expected {expected}, got {value.shape}")
         (number, *batch) = value.shape[: value.ndim - len(own)]
         value = np.broadcast_to(value, (number, *batch, *own))
         value = value.reshape(number, *[1] * (len(shape) - len(batch)), *batch, *own)

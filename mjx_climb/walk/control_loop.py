@@ -5,7 +5,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jaxtyping import Real
+from numpy.typing import DTypeLike
 
 from mjx_climb.control import Command, JointGains, Law, Measurement, Reference, Start, sensor_watch, shifted
 from mjx_climb.control.law import beginning
@@ -15,22 +18,40 @@ from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.dynamics.state import State
 from mjx_climb.hardware import sensors, servo, signals
 from mjx_climb.hardware.stages import Hardware
+from mjx_climb.robot.constants import Robot
+from mjx_climb.shapes import check_shape, dims_of
 from mjx_climb.walk.contact import Contact, Grip
 
 
 class JointTargets(NamedTuple):
     """An action: where the joint loop should take the joints; no inverse kinematics, no law."""
 
-    angles: Array  # (limb, joint) rad
+    angles: Real[Array | np.ndarray, "... limbs joints"]  # rad
 
 
 class BaseShift(NamedTuple):
     """An action: how far the base should be from its reference, along the reference's axes; the feet as planned."""
 
-    displacement: Array  # (6,) m, rad: a translation and a rotation vector
+    displacement: Real[Array | np.ndarray, "... 6"]  # m, rad: a translation and a rotation vector
 
 
 Action = JointTargets | BaseShift | None  # None: what the law commands
+
+
+def checked_action(action: Action, robot: Robot, dtype: DTypeLike, batch: tuple[int, ...] = ()) -> Action:
+    """Return an action as arrays of a precision.
+
+    Raises:
+        ValueError: in one line, another action, or another shape than that of one robot or of a batch of them.
+    """
+    if action is None:
+        return None
+    if not isinstance(action, JointTargets | BaseShift):
+        raise ValueError(f"action: expected JointTargets, BaseShift or None, got {type(action).__name__}")
+    kind, sizes = type(action), {"limbs": len(robot.limbs), "joints": robot.joints}
+    [(name, value)] = action._asdict().items()
+    check_shape(f"{kind.__name__}.{name}", np.shape(value), dims_of(kind.__annotations__[name]), sizes, batch)
+    return kind(jnp.asarray(value, np.dtype(dtype)))
 
 
 @jax.tree_util.register_dataclass
@@ -134,7 +155,7 @@ def control(
     if action is not None:
         displacement = action.displacement if isinstance(action, BaseShift) else jnp.zeros_like(actual.wrench)
         own, law_state = jax.tree.map(jnp.ones_like, command.joint_gains), memory.law
-        command = shifted(reference, displacement)._replace(joint_gains=own)
+        command = shifted(reference, jnp.asarray(displacement))._replace(joint_gains=own)
     joints, posture = _solve(controller.geometry, memory.posture, command, reference)
     if isinstance(action, JointTargets):
         joints = joints._replace(joint_angles=action.angles)

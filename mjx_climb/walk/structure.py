@@ -1,7 +1,7 @@
 """What a compiled walk depends on beside its law and the values of its parameters."""
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from mjx_climb.control import LAWS, Law
 from mjx_climb.dynamics import ENGINES
 from mjx_climb.execution.contents import Unidentifiable, identity
-from mjx_climb.hardware.stages import IDEAL, Stages, stages_of
+from mjx_climb.hardware.stages import IDEAL, Stages, stages_under_trace
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.quantities.parameters import Parameters
 from mjx_climb.robot.constants import load_model, load_robot
@@ -43,14 +43,15 @@ def structure(
     law: Law | None = None,
     metrics: Iterable[Metric] = METRICS,
     smooth: bool = False,
+    called: Callable[[str], str] = "parameters.{}".format,
 ) -> Structure:
     """Return the structure of a scenario's walk.
 
     With `smooth` the metrics have their smooth companions, and no gripper is torn off. Parameters, with any leading
-    batch axes, say which stages of hardware there are.
+    batch axes, say which stages of hardware there are; see `stages_under_trace`.
 
     Raises:
-        ValueError: two metrics of one name.
+        ValueError: two metrics of one name, or parameters that JAX traces and that decide about a stage.
     """
     table = MetricTable(metrics)
     own: list[Any] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
@@ -69,7 +70,7 @@ def structure(
         time_step=scenario.time_step,
         metrics=table.with_companions if smooth else table,
         smooth=smooth,
-        stages=stages_of(scenario, parameters, load_robot(scenario.robot)),
+        stages=stages_under_trace(scenario, parameters, load_robot(scenario.robot), called),
         model=_digest(scenario.robot, engine),
         own_code=own_code,
     )

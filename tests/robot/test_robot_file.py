@@ -343,6 +343,47 @@ def test_joint_gains_that_are_given_count_for_the_time_step(given):
         mc.rollout(scenario, **({"gains": stiff} if given == "gains" else {"parameters": replaced}))
 
 
+STIFF = r"^scenario: time_step: .* control.kp 2000 and control.kd 30, got 0\.001"
+
+
+@pytest.mark.parametrize("given", ["gains", "numbers"])
+def test_each_robot_of_a_batch_counts_for_the_time_step(given):
+    """By every method: one that is too stiff is named, though each of its values is that of a robot that is not."""
+    scenario = mc.Scenario(robot="hubrobo_v3_2")
+    stiff = {"kp": np.array([50.0, 2e3, 40.0]), "kd": np.array([0.2, 30.0, 0.1])}
+    numbers = mc.parameters(scenario)
+    call = {"gains": stiff} if given == "gains" else {"parameters": dataclasses.replace(numbers, **stiff)}
+    simulation = mc.Simulation(scenario)
+    for method in (simulation.metrics, simulation.histories, simulation.simulate, mc.Environment(scenario).reset):
+        with pytest.raises(mc.ConfigError, match=STIFF):
+            method(**call)
+    with pytest.raises(mc.ConfigError, match=STIFF):
+        simulation.jvp({"damping": 1e2}, {"damping": np.ones(1)}, dataclasses.replace(numbers, **stiff))
+
+
+def test_robots_of_a_batch_that_are_stiff_in_turn_are_not_one_that_is_so_in_all():
+    """Against the eigenvalues of each robot alone."""
+    scenario = mc.Scenario(robot="hubrobo_v3_2")
+    rng = np.random.default_rng(1)
+    keys = {"kp": "control.kp", "kd": "control.kd", "contact_stiffness": "contact.stiffness"}
+    keys["contact_damping"] = "contact.damping"
+    own = {name: float(np.asarray(getattr(mc.parameters(scenario), name))) for name in keys}
+    rows = [{name: value * np.exp(rng.uniform(-3, 4)) for name, value in own.items()} for _ in range(24)]
+    short = [growth(scenario.with_overrides({keys[n]: v for n, v in row.items()})) <= 1 + 1e-7 for row in rows]
+    assert 3 < sum(short) < 21
+    assert growth(scenario.with_overrides({keys[n]: max(r[n] for r in rows) for n in keys})) > 1
+
+    def batch(rows):
+        values = {name: np.array([row[name] for row in rows]) for name in keys}
+        return dataclasses.replace(mc.parameters(scenario), **values)
+
+    sound = [row for row, fine in zip(rows, short, strict=True) if fine]
+    check_time_step(scenario, parameters=batch(sound))
+    for row in (row for row, fine in zip(rows, short, strict=True) if not fine):
+        with pytest.raises(mc.ConfigError, match=rf"control\.kp {row['kp']:g} and"):
+            check_time_step(scenario, parameters=batch([*sound, row]))
+
+
 @pytest.mark.slow
 def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
     """v2.2 walks at 0.1 ms, forces calm; 0.2 ms is refused, rightly: walked all the same, it blows up."""

@@ -55,6 +55,52 @@ def test_pushes_without_their_times_are_refused(numbers):
         check_ranges(bad)
 
 
+SHAPES = {  # of one robot of four limbs, by name: another one, and what is said
+    "gravity": ((2,), "(..., 3), got (2,)"),
+    "foothold_height": ((3, 2), "(..., 4, N), got (3, 2)"),
+    "swing_path": ((4, 3, 7), "(..., 4, 3, K), K 0 to 6, got (4, 3, 7)"),
+    "force_dead": ((3,), "(..., 4), got (3,)"),
+    "push_force": ((3, 2), "(..., pushes, 3), got (3, 2)"),
+    "push_moment": ((3, 2), "(..., pushes, 3), got (3, 2)"),
+}
+
+
+def test_each_parameter_of_another_shape_is_named(scenario, numbers):
+    """By every method, before JAX sees it."""
+    assert {*SHAPES, "push_start", "push_stop"} == {*mc.Parameters.AXES}  # which any one row is for
+    methods = (mc.rollout, mc.rollout_metrics, lambda s, *of: mc.simulator(s)(*of), mc.Simulation(scenario).reset)
+    for name, (shape, said) in SHAPES.items():
+        for method in methods:
+            bad = copy.copy(numbers)
+            object.__setattr__(bad, name, np.zeros(shape))
+            with pytest.raises(ValueError) as error:
+                method(None, bad) if method is methods[-1] else method(scenario, None, bad)
+            assert str(error.value) == f"parameters.{name}: expected shape {said}"
+
+
+ACTIONS = [  # to robots (2,), or to one alone
+    (mc.JointTargets(np.zeros((4, 2))), "JointTargets.angles: expected shape (4, 3){}, got (4, 2)"),
+    (mc.JointTargets(np.zeros((3, 4, 3))), "JointTargets.angles: expected shape (4, 3){}, got (3, 4, 3)"),
+    (mc.BaseShift(np.zeros(3)), "BaseShift.displacement: expected shape (6,){}, got (3,)"),
+    (np.zeros(6), "action: expected JointTargets, BaseShift or None, got ndarray"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(ACTIONS)))
+def test_an_action_of_another_shape_is_named(scenario, number):
+    action, said = ACTIONS[number]
+    env = mc.Environment(scenario)
+    one, two = (jax.eval_shape(lambda batch=batch: env.reset(batch=batch)) for batch in ((), (2,)))
+    for step, state, more in (
+        (env.simulation.step, one, ""),
+        (env.step, one, ""),
+        (env.step, two, ", or with batch axes before it that broadcast to (2,)"),
+    ):
+        with pytest.raises(ValueError) as error:
+            jax.eval_shape(lambda state, step=step: step(state, action), state)
+        assert str(error.value) == said.format(more)
+
+
 def test_what_the_scenario_allows_is_allowed(numbers):
     """The ends of ranges, batches, and what nobody knows yet."""
     ends = {"holding_limit": np.array([0.0, np.inf]), "kd": 0.0, "duty": np.nextafter(1, 0), "seed": 2.0**24 - 1}
@@ -65,6 +111,7 @@ def test_what_the_scenario_allows_is_allowed(numbers):
 
 SIX = mc.Gains(*[np.ones((1, 6))] * 3)
 NO_DTYPE, NO_BATCH = "dtype: expected float32 or float64, got ", "batch_size: expected 1 or more, got 0"
+UNLIKE = "batch axes of gains and parameters: expected some that broadcast, got "
 NOBODY = "gains and parameters: expected one robot or more, got batch axes (0,)"
 LIMIT = "parameters.torque_limit: expected a finite number above 0, or infinite, got -1"
 BAD = [  # a call of a scenario and of bad parameters, and what is said
@@ -83,6 +130,24 @@ BAD = [  # a call of a scenario and of bad parameters, and what is said
     (lambda s, _: mc.rollout_histories(s, batch_size=0), NO_BATCH),
     (lambda s, _: mc.rollout_metrics(s, {"kp": np.ones(0)}), NOBODY),
     (lambda s, _: mc.Environment(s).reset(batch=(0,)), NOBODY),
+    (lambda s, _: mc.Environment(s).reset(batch=(2.5,)), "batch: expected whole numbers of robots, got (2.5,)"),
+    (lambda s, _: mc.Environment(s).reset(batch="ab"), "batch: expected whole numbers of robots, got ('a', 'b')"),
+    (
+        lambda s, _: mc.Environment(s).reset({"kp": np.full(2, 50.0)}, batch=(3,)),
+        f"{UNLIKE}gains and parameters (2,), batch (3,)",
+    ),
+    (
+        lambda s, _: mc.rollout_metrics(s, {"gait.sway": np.zeros(2), "gait.height": np.ones(3)}),
+        f"{UNLIKE}height (3,), sway (2,)",
+    ),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"damping": 1e2}, {"damping": 1.0}),
+        "directions.damping: expected shape (1, 6), or fewer batch axes behind the first, got ()",
+    ),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"kp": np.full(2, 50.0)}, {"kp": np.ones((1, 3))}),
+        "directions.kp: expected shape (1, 2), or fewer batch axes behind the first, got (1, 3)",
+    ),
     (lambda s, _: mc.rollout_metrics(s, {"damping": 1e2 + 1j}), "gains.damping: expected real numbers, got complex128"),
     (lambda s, _: mc.rollout_metrics(s, {"kp": 1j}), "gains.kp: expected real numbers, got complex128"),
 ]

@@ -86,14 +86,13 @@ def swaying(scenario: mc.Scenario, duration: float) -> mc.Scenario:
 def standing(scenario: mc.Scenario, stages: Stages) -> Simulate:
     """Return what the robot of a scenario of `swaying` does; it is the scenario's own, whatever robot is given."""
     simulation = mc.Simulation(scenario)
-    vars(simulation)["structure"] = simulation.structure._replace(stages=stages)
 
     def one_step(state: mc.simulation.SimulationState, target: Array) -> tuple[Any, Carried]:
         state, sample = simulation.step(state, JointTargets(target))
         return state, Carried(sample.joint_angles, sample.joint_rates, sample.joint_torque, sample.foot_force)
 
     def carried_out(_: Robot, parameters: Parameters, commands: Commands) -> Carried:
-        start = simulation.reset(parameters=parameters)
+        start = simulation.start(None, parameters, None, stages=stages)
         done: Carried = jax.lax.scan(one_step, start, commands.sent.targets)[1]
         return done
 

@@ -103,7 +103,7 @@ def pareto(found: Front, folder: Folder, _: None = None) -> Contents:
     with folder.stage("walks along the front"):
         walks = {"pd": mc.rollout(under_pd(scenario), engine=problem.engine), "config": mc.rollout(scenario, **how)}
         on_front = {name: data[name].values for name in names}
-        histories = mc.rollout_histories(scenario, on_front, metrics=problem.metrics, **how)
+        histories = mc.rollout_histories(scenario, on_front, metrics=problem.metrics, unsteady=True, **how)
 
     def rows(columns: tuple[str, ...], along: str, prefix: str = "") -> list[dict[str, Any]]:
         return [{n: data[f"{prefix}{n}"].values[i] for n in columns} for i in range(data.sizes[along])]

@@ -76,6 +76,7 @@ class Problem:
     ) -> Evaluation:
         """Simulate with the gains of B points and score them, with tangents along some directions."""
         theta, how = np.asarray(theta, float), {**self.walks, "dtype": self.dtype, "smooth": True}
+        how["unsteady"] = True  # what the time step is too long for is left out of the result
         double = np.dtype(self.dtype) == np.float64
         derivatives: Any = np.zeros((2, 0, len(theta)), self.dtype)  # along no direction
         with devices.on_host():
@@ -148,4 +149,5 @@ def pd_of(scenario: mc.Scenario, parameters: mc.Parameters, **walks: Any) -> dic
     """
     ones = np.ones(6)
     gains = mc.Gains(ones, ones, ones)
-    return mc.rollout_metrics(under_pd(scenario), gains, parameters, dtype=np.float32, smooth=True, **walks)
+    walks = {**walks, "dtype": np.float32, "smooth": True, "unsteady": True}
+    return mc.rollout_metrics(under_pd(scenario), gains, parameters, **walks)

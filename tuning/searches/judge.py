@@ -156,7 +156,8 @@ class Draw:
             if gait_of(by_name(gains)):
                 batch |= {key: getattr(one.own, name)[None] for key, name in GAIT.items()}
             table = self.problem.metrics + SENSORS
-            how = {**self.problem.walks, "law": whose, "metrics": table, "dtype": np.float32, "smooth": True}
+            how = {**self.problem.walks, "law": whose, "metrics": table, "dtype": np.float32}
+            how |= {"smooth": True, "unsteady": True}
             found.append(mc.rollout_metrics(place, batch, parameters, **how))
         return {name: np.concatenate([each[name] for each in found], axis=1) for name in table.names}
 

@@ -251,7 +251,7 @@ def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> 
     within = walked.x[candidates] <= widest * (1 + 1e-6 * np.sign(widest))
     gains = to_gains64(problem.space, walked.theta[candidates[within] if within.any() else candidates])
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
-    exact = mc.rollout_metrics(scenario, gains, law=law, **how)
+    exact = mc.rollout_metrics(scenario, gains, law=law, unsteady=True, **how)
     on = _front(table, asked, exact, (exact["detached_limb"] < 0) & ~exact["diverged"])
     own = [mc.rollout_metrics(scenario, law=law, **how), mc.rollout_metrics(under_pd(scenario), **how)]
     chosen = {name: values[on] for name, values in by_name(gains).items()}

@@ -95,7 +95,7 @@ def walked_on_grid(
     axes = [np.append(np.geomspace(*bounds[name], count), own[name]) for name, count in zip(own, counts, strict=True)]
     gains = dict(zip(own, (values.ravel() for values in np.meshgrid(*axes)), strict=True))
     each = gains if parameters is None else {name: values[:, None] for name, values in gains.items()}
-    walks = mc.rollout_metrics(pd, each, parameters, **how)
+    walks = mc.rollout_metrics(pd, each, parameters, unsteady=True, **how)
     return gains, {name: np.asarray(value) for name, value in walks.items()}
 
 
@@ -107,6 +107,7 @@ def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFA
     follow; those that it then cannot are left out, which `Rival.lacks` says.
     """
     pd, table = under_pd(scenario), mc.MetricTable(mc.METRICS[name] for name in _SEEN)
+    how: dict[str, Any] = {"metrics": table, "engine": engine, "unsteady": True}
     bounds = default_bounds(pd, PD())
     highest = {name: high for name, (_, high) in bounds.items()}
     pd = pd.with_overrides({"time_step": time_step_for(scenario, highest, halvings)})
@@ -117,7 +118,7 @@ def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFA
     for _ in range(ROUNDS):
         points = np.vstack([np.clip(centre + half * offsets, lower, upper), best])  # rounds of one size: one program
         pairs = np.exp(points)
-        walks = mc.rollout_metrics(pd, dict(zip(JOINT, pairs.T, strict=True)), metrics=table, engine=engine)
+        walks = mc.rollout_metrics(pd, dict(zip(JOINT, pairs.T, strict=True)), **how)
         holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
         values = np.where(holds, walks["force_variation"], np.inf)
         while True:

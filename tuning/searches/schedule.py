@@ -196,7 +196,7 @@ def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, tran
     walkers: dict[str, tuple[mc.Scenario, AnyGains | None, mc.Law | None]]
     walkers = {"tuned": (scenario, gains, law), "config": (scenario, None, law)}
     walkers |= {retuned_pd.NAME: (pd, joint, None), "pd": (pd, own, None)}
-    how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
+    how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine, "unsteady": True}
     metrics = [mc.rollout_metrics(s, g, problem.parameters, law=own, **how) for s, g, own in walkers.values()]
     values = {name: value.reshape(*shape, *value.shape[1:]) for name, value in by_name(gains).items()}
     tuned = labelled(values, here, law)

@@ -1,0 +1,59 @@
+"""Shapes of the arrays that a caller passes, checked by the strings in which annotations state them.
+
+In `"... limbs 3 K"` the axes of one robot follow any batch axes; what a name stands for is a size, or a range of them.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+import jax.numpy as jnp
+
+Sizes = Mapping[str, int | range]
+
+
+def check_fields(of: str, tree: Any, sizes: Sizes) -> None:
+    """Refuse a dataclass with an array of another shape than its field has; fields without a shape are any.
+
+    Raises:
+        ValueError: in one line, the field after `of`, the shape that was expected and the one that was got.
+    """
+    for field in dataclasses.fields(tree):
+        if dims := dims_of(field.type):
+            check_shape(f"{of}.{field.name}", jnp.shape(getattr(tree, field.name)), dims, sizes)
+
+
+def dims_of(annotation: Any) -> str:
+    """Return the shape in an annotation, or in the first member of a union of some, "" where there is none."""
+    members = (annotation, *get_args(annotation))
+    return next((member.dim_str for member in members if hasattr(member, "dim_str")), "")
+
+
+def check_shape(name: str, shape: Sequence[int], dims: str, sizes: Sizes, batch: tuple[int, ...] | None = None) -> None:
+    """Refuse the shape of an array that is not `dims`, or whose batch axes do not broadcast to `batch`.
+
+    Raises:
+        ValueError: as of `check_fields`.
+    """
+    own = dims.removeprefix("...").split()
+    lead, tail = tuple(shape[: max(0, len(shape) - len(own))]), shape[max(0, len(shape) - len(own)) :]
+    allowed = [int(dim) if dim.isdecimal() else sizes.get(dim) for dim in own]
+    fits = len(tail) == len(own) and all(
+        want is None or size == want or (isinstance(want, range) and size in want)
+        for size, want in zip(tail, allowed, strict=True)
+    )
+    if fits and (batch is None or broadcasts(lead, batch)):
+        return
+    each = [str(want) if isinstance(want, int) else dim for dim, want in zip(own, allowed, strict=True)]
+    notes = [f", {dim} {w.start} to {w.stop - 1}" for dim, w in zip(own, allowed, strict=True) if isinstance(w, range)]
+    before = ["..."] if batch is None else []
+    expected = f"({', '.join([*before, *each])}{',' if len(before + each) == 1 else ''}){''.join(notes)}"
+    if batch:
+        expected += f", or with batch axes before it that broadcast to {batch}"
+    raise ValueError(f"{name}: expected shape {expected}, got {tuple(shape)}")
+
+
+def broadcasts(shape: Sequence[int], to: Sequence[int]) -> bool:
+    """Return whether a shape broadcasts to another one."""
+    pairs = zip(reversed(shape), reversed(to), strict=False)
+    return len(shape) <= len(to) and all(size in (1, there) for size, there in pairs)
