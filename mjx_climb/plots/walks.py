@@ -19,7 +19,6 @@ from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import HeightMap
 
-_DASHED = (0, (2, 1.5))
 _SMALL: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5}  # words within a panel
 
 
@@ -31,7 +30,6 @@ class _Panel(NamedTuple):
     colors: Sequence[str] = (BLACK,)
     height: float = 1.0
     width: float = 0.8  # of lines, points
-    reference: np.ndarray | None = None  # (T, N), dashed
 
 
 @style()
@@ -39,30 +37,27 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     """Draw one walk over time: forces, torques, base, margins and support, on one time axis.
 
     Disturbances are shaded and named, changes of grip are thin vertical lines, and the first torn gripper is a red
-    cross.
+    cross. A panel whose quantity the walk does not have is left out: the TSM without gravity, the shift of the base
+    without a law that shifts it.
     """
-    joints, limbs = load_robot(trajectory.scenario.robot).joint_names, limb_colors(trajectory)
-    position, reference = trajectory.base_position, trajectory.base_reference
-    base, wanted = (1e3 * (path - reference[0]) for path in (position, reference))
-    torque, shift = trajectory.joint_torque, 1e3 * trajectory.base_displacement
-    moved = {"shift $\\Delta x$\n[mm]": shift[:, :3], "turn $\\Delta x$\n[mrad]": shift[:, 3:]} if shift.any() else {}
-    panels = [
+    limbs, shift = limb_colors(trajectory), 1e3 * trajectory.base_displacement[:, :3]
+    shift = shift if shift.any() else np.full_like(shift, np.nan)
+    every = [
         _Panel("largest foot\nforce [N]", events.largest_foot_force(trajectory), height=1.4),
-        *(_Panel(f"{joint} $\\tau$\n[N m]", torque[:, :, i], limbs, width=0.6) for i, joint in enumerate(joints)),
-        _Panel("base\n[mm]", base, AXIS_COLORS, height=1.2, reference=wanted),
-        _Panel("base off\nref. [mm]", 1e3 * (position - reference), AXIS_COLORS),
-        *(_Panel(label, values, AXIS_COLORS) for label, values in moved.items()),
+        _Panel("largest joint\ntorque [N m]", np.abs(trajectory.joint_torque).max(2), limbs, width=0.6),
+        _Panel("base off\nref. [mm]", 1e3 * (trajectory.base_position - trajectory.base_reference), AXIS_COLORS),
+        _Panel("shift $\\Delta x$\n[mm]", shift, AXIS_COLORS),
         _Panel("TSM [m]", trajectory.tsm),
         _Panel("GIA margin\n[m/s$^2$]", trajectory.gia_margin),
     ]
+    (panels,) = _of_any_walk([every])
     heights = [*(panel.height for panel in panels), 0.9]
     figure, axes = _over_time(heights, events.end_of(trajectory), 0.5 + 0.77 * len(heights))
     _draw_lines(axes, trajectory, panels)
-    of_base = axes[1 + len(joints)]
-    handles = [key(name, color=color) for name, color in zip(AXES, AXIS_COLORS, strict=True)]
+    of_base = axes[2]  # every walk has forces, torques and a base
     of_base.legend(
-        handles=[*handles, key("reference", color="0.3", linestyle=_DASHED)], loc="upper left",
-        ncols=4, handlelength=1.0, columnspacing=0.7, handletextpad=0.3, borderaxespad=0.1, fontsize=6.5,
+        handles=[key(name, color=color) for name, color in zip(AXES, AXIS_COLORS, strict=True)], loc="upper left",
+        ncols=3, handlelength=1.0, columnspacing=0.7, handletextpad=0.3, borderaxespad=0.1, fontsize=6.5,
     )  # fmt: skip
     low, high = of_base.get_ylim()
     of_base.set_ylim(low, high + 0.3 * (high - low))
@@ -84,6 +79,8 @@ def plot_comparison(
 ) -> Figure:
     """Draw several walks over one another, as the paper does for the baseline and the proposed controller.
 
+    A panel whose quantity no walk has, as the TSM without gravity, is left out.
+
     Arguments:
         trajectories: walks by their name in the legend, the baseline first; grip changes and disturbances are
             the baseline's.
@@ -93,26 +90,38 @@ def plot_comparison(
     if not trajectories:
         raise ValueError("expected at least one walk to compare")
     first, *_ = trajectories.values()
-    heights = [1.2] + [1.0] * (4 + per_limb * len(first.limbs))
+    panels = _of_any_walk([_compared(walk, per_limb=per_limb) for walk in trajectories.values()])
+    heights = [panel.height for panel in panels[0]]
     figure, axes = _over_time(heights, max(map(events.end_of, trajectories.values())), 0.7 + 0.95 * len(heights))
     level, handles = 0, []
-    for number, (name, walk) in enumerate(trajectories.items()):
-        torque, (color, width) = np.abs(walk.joint_torque).max(2), SERIES[number % len(SERIES)]
-        lines = {
-            "largest foot\nforce [N]": events.largest_foot_force(walk),
-            "largest joint\ntorque [N m]": torque.max(1),
-            **{f"{limb} largest\ntorque [N m]": torque[:, i] for i, limb in enumerate(walk.limbs) if per_limb},
-            "TSM [m]": walk.tsm,
-            "GIA margin\n[m/s$^2$]": walk.gia_margin,
-            "base off its\nreference [mm]": 1e3 * events.lengths(walk.base_position - walk.base_reference),
-        }
-        panels = list(itertools.starmap(_Panel, lines.items()))
-        _draw_lines(axes, walk, panels, color=color, linewidth=width, zorder=2 + 0.1 * number)
-        level += _mark_failure(axes, walk, panels, color if number else "0.3", level)
+    for number, ((name, walk), own) in enumerate(zip(trajectories.items(), panels, strict=True)):
+        color, width = SERIES[number % len(SERIES)]
+        _draw_lines(axes, walk, own, color=color, linewidth=width, zorder=2 + 0.1 * number)
+        level += _mark_failure(axes, walk, own, color if number else "0.3", level)
         handles.append(key(name, color=color, linewidth=max(1.2, width)))
     _mark_events(axes, first)
     legend(figure, handles, title)
     return figure
+
+
+def _compared(walk: Trajectory, *, per_limb: bool) -> list[_Panel]:
+    """Return what the panels of a comparison show of one walk."""
+    torque = np.abs(walk.joint_torque).max(2)
+    of_limbs = [_Panel(f"{limb} largest\ntorque [N m]", torque[:, i]) for i, limb in enumerate(walk.limbs) if per_limb]
+    return [
+        _Panel("largest foot\nforce [N]", events.largest_foot_force(walk), height=1.2),
+        _Panel("largest joint\ntorque [N m]", torque.max(1)),
+        *of_limbs,
+        _Panel("TSM [m]", walk.tsm),
+        _Panel("GIA margin\n[m/s$^2$]", walk.gia_margin),
+        _Panel("base off its\nreference [mm]", 1e3 * events.lengths(walk.base_position - walk.base_reference)),
+    ]
+
+
+def _of_any_walk(walks: Sequence[Sequence[_Panel]]) -> list[list[_Panel]]:
+    """Return the panels of walks without those in which no walk has a number."""
+    known = [any(np.isfinite(panel.lines).any() for panel in alike) for alike in zip(*walks, strict=True)]
+    return [list(itertools.compress(own, known)) for own in walks]
 
 
 def limb_colors(trajectory: Trajectory) -> list[str]:
@@ -147,21 +156,18 @@ def _draw_lines(axes: Sequence[Axes], trajectory: Trajectory, panels: Sequence[_
     for place, panel in zip(axes, panels, strict=False):
         place.set_ylabel(panel.label)
         place.autoscale(axis="y")  # for this walk too
-        lines = [(panel.lines, {"linewidth": panel.width, **look})]
-        if panel.reference is not None:
-            lines.append((panel.reference, {"linestyle": _DASHED}))
-        for group, own in lines:
-            for values, color in zip(np.atleast_2d(group.T), panel.colors, strict=True):
-                time, drawn = events.thin(trajectory.time[:rows], values[:rows])
-                before = drawn[(time <= failed) & np.isfinite(drawn)]
-                if not before.size:  # a margin that is not defined, as the TSM without gravity
-                    continue
-                low, high = before.min(), before.max()
-                low, high = max(np.nanmin(drawn), 3 * low - 2 * high), min(np.nanmax(drawn), 3 * high - 2 * low)
-                # unlike plot, add_artist leaves the limits alone
-                place.add_artist(Line2D(time, drawn, solid_joinstyle="round", **{"color": color, **own}))
-                place.update_datalim([(time[0], low), (time[-1], high)])
-                place.autoscale_view(scalex=False)
+        for values, color in zip(np.atleast_2d(panel.lines.T), panel.colors, strict=True):
+            time, drawn = events.thin(trajectory.time[:rows], values[:rows])
+            before = drawn[(time <= failed) & np.isfinite(drawn)]
+            if not before.size:  # a margin that is not defined, as the TSM without gravity
+                continue
+            low, high = before.min(), before.max()
+            low, high = max(np.nanmin(drawn), 3 * low - 2 * high), min(np.nanmax(drawn), 3 * high - 2 * low)
+            own = {"color": color, "linewidth": panel.width, **look}
+            # unlike plot, add_artist leaves the limits alone
+            place.add_artist(Line2D(time, drawn, solid_joinstyle="round", **own))
+            place.update_datalim([(time[0], low), (time[-1], high)])
+            place.autoscale_view(scalex=False)
         if panel.lines.ndim == 1:
             place.set_ylim(bottom=0)
 

@@ -118,8 +118,26 @@ def _read(name: str, field: FieldInfo, value: Any) -> Any:
         if not equals or key.strip() in found:
             expected = f"{_shell(field).metavar}, each name once"
             raise InputError(f"{_flag(name, field)}: expected {expected}, got {pair!r}")
-        found[key.strip()] = text.split(":") if get_origin(get_args(kind)[1]) is tuple else text
+        if get_origin(get_args(kind)[1]) is tuple:
+            try:
+                found[key.strip()] = parts_of(text, (_shell(field).metavar or "").rpartition("=")[2])
+            except ValueError as error:
+                raise InputError(f"{_flag(name, field)} {key.strip()}: {error}") from None
+        else:
+            found[key.strip()] = text
     return found
+
+
+def parts_of(text: str, form: str) -> list[str]:
+    """Return the parts of a text of a form such as LOW:HIGH.
+
+    Raises:
+        ValueError: it has more parts or fewer.
+    """
+    parts = text.split(":")
+    if len(parts) != len(form.split(":")):
+        raise ValueError(f"expected {form}, got {text!r}")
+    return parts
 
 
 def _parameter(name: str, field: FieldInfo, default_in_words: str) -> inspect.Parameter:

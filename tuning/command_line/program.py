@@ -53,6 +53,7 @@ _MODULES = {  # and the commands in each
 }  # fmt: skip
 _TRUE = ("1", "true", "t", "yes", "y", "on")  # as JAX reads its settings
 _LONGEST = 1000  # characters of a line
+_ALIKE = 0.75  # least likeness of two names of which one may be meant by the other
 _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "LostProcess", "RenderingError"}
 _OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
 
@@ -213,7 +214,10 @@ def _raised_in(error: Exception) -> str:
 
 
 def _nearest(option: str, command: Any) -> str:
-    """Return the option or the key of the scenario that is nearest to one that a command does not have, in words."""
+    """Return what may have been meant by an option that a command does not have, in words.
+
+    A key of the scenario of this very name, else the commands that have the option, else what is spelt alike.
+    """
     from difflib import get_close_matches
 
     from mjx_climb.scenario.messages import keys
@@ -224,9 +228,17 @@ def _nearest(option: str, command: Any) -> str:
     for key in keys(Scenario) if "set" in options else ():
         for name in {key, key.rpartition(".")[2]}:
             changes.setdefault(name, []).append(f"--set {key}=")
-    known = changes | options
-    near = get_close_matches(option.lstrip("-"), known, 1)
+    known, asked = changes | options, option.lstrip("-")
+    if asked not in changes and (others := _commands_with(option)):
+        return f" (an option of {', '.join(others)})"
+    near = get_close_matches(asked, known, 1, _ALIKE)
     return f" (did you mean {' or '.join(known[near[0]])}?)" if near else ""
+
+
+def _commands_with(option: str) -> list[str]:
+    """Return the names of the commands that have an option."""
+    commands = getattr(typer.main.get_command(program()), "commands", {})
+    return [name for name, each in commands.items() if any(option in parameter.opts for parameter in each.params)]
 
 
 def origin(name: str, again: str) -> "Origin":

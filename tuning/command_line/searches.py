@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from mjx_climb.scenario import shipped
 from tuning.command_line import processes
-from tuning.command_line.from_models import command, in_options
+from tuning.command_line.from_models import command, in_options, parts_of
 from tuning.command_line.interruption import Interrupted
 from tuning.command_line.options import (
     ENSEMBLE,
@@ -162,7 +162,9 @@ def pareto(
             with shell.rounds("front") as show:
                 found = fronts.run(problem, wanted, asked, out=out, progress=show)
             again = repeated(["pareto", "--search", "search.yaml"], "--better", "--against", "--points", "--engine")
-            shell.result(found, again, table=from_page(front_table(found.data, found.knee, loaded.metrics)))
+            shell.result(
+                found, again, table=from_page(front_table(found.data, found.knee, asked.points, loaded.metrics))
+            )
 
 
 @command("results/<config>-schedule")
@@ -223,7 +225,7 @@ ROWS = {  # by command: file, stage and unit
 
 _End = Annotated[float, Field(ge=1e-30, le=1e30)]  # single precision, with room for squares of moderate gains
 Range = tuple[_End, _End, Annotated[int, Field(ge=2, le=100_000)]]
-_Typed = Annotated[Range | None, BeforeValidator(lambda text: text.split(":"))]
+_Typed = Annotated[Range | None, BeforeValidator(lambda text: parts_of(text, RANGE))]
 
 
 class Grid(Options):

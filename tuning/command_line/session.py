@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,18 +29,25 @@ if TYPE_CHECKING:
 
 WIDTH = 100  # of tables in a file
 WORDS = ("", "metric", "unit", "measure", "signal", "command", "goal on two cores")  # columns that hold no numbers
-COMPILED = "/jax/core/compile/backend_compile_duration"
+TRACED = "/jax/core/compile/jaxpr_trace_duration"
+LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+COMPILED = "/jax/core/compile/backend_compile_duration"  # or loaded, which an event before it says
 FROM_CACHE = "/jax/compilation_cache/cache_hits"
+LOADING = "loading compiled programs from the cache"
 WORTH_A_WORD = 0.1  # s; shorter compilations are of small helpers
 
 
 class Compilation:
-    """Watches XLA's compiler from `with` on: how long each program took, tracing included, by where it came from."""
+    """Watches JAX from `with` on: how long it traced, compiled and loaded programs.
+
+    Programs of several threads, and traces within traces, overlap: no second is counted twice.
+    """
 
     def __init__(self, finished: Callable[[], None] = lambda: None):
-        self.seconds: dict[str, float] = {}
-        self.since = time.perf_counter()  # when anything else was last done
-        self._from_cache = False
+        self.seconds: dict[str, float] = {}  # by what was done
+        self.since = time.perf_counter()  # when anything was last done
+        self._thread = threading.local()  # whose next program comes from the cache
+        self._lock = threading.Lock()
         self._finished = finished
 
     def __enter__(self) -> "Compilation":
@@ -55,18 +63,27 @@ class Compilation:
         monitoring.unregister_event_listener(self._event)
         monitoring.unregister_event_duration_listener(self._duration)
 
+    def __str__(self) -> str:
+        """Return what took how long, nothing where JAX did nothing worth a word."""
+        long = {what: seconds for what, seconds in self.seconds.items() if seconds > WORTH_A_WORD}
+        return " and ".join(f"{duration(seconds)} {what}" for what, seconds in long.items())
+
     def _event(self, event: str, **_: str | int) -> None:
-        self._from_cache |= event == FROM_CACHE
+        if event == FROM_CACHE:
+            self._thread.hit = True
 
     def _duration(self, event: str, duration_secs: float, **_: str | int) -> None:
-        if event != COMPILED:
+        if event not in (TRACED, LOWERED, COMPILED):
             return
-        source = "loading compiled programs from the cache" if self._from_cache else "compiling"
-        self._from_cache = False
-        if duration_secs > WORTH_A_WORD:
+        what = "tracing"
+        if event == COMPILED:
+            what = LOADING if getattr(self._thread, "hit", False) else "compiling"
+            self._thread.hit = False
+        with self._lock:
             now = time.perf_counter()
-            self.seconds[source] = self.seconds.get(source, 0.0) + now - self.since
+            self.seconds[what] = self.seconds.get(what, 0.0) + min(duration_secs, now - self.since)
             self.since = now
+        if event == COMPILED and duration_secs > WORTH_A_WORD:
             self._finished()
 
 
@@ -228,8 +245,8 @@ class Session:
         with Compilation(compiled) as compilation, bar:
             yield advanced
         text = f"{name}: {duration(time.perf_counter() - begin)}"
-        spent = [f"{duration(seconds)} {source}" for source, seconds in compilation.seconds.items()]
-        self.console.print(text + (f", of which {' and '.join(spent)}" if spent else ""))
+        spent = str(compilation)
+        self.console.print(text + (f", of which {spent}" if spent else ""))
 
 
 def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:

@@ -42,7 +42,7 @@ from tuning.searches.sweep import HISTORIES, Swept, best_cell, holding
 
 MAPS = "All metrics over both gains; brighter is better."
 CONVERGENCE = "How the search converged."
-WALKS = "The walks over time: red crosses mark a torn gripper, shading a disturbance."
+WALKS = "The tuned gains beside pd over time: red crosses mark a torn gripper, shading a disturbance."
 PATH = "The way of the search over the map; the red line is the limit of stability."
 MARGINS = "Force variation on worse hardware: a curve ends where a gripper is torn off, or the walk diverges."
 LAWS = "Differences from retuned pd, with 95 % intervals over the walks; grey where the interval holds 0."
@@ -453,7 +453,7 @@ def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -
         folder.draw(
             {
                 "convergence": (CONVERGENCE, lambda: pictures.plot_convergence(found)),
-                "walks": (WALKS, lambda: plots.plot_comparison(walks)),
+                "walks": (WALKS, lambda: plots.plot_comparison({name: walks[name] for name in ("pd", "tuned")})),
             }
         )
         with stage("map") as told:

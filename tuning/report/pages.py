@@ -18,7 +18,8 @@ from tuning.report.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, 
 from tuning.report.numbers import axis_values, change, failed, gain, number, remarks, unit
 from tuning.report.page import Origin, Page, Table
 from tuning.searches import sweep as sweeps
-from tuning.searches.compare import Comparison
+from tuning.searches.compare import HARDWARE, Comparison
+from tuning.searches.judge import PD
 from tuning.searches.pareto import Front, without_sensor
 from tuning.searches.result import Tuned
 from tuning.searches.retuned_pd import NAME
@@ -26,7 +27,6 @@ from tuning.searches.retuned_pd import NAME
 if TYPE_CHECKING:
     from tuning.output.results import SweepComparison, TuneComparison
 
-ROWS = 20  # of the table of a front
 SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",
          "base_deviation", "joint_limit_margin")  # fmt: skip
 
@@ -95,7 +95,7 @@ def tune_page(
     limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
     points = None if compared.over is None else _points_of_map(found, compared.over, metrics["pd"])
     title = "Map: the same gains on all axes, around the result" if points else "Walks"
-    shown = {name: compared.walks[name] for name in reversed(list(rows))}
+    walks = {name: compared.walks[name] for name in reversed(list(rows))}
     objective = {"tuned": {"objective": checked.value}, "pd": {"objective": 1.0}}
     values = {walk: {**numbers, **objective.get(walk, {})} for walk, numbers in metrics.items()}
     open_notes, folded = ([line[0].upper() + line[1:] for line in lines] for lines in (outcome, tests))
@@ -112,7 +112,9 @@ def tune_page(
         verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(scores)}; {limits}.",
         scenario=found.scenario, more=folded,
         notes=[*open_notes, *sentences(_worse_than_pd(metrics["tuned"], metrics["pd"], about))],
-        explorers={title: explorer(shown, values, opens_on="tuned", points=points, about=about)},
+        explorers={
+            title: explorer(walks, values, shown=("pd", "tuned"), opens_on="tuned", points=points, about=about)
+        },
         tables=[side_by_side, comparison.gains_table(rows, found.law), near],
         facts={"precision": "float32 (search, map), float64 (named walks, verification)", "seed": search.seed,
                "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
@@ -228,7 +230,10 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def laws_table(table: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:
-    """Return mean and worst of each metric by law, each with its difference from retuned pd and the interval, in %."""
+    """Return mean and worst of each metric by law, each with its difference from retuned pd and the interval, in %.
+
+    Better hardware and the scenario's own pd have a row of the objective and of the lost walks alone.
+    """
     base, sections = table.attrs["baseline"], []
     versus = f"vs {base} %"
     columns = ["metric", "law", "mean", versus, f"worst {table.attrs['worst_share']:.0%}", versus]
@@ -237,6 +242,8 @@ def laws_table(table: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table
         words = [metrics.in_words(name), unit(name, metrics)] if name in metrics.names else [_NOT_METRICS[name], ""]
         rows: list[list[str]] = []
         for law in table["gains"].values.tolist():
+            if name in metrics.names and law in (*HARDWARE, PD):
+                continue
             cells = [
                 cell
                 for key in ("mean", "worst")
@@ -325,14 +332,14 @@ def pareto_page(
     return Page(
         title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}", origin=origin,
         verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
-        scenario=found.scenario, notes=sentences([found.worth]), tables=[front_table(front, knee, about)],
+        scenario=found.scenario, notes=sentences([found.worth]), tables=[front_table(front, knee, found.asked.points, about)],
         explorers={"The front": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
         facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},
     )  # fmt: skip
 
 
-def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS) -> Table:
-    """Return some twenty points of a front, the knee among them, with the config's gains, pd and pd retuned below."""
+def front_table(front: xr.Dataset, knee: int, points: int, about: mc.MetricTable = mc.METRICS) -> Table:
+    """Return so many points of a front, the knee among them, with the config's gains, pd and pd retuned below."""
     traded, names = (front.attrs["against"], front.attrs["better"]), front.attrs["searched"].split()
     columns = ["", *(f"{about.in_words(name)} {unit(name, about)}".strip() for name in traded), *names]
     count = front.sizes["front"]
@@ -340,8 +347,10 @@ def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS
     def row(words: str, values: xr.Dataset, kind: str = "") -> list[str]:
         return [words, *(number(values[f"{kind}{name}"].item()) for name in traded)]
 
-    on = []
-    for i in sorted({*np.linspace(0, count - 1, min(count, ROWS)).round().astype(int).tolist(), knee}):
+    on, places = [], np.linspace(0, count - 1, min(count, points)).round().astype(int)
+    if knee not in places:
+        places[abs(places - knee).argmin()] = knee
+    for i in places.tolist():
         point = front.isel(front=i)
         gains = (gain({name: point[name].values}, name) for name in names)
         on.append([*row("knee" if i == knee else "", point), *gains])
@@ -350,4 +359,5 @@ def front_table(front: xr.Dataset, knee: int, about: mc.MetricTable = mc.METRICS
     if rival is not None:
         joint = ", ".join(f"{name} {number(rival[f'without_{name}'].item())}" for name in ("kp", "kd"))
         below.append(row(f"pd, {joint}", rival, "without_"))
-    return Table("The front", columns, [("", on), ("", [[*cells, *("" for _ in names)] for cells in below])], 1)
+    caption = f"The front: {len(on)} of its {count} points, all of them in front.nc"
+    return Table(caption, columns, [("", on), ("", [[*cells, *("" for _ in names)] for cells in below])], 1)

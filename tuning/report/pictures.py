@@ -186,7 +186,9 @@ def plot_laws(table: xr.Dataset) -> Figure:
     """
     base = table.attrs["baseline"]
     names = [name for name in table["gains"].values.tolist() if name != base]
-    metrics = [name for name in table["metric"].values.tolist() if table["value"].sel(metric=name).any()]
+    others = table.sel(gains=names)  # one without an interval, or which is 0 with all gains, shows nothing
+    drawn = others["low"].notnull() & ((others["value"] != 0) | (others["difference"] != 0))
+    metrics = [name for name in table["metric"].values.tolist() if bool(drawn.sel(metric=name).any())]
     columns = min(3, len(metrics))
     rows = -(-len(metrics) // columns)
     figure = Figure(figsize=(2 * plots.COLUMN, rows * (0.55 + 0.2 * len(names)) + 0.4), layout="constrained")
@@ -237,7 +239,8 @@ def plot_front(front: xr.Dataset) -> Figure:
     named = dict(zip(front["reference"].values.tolist(), references, strict=True))
     for name, marker in (("config", "D"), ("pd", "s")):
         panel.plot(*named[name], marker, color=_COLORS[name], mec="black", mew=0.5, ms=5, ls="", label=name)
-    shown = np.concatenate([on, references[np.isfinite(references).all(1)]])
+    shown = np.concatenate([on, references, places("without_")])
+    shown = shown[np.isfinite(shown).all(1)]
     panel.set(xlabel=x_label, ylabel=y_label)
     for axis, low, high in zip("xy", shown.min(0), shown.max(0), strict=True):
         if low > 0 and high / low > 8:
@@ -287,8 +290,11 @@ def plot_schedule(table: xr.Dataset) -> Figure:
         _plain_numbers(panel.yaxis, few=high * room**2 / low < 1e3)
     below.axhline(100, color="0.6", linewidth=0.8)
     below.set(ylabel="force variation\n[% of pd]", xscale="log", xlabel="gravity [G]")
+    if gravity.max() < 100 * gravity.min():  # so few decades would have a number at each of their tenths
+        below.set_xlim(gravity.min() / 1.5, gravity.max() * 1.5)
+        _plain_numbers(below.xaxis, few=True)
     walks = [key(walk.replace("_", " "), color="0.3", ls=dash) for walk, dash in _DASHES.items()]
-    below.legend(handles=walks, fontsize=6.5)
+    plots.legend_below(figure, walks, 3)
     plots.legend(figure, [key(f"{load:g} kg", color=color) for load, color in colors.items()], "cargo")
     return figure
 

@@ -6,6 +6,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax
@@ -386,15 +387,28 @@ def test_time_left_counts_only_what_is_done_since_the_last_compilation():
     assert estimate.update(100, 100, now=17.0) == 0
 
 
-def test_only_the_compilers_time_is_called_compiling():
+def test_what_the_compiler_spent_is_told_apart_and_counted_once():
     with session.Compilation() as watched:
-        watched.since -= 3.0
-        monitoring.record_event_duration_secs(session.COMPILED, 2.0)
+        watched.since -= 9.0
+        monitoring.record_event_duration_secs(session.TRACED, 1.0)
+        monitoring.record_event_duration_secs(session.TRACED, 4.0)  # around the first, and over now
+        watched.since -= 7.4
+        monitoring.record_event_duration_secs(session.COMPILED, 2.0)  # the rest was something else
         watched.since -= 5.0
         monitoring.record_event(session.FROM_CACHE)
         monitoring.record_event_duration_secs(session.COMPILED, 0.5)
-    expected = {"compiling": 3.0, "loading compiled programs from the cache": 5.0}
-    assert watched.seconds == pytest.approx(expected, abs=0.5)
+    expected = {"tracing": 1.0, "compiling": 2.0, session.LOADING: 0.5}
+    assert watched.seconds == pytest.approx(expected, abs=0.2)
+    assert str(watched) == f"1.0 s tracing and 2.0 s compiling and 0.5 s {session.LOADING}"
+
+
+def test_a_hit_in_one_thread_is_not_taken_for_the_compilation_of_another():
+    """Programs are compiled side by side: with an empty cache all seconds of the compiler are compiling."""
+    with session.Compilation() as watched, ThreadPoolExecutor(1) as other:
+        other.submit(monitoring.record_event, session.FROM_CACHE).result()
+        watched.since -= 3.0
+        monitoring.record_event_duration_secs(session.COMPILED, 3.0)
+    assert watched.seconds == pytest.approx({"compiling": 3.0})
 
 
 def test_numbers_in_tables_and_json():
