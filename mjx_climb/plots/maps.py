@@ -22,7 +22,8 @@ from mjx_climb.plots.styling import BLACK, COLUMN, GREY, HELD, LIMB_COLORS, RED,
 from mjx_climb.walk.metrics import FAILURES
 
 _LEAST_SPAN = 0.05  # of a scale, relative to its values
-_MARKERS = ("*", "o", "D", "^", "s", "P", "v")
+_FOUND = ("best", "tuned")  # marks that are stars
+_MARKERS = ("o", "D", "^", "s", "P", "v")
 _HATCHES = {"gripper torn off": "/////", "diverged": "xxxxx"}
 
 Marks = Mapping[str, tuple[float, float]]  # points (x, y) by their name in the legend
@@ -155,8 +156,9 @@ class _Grid:
     def _mark(self, panel: Axes) -> list[Artist]:
         """Draw the marks and the limit of stability; return the handles of their legend."""
         handles: list[Artist] = []
-        for (name, (x, y)), marker in zip(self.marks.items(), itertools.cycle(_MARKERS), strict=False):
-            size = 9 if marker == "*" else 6
+        others = itertools.cycle(_MARKERS)
+        for name, (x, y) in self.marks.items():
+            marker, size = ("*", 9) if name in _FOUND else (next(others), 6)
             handles += panel.plot(x, y, marker, mfc="white", mec=BLACK, mew=0.9, ms=size, zorder=4, label=name)
         for line in self.limit:
             panel.plot(*line.T, color=RED, linewidth=1.0, zorder=3, gid="stability limit")

@@ -15,7 +15,6 @@ from mjx_climb.files.dataset import AXES
 from mjx_climb.plots import events
 from mjx_climb.plots.styling import AXIS_COLORS, BLACK, COLUMN, GREY, LIMB_COLORS, RED, SERIES, key, legend, style
 from mjx_climb.quantities.ground import foothold_heights, footholds, relief
-from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.trajectory import Trajectory
 from mjx_climb.scenario.model import HeightMap
 

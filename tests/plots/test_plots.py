@@ -233,6 +233,7 @@ def test_map_shows_each_value_at_its_gains_with_units_marks_and_baseline():
     assert [line.get_ydata()[0] for line in find(bar, "baseline")] == [1.5]
     drawn = {line.get_label(): line for line in panel.lines}
     assert {name: (line.get_xdata()[0], line.get_ydata()[0]) for name, line in drawn.items()} == marks
+    assert [name for name, line in drawn.items() if line.get_marker() == "*"] == ["best"]  # without one: no star
     assert len({line.get_marker() for line in drawn.values()}) == 3 and panel.get_xlim()[1] > 4e7
     assert {*marks, "gripper torn off", "diverged", "no value", "pd"} <= texts(figure)
     # the first dimension of a metric runs along the horizontal axis

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import itertools
 import pydoc
 import re
 import shlex
@@ -162,6 +163,19 @@ def test_quick_start_is_two_commands():
     assert [body.split("\n") for _, body in FENCE.findall(section)] == [["make sweep", "make test", ""]]
 
 
+def test_commands_of_the_readme_read_files_that_are_there_or_were_written_before():
+    """The user's own are called my_...; what a command writes lies in the folder of its `--out`."""
+    written = []
+    for arguments in commands(README):
+        words = dict(itertools.pairwise(arguments))
+        outputs = {words.get("--out"), words.get("--write")}
+        read = [word for word in arguments[1:] if re.search(r"\.(yaml|csv|mcap|urdf)$", word) and word not in outputs]
+        for name in read:
+            known = (ROOT / name).is_file() or name.startswith("my_")
+            assert known or str(Path(name).parent) in written, (arguments, name)
+        written += [words["--out"]] if "--out" in words else []
+
+
 def test_every_dependency_has_its_line():
     declared = {(bare(name), "") for name in PROJECT["dependencies"]}
     for extra, names in PROJECT["optional-dependencies"].items():
@@ -223,6 +237,13 @@ def test_what_an_index_shows_needs_no_other_file():
 # --- notebooks
 
 MACHINE = re.compile(r"/(home|root|tmp|work|Users|usr|var)/|\.venv|site-packages")
+
+
+def test_every_notebook_has_its_place_on_the_site():
+    pages = re.findall(r"notebooks/(\w+)\.md", (ROOT / "mkdocs.yml").read_text())
+    assert sorted(pages) == sorted(path.stem for path in ROOT.glob("notebooks/*.ipynb"))
+
+
 every_notebook = pytest.mark.parametrize("path", sorted(ROOT.glob("notebooks/*.ipynb")), ids=lambda path: path.stem)
 
 

@@ -204,7 +204,7 @@ def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Probl
     verdicts = {name: verdict(walks[name], values) for name, values in metrics.items()}
     if not rivals:
         table = plain_table("metric", "value", "unit")
-        for metric, value in metrics[name].items():
+        for metric, value in numbers.presentable(metrics[name]).items():
             table.add_row(about.in_words(metric), numbers.number(value), numbers.unit(metric, about))
         shell.show(table, *verdicts.values())
     else:

@@ -213,7 +213,12 @@ def schedule(
                 cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
                 verdict = "" if row["feasible"] else "breaks limits"
                 verdict += f" {row['on_bound']} on a bound" if row["on_bound"] else ""
-                table.add_row(*cells, number(tuned), *(change(tuned, other) for other in others), verdict.strip())
+                table.add_row(
+                    *cells,
+                    "failed" if tuned is None else number(tuned),
+                    *(change(tuned, other) for other in others),
+                    verdict.strip(),
+                )
             shell.result(found, "", table=table)
 
 

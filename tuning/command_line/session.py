@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -270,6 +271,7 @@ def from_page(made: "page.Table") -> Table:
     table, every = plain_table(*made.columns), [row for _, rows in made.sections for row in rows]
     for place, column in enumerate(table.columns):
         words = place < made.words
+        column.header = broken(made.columns[place])
         column.justify, column.no_wrap, column.overflow = "left" if words else "right", False, "fold"
         each = [part for row in every for part in (row[place].split() if words else [row[place]])]
         column.min_width = max(map(len, each), default=1)
@@ -277,6 +279,14 @@ def from_page(made: "page.Table") -> Table:
         for row in rows:
             table.add_row(*row, end_section=row is rows[-1])
     return table
+
+
+def broken(name: str, width: int = 12) -> str:
+    """Return a name of several lines where it is longer than a column is wide, broken behind underscores."""
+    lines = [""]
+    for part in re.findall("[^_]*_*", name) if len(name) > width and " " not in name else [name]:
+        lines += [part] if lines[-1] and len(lines[-1] + part) > width else [lines.pop() + part]
+    return "\n".join(lines)
 
 
 def comparison_table(

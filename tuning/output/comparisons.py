@@ -25,9 +25,13 @@ GIVEN = "gains file"  # the name of a walk with gains that are not the config's
 PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
 
 
+Walker = tuple[mc.Scenario, mc.Law | None]
+
+
 class OfGrid(NamedTuple):
     """What a grid is compared with."""
 
+    walkers: Mapping[str, Walker]  # by the names of the walks
     walks: Mapping[str, Work[mc.Trajectory]]  # pd, config (or paper), gains file: as far as there are such
     limits: Work[tuple[retuned_pd.Rival | None, xr.DataArray]]  # pd retuned, and the limit of stability
 
@@ -46,7 +50,7 @@ def of_grid(problem: Problem, gains: AnyGains | None, axes: Axes, begin: Begin) 
     scenario, law, engine = problem.scenario, problem.law, problem.engine
     control = scenario.control
     papers = law is None and (control.inertia, control.damping, control.stiffness) in PAPER
-    walkers = {"pd": (under_pd(scenario), None), "paper" if papers else "config": (scenario, law)}
+    walkers: dict[str, Walker] = {"pd": (under_pd(scenario), None), "paper" if papers else "config": (scenario, law)}
     simulated, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
     walkers |= {} if gains is None else {GIVEN: (simulated, own)}
     # one after the other: each keeps all cores busy, and side by side they take more than twice as long
@@ -56,7 +60,7 @@ def of_grid(problem: Problem, gains: AnyGains | None, axes: Axes, begin: Begin) 
             stability_limit.over_axes(simulated, axes, law=own, engine=engine),
         )
     )
-    return OfGrid({name: begin(one_walk(*walker, engine)) for name, walker in walkers.items()}, limits)
+    return OfGrid(walkers, {name: begin(one_walk(*walker, engine)) for name, walker in walkers.items()}, limits)
 
 
 def of_search(problem: Problem, search: Search, begin: Begin, *, out: Path | None = None) -> OfSearch:
@@ -95,19 +99,16 @@ def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Work[mc.
 
 
 def beside_retuned(
-    scenario: mc.Scenario,
-    joint: Mapping[str, float],
-    ours: tuple[mc.Scenario, mc.Law | None] | None,
-    engine: str,
-    begin: Begin,
-) -> tuple[Work[mc.Trajectory], float | None, Work[mc.Trajectory] | None]:
-    """Begin the walks by which pd with joint gains of its own is compared with ours, where there are such.
+    scenario: mc.Scenario, joint: Mapping[str, float], walkers: Mapping[str, Walker], engine: str, begin: Begin
+) -> tuple[Work[mc.Trajectory], float | None, dict[str, Work[mc.Trajectory]]]:
+    """Begin the walks by which pd with joint gains of its own is compared with others, all at one time step.
 
-    Returns: its walk; the time step, as short as it needs, and our walk at this step, None where it is the scenario's.
+    Returns: its walk; the time step, as short as it needs, and the others' walks at this step by their names: None and
+        no walks where it is the scenario's own step.
     """
     alone = retuned_pd.walker(scenario, joint)
-    step, level = None, None
-    if ours is not None and alone.time_step != scenario.time_step:
-        step = alone.time_step
-        level = begin(one_walk(ours[0].with_overrides({"time_step": step}), ours[1], engine))
+    step = None if alone.time_step == scenario.time_step else alone.time_step
+    level: dict[str, Work[mc.Trajectory]] = {}
+    for name, (own, law) in walkers.items() if step is not None else ():
+        level[name] = begin(one_walk(own.with_overrides({"time_step": step}), law, engine))
     return begin(one_walk(alone, None, engine)), step, level

@@ -17,6 +17,7 @@ from mjx_climb.execution import devices
 from mjx_climb.files import scenario_files
 from mjx_climb.quantities.parameters import gains as scenario_gains
 from mjx_climb.rollouts.gait_values import GAIT
+from mjx_climb.rollouts.remedies import remedies
 from tuning.background import Callback, Stage, Work, background, ignore
 from tuning.evaluation import maps, margins, paired, stability_limit, verification
 from tuning.gains import gains_file
@@ -30,7 +31,7 @@ from tuning.problem.spaces import INTEGRAL, JOINT, searches_gait
 from tuning.report import page, pages, pictures
 from tuning.report.comparison import Compared, differences, gains_of
 from tuning.report.explorer import axes_of
-from tuning.report.numbers import failed, remarks, to_json
+from tuning.report.numbers import failed, number, remarks, to_json
 from tuning.searches import judge as judging
 from tuning.searches import retuned_pd
 from tuning.searches import schedule as schedules
@@ -221,7 +222,10 @@ def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Datas
     walks, seen = drawn.values()
     broken, scores = judging.broken(walks, goal), judging.scores(walks, goal)
     summed = judging.summary(walks).assign(objective=scores, broken=broken)
-    outcome = [f"{found.judges} walks each that the search never saw; {judging.failed_in_words(summed)}"]
+    broke = {limit: share for limit, share in broken.sel(gains="robust").to_series().items() if share}
+    outcome = [] if found.feasible else ["warning: no gains kept every limit in every member of the search"]
+    outcome += [f"warning: {share:.1%} of the fresh walks break {limit}" for limit, share in broke.items()]
+    outcome.append(f"{found.judges} walks each that the search never saw; {judging.failed_in_words(summed)}")
     outcome += judging.lost_in_words(walks)
     worth = None
     if retuned is not None:
@@ -232,11 +236,6 @@ def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Datas
         outcome.append(worth.in_words)
     if binding := judging.binding(seen, goal, "robust"):
         outcome.append(f"held by its limits: {'; '.join(binding)}")
-    for limit, share in broken.sel(gains="robust").to_series().items():
-        if share:
-            outcome.append(f"warning: {share:.1%} of the fresh walks break {limit}")
-    if not found.feasible:
-        outcome.append("warning: no gains kept every limit in every member of the search")
     return walks, summed, worth, outcome
 
 
@@ -269,13 +268,18 @@ def sweep(found: Swept, folder: Folder, begun: OfGrid | None = None) -> Contents
     counts = {"walks": count, "failed": compared.failed, "best_at_edge_of": edges}
     summary = to_json({"best": None} | walks | sensor | {"grid": counts})
     widen = [f"the best lies on the edge of the grid: widen {name}" for name in edges]
-    worth = [] if compared.worth is None else [compared.worth.in_words]
+    worth, own_step = [] if compared.worth is None else [compared.worth.in_words], scenario.time_step
+    cell = "" if best is None else f", where the best cell has {number(best[_VARIATION].item())} N"
+    worth += _at_one_step(compared.step, f"the maps at {own_step:g} s{cell}")
     if best is None:
         outcome = [f"no walk of the grid held: all {count} detached or diverged"]
     else:
         at = ", ".join(f"{name} {best[name].item():.4g}" for name in found.axes)
         outcome = [f"best: {at} ({compared.failed} of {count} walks detached or diverged)", *widen]
     outcome += worth + remarks({name: metrics for name, (_, metrics) in compared.rows.items()})
+    if best is None:
+        with folder.stage("what would help", compiles=False):
+            outcome += _help(compared.walks, law)
     listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
     return Contents(
         Written(walks=compared.walks, compared=compared.rows, data=data, outcome=outcome, summary=summary),
@@ -288,16 +292,24 @@ def sweep(found: Swept, folder: Folder, begun: OfGrid | None = None) -> Contents
     )  # fmt: skip
 
 
+def _help(walks: Mapping[str, mc.Trajectory], law: mc.Law | None) -> list[str]:
+    """Return what would keep the grippers of the config's walk shut, nothing where they hold."""
+    name = next(name for name in walks if name not in (retuned_pd.NAME, GIVEN, "pd"))
+    torn = plots.detachments(walks[name])
+    return [f"{name}: {remedies(walks[name].scenario, torn[0][0], law)}"] if torn else []
+
+
 class SweepComparison(NamedTuple):
     """The best walk of a grid beside the scenario's own gains and pd, walked in double precision."""
 
     data: xr.Dataset  # the grid, with the limit of stability
     best: xr.Dataset | None  # its cell, None where all failed
     walks: Mapping[str, mc.Trajectory]  # best, pd retuned, gains file, config (or paper), pd: as far as there are such
-    rows: Compared  # gains and metrics of these
+    rows: Compared  # gains and metrics of these, all at one time step
     failed: int  # walks of the grid
     at_edge: list[str]  # gains whose end of the axis the best cell lies on
     worth: retuned_pd.Worth | None  # of a force sensor: the best against pd retuned
+    step: float | None = None  # s, the time step of the rows, where it is not the scenario's
 
 
 def compare_sweep(found: Swept, stage: Stage, begun: OfGrid | None = None) -> SweepComparison:
@@ -312,36 +324,37 @@ def compare_sweep(found: Swept, stage: Stage, begun: OfGrid | None = None) -> Sw
             future = pool.submit(work, ignore)
             return lambda _: future.result()
 
-        limits, asked, ours = begin(others.limits), dict(others.walks), None
+        limits, asked, walkers = begin(others.limits), dict(others.walks), dict(others.walkers)
         if best is not None:
-            ours = found.walker({name: best[name].item() for name in found.axes})
-            asked["best"] = one_walk(*ours, problem.engine)
+            walkers["best"] = found.walker({name: best[name].item() for name in found.axes})
+            asked["best"] = one_walk(*walkers["best"], problem.engine)
         walking = {name: begin(walk) for name, walk in reversed(asked.items())}
         rival, limit = limits(ignore)
         if best is not None and (rival is None or (rival.lacks and best[_VARIATION] < rival.value)):
             rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
+        step, level = None, dict[str, Work[mc.Trajectory]]()
         if rival is not None:
-            own = beside_retuned(problem.scenario, rival.joint, ours, problem.engine, begin)
-            walking[retuned_pd.NAME], step, level = own
+            own, step, level = beside_retuned(problem.scenario, rival.joint, walkers, problem.engine, begin)
+            walking[retuned_pd.NAME] = own
         walked = {name: each(ignore) for name, each in walking.items()}
+        compared = walked | {name: each(ignore) for name, each in level.items()}
         radius = stability_limit.on_map(limit, found.data)
     config = next(name for name in others.walks if name not in ("pd", GIVEN))
-    walks = {name: walked[name] for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walked}
-    rows = {name: (gains_of(walk), mc.metrics(walk, problem.metrics)) for name, walk in walks.items()}
+    names = [name for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walked]
+    rows = {name: (gains_of(compared[name]), mc.metrics(compared[name], problem.metrics)) for name in names}
     worth = None
     if rival is not None:
         rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])
         if best is not None:
-            metrics = rows["best"][1] if level is None else mc.metrics(level(ignore), problem.metrics)
-            scored = [{_VARIATION: np.nan if failed(each) else each[_VARIATION]} for each in (metrics, theirs)]
+            both = rows["best"][1], theirs
+            scored = [{_VARIATION: np.nan if failed(each) else each[_VARIATION]} for each in both]
             spread = max(retuned_pd.spread(holding(found.data, _VARIATION).values), rival.spread)
-            worth = _worth(
-                (metrics, theirs), scored, rival._replace(spread=spread, step=step), problem, " on this grid"
-            )
+            worth = _worth(both, scored, rival._replace(spread=spread, step=step), problem, " on this grid")
     data = found.data.assign(spectral_radius=radius)
     failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
     edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
-    return SweepComparison(data, best, walks, rows, failures, edges, worth)
+    walks = {name: walked[name] for name in names}
+    return SweepComparison(data, best, walks, rows, failures, edges, worth, step)
 
 
 def sheet(data: xr.Dataset, compared: Compared) -> Figure:
@@ -381,7 +394,10 @@ def tune(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> Content
     compared = compare_tuned(found, folder, begun)
     over, rows, checked, goal = compared.over, compared.rows, compared.checked, found.problem.objective
     broken = {name: verification.broken_limits(goal, metrics) for name, (_, metrics) in rows.items()}
-    outcome = [] if compared.worth is None else [compared.worth.in_words]
+    broken["tuned"] = checked.broken_limits
+    outcome = [f"warning: the tuned gains break limits: {'; '.join(broken['tuned'])}"] if broken["tuned"] else []
+    outcome += [] if compared.worth is None else [compared.worth.in_words]
+    outcome += _at_one_step(compared.step, f"search, map and limits are at {found.scenario.time_step:g} s")
     outcome += [f"warning: {line}" for line in checked.warnings]
     if broken["config"]:
         outcome.append(f"the config's own gains break limits: {'; '.join(broken['config'])}")
@@ -415,11 +431,12 @@ class TuneComparison(NamedTuple):
     """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
 
     walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
-    rows: Compared  # tuned, retuned_pd, config, pd
+    rows: Compared  # tuned, retuned_pd, config, pd, all at one time step
     over: xr.Dataset | None  # the map around it
     hardware: margins.Found  # on worse hardware
     checked: verification.Verification
     worth: retuned_pd.Worth | None  # of a force sensor: the result against pd retuned
+    step: float | None = None  # s, the time step of the rows, where it is not the scenario's
 
 
 def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -> TuneComparison:
@@ -434,9 +451,11 @@ def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -
         with stage("retuned pd", unit="rounds") as told:
             retuned = others.retuned(told)
         rivals = {"config": margins.Walker(problem.law, {})}
+        step, level = None, dict[str, Work[mc.Trajectory]]()
         if retuned is not None:
             joint = retuned_pd.joint_of(retuned)
-            walking[retuned_pd.NAME], step, level = beside_retuned(scenario, joint, ours, engine, begin)
+            walkers = {"tuned": ours, "config": (scenario, found.law), "pd": (under_pd(scenario), None)}
+            walking[retuned_pd.NAME], step, level = beside_retuned(scenario, joint, walkers, engine, begin)
             if step is None:
                 rivals["retuned pd"] = margins.Walker(PD(), joint)
 
@@ -449,7 +468,7 @@ def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -
         for name, walk in walking.items():
             with stage(name) as told:
                 walks[name] = walk(told)
-        metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in walks.items()}
+        own = mc.metrics(walks["tuned"], problem.metrics)
         folder.draw(
             {
                 "convergence": (CONVERGENCE, lambda: pictures.plot_convergence(found)),
@@ -462,17 +481,24 @@ def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -
             hardware = margin(told)
         with stage("verification"):
             checked = verification.verify(
-                found, problem, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested(ignore)
+                found, problem, metrics=own, walks=over, hardware=hardware, tested=tested(ignore)
             )
+        compared = walks | {name: walk(ignore) for name, walk in level.items()}
+    metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in compared.items()}
     gains, worth = {name: _with_joint_gains(walk, problem) for name, walk in walks.items()}, None
     if retuned is not None:
-        at_step = metrics["tuned"] if level is None else mc.metrics(level(ignore), problem.metrics)
-        both = at_step, metrics[retuned_pd.NAME]
+        both = metrics["tuned"], metrics[retuned_pd.NAME]
         scored = [_scored(problem.objective, each) for each in both]
         worth = _worth(both, scored, retuned_pd.rival_of(found, retuned, step), problem)
         gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
-    return TuneComparison(walks, {name: (gains[name], metrics[name]) for name in order}, over, hardware, checked, worth)
+    rows = {name: (gains[name], metrics[name]) for name in order}
+    return TuneComparison(walks, rows, over, hardware, checked, worth, step)
+
+
+def _at_one_step(step: float | None, but: str) -> list[str]:
+    """Return at which time step the walks of a table are where it is not the scenario's, and what is not."""
+    return [] if step is None else [f"all walks of the table are at a time step of {step:g} s, {but}"]
 
 
 def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:

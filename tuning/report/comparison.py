@@ -9,7 +9,18 @@ from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
 from mjx_climb.files.dataset import SIX
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import JOINT_UNITS, labels
-from tuning.report.numbers import axis_values, change, gain, is_number, number, plain_unit, unit
+from tuning.report.numbers import (
+    axis_values,
+    change,
+    change_of,
+    failed,
+    gain,
+    is_number,
+    number,
+    plain_unit,
+    presentable,
+    unit,
+)
 from tuning.report.page import Table
 
 Values = Mapping[str, Any]
@@ -44,7 +55,8 @@ def table(
 ) -> Table:  # fmt: skip
     """Return gains and metrics of walks side by side, and changes in per cent.
 
-    Where no columns are asked for: the first walk, its change against each of the others, and these.
+    Where no columns are asked for: the first walk, its change against each of the others, and these. Of walks that
+    failed there is no change.
     """
     if columns is None:
         first, *others = compared
@@ -54,10 +66,13 @@ def table(
         [key, text, *(gain(compared[name][0], key) if base is None else "" for name, base in columns)]
         for key, (text, _) in _gain_units(compared, law).items()
     ]
-    rows = []
-    for key in compared[columns[0][0]][1]:
-        value = {name: metrics[key] for name, (_, metrics) in compared.items()}
-        cells = (number(value[name]) if base is None else change(value[name], value[base]) for name, base in columns)
+    rows, metrics = [], {name: own for name, (_, own) in compared.items()}
+    told = {name: presentable(own) for name, own in metrics.items()}
+    for key in told[columns[0][0]]:
+        cells = (
+            number(told[name][key]) if base is None else change_of(metrics[name], metrics[base], key)
+            for name, base in columns
+        )
         rows.append([about.in_words(key), unit(key, about), *cells])
     return Table(caption, ["metric", "unit", *heads], [("", gains), ("", rows)])
 
@@ -83,13 +98,14 @@ def gains_table(compared: Compared, law: Law | None = None) -> Table:
     return Table("Gains by axis", ["gain", "unit", *held], sections)
 
 
-def against(metric: str, value: float | None, others: Values, about: MetricTable = METRICS) -> str:
-    """Return "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
+def against(name: str, walk: str, walks: Mapping[str, Values], about: MetricTable = METRICS) -> str:
+    """Return a metric of one of some walks as "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
     whose = {"paper": "the paper's gains", "config": "the config's gains"}
-    text = f"{number(value)} {unit(metric, about)}".strip()
-    for name, other in others.items():
-        if percent := change(value, other):
-            text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {whose.get(name, name)}"
+    own = walks[walk]
+    text = f"{number(presentable(own)[name])} {unit(name, about)}".strip()
+    for other, values in walks.items():
+        if other != walk and (percent := change_of(own, values, name)):
+            text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {whose.get(other, other)}"
     return text
 
 
@@ -98,10 +114,10 @@ def differences(
 ) -> tuple[list[str], list[str]]:
     """Return which metrics are worse than under the baseline, as "base deviation +414 %", and which are better.
 
-    All but some, where they differ by more than 2 %.
+    All but some, where they differ by more than 2 %; none where either walk failed.
     """
     found: tuple[list[str], list[str]] = [], []  # worse, better
-    for name, value in metrics.items():
+    for name, value in metrics.items() if not (failed(metrics) or failed(baseline)) else ():
         base = baseline[name]
         if name not in but and is_number(value) and is_number(base) and abs(value - base) > 0.02 * abs(base):
             text = f"{change(value, base)} %" if base > 0 else f"{number(base)} to {number(value)}"

@@ -12,7 +12,7 @@ import mjx_climb as mc
 from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.rollouts.walks import LINES, histories, stretches
-from tuning.report.numbers import failed, gain, plain, plain_unit
+from tuning.report.numbers import failed, gain, plain, plain_unit, presentable
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
 BASELINE = "pd"  # the walk that all others are compared with; disturbances and grip changes are its own
@@ -40,7 +40,11 @@ def explorer(
         factor, scaled = SCALES.get(unit, (1, unit))
         lines.append({"name": name, "label": text, "unit": scaled, "factor": factor})
     for name, walk in walks.items():
-        about_walk = {"name": name, "shown": shown is None or name in shown, "metrics": plain(metrics[name])}
+        about_walk = {
+            "name": name,
+            "shown": shown is None or name in shown,
+            "metrics": plain(presentable(metrics[name], None)),
+        }
         packed_lines = {line: packed(values) for line, values in histories(walk).items()}
         drawn.append({**about_walk, "failed": _failure(metrics[name]), "lines": packed_lines})
     return {

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjx_climb.walk.metrics import FAILURES
+
 if TYPE_CHECKING:
     from mjx_climb import MetricTable, Scenario
 
-LONG = 10.0  # m; a TSM beyond it is no length of a robot
+LONG = 10.0  # m; a TSM beyond it is no length of a robot, and a base so far off its reference flies
 WEIGHT = 0.1  # m/s^2; gravity above it is felt
 
 
@@ -87,11 +89,28 @@ def remarks(walks: Mapping[str, Mapping[str, Any]]) -> list[str]:
 def failed(metrics: Mapping[str, Any], lets_go: str = "lets go", diverges: str = "the simulation diverges") -> str:
     """Return in words how a walk failed, nothing where it did not."""
     found = []
-    if metrics["detached_limb"] is not None:
+    if metrics.get("detached_limb") is not None:
         found.append(f"{metrics['detached_limb']} {lets_go} at {metrics['detached_at']:.2f} s")
-    if metrics["diverged"]:
+    if metrics.get("diverged"):
         found.append(diverges)
     return ", ".join(found)
+
+
+def presentable(metrics: Mapping[str, Any], instead: str | None = "failed") -> dict[str, Any]:
+    """Return the metrics of a walk as people are shown them.
+
+    Of a walk that failed and then diverged, or left its path by more than `LONG`, numbers mean nothing: `instead`
+    stands for all but those that say how it failed.
+    """
+    flown = not (metrics.get("base_deviation") or 0.0) <= LONG
+    if not failed(metrics) or not (metrics.get("diverged") or flown):
+        return dict(metrics)
+    return {name: value if name in FAILURES else instead for name, value in metrics.items()}
+
+
+def change_of(metrics: Mapping[str, Any], base: Mapping[str, Any], name: str) -> str:
+    """Return the change of a metric against another walk's, nothing where either walk failed."""
+    return "" if failed(metrics) or failed(base) else change(metrics[name], base[name])
 
 
 def weightless(walks: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -216,9 +216,10 @@
         const text = this.texts[name];
         const value = walk ? walk.metrics[name] : values[cell];
         const reference = base.metrics[name];
+        const compares = !base.failed && !(walk || { failed: points.failed[cell] }).failed;
         body.append(make("tr", { "data-metric": name },
           make("th", { scope: "row", class: "word" }, named(text)), make("td", {}, format(value)),
-          make("td", {}, name in base.metrics ? format(reference) : ""), make("td", {}, change(value, reference))));
+          make("td", {}, name in base.metrics ? format(reference) : ""), make("td", {}, compares ? change(value, reference) : "")));
       }
       table.append(body);
       const { failed } = walk || { failed: points.failed[cell] };

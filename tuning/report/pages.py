@@ -58,8 +58,7 @@ def sweep_page(
     else:
         name, won = "force_variation", metrics["best"]
         gains = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in axes)
-        others = {walk: numbers[name] for walk, numbers in metrics.items() if walk != "best"}
-        text, missed = comparison.against(name, won[name], others, about), won.get("missed_grips")
+        text, missed = comparison.against(name, "best", metrics, about), won.get("missed_grips")
         grips = f"every grip holds, but {missed} missed the ground" if missed else "every gripper holds"
         verdict = f"Of {count} walks, {gains} are best: force variation {text}; {failed(won) or grips}."
         found.append(f"{compared.failed} of the {count} walks lost a gripper or diverged")
@@ -90,8 +89,8 @@ def tune_page(
     metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
     scores = []
     for name in [name for name, weight in search.weights.items() if weight]:
-        others = {walk: metrics[walk][name] for walk in ("pd", "config")}
-        scores.append(f"{about.in_words(name)} {comparison.against(name, metrics['tuned'][name], others, about)}")
+        three = {walk: metrics[walk] for walk in ("tuned", "pd", "config")}
+        scores.append(f"{about.in_words(name)} {comparison.against(name, 'tuned', three, about)}")
     limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
     points = None if compared.over is None else _points_of_map(found, compared.over, metrics["pd"])
     title = "Map: the same gains on all axes, around the result" if points else "Walks"
@@ -325,14 +324,14 @@ def pareto_page(
     metrics = {walk: mc.metrics(trajectory, about) for walk, trajectory in walks.items()}
     texts = []
     for name in (better, against):
-        others = {walk: values[name] for walk, values in metrics.items()}
-        value = comparison.against(name, front[name].values[knee].item(), others, about)
-        texts.append(f"{about.in_words(name)} {value}")
+        walked = {"knee": {name: front[name].values[knee].item()}, **metrics}  # nothing fails on a front
+        texts.append(f"{about.in_words(name)} {comparison.against(name, 'knee', walked, about)}")
     points = listed_points(front, histories, knee, trade=(against, better), about=about)
     return Page(
         title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}", origin=origin,
         verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
-        scenario=found.scenario, notes=sentences([found.worth]), tables=[front_table(front, knee, found.asked.points, about)],
+        scenario=found.scenario, notes=sentences([found.worth]),
+        tables=[front_table(front, knee, found.asked.points, about)],
         explorers={"The front": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
         facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},
     )  # fmt: skip
@@ -345,7 +344,9 @@ def front_table(front: xr.Dataset, knee: int, points: int, about: mc.MetricTable
     count = front.sizes["front"]
 
     def row(words: str, values: xr.Dataset, kind: str = "") -> list[str]:
-        return [words, *(number(values[f"{kind}{name}"].item()) for name in traded)]
+        limb, diverged = (values.get(f"{kind}{name}") for name in ("detached_limb", "diverged"))
+        lost = limb is not None and diverged is not None and (limb.item() >= 0 or bool(diverged.item()))
+        return [words, *("failed" if lost else number(values[f"{kind}{name}"].item()) for name in traded)]
 
     on, places = [], np.linspace(0, count - 1, min(count, points)).round().astype(int)
     if knee not in places:

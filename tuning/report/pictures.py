@@ -276,7 +276,9 @@ def plot_schedule(table: xr.Dataset) -> Figure:
             if not np.allclose(parts[0], parts[-1]):
                 curves.append((panel, np.exp(parts[-1]), ":", True))
             panel.set_ylabel(_UNITS.get(kind, f"{kind} [{table[kind].attrs['units']}]"))
-        left = 100 * point["force_variation"] / point["force_variation"].sel(walk="pd")
+        held = (point["detached_limb"] < 0) & ~point["diverged"].astype(bool)
+        variation = point["force_variation"].where(held)
+        left = 100 * variation / variation.sel(walk="pd")
         curves += [(below, left.sel(walk=walk).values, dash, walk == "tuned") for walk, dash in _DASHES.items()]
         for panel, values, dash, marked in curves:
             panel.plot(gravity, values, dash, color=color)

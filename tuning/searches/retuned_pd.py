@@ -246,10 +246,11 @@ def worth(
         verdict = f"no verdict on the force sensor, since pd was searched {rival.lacks}"
     else:
         verdict = "the force sensor pays"
-    said = [
-        f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'} {name.replace('_', ' ')}"
-        for name, change in changes.items()
-    ]
+    said = ""
+    for name, change in changes.items():  # the objective may be less though one of its terms is more
+        link = " and " if (change < 0) == (first < 0) else ", though "
+        more = "less" if change < 0 else "more"
+        said += f"{link if said else ''}{100 * abs(change):.1f} % {more} {name.replace('_', ' ')}"
     step = "" if rival.step is None else f", both at a time step of {rival.step:g} s"
-    more = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
-    return Worth(changes, "; ".join([f"{verdict}: {' and '.join(said)} than {than}{step}", *more]))
+    rest = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
+    return Worth(changes, "; ".join([f"{verdict}: {said} than {than}{step}", *rest]))

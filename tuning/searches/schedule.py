@@ -275,7 +275,10 @@ def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
 
 
 def rows(table: xr.Dataset) -> list[dict[str, Any]]:
-    """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd."""
+    """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd.
+
+    A metric of a walk that failed is None.
+    """
     result = []
     for g, c in np.ndindex(table["value"].shape):
         point = table.isel(gravity=g, cargo=c)
@@ -285,7 +288,9 @@ def rows(table: xr.Dataset) -> list[dict[str, Any]]:
             row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
         row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
         for name in SHOWN:
-            row[name] = {walk: float(point[name].sel(walk=walk)) for walk in table["walk"].values.tolist()}
+            holds = (point["detached_limb"] < 0) & ~point["diverged"].astype(bool)
+            each = zip(point["walk"].values.tolist(), point[name].values.tolist(), holds.values, strict=True)
+            row[name] = {walk: value if held else None for walk, value, held in each}
         row[retuned_pd.NAME] = {name: float(point[f"retuned_{name}"]) for name in ("kp", "kd", "value")}
         result.append(row)
     return result

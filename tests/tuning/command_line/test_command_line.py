@@ -411,6 +411,12 @@ def test_a_hit_in_one_thread_is_not_taken_for_the_compilation_of_another():
     assert watched.seconds == pytest.approx({"compiling": 3.0})
 
 
+def test_long_names_in_a_head_break_behind_their_underscores():
+    assert session.broken("case_1_2_best") == "case_1_2_\nbest"
+    assert session.broken("robust_from_long_search") == "robust_from_\nlong_search"
+    assert [session.broken(name) for name in ("retuned_pd", "vs retuned_pd %")] == ["retuned_pd", "vs retuned_pd %"]
+
+
 def test_numbers_in_tables_and_json():
     assert numbers.change(2.0, 1.0) == "+100"
     assert numbers.change(0.5, 1.0) == "-50.0"

@@ -21,6 +21,9 @@ def schedule_over(gravity, spread=1.0):
     data["feasible"] = AXES, rise < 1.4
     shares = 100 * np.stack([0.5 + 0.1 * rise, 0.9 + 0 * rise, 0.4 + 0.1 * rise, 1 + 0 * rise], -1)
     data["force_variation"] = (*AXES, "walk"), shares
+    data |= {
+        name: ((*AXES, "walk"), np.full(shares.shape, v)) for name, v in {"detached_limb": -1, "diverged": 0}.items()
+    }
     walks = ["tuned", "config", "retuned_pd", "pd"]
     coordinates = {"gravity": gravity, "cargo": cargo, "walk": walks}
     return xr.Dataset(data, coordinates, {"searched": "stiffness damping"})

@@ -408,8 +408,28 @@ def test_a_coarser_grid_keeps_what_it_must():
     assert (np.diff(rows["stiffness"]) > 0).all()
 
 
+def test_what_failed_says_so_and_nothing_is_compared_with_it():
+    """A robot that lost a grip and still stands has numbers; what flew off or diverged has none that mean anything."""
+    held = {"force_variation": 50.0, "base_deviation": 0.001, "detached_at": None, "detached_limb": None}
+    torn = {"force_variation": 80.0, "base_deviation": 0.2, "detached_at": 0.06, "detached_limb": "LF"}
+    flown = torn | {"force_variation": 3.928e86, "base_deviation": 1e12}
+    diverged = held | {"force_variation": 7.0, "diverged": True}
+    walks = {name: {"diverged": False, **own} for name, own in
+             {"best": held, "torn": torn, "flown": flown, "gone": diverged}.items()}  # fmt: skip
+    made = comparison.table({name: (None, own) for name, own in walks.items()}, "")
+    _, (gone, variation, _, at, limb) = rows_of(made)
+    assert [variation[name] for name in walks] == ["50", "80", "failed", "failed"]
+    assert {variation[f"vs {name} %"] for name in ("torn", "flown", "gone")} == {""}
+    assert [limb[name] for name in walks] == ["-", "LF", "LF", "-"]
+    assert (at["flown"], gone["gone"]) == ("0.06", "yes")
+    assert comparison.against("force_variation", "best", walks) == "50 N"
+    assert comparison.differences(held, torn) == ([], [])
+    assert comparison.differences(held | {"force_variation": 60.0}, held)[0]
+
+
 def test_words_say_which_way_metrics_went():
-    assert comparison.against("peak_foot_force", 3.0, {"pd": 4.0, "paper": None}) == "3 N, 25.0 % below pd"
+    forces = {name: {"peak_foot_force": force} for name, force in {"best": 3.0, "pd": 4.0, "paper": None}.items()}
+    assert comparison.against("peak_foot_force", "best", forces) == "3 N, 25.0 % below pd"
     metrics, baseline = {"force_variation": 1.0, "base_deviation": 2.0}, {"force_variation": 2.0, "base_deviation": 1.0}
     worse, better = comparison.differences(metrics, baseline)
     assert (worse, better) == (["base deviation +100 %"], ["force variation -50.0 %"])

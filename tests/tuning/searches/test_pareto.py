@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
@@ -31,6 +32,26 @@ def test_nondominated():
     x, y = np.array([3.0, 1.0, 2.0, 2.0, 4.0, 1.0]), np.array([1.0, 5.0, 3.0, 4.0, 1.0, 6.0])
     assert pareto.nondominated(x, y).tolist() == [1, 2, 0]
     assert pareto.nondominated(x, np.full(6, np.inf)).size == 0
+
+
+def test_the_table_of_a_front_has_as_many_points_as_were_asked_for():
+    values = {
+        "stiffness": np.geomspace(1e2, 1e4, 40),
+        "travel": np.arange(40.0),
+        "force_variation": np.arange(40.0)[::-1],
+    }
+    data = {name: ("front", value, {"units": "1"}) for name, value in values.items()}
+    data |= {f"without_{name}": ("without", np.zeros(0)) for name in ("travel", "force_variation", "kp", "kd")}
+    data |= {f"reference_{name}": ("reference", [1.0, 3e86]) for name in ("travel", "force_variation")}
+    data["reference_detached_limb"] = "reference", [-1, -1]
+    data["reference_diverged"] = "reference", [0, 1]
+    attributes = {"against": "travel", "better": "force_variation", "searched": "stiffness"}
+    front = xr.Dataset(data, {"reference": ["config", "pd"]}, attributes)
+    made = front_table(front, 17, 6)
+    (_, on), (_, below) = made.sections
+    assert [row[1] for row in on] == ["0", "8", "17", "23", "31", "39"] and [row[0] for row in on].index("knee") == 2
+    assert made.caption == "The front: 6 of its 40 points, all of them in front.nc"
+    assert [row[:3] for row in below] == [["config", "1", "1"], ["pd", "failed", "failed"]]
 
 
 def test_knee_is_furthest_from_the_line_between_the_ends():
@@ -84,7 +105,7 @@ def test_a_front_of_a_law_of_ones_own(few):
     assert alone["force_variation"] == pytest.approx(front["force_variation"].values[0], rel=1e-6)
     own = mc.metrics(mc.rollout(scenario, law=law))["force_variation"]
     assert front["reference_force_variation"].sel(reference="config").item() == pytest.approx(own, rel=1e-6)
-    assert len(front_table(front, 0).columns) == 7
+    assert len(front_table(front, 0, 3).columns) == 7
 
 
 @pytest.mark.slow

@@ -5,6 +5,8 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.checks.time_step import short_enough
+from tuning.background import ignore
+from tuning.output import comparisons
 from tuning.searches import retuned_pd
 
 CASE = mc.load_scenario("case_1_2")
@@ -104,6 +106,8 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
     two = worth({"objective": 0.6} | OURS, {"objective": 0.8} | THEIRS, RIVAL)
     assert two.changes == pytest.approx({"objective": -0.25, "force_variation": -0.25})
     assert two.in_words.startswith("the force sensor pays: 25.0 % less objective and 25.0 % less force variation than")
+    mixed = worth({"objective": 0.6} | THEIRS, {"objective": 0.8} | OURS, RIVAL).in_words
+    assert mixed.startswith("the force sensor pays: 25.0 % less objective, though 33.3 % more force variation than pd")
     behind = worth(THEIRS, OURS, RIVAL._replace(lacks="on a grid alone"), place=" on this grid").in_words
     assert behind.startswith("the force sensor does not pay on this grid: 33.3 % more force variation")
     for pair in ((OURS, THEIRS), (THEIRS, OURS)):
@@ -115,6 +119,18 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
     assert worth({"min_tsm": 3.0}, {"min_tsm": 2.0}, RIVAL, larger=True).in_words.startswith("the force sensor pays")
     lost = worth({"force_variation": np.nan}, THEIRS, RIVAL).in_words
     assert "not to be compared" in lost and lost.endswith("a walk failed")
+
+
+@pytest.mark.parametrize(("kd", "expected"), [(0.2, None), (1.0, 5e-4)])
+def test_all_that_is_compared_with_pd_walks_at_the_time_step_that_it_needs(kd, expected, monkeypatch):
+    monkeypatch.setattr(mc, "rollout", lambda scenario, **_: scenario.time_step)
+    walkers = {"best": (CASE, None), "pd": (CASE.with_overrides({"control.controller": "pd"}), None)}
+    joint = {"kp": 17.0, "kd": kd}
+    own, step, level = comparisons.beside_retuned(CASE, joint, walkers, "limb", lambda work: work)
+    assert step == expected and own(ignore) == (step or CASE.time_step)
+    assert {name: walk(ignore) for name, walk in level.items()} == (
+        {} if step is None else dict.fromkeys(walkers, step)
+    )
 
 
 def test_spread_is_how_far_the_second_best_stays_behind():
