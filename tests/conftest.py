@@ -1,5 +1,7 @@
 """Double precision for the session, a compilation cache that workers and runs share, and programs that tests share."""
 
+import contextlib
+import ctypes
 import dataclasses
 import functools
 import gc
@@ -43,6 +45,7 @@ LAWS = {
 }
 OPTIMISED = "xla_backend_optimization_level"  # by regions, see `compiler_options`
 PUSHES = 3
+MOST_MEMORY = 3e9  # bytes of a worker between modules; one module adds up to 2 GB, and tracing anew takes time
 BROWSER = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync"
@@ -56,6 +59,18 @@ def signals():
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def memory():
+    """Drop compiled programs after a module once they are large, and give what they took back to the system."""
+    yield
+    with contextlib.suppress(OSError, AttributeError):  # measured on Linux alone
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        if pages * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
+            jax.clear_caches()
+            gc.collect()
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 @pytest.fixture

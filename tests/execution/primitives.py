@@ -104,6 +104,7 @@ OTHERS = {
     "delay": lambda v, m, n: lax.dynamic_update_index_in_dim(m, v, n % 4, 0)[(n + 1) % 4],
     "gather": lambda v, m, n: (m[jnp.stack([n, n + 9, n - 9])], jnp.take_along_axis(m, jnp.argmax(m, 0)[None], 0)),
     "gather that fills": lambda v, m, n: m.at[n + 1].get(mode="fill", fill_value=7.0),
+    "gather that fills at known places": lambda v, m, n: m.at[jnp.array([0, 9])].get(mode="fill", fill_value=7.0),
     "gather that clips": lambda v, m, n: m.at[n + 2].get(mode="clip"),
     "interp": lambda v, m, n: TABLE[1] + jnp.asarray(TABLE)[jnp.clip(jnp.round(v), 0, 4).astype(jnp.int32)],
     "cond": lambda v, m, n: lax.cond(v[0] > 0, lambda a: (a * 2, 1), lambda a: (a - 1, 2), v),

@@ -1,10 +1,12 @@
 """Executables on disk: found by the next process, the same bits; never a wrong one, never a broken one."""
 
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -148,6 +150,20 @@ def test_a_folder_that_is_made_here_lets_nobody_else_in(run, tmp_path, monkeypat
     _, values = run(umask=0)
     assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
     assert run(umask=0) == (0, values)
+
+
+def test_an_executable_is_found_under_the_settings_of_jax_that_it_was_compiled_under_alone(monkeypatch):
+    files, real = [], runpy.run_path(cache.__file__)["executable_file"]  # the tests' own stores none
+    monkeypatch.setattr(cache, "executable_file", real)
+    monkeypatch.setattr(cache, "_loaded", lambda file, _: files.append(file) or (lambda *trees: trees))
+
+    def call(precision):
+        with jax.default_matmul_precision(precision):
+            cache.cached_jit(lambda structure, values: values, lambda *_: "a", {})(1.0, np.zeros(2))
+
+    for precision in ("highest", "highest", "bfloat16"):
+        call(precision)
+    assert files[0] == files[1] != files[2]
 
 
 def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):

@@ -131,6 +131,16 @@ def test_a_loop_has_lax_scans_derivatives(moving):
         np.testing.assert_allclose(mine, theirs, rtol=1e-12)
 
 
+def test_a_loop_in_reverse_reads_and_writes_from_the_end():
+    def walk(start: Array, read: Array) -> tuple[Array, Array]:
+        return jax.lax.scan(lambda carry, now: (jnp.sin(carry) + now, carry * now), start, read, reverse=True)
+
+    robots = np.linspace(0, 1, 5), np.linspace(1, 2, 15).reshape(5, 3)
+    found, expected = jax.jit(jax.vmap(over_robots(walk, regions=True)))(*robots), jax.vmap(walk)(*robots)
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-12)
+    np.testing.assert_allclose(found[1], expected[1], rtol=1e-12)
+
+
 def test_a_loop_that_carries_many_rows_copies_few_arrays():
     """XLA gives more than eight operations that could be next to several threads, for longer than a step takes."""
 

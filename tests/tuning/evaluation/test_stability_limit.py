@@ -103,6 +103,21 @@ def test_the_worst_stance_is_the_limit_of_walks_and_all_feet_count_where_the_gai
     assert (stability_limit.spectral_radius(pauses, gains, late) > 1).tolist() == [False, True, True, True, True]
 
 
+def test_the_radius_is_that_of_one_step_whatever_the_period():
+    """Of turns that shrink what they turn, the first step of a period more than the others, beside a state alone."""
+    turn = np.zeros((3, 3))
+    turn[:2, :2], turn[2, 2] = [[0.6, 0.8], [-0.8, 0.6]], 0.3
+    periods = np.array([1, 2, 5])
+    steps = [np.stack([share * turn] * 4) for share in (0.5, 0.9)]  # a row more than there are robots
+    expected = (0.5 * 0.9 ** (periods - 1)) ** (1 / periods)
+    np.testing.assert_allclose(stability_limit._radii(steps, periods), expected)
+    steps[0][:, 2, 2] = 1.8  # a state that acts on itself alone grows
+    expected = (1.8 * 0.27 ** (periods - 1)) ** (1 / periods)
+    np.testing.assert_allclose(stability_limit._radii(steps, periods)[:2], np.maximum(expected[:2], [0.5, 0.45**0.5]))
+    steps[1][1, 0, 0] = np.nan
+    assert np.isinf(stability_limit._radii(steps, periods)).tolist() == [False, True, False]
+
+
 @pytest.mark.parametrize("shape", [(), (2,)])
 def test_one_robot_and_a_batch_are_looked_at_over_their_control_period(case, monkeypatch, shape):
     monkeypatch.setattr(stability_limit, "_radii_of", lambda walk, robots, axes, periods, first: 1.0 * periods)

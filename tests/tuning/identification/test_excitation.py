@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import json
+from types import SimpleNamespace
 
 import jax
 import mujoco
@@ -20,7 +21,8 @@ from tuning.identification.information import information
 from tuning.identification.log import joints_of
 from tuning.identification.readers import read_log
 from tuning.identification.schedule import schedule_of
-from tuning.output.excitation import columns, plot, summary
+from tuning.identification.variables import Variable
+from tuning.output.excitation import columns, plot, summary, table
 from tuning.problem.excitation import ENCODER, Excitation
 
 ROBOT = load_robot("hubrobo_v3_2")
@@ -255,6 +257,24 @@ def test_a_mass_on_the_feet_is_that_of_mujoco():
     np.testing.assert_allclose(mass, whole[0, 0])
     np.testing.assert_allclose(about, whole[3:, 3:], atol=1e-9)
     np.testing.assert_allclose(loaded.link_mass[:, :-1], 0.1)
+
+
+def test_a_deviation_is_relative_to_the_value_or_to_the_prior_of_one_that_is_zero():
+    delay = Variable("hardware.command_delay", "s", 0.0, mean=0.0, sd=0.02, lower=0.0, upper=0.1)
+    friction = Variable("hardware.servo.viscous_friction", "N m s/rad", 0.5, mean=0.5, sd=2.0, lower=0.0, upper=9.0)
+    told = information((delay.key, friction.key), np.eye(2), np.array([1 / 7, 1 / 3]))
+    of = SimpleNamespace(information=told, motion=SimpleNamespace(name="own", segments=(), bound=()))
+    found = SimpleNamespace(
+        chosen=[delay, friction], best=of, plain=of, gain=1.0, period=0.01, asked=Excitation(), scenario=scenario(),
+        robot=ROBOT,
+    )  # fmt: skip
+    relative = np.array([50, 10]) ** -0.5
+    each = [summary(found)["parameters"][variable.key] for variable in found.chosen]
+    np.testing.assert_allclose([one["relative"] for one in each], relative)
+    np.testing.assert_allclose([one["deviation"] for one in each], relative * [0.02, 0.5])
+    ((_, rows),) = table(found).sections
+    assert [row[3] for row in rows] == [f"{value:.2g}" for value in relative * [0.02, 0.5]]
+    assert [" of 0.02" in row[4] for row in rows] == [True, False]
 
 
 @pytest.mark.slow

@@ -1,0 +1,331 @@
+"""Every option of every command changes what the command asks for, prints or writes: what is computed is recorded."""
+
+import contextlib
+import dataclasses
+import functools
+import io
+import re
+from collections import defaultdict
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import pytest
+import typer
+
+import mjx_climb as mc
+from tests.shell import ROOT
+from tuning.command_line.options import SearchFile
+from tuning.command_line.program import COMMANDS, program
+from tuning.gains import gains_file, own_section
+from tuning.problem.search import Search
+
+CONFIG, OTHER = (str(ROOT / "configs" / f"{name}.yaml") for name in ("case_1_2", "case_1_1"))
+RECORDED = {  # what takes long, draws or writes, by module
+    "mjx_climb": "rollout metrics",
+    "mjx_climb.checks.time_step": "largest_time_step",
+    "mjx_climb.execution.devices": "begin",
+    "mjx_climb.files.dataset": "save to_dataset write_text_atomically",
+    "mjx_climb.files.recording": "save_mcap",
+    "mjx_climb.plots": "over_style plot_comparison plot_feet plot_walk save_figure",
+    "mjx_climb.rendering": "save_image save_video snapshots stance view",
+    "mjx_climb.rendering.backend": "find require_display",
+    "mjx_climb.robot.proposal": "propose",
+    "mjx_climb.rollouts.remedies": "slow_enough",
+    "tuning.background": "background",
+    "tuning.benchmarks.commands": "measure",
+    "tuning.benchmarks.measure": "measure",
+    "tuning.command_line.logs": "_judged",
+    "tuning.command_line.machine": "cache examine",
+    "tuning.command_line.results": "_margins_in_words show",
+    "tuning.command_line.run": "_show",
+    "tuning.command_line.session": "comparison_table from_page plain_table",
+    "tuning.evaluation.deployment": "check",
+    "tuning.evaluation.linear_margins": "find warnings",
+    "tuning.evaluation.margins": "find warnings",
+    "tuning.identification.excitation": "chosen set_up",
+    "tuning.identification.identify": "identify",
+    "tuning.identification.output": "table",
+    "tuning.identification.readers": "read_log",
+    "tuning.identification.replay": "prepare simulate",
+    "tuning.identification.replay_picture": "plot_replay",
+    "tuning.output.comparisons": "load_tests of_grid of_search",
+    "tuning.output.excitation": "limits notes summary table",
+    "tuning.output.folder": "write_config",
+    "tuning.output.redrawn": "figures",
+    "tuning.report.numbers": "ahead_of number to_json",
+    "tuning.report.page": "write",
+    "tuning.report.pages": "front_table summed_table",
+    "tuning.report.pictures": "plot_margins",
+    "tuning.reproduce.results": "as_json as_markdown overall page reproduced sentences tables",
+    "tuning.searches.compare": "problem_of run",
+    "tuning.searches.judge": "Draw.result",
+    "tuning.searches.pareto": "problem_of run",
+    "tuning.searches.schedule": "operating_points rows run",
+    "tuning.searches.shards": "Rows find home merged",
+    "tuning.searches.sweep": "Grid.result",
+    "tuning.searches.tune": "problem_of run",
+}
+TYPED = {  # what is typed for an option by the name of its parameter, unlike its default
+    "also": "--also inertia",
+    "at": "--snapshots --at 0.5",
+    "base": "--base free",
+    "bounds": "--bound damping=1:1e5",
+    "changes": "--set control.kd=0.1",
+    "compare": "--compare pd",
+    "controller": "--controller end_effector_admittance",
+    "deviation_factor": "--deviation-factor 2",
+    "dpi": "--dpi 100",
+    "drop": "--drop",
+    "engine": "--engine mjx",
+    "ensemble": "--ensemble {folder}/ensemble.yaml",
+    "figures": "--figures svg",
+    "fit": "--fit control.kp",
+    "gains": "--gains {folder}/gains.yaml",
+    "hardware": "--hardware dynamixel_x",
+    "held_out": "--held-out 0.3",
+    "inertia": "--with-inertia",
+    "iterations": "--iterations 2",
+    "joint_gains": "--with-joint-gains",
+    "json_only": "--json",
+    "law": "--law LoadTransfer",
+    "limits": "--limit base_deviation=0.01",
+    "log": "--log other.csv",
+    "mass": "--mass 0.1",
+    "mcap": "--mcap",
+    "members": "--members 3",
+    "method": "--method lbfgs",
+    "metrics": "--metric {folder}/mine.py:highest",
+    "no_worse_than_pd": "--may-be-worse-than-pd",
+    "out": "--out elsewhere",
+    "pins": "--pin damping=30",
+    "precision": "--precision float64",
+    "retuned_pd": "--retuned-pd {folder}/gains.yaml",
+    "search": "--search {folder}/search.yaml",
+    "seed": "--seed 5",
+    "shard": "--shard 1/2",
+    "signals": "--signals signals.yaml",
+    "snapshots": "--snapshots",
+    "space": "--space split",
+    "starts": "--starts 3",
+    "style": "--style ggplot",
+    "video": "--video",
+    "view": "--view",
+    "weights": "--weight force_variation=1",
+}  # fmt: skip
+LINES = {  # a command that works, the options that its own need beside them
+    "run": "{config}",
+    "replay": "{config} --log log.csv",
+    "sweep": "{config} --stiffness 1:2:2 --damping 1:2:2",
+    "merge": "folder",
+    "tune": "{config}",
+    "judge": "{config} --gains {folder}/held.yaml",
+    "compare": "{config} --laws base_admittance",
+    "pareto": "{config}",
+    "schedule": "{config}",
+    "plot": "folder",
+    "margins": "{config}",
+    "reproduce": "",
+    "excite": "{config}",
+    "identify": "{config} --log log.csv --fit hardware.command_delay",
+    "export": "{folder}/held.yaml --config {config} --format json",
+    "robot": "robot.xml",
+    "schema": "",
+    "bench": "",
+    "doctor": "",
+}
+OWN = {  # in place of those of `TYPED`, of a command
+    "run size": ["--snapshots --size 640x480", "--video --size 640x480"],
+    "run at": ["--snapshots --at 0.5"],
+    "replay size": ["--video --size 640x480"],
+    "replay judge": ["--judge"],
+    "sweep batch_size": ["--batch-size 2"],
+    "sweep law": ["--law {folder}/mine.py:Mine"],
+    "judge law": ["{config} --gains {folder}/mine.yaml --law {folder}/mine.py:Mine"],
+    "compare method": ["--method optuna"],
+    "identify figures": ["--out elsewhere --figures svg"],
+    "tune members": ["--ensemble ensemble --members 3"],
+    "tune judges": ["--ensemble ensemble --judges 5"],
+    "pareto better": ["--better peak_foot_force"],
+    "pareto against": ["--against peak_foot_force"],
+    "pareto points": ["--points 3"],
+    "schedule gravity": ["--gravity 1"],
+    "schedule cargo": ["--cargo 1"],
+    "plot metric": ["--metric min_tsm"],
+    "plot size": ["--size 60x60"],
+    "excite family": ["--family chirp"],
+    "excite duration": ["--duration 3"],
+    "excite low": ["--low 0.2"],
+    "excite high": ["--high 5"],
+    "excite kp": ["--kp 30"],
+    "excite limb_by_limb": ["--limb-by-limb"],
+    "excite rate": ["--rate 50"],
+    "excite noise": ["--noise 1e-3"],
+    "excite margin": ["--margin 0.5"],
+    "excite candidates": ["--candidates 1"],
+    "export rate": ["--format ros2_control --update-rate 500"],
+    "export name": ["--format ros2_control --name mine"],
+    "robot write": ["--write scenario.yaml"],
+    "robot gravity": ["--gravity 1.6"],
+    "robot base": ["--base trunk"],
+    "robot limbs": ["--limbs a,b"],
+    "bench quick": ["--quick"],
+    "bench batch": ["--batch 64"],
+    "bench with_tune": ["--with-tune"],
+}
+
+
+REFUSED = "refused: "
+PLACED = {  # arguments and required options in place of those of the line
+    "config": ("{config}", OTHER),
+    "log": ("log.csv", "other.csv"),
+    "fit": ("--fit hardware.command_delay", "--fit control.kp"),
+    "laws": ("base_admittance", "end_effector_admittance"),
+    "folder": ("folder", "elsewhere"),
+    "folders": ("folder", "elsewhere"),
+    "file": ("robot.xml", "other.xml"),
+    "stiffness": ("--stiffness 1:2:2", "--stiffness 1:3:2"),
+    "damping": ("--damping 1:2:2", "--damping 1:3:2"),
+    "axis": ("--damping 1:2:2", "--axis kp=1:2:2"),
+    "gains": ("{folder}/held.yaml", "{folder}/gains.yaml"),
+    "form": ("json", "csv"),
+}
+
+
+@dataclasses.dataclass
+class Found:
+    """A result that is written to nowhere."""
+
+    record: Any
+    judges: int | None = None
+    interrupted = False
+    data = problem = search = knee = MagicMock()
+
+    def write(self, *arguments, **how):
+        return self.record(self.judges, *arguments, **how)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    gains_file.save(mc.Gains(1.0, 100.0, 1000.0, kp=50.0, kd=0.2), folder / "held.yaml")
+    gains_file.save(mc.Gains(2.0, 300.0, 3000.0, kp=60.0, kd=0.3), folder / "gains.yaml")
+    (folder / "search.yaml").write_text("{space: diagonal, seed: 7}")
+    (folder / "ensemble.yaml").write_text(
+        (ROOT / "configs" / "ensemble.yaml").read_text().replace("seed: 0", "seed: 7")
+    )
+    (folder / "mine.py").write_text(
+        "from mjx_climb.control import VirtualModelAdmittance\n"
+        "from mjx_climb.walk.metrics import largest\n"
+        "class Mine(VirtualModelAdmittance): pass\n"
+        'highest = largest("highest_base", "m", "highest base", lambda s, _: s.base_position[2])\n'
+    )
+    law = own_section.load_law(f"{folder}/mine.py:Mine")
+    gains_file.save(mc.Gains(1.0, 100.0, 1000.0), folder / "mine.yaml", law=law)
+    return folder
+
+
+@pytest.fixture
+def traced(monkeypatch, tmp_path, folder):
+    """Return a function that runs a command: all that it asks for, prints and ends with, in one text."""
+    monkeypatch.chdir(tmp_path)
+    calls = MagicMock()
+    for module, names in RECORDED.items():
+        for name in names.split():
+            monkeypatch.setattr(f"{module}.{name}", getattr(calls, f"{module}.{name}".replace(".", "_")))
+    scenario, found = mc.load_scenario(CONFIG), Found(calls.write)
+    log = SimpleNamespace(guessed=None, warnings=(), signals={"base.force.x": ()}, source="log.csv")
+    returned = {
+        "write": SimpleNamespace(summed=1, outcome=(), files="files", summary="{}"),
+        "mjx_climb_metrics": dict.fromkeys(mc.METRICS.names, 1.0) | {"detached_limb": None, "diverged": False},
+        "mjx_climb_checks_time_step_largest_time_step": 0.001,
+        "mjx_climb_rendering_save_image": "picture",
+        "mjx_climb_files_recording_save_mcap": SimpleNamespace(name="walk.mcap"),
+        "mjx_climb_robot_proposal_propose": SimpleNamespace(
+            sections=scenario.model_dump(exclude={"time_step"}), notes=[("a", "b", "c")]
+        ),
+        "mjx_climb_rollouts_remedies_slow_enough": (scenario, True, "as it is"),
+        "tuning_benchmarks_measure_measure": defaultdict(float, devices=["cpu"]),
+        "tuning_command_line_machine_cache": [SimpleNamespace(text="")],
+        "tuning_command_line_machine_examine": [],
+        "tuning_command_line_results__margins_in_words": ("", "{}"),
+        "tuning_evaluation_linear_margins_warnings": [],
+        "tuning_evaluation_margins_warnings": [],
+        "tuning_identification_readers_read_log": log,
+        "tuning_output_folder_write_config": scenario,
+        "tuning_output_redrawn_figures": [("map", calls.figure)],
+        "tuning_report_numbers_number": "1",
+        "tuning_report_numbers_to_json": "{}",
+        "tuning_reproduce_results_as_markdown": "",
+        "tuning_searches_shards_find": [SimpleNamespace(about={}, identity={"kind": "sweep"})],
+        "tuning_searches_shards_home": tmp_path / "home",
+        "tuning_searches_shards_Rows": SimpleNamespace(
+            rows=(), there=0, folder=None, shard=None, walk=lambda _: None
+        ),
+    }  # fmt: skip
+    for name in ("compare_run", "judge_Draw_result", "pareto_run", "schedule_run", "shards_merged",
+                 "sweep_Grid_result", "tune_run"):  # fmt: skip
+        returned[f"tuning_searches_{name}"] = found
+    for name, value in returned.items():
+        getattr(calls, name).return_value = value
+    calls.tuning_identification_identify_identify.return_value.as_json.return_value = {}
+    calls.tuning_identification_replay_simulate.return_value.scenario = scenario
+    loaded = functools.cache(lambda source, changes: load_scenario(source, dict(changes)))
+    load_scenario = mc.load_scenario
+    monkeypatch.setattr(mc, "load_scenario", lambda source, changes=(): loaded(source, tuple(dict(changes).items())))
+
+    def run(line):
+        calls.reset_mock()
+        command, *words = line.format(folder=folder, config=CONFIG).split()
+        with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
+            try:
+                program(command)([command, *words], standalone_mode=False)
+            except mc.ConfigError as error:
+                return f"{REFUSED}{error}"
+        calls_alone = re.sub(r"0x[0-9a-f]+|id='\d+'", "", "\n".join(map(repr, calls.mock_calls)))
+        return re.sub(r"[\d.]+ s\b", "", out.getvalue()) + calls_alone
+
+    return run
+
+
+def lines_of(command):
+    """Yield for each parameter of a command pairs of lines: without it, or with another value, and with it."""
+    line = f"{command} {LINES[command]}"
+    for parameter in typer.main.get_command(program(command)).commands[command].params:
+        name = parameter.name
+        if name == "help":
+            continue
+        if name in PLACED and PLACED[name][0] in line:
+            yield line, line.replace(*PLACED[name])
+            continue
+        for words in OWN.get(f"{command} {name}", [TYPED.get(name)]):
+            assert words is not None, f"{command} --{name}: type something for it in this file"
+            whole = words if words.startswith("{config}") else f"{LINES[command]} {words}"
+            before = whole.split()[: -1 if words.split()[-1].startswith("--") else -2]  # a flag, or an option's value
+            yield " ".join([command, *before]), f"{command} {whole}"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_changes_what_a_command_asks_for_or_says(command, traced):
+    """An option that is parsed and not used leaves the recorded calls and the printed text as they are without it."""
+    known = functools.cache(traced)
+    for without, with_it in lines_of(command):
+        assert not known(with_it).startswith(REFUSED), known(with_it)
+        assert known(without) != known(with_it), with_it
+    assert traced(f"{command} {LINES[command]}") == traced(f"{command} {LINES[command]}")  # else all would differ
+
+
+def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_default(tmp_path):
+    """Typed are all defaults, in the file is another value for each."""
+    others = {
+        "method": "lbfgs", "space": "split", "inertia": True, "also": ("inertia",), "joint_gains": True,
+        "bounds": {"damping": (1.0, 2.0)}, "pins": {"stiffness": 1.0}, "weights": {"peak_foot_force": 2.0},
+        "limits": {"travel": 1.0}, "deviation_factor": 2.0, "no_worse_than_pd": False, "starts": 3, "iterations": 2,
+        "seed": 7, "precision": "float64",
+    }  # fmt: skip
+    assert others.keys() == Search.model_fields.keys()
+    (tmp_path / "search.yaml").write_text(Search(**others).to_yaml())
+    file, loaded = SearchFile(search=tmp_path / "search.yaml"), SimpleNamespace(metrics=mc.METRICS)
+    for name, default in Search().model_dump().items():
+        joined = file.joined(Search(**{name: default}), loaded)
+        assert joined == Search(**others | {name: default})
