@@ -45,7 +45,8 @@ LAWS = {
 }
 OPTIMISED = "xla_backend_optimization_level"  # by regions, see `compiler_options`
 PUSHES = 3
-MOST_MEMORY = 3e9  # bytes of a worker between modules; one module adds up to 2 GB, and tracing anew takes time
+# bytes of a worker between modules; what is dropped is traced anew, so it is dropped seldom
+MOST_MEMORY = 3e9
 BROWSER = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync"
@@ -69,6 +70,7 @@ def memory():
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         if pages * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
             jax.clear_caches()
+            batches._program.cache_clear()
             gc.collect()
             ctypes.CDLL(None).malloc_trim(0)
 

@@ -34,7 +34,11 @@ _own_rule.defvjp(lambda value: (jnp.sin(value), value), lambda value, change: (c
 # name: function(vector (3,), matrix (4, 3), number ()), of and to anything
 KNOWN = {
     "zeros and ones": lambda v, m, n: (jnp.ones(2), (FRAME * v).sum(1), (FRAME @ m.T).max(0), v * FRAME[0, 1]),
-    "reduce_sum": lambda v, m, n: m.sum(0) + m.sum(),
+    "reduce_sum": lambda v, m, n: (
+        m.sum(0) + m.sum(),
+        (m[:, :, None] * v).sum((0, 2)),
+        (m[:, :, None] * v).sum((1, 0)),
+    ),
     "reduce_prod": lambda v, m, n: m.prod(1),
     "reduce_max": lambda v, m, n: (m.max(0), m.min(1)),
     "reduce_and": lambda v, m, n: ((m > 0).all(0), (m > 1).any(1)),
@@ -63,7 +67,15 @@ KNOWN = {
     "split": lambda v, m, n: jnp.split(m, [1, 3]),
     "bits": lambda v, m, n: (n << 3, n >> 1, n ^ 5, ~n, n & 6, n | 8),
     "shift_right_logical": lambda v, m, n: lax.shift_right_logical(n, jnp.int32(2)),
-    "whole numbers": lambda v, m, n: (n * 7 % 5, n // 3, lax.rem(n, jnp.int32(4)), jnp.abs(n), jnp.sign(n)),
+    "whole numbers": lambda v, m, n: (
+        n * 7 % 5,
+        lax.rem(n, jnp.int32(2)),
+        lax.rem(n, jnp.int32(-1)),
+        n // 3,
+        lax.rem(n, jnp.int32(4)),
+        jnp.abs(n),
+        jnp.sign(n),
+    ),
     "pow of a whole number": lambda v, m, n: lax.pow(v, 3),
     "whole numbers beyond 24 bits": lambda v, m, n: (n * 2**20 + 12345, n.astype(jnp.uint32) + jnp.uint32(2**31)),
     "convert_element_type": lambda v, m, n: (v.astype(jnp.int32), n.astype(v.dtype), (v > 0).astype(jnp.int32)),
@@ -74,6 +86,7 @@ KNOWN = {
         jnp.maximum(0.5, jnp.where(v > 0, jnp.nan, v)),
         jnp.minimum(jnp.where(v > 0, jnp.nan, v), 0.5),
         jnp.minimum(0.5, jnp.where(v > 0, jnp.nan, v)),
+        (lambda a: a - a)(jnp.where(v > 0, jnp.nan, v)),
     ),
     "halves": lambda v, m, n: jnp.round(n + jnp.arange(-3.5, 4.0)),
     "is_finite": lambda v, m, n: (jnp.isfinite(1 / jnp.round(v)), jnp.isnan(jnp.sqrt(v))),

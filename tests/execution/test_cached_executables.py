@@ -166,6 +166,13 @@ def test_an_executable_is_found_under_the_settings_of_jax_that_it_was_compiled_u
     assert files[0] == files[1] != files[2]
 
 
+@pytest.mark.parametrize("variable", ["XLA_FLAGS", "LIBTPU_INIT_ARGS"])
+def test_flags_of_xla_are_part_of_what_an_entry_depends_on(variable, monkeypatch):
+    before = cache.machine.__wrapped__()
+    monkeypatch.setenv(variable, "--xla_cpu_enable_fast_math=true")
+    assert cache.machine.__wrapped__() != before
+
+
 def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
     """Neither of an executable nor of a verdict on a fast path."""
 

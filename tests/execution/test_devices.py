@@ -90,3 +90,13 @@ def test_a_device_that_does_not_start_is_said_by_who_asks_for_one(monkeypatch, c
         if thread.name == "devices":
             thread.join()
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("in_regions", [True, False])
+def test_a_share_is_no_larger_than_asked_for_and_robots_walk_in_whole_shares_again(in_regions, cpu_alone):
+    assert devices.share_size(1000, 5, in_regions=in_regions) == 5
+    share = devices.share_size(1000, None, in_regions=in_regions)
+    for robots in (range(0, 3), range(share + 3, share + 5), range(share - 1, 2 * share + 1)):
+        walked = devices.walking_with(robots, 1000, in_regions=in_regions)
+        assert walked.start == robots.start // share * share and walked.stop >= robots.stop
+        assert devices.share_size(len(walked), None, in_regions=in_regions) == share

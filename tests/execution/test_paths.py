@@ -78,6 +78,32 @@ def test_a_trial_that_cannot_start_is_no_verdict_for_ever(fresh, monkeypatch):
     assert not fresh.exists()
 
 
+def test_what_a_path_cannot_do_is_tried_once_and_something_else_again():
+    tried = []
+
+    def by(path):
+        tried.append(path)
+        if path != "plain":
+            raise NotImplementedError("this")
+        return path
+
+    with pytest.warns(UserWarning, match="the CPU's regions cannot do this: by XLA's own way, slower") as said:
+        assert [paths.first_possible(by, "regions", what) for what in ("one of a test", "one of a test", "another")]
+    assert tried == ["regions", "plain", "plain", "regions", "plain"] and len(said) == 2
+
+
+@pytest.mark.parametrize(
+    ("robots", "tangents", "kernel", "device"),
+    [(8, 0, True, "cpu"), (9, 0, True, None), (32, 1, True, "cpu"), (33, 1, True, None), (64, 0, False, "cpu")],
+)
+def test_few_robots_walk_on_the_cpu_where_there_is_a_gpu(robots, tangents, kernel, device, monkeypatch):
+    """A robot counts once, and once for each of its tangents; the kernel walks a few as soon."""
+    monkeypatch.setattr(paths.jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(paths, "path_for", lambda _, *, kernel: "kernel" if kernel else "plain")
+    monkeypatch.delenv(paths.ON_CPU, raising=False)
+    assert paths.device_for(robots, tangents, kernel=kernel) == device
+
+
 def test_the_trial_of_the_regions_sees_wrong_values(monkeypatch, capsys):
     in_regions = one_robot.in_regions
 

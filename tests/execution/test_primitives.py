@@ -4,7 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from mjx_climb.execution.elements import Unsupported
+from mjx_climb.execution.element_operations import SHORTCUTS
+from mjx_climb.execution.elements import Unsupported, Value
 from mjx_climb.execution.gpu_kernel import over_robots
 from tests.execution import primitives
 
@@ -30,3 +31,11 @@ def test_the_kernel_does_as_xla_or_refuses(name, interpreted):
         assert mine.dtype == xla.dtype
         tolerance = 1e-12 if np.issubdtype(mine.dtype, np.floating) else 0
         np.testing.assert_allclose(mine, xla, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("name", ["shift_left", "shift_right_logical"])
+def test_a_shift_by_all_bits_is_written_as_zero(name):
+    """CUDA's own is undefined there."""
+    number = Value(None, np.dtype(np.int32))
+    assert SHORTCUTS[name](number, np.int32(32)) == 0 and SHORTCUTS[name](number, np.int32(0)) is number
+    assert SHORTCUTS[name](number, np.int32(31)) is None

@@ -318,6 +318,15 @@ def test_a_foot_in_the_air_measures_nothing_again_and_again(tmp_path):
     assert log.warnings == () and len(log.signals["LF.force.z"].value) == 100
 
 
+@pytest.mark.parametrize(("stamped", "clock"), [(1, "log"), (2, "header")])
+def test_times_are_those_of_the_recording_where_only_some_headers_have_a_clock_of_their_own(stamped, clock):
+    now, fields = np.arange(5.0), {"data.x": np.arange(5.0)}
+    times = [{"log": now, "header": now - 1e3}] * stamped + [{"log": now}] * (2 - stamped)
+    tables = {f"/{n}": Table(f"/{n}", each, fields) for n, each in enumerate(times)}
+    found, notes = guess(Recording(tables, "log"), ROBOT)
+    assert found.time == clock and bool(notes) == (clock == "log")
+
+
 def test_the_twist_of_an_odometry_has_the_axes_of_the_body_and_is_not_taken():
     time = {"log": np.arange(5.0)}
     fields = {f"{part}.{what}": time["log"] for part, what in (

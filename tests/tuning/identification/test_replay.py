@@ -16,7 +16,7 @@ from tests.tuning.identification.stand_in_mujoco import TRUTH, sines
 from tests.tuning.identification.stand_in_mujoco import recorded as on_a_stand
 from tuning.identification.log import Log, Signal
 from tuning.identification.readers import read_log, write_csv
-from tuning.identification.replay import replay
+from tuning.identification.replay import prepare, replay
 from tuning.identification.replay_picture import plot_replay
 
 SCENARIO = mc.Scenario().with_overrides({
@@ -120,6 +120,13 @@ def test_p_gains_and_torque_off_of_the_log_are_those_of_mujoco():
     for name, error in found.errors.items():  # rates have a kink where the gain changes
         assert error.largest < 1e-3 if name.endswith("position") else error.rms < 0.02, (name, error)
     assert (found.walk.joint_torque[610:740] == 0).all()
+
+
+def test_commands_go_to_the_servos_as_logged_whatever_the_period_of_the_law(tmp_path):
+    write_csv(tmp_path / "log.csv", recorded())
+    scenario = SCENARIO.with_overrides({"hardware.interpolation": "linear", "hardware.command_delay": 0.003})
+    own = prepare(read_log(tmp_path / "log.csv", ROBOT), scenario, "held").scenario.hardware
+    assert (own.control_period, own.interpolation, own.command_delay) == (0.0, "hold", 0.003)
 
 
 def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tuning.identification.log import Signal
-from tuning.identification.schedule import Schedule
+from tuning.identification.log import KP, OFF, Signal
+from tuning.identification.schedule import Schedule, schedule_of
 
 STEP = 1e-3
 
@@ -29,3 +29,13 @@ def test_targets_are_weighed_by_the_gain_where_both_change_at_once():
         ends = [schedule.targets(command, np.array([at + s]), STEP)[0][0] for s in (1e-8, -1e-8)]
         assert rate[0] == pytest.approx((ends[0] - ends[1]) / 2e-8, rel=1e-4, abs=1e-3)
     assert schedule.targets(command, np.array([0.025]), STEP)[0][0] == pytest.approx(-0.3)  # no torque asks for it
+
+
+def test_a_gain_holds_until_the_next_and_is_none_while_the_torque_is_off():
+    kp = Signal(np.array([0.0, 0.2]), np.array([50.0, 25.0]))
+    off = Signal(np.array([0.1, 0.3, 0.4]), np.array([1.0, 0.0, 1.0]))
+    found = schedule_of({KP: kp, OFF: off}, 100.0)
+    np.testing.assert_array_equal(found.time, [0.0, 0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_array_equal(found.on, [0, 0, 0, 1, 0])  # before its first sample a signal has that one's value
+    np.testing.assert_array_equal(found.share, [0, 0, 0, 0.25, 0])
+    assert schedule_of({KP: Signal(kp.time, np.full(2, 100.0))}, 100.0) is schedule_of({}, 100.0) is None

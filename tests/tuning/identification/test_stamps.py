@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.special import huber
 
-from tuning.identification.stamps import Noise, noise_of, stamped
+from tuning.identification.stamps import HUBER, Noise, noise_of, stamped
 
 CLOCK = 3e-4  # s
 
@@ -29,6 +30,13 @@ def test_the_cost_is_that_of_the_dense_covariance():
     likeliest = CLOCK**2 * (together * rate[fitted]) @ np.linalg.solve(covariance, r)
     np.testing.assert_allclose(found.error[fitted], likeliest, rtol=1e-9)
     assert not found.error[~fitted].any() and not found.weight[~fitted].any()
+
+
+def test_an_outlier_costs_what_hubers_loss_says():
+    noise, residuals = np.full(7, 0.3), 0.3 * np.array([-9.0, -2.51, -2.49, 0.0, 1.0, 2.6, 40.0])
+    none = np.zeros(7)
+    found = stamped(residuals, none, np.ones(7, bool), none.astype(int), noise, 0.0)
+    assert found.cost == pytest.approx(huber(HUBER, residuals / noise).sum(), rel=1e-12)
 
 
 def test_an_outlier_moves_its_stamp_no_more_than_huber_lets_it():
