@@ -141,6 +141,20 @@ def test_a_loop_in_reverse_reads_and_writes_from_the_end():
     np.testing.assert_allclose(found[1], expected[1], rtol=1e-12)
 
 
+def test_a_loop_carries_values_that_have_some_of_the_batch_axes():
+    """It begins with one axis of three, and each step adds another; the third is none of the loop's."""
+
+    def walk(one: Array, two: Array, three: Array) -> Array:
+        return one * jax.lax.fori_loop(0, 3, lambda _, carry: jnp.sin(carry) + three, two)
+
+    def batch(walk):
+        return jax.vmap(jax.vmap(jax.vmap(walk, (None, None, 0)), (None, 0, None)), (0, None, None))
+
+    given = np.linspace(1, 2, 2), np.linspace(0, 1, 3), np.linspace(2, 3, 3)
+    found = jax.jit(batch(over_robots(walk, regions=True)))(*given)
+    np.testing.assert_allclose(found, batch(walk)(*given), rtol=1e-12)
+
+
 def test_a_loop_that_carries_many_rows_copies_few_arrays():
     """XLA gives more than eight operations that could be next to several threads, for longer than a step takes."""
 
