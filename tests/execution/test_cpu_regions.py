@@ -141,11 +141,13 @@ def test_a_loop_in_reverse_reads_and_writes_from_the_end():
     np.testing.assert_allclose(found[1], expected[1], rtol=1e-12)
 
 
-def test_a_loop_carries_values_that_have_some_of_the_batch_axes():
-    """It begins with one axis of three, and each step adds another; the third is none of the loop's."""
+@pytest.mark.parametrize("outside", [0, 2])
+def test_a_loop_carries_values_that_have_some_of_the_batch_axes(outside):
+    """It begins with one axis of three, and each step adds another; the third, first or last, is none of the loop's."""
 
-    def walk(one: Array, two: Array, three: Array) -> Array:
-        return one * jax.lax.fori_loop(0, 3, lambda _, carry: jnp.sin(carry) + three, two)
+    def walk(*values: Array) -> Array:
+        start, added = (value for place, value in enumerate(values) if place != outside)
+        return values[outside] * jax.lax.fori_loop(0, 3, lambda _, carry: jnp.sin(carry) + added, start)
 
     def batch(walk):
         return jax.vmap(jax.vmap(jax.vmap(walk, (None, None, 0)), (None, 0, None)), (0, None, None))
