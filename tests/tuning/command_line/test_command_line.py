@@ -22,7 +22,7 @@ from mjx_climb.robot.constants import load_robot
 from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning.command_line import main, options, searches, session
 from tuning.command_line.from_models import made
-from tuning.command_line.program import InputError, user_error
+from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
 from tuning.gains import gains_file
 from tuning.identification.readers import read_log
 from tuning.output import comparisons
@@ -145,6 +145,17 @@ def test_a_closed_standard_error_leaves_standard_output_alone(tmp_path):
 def test_a_long_line_is_shortened_in_the_middle():
     line = user_error(InputError(f"--option: {'x' * 10_000} its end"))
     assert len(line) < 1100 and line.startswith("--option: ") and line.endswith(" its end")
+
+
+def test_a_command_is_said_again_with_another_value_of_an_option():
+    """With either way of writing a value, and flags before it."""
+    token = ARGUMENTS.set(("sweep", "case_1_2", "--json", "--shard=1/2", "--damping", "1:2:3", "--shard", "3/16"))
+    try:
+        assert typed_but("--shard", "N/16") == "mjx-climb sweep case_1_2 --json --damping 1:2:3 --shard N/16"
+        again = "mjx-climb sweep config.yaml --damping 1:2:3 --out again"
+        assert repeated(["sweep"], "--damping", "--stiffness") == again
+    finally:
+        ARGUMENTS.reset(token)
 
 
 def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):
