@@ -315,6 +315,11 @@ def test_every_option_changes_what_a_command_asks_for_or_says(command, traced):
     assert traced(f"{command} {LINES[command]}") == traced(f"{command} {LINES[command]}")  # else all would differ
 
 
+def test_of_two_walks_that_are_compared_the_rival_is_shown_first_and_the_walk_itself_measured_first(traced):
+    shown = re.search(r"_show\({'(\w+)'.*?}, {'(\w+)'", traced("run {config} --compare pd"))
+    assert shown.groups() == ("pd", "base_admittance")
+
+
 def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_default(tmp_path):
     """Typed are all defaults, in the file is another value for each."""
     others = {
