@@ -472,3 +472,9 @@ def test_pd_is_not_exported_and_options_do_not_contradict_a_file(call, tmp_path)
     for typed in (("--controller", "base_admittance"), ("--set", "control.controller=base_admittance")):
         code, _, err = call("run", "case_1_2", "--gains", path, *typed)
         assert code == 2 and f"expected none with {path}, whose gains are of PD, got base_admittance" in err
+
+
+def test_a_law_of_each_foots_force_has_no_moment_in_the_cpp_librarys_file():
+    for alone, kinds in ((True, ["period", "force"]), (False, ["period", "force", "moment"])):
+        text = admittance_control.write(SPLIT, 0.01, forces_only=alone)
+        assert list(yaml.safe_load(text)["admittance_control"]) == kinds
