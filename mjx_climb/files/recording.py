@@ -1,17 +1,22 @@
 """A walk as a recording of ROS 2 in one MCAP file, which Foxglove, Rerun and PlotJuggler open."""
 
+import itertools
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.files.writing import write_bytes_atomically
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.limbs import quaternion
+from mjx_climb.robot.robot_file import root_link
 from mjx_climb.rollouts.trajectory import Trajectory
+from mjx_climb.scenario.model import RobotFile
 
 WORLD = "world"
 FRAMES_PER_SECOND = 100  # of transforms, which are there to be looked at
@@ -26,9 +31,9 @@ class _Topic(NamedTuple):
 def save_mcap(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
     """Write a walk as MCAP and return its path; time begins at 0, and the same walk gives the same file.
 
-    Topics: `/joint_states` and `/joint_commands` (names LIMB_JOINT), `/LIMB/force` (of the ground on the foot) and
-    `/LIMB/support`, `/base_pose` and `/base_twist` of the base's centre of mass, `/push` (from outside), `/tf` of base
-    and feet. Frame `world`, SI units.
+    Topics: `/joint_states` and `/joint_commands` (by the names in the robot's file), `/LIMB/force` (of the ground on
+    the foot) and `/LIMB/support`, `/base_pose` and `/base_twist` of the base's centre of mass, `/push` (from outside),
+    `/tf` of the file's root link and of the feet. Frame `world`, SI units.
 
     Raises:
         OutputError: the file cannot be written.
@@ -68,21 +73,23 @@ def _topics(walk: Trajectory, types: Any) -> Iterator[_Topic]:
     rates, flag = types["geometry_msgs/msg/Twist"], types["std_msgs/msg/Bool"]
     vector, none = _vector(types["geometry_msgs/msg/Vector3"]), np.array([])
     point, turn = _vector(types["geometry_msgs/msg/Point"]), _quaternion(types)
-    joints = [_word(f"{limb}_{joint}") for limb in walk.limbs for joint in load_robot(walk.scenario.robot).joint_names]
-    flat = {
-        name: np.asarray(getattr(walk, name), np.float64).reshape(len(walk.time), -1)
-        for name in ("joint_angles", "joint_rates", "joint_torque", "joint_targets")
-    }
-    angles, velocity, effort, targets = flat.values()
+    robot = load_robot(walk.scenario.robot)
+    joints, held = _joints(walk, robot)
+    angles, velocity, effort = (
+        np.hstack([values, np.broadcast_to(fixed, (len(values), len(held)))])
+        for values, fixed in (
+            (joints["joint_angles"], [*held.values()]), (joints["joint_rates"], 0.0), (joints["joint_torque"], 0.0)
+        )
+    )  # fmt: skip
+    names, targets = [*robot.places_in_file()], joints["joint_targets"]
     yield _Topic(
         "/joint_states", "sensor_msgs/msg/JointState",
-        lambda row, header: state(header, joints, angles[row], velocity[row], effort[row]),
+        lambda row, header: state(header, [*names, *held], angles[row], velocity[row], effort[row]),
     )  # fmt: skip
     yield _Topic(
-        "/joint_commands",
-        "sensor_msgs/msg/JointState",
-        lambda row, header: state(header, joints, targets[row], none, none),
-    )
+        "/joint_commands", "sensor_msgs/msg/JointState",
+        lambda row, header: state(header, names, targets[row], none, none),
+    )  # fmt: skip
     for place, limb in enumerate(walk.limbs):
         force, moment, support = walk.foot_force[:, place], walk.foot_moment[:, place], walk.support[:, place]
 
@@ -108,18 +115,43 @@ def _topics(walk: Trajectory, types: Any) -> Iterator[_Topic]:
         "/push", "geometry_msgs/msg/WrenchStamped",
         lambda row, header: wrench(header, pair(vector(walk.push[row, :3]), vector(walk.push[row, 3:]))),
     )  # fmt: skip
-    yield _Topic("/tf", "tf2_msgs/msg/TFMessage", _transforms(walk, types))
+    yield _Topic("/tf", "tf2_msgs/msg/TFMessage", _transforms(walk, robot, types))
 
 
-def _transforms(walk: Trajectory, types: Any) -> Callable[[int, Any], Any]:
-    """Return what makes a message of where base and feet are; a foot has the world's axes."""
+def _joints(walk: Trajectory, robot: Robot) -> tuple[dict[str, np.ndarray], Mapping[str, float]]:
+    """Return histories (time, joint) in the order of the robot's file, and the joints that are held, with their angles.
+
+    A viewer would put joints that it hears nothing of at zero.
+    """
+    limb, joint = np.transpose([*robot.places_in_file().values()])
+    fields = ("joint_angles", "joint_rates", "joint_torque", "joint_targets")
+    values = {name: np.asarray(getattr(walk, name), np.float64)[:, limb, joint].copy("C") for name in fields}
+    source = walk.scenario.robot
+    return values, dict(source.locked.items()) if isinstance(source, RobotFile) else {}
+
+
+def _transforms(walk: Trajectory, robot: Robot, types: Any) -> Callable[[int, Any], Any]:
+    """Return what makes a message of where the robot's root link and feet are; a foot has the world's axes.
+
+    No foot's frame has the name of a link: viewers place the links by the robot's file and `/joint_states`.
+    """
+    source = walk.scenario.robot
+    root = root_link(source, robot) if isinstance(source, RobotFile) else None
+    feet = [_word(f"{limb}_foot") for limb in walk.limbs]
+    while root is not None and {*feet} & {*root.links}:
+        feet = [f"{name}_contact" for name in feet]
     stamped, transform = types["geometry_msgs/msg/TransformStamped"], types["geometry_msgs/msg/Transform"]
     vector, turn = _vector(types["geometry_msgs/msg/Vector3"]), _quaternion(types)
     upright = np.array([1.0, 0.0, 0.0, 0.0])
 
     def message(row: int, header: Any) -> Any:
-        places = [("base", walk.base_position[row], walk.base_orientation[row])]
-        places += [(_word(f"{limb}_foot"), walk.foot_position[row, n], upright) for n, limb in enumerate(walk.limbs)]
+        at, turned = walk.base_position[row], walk.base_orientation[row]
+        if root is not None:
+            offset, axes = root.pose(walk.joint_angles[row])
+            own = quaternion_to_matrix(turned)
+            at, turned = at + own @ offset, quaternion(own @ axes)
+        places = [(root.name if root else "base", at, turned)]
+        places += zip(feet, walk.foot_position[row], itertools.repeat(upright), strict=False)
         made = [stamped(header, child, transform(vector(at), turn(turned))) for child, at, turned in places]
         return types["tf2_msgs/msg/TFMessage"](made)
 

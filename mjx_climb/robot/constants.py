@@ -59,6 +59,8 @@ class Robot:
     slides: tuple[tuple[bool, ...], ...] = dataclasses.field(default=(), metadata=_STATIC)  # it is prismatic
     passive: tuple[tuple[bool, ...], ...] = dataclasses.field(default=(), metadata=_STATIC)  # nothing drives it
     joint_names: tuple[str, ...] = dataclasses.field(default=(), metadata=_STATIC)  # of a limb, from the base outwards
+    # limbs in the order of the robot's file, with the names that their joints have there
+    joints_in_file: tuple[tuple[str, tuple[str, ...]], ...] = dataclasses.field(default=(), metadata=_STATIC)
 
     @property
     def joints(self) -> int:
@@ -74,6 +76,12 @@ class Robot:
     def driven(self) -> np.ndarray | None:
         """Which joints are driven, (limb, joint) bool; None where all are."""
         return ~np.array(self.passive) if self.passive else None
+
+    def places_in_file(self) -> dict[str, tuple[int, int]]:
+        """Return limb and joint by the names in the robot's file, in its order; of none that only fill up a limb."""
+        return {
+            name: (self.limbs.index(limb), joint) for limb, own in self.joints_in_file for joint, name in enumerate(own)
+        }
 
     @property
     def total_mass(self) -> Float[np.ndarray, ""]:
@@ -122,7 +130,11 @@ def load_robot(name: str | RobotFile) -> Robot:
     Raises:
         RobotError: no such robot, or a model other than a floating base with limbs of as many joints each and a foot.
     """
-    return robot_from_model(load_model(name), name if isinstance(name, str) else Path(name.file).stem)
+    if isinstance(name, str):
+        return robot_from_model(load_model(name), name)
+    robot = robot_from_model(load_model(name), Path(name.file).stem)
+    # as the section lists them: `mjx-climb robot` writes them in the file's order
+    return dataclasses.replace(robot, joints_in_file=tuple((limb, own.joints) for limb, own in name.limbs.items()))
 
 
 def frame_along(axis: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -157,9 +169,11 @@ def robot_from_model(model: mujoco.MjModel, name: str, stance: np.ndarray | None
     drives: dict[str, Any] = {key: getattr(model, field)[dofs] for key, field in _DRIVES.items()}
     spring, limit = model.jnt_stiffness[joints], model.jnt_actfrcrange[joints, 1]
     limit = np.where(model.jnt_actfrclimited[joints] != 0, limit, np.inf)
+    limb_names = tuple(model.body(body).name.rsplit("_", 1)[0] for body in bodies[:, 0])
+    in_file = (tuple(model.joint(joint).name for joint in chain) for chain in joints)
     return Robot(
         name=name,
-        limbs=tuple(model.body(body).name.rsplit("_", 1)[0] for body in bodies[:, 0]),
+        limbs=limb_names,
         model=model,
         base_mass=np.array(model.body_mass[1]),
         link_mass=model.body_mass[bodies],
@@ -171,6 +185,7 @@ def robot_from_model(model: mujoco.MjModel, name: str, stance: np.ndarray | None
         stance_joints=stance[places],
         **{key: value for key, value in drives.items() if value.any()},
         joint_names=tuple(model.body(body).name.rsplit("_", 1)[-1] for body in bodies[0]),
+        joints_in_file=tuple(zip(limb_names, in_file, strict=True)),
         spring=spring if spring.any() else None,
         spring_rest=model.qpos_spring[places] if spring.any() else None,
         torque_limit=limit if np.isfinite(limit).any() else None,

@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -71,6 +71,38 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, Robot, np.ndarray]:
         raise refusal(source, "file", "masses and inertias that a body can have", got) from None
     # it rests with its springs slack
     return spec, robot_from_model(model, "robot", model.qpos_spring), axes.T @ (center - file.data.xpos[file.base])
+
+
+class RootLink(NamedTuple):
+    """The link of a robot's file that all others hang on, by which viewers place the whole of it."""
+
+    name: str
+    links: tuple[str, ...]  # names of all links
+    pose: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # of joint angles (limb, joint), see `root_link`
+
+
+def root_link(source: RobotFile, robot: Robot) -> RootLink:
+    """Return the root link of a robot's file, whose `pose` gives its place (3,) m and rotation (3, 3).
+
+    Both are seen from the simulated base frame, at the base's centre of mass. They change with the angles where
+    `robot.base` has chosen another link of the file to be the base.
+    """
+    file, model = _File(source), robot_in(source.file)
+    offset = file.data.xmat[file.base].reshape(3, 3).T @ (file.trunk.center - file.data.xpos[file.base])
+    base = model.body(file.model.body(file.base).name).id
+    root, data = int(model.body_rootid[base]), at_zero(model)
+    for name, value in source.locked.items():
+        data.joint(name).qpos[:] = value
+    places = robot.places_in_file()
+
+    def pose(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        for name, place in places.items():
+            data.joint(name).qpos[:] = angles[place]
+        mujoco.mj_kinematics(model, data)
+        axes = data.xmat[base].reshape(3, 3)
+        return axes.T @ (data.xpos[root] - data.xpos[base]) - offset, axes.T @ data.xmat[root].reshape(3, 3)
+
+    return RootLink(model.body(root).name, tuple(model.body(body).name for body in range(1, model.nbody)), pose)
 
 
 class _Link(NamedTuple):

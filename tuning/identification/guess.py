@@ -6,25 +6,27 @@ What is guessed is shown: `Signals.to_yaml` is a file to save and correct.
 import dataclasses
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import Robot
 from tuning.identification.log import names
 from tuning.identification.signals import Signals, Source, TimeUnit
 from tuning.identification.table import Recording, Table
 
-_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+|[^\W\d_A-Za-z]+")
 _MEANING = {
-    "command": "command commands commanded cmd target targets goal goals desired reference references ref setpoint",
+    "command": "command commands commanded cmd target targets goal goals desired des reference references ref setpoint",
     "velocity": "velocity velocities vel rate rates speed speeds qd dq",
     "effort": "effort efforts torque torques tau",
     "position": "position positions pos angle angles q",
-    "": "error errors output acceleration accelerations temperature voltage current covariance limit min max gain",
+    # what is fed forward is sent beside a target and is none itself
+    "": "error errors output acceleration accelerations temperature voltage current covariance limit min max gain "
+    "ff feedforward kp ki kd ddq qdd mode lost reserve",
 }
 _QUANTITY = {word: meaning for meaning, words in _MEANING.items() for word in words.split(" ")}
+_DESIRED = {(what, "d") for what in ("q", "qd", "dq", "tau")}
 _JOINT = {"joint", "joints", "encoder", "encoders", "motor", "servo"}  # a position, if no other word stands there
 _BASE = {"base", "body", "trunk", "pose", "mocap"}
 _OF_BASE = {
@@ -62,6 +64,12 @@ class _Place:
     limb: str | None
     joint: str | None
     number: int | None  # the last in its name
+    own: bool = False  # the name of its joint in the robot's file stands there
+
+    @property
+    def pattern(self) -> str:
+        """Its words, with a sign for each number."""
+        return " ".join("#" if word.isdecimal() else word for word in self.words)
 
 
 def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
@@ -112,38 +120,77 @@ def _clock(recording: Recording) -> tuple[str, TimeUnit, list[str]]:
 
 def _places(table: Table, robot: Robot, time: str) -> Iterator[_Place]:
     """Yield what the names of a table's columns say."""
-    of_model = {words_of(name): both for name, both in _joints_of_model(robot).items()}
+    in_file = {
+        words: (robot.limbs[n], robot.joint_names[j])
+        for name, (n, j) in robot.places_in_file().items()
+        if (words := words_of(name))
+    }
     for field in table.fields:
         if field == time:
             continue
         source = Source(topic=table.topic, field=field) if table.topic else Source(column=field)
-        words = (*words_of(table.topic), *words_of(field))
+        topic = words_of(table.topic)
+        words = (*topic, *words_of(field))
+        unit = next((_UNITS[word] for word in words if word in _UNITS), None)
+        source = source.changed({"unit": unit}) if unit else source
+        numbers = [int(word) for word in words if word.isdecimal()]
+        number = numbers[-1] if numbers else None
         limb = max((limb for limb in robot.limbs if _within(words_of(limb), words)), key=len, default=None)
         joint = max((joint for joint in robot.joint_names if _within(words_of(joint), words)), key=len, default=None)
-        limb, joint = next((both for name, both in of_model.items() if _within(name, words)), (limb, joint))
-        unit = next((_UNITS[word] for word in words if word in _UNITS), None)
-        numbers = [int(word) for word in words if word.isdecimal()]
-        source = source.changed({"unit": unit}) if unit else source
-        yield _Place(source, words, _quantity(words), limb, joint, numbers[-1] if numbers else None)
+        quantity = _quantity(words, words)
+        told = words_of(_without_numbers(field) if field in table.unnamed else field)
+        name = _name_in(topic, told, words_of(limb or ""), in_file)
+        own = _quantity(_without(name, (*topic, *told)), words) if name else ""
+        if own:
+            (limb, joint), quantity = in_file[name], own
+        yield _Place(source, words, quantity, limb, joint, number, own=bool(own))
 
 
-def _joints_of_model(robot: Robot) -> dict[str, tuple[str, str]]:
-    """Return limb and joint by the names of the joints in the robot's model, which come limb after limb."""
-    kind = mujoco.mjtObj.mjOBJ_JOINT
-    named = [mujoco.mj_id2name(robot.model, kind, joint) for joint in range(1, robot.model.njnt)]
-    return dict(zip(named, itertools.product(robot.limbs, robot.joint_names), strict=False))
+def _without_numbers(field: str) -> str:
+    return ".".join(part for part in field.split(".") if not part.isdecimal())
+
+
+def _name_in(
+    topic: tuple[str, ...], field: tuple[str, ...], limb: tuple[str, ...], names: Collection[tuple[str, ...]]
+) -> tuple[str, ...]:
+    """Return which of some names, as words, stands in a topic and field: the longest, the last of several, () for none.
+
+    A name of numbers alone must be all numbers that the field has beside a limb's name, or else the topic's, where
+    these are said to be a joint's.
+    """
+    words, numbers = (*topic, *field), tuple(filter(str.isdecimal, _without(limb, field)))
+    if not numbers and _JOINT & {before for before, word in itertools.pairwise(topic) if word.isdecimal()}:
+        numbers = tuple(filter(str.isdecimal, topic))
+    there = [name for name in names if (numbers == name if all(map(str.isdecimal, name)) else _within(name, words))]
+    return max(there, key=lambda name: (_within(name, field), len(name), _starts(name, words)), default=())
+
+
+def _starts(part: Sequence[str], words: Sequence[str]) -> list[int]:
+    """Return where words stand in a row in others, the last place first."""
+    last = len(words) - len(part) if part else -1
+    return [at for at in range(last, -1, -1) if tuple(words[at : at + len(part)]) == tuple(part)]
 
 
 def _within(part: Sequence[str], words: Sequence[str]) -> bool:
-    """Return whether words stand in a row in others."""
-    return any(tuple(words[at : at + len(part)]) == tuple(part) for at in range(len(words) - len(part) + 1))
+    return bool(_starts(part, words))
 
 
-def _quantity(words: Sequence[str]) -> str:
-    """Return what a joint's column holds, by the last word that says it; "" for nothing that is read."""
-    meanings = [_QUANTITY[word] for word in words if word in _QUANTITY]
+def _without(part: Sequence[str], words: Sequence[str]) -> tuple[str, ...]:
+    """Return words without some that stand in a row among them."""
+    first = next(iter(_starts(part, words)), len(words))
+    return (*words[:first], *words[first + len(part) :])
+
+
+def _quantity(said: Sequence[str], words: Sequence[str]) -> str:
+    """Return what a joint's column holds, by the last word that says it; "" for nothing that is read.
+
+    `said` are the words of its name but for those of the joint's own, which say nothing about it.
+    """
+    # q_d is the q that is desired
+    said = ["desired" if (before, word) in _DESIRED else word for before, word in itertools.pairwise(("", *said))]
+    meanings = [_QUANTITY[word] for word in said if word in _QUANTITY]
     what = [meaning for meaning in meanings if meaning != "command"]
-    last = what[-1] if what else "position" if "command" in meanings or _JOINT & {*words} else ""
+    last = what[-1] if what else "position" if "command" in meanings or _JOINT & {*words} or not said else ""
     if "" in what or ("command" in meanings and last != "position"):  # a velocity that is commanded
         return ""
     return "command" if "command" in meanings else last
@@ -169,23 +216,46 @@ def _named(places: Sequence[_Place]) -> Iterator[tuple[str, _Place]]:
 
 
 def _numbered(places: Sequence[_Place], robot: Robot, notes: list[str]) -> Iterator[tuple[str, _Place]]:
-    """Yield the joints that have numbers: within a limb that is named, or limb after limb."""
+    """Yield the joints that have numbers: within a limb that is named, or limb after limb in the file's order.
+
+    Columns that are alike but for their numbers, and of which some have the names of joints, are read by names alone.
+    """
     groups: dict[tuple[str | None, str, str], dict[int, _Place]] = {}
+    named = {place.pattern for place in places if place.own}
     for place in places:
-        if place.quantity and place.joint is None and place.number is not None:
-            pattern = " ".join("#" if word.isdecimal() else word for word in place.words)
-            groups.setdefault((place.limb, place.quantity, pattern), {})[place.number] = place
+        if place.quantity and not (place.limb and place.joint) and place.number is not None:
+            groups.setdefault((place.limb, place.quantity, place.pattern), {})[place.number] = place
     for (limb, quantity, pattern), numbered in groups.items():
-        limbs = robot.limbs if limb is None else (limb,)
-        each, rest = divmod(len(numbered), len(limbs))
-        if each < robot.joints or rest:
-            continue
-        if each > robot.joints:
+        limbs = {name: len(own) for name, own in robot.joints_in_file if limb in (None, name)}
+        if pattern in named and limb is None:
+            which = ", ".join(str(number) for number in sorted(numbered))
             notes.append(
-                f"{pattern}: {len(numbered)} numbers for {len(limbs)} limbs of {robot.joints} joints, taken as "
-                f"{each} a limb, of which the first {robot.joints} are its joints"
+                f"{pattern}: {which} not read, since others of these are names of joints and none of a limb is"
             )
-        ordered = [numbered[number] for number in sorted(numbered)]
-        for row, name in enumerate(limbs):
-            for joint, place in zip(robot.joint_names, ordered[row * each :], strict=False):
+            continue
+        if not (widths := _widths(len(numbered), limbs)):
+            continue
+        if widths != limbs:
+            joints, each = " or ".join(map(str, sorted({*limbs.values()}))), next(iter(widths.values()))
+            notes.append(
+                f"{pattern}: {len(numbered)} numbers for {len(limbs)} limbs of {joints} joints, taken as {each} a "
+                "limb, of which the first are its joints"
+            )
+        if limb is None:
+            notes.append(
+                f"{pattern}: no names of joints, taken limb after limb, {', '.join(limbs)}, as the robot's file has "
+                "them (signals.yaml says otherwise)"
+            )
+        ordered = iter([numbered[number] for number in sorted(numbered)])
+        for name, width in widths.items():
+            of_limb = [*itertools.islice(ordered, width)][: limbs[name]]
+            for joint, place in zip(robot.joint_names, of_limb, strict=False):
                 yield f"{name}.{joint}.{quantity}", place
+
+
+def _widths(count: int, limbs: Mapping[str, int]) -> Mapping[str, int]:
+    """Return how many of some numbers each limb has, whose joints are given: those, or as many each; or none."""
+    if count == sum(limbs.values()):
+        return limbs
+    each, rest = divmod(count, len(limbs))
+    return {} if rest or each < max(limbs.values()) else dict.fromkeys(limbs, each)

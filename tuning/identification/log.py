@@ -61,8 +61,9 @@ class Log:
 
 def names(robot: Robot) -> Iterator[str]:
     """Return the names of all signals that a robot can record, limb after limb, then base and servos."""
-    for limb in robot.limbs:
-        yield from (f"{limb}.{joint}.{what}" for joint in robot.joint_names for what in JOINT)
+    own = joints_of(robot)
+    for n, limb in enumerate(robot.limbs):
+        yield from (f"{joint}.{what}" for joint, place in own.items() if place[0] == n for what in JOINT)
         yield from (f"{limb}.force.{axis}" for axis in "xyz")
         yield f"{limb}.support"
     for what in BASE:
@@ -71,10 +72,9 @@ def names(robot: Robot) -> Iterator[str]:
 
 
 def joints_of(robot: Robot) -> dict[str, tuple[int, int]]:
-    """Return limb and joint of each joint, by its name in a log."""
-    return {
-        f"{limb}.{joint}": (n, j) for n, limb in enumerate(robot.limbs) for j, joint in enumerate(robot.joint_names)
-    }
+    """Return limb and joint of each joint, by its name in a log; of none that only fill up a limb."""
+    places = sorted(robot.places_in_file().values())
+    return {f"{robot.limbs[n]}.{robot.joint_names[j]}": (n, j) for n, j in places}
 
 
 def unit_of(name: str) -> str:

@@ -1,5 +1,6 @@
 """A robot that was identified as an MJCF, and the section `robot` of a scenario that names it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ _DRIVES = {"armature": "armature", "damping": "damping", "friction": "frictionlo
 
 def write(source: str | RobotFile, robot: Robot, path: Path) -> dict[str, Any]:
     """Write a robot whose constants differ from its file's in masses, centres, inertias, drives or joint zeros.
+
+    Its joints keep the names of the robot's own file, by which logs and commands know them.
 
     Returns:
         The section `robot` of a scenario.
@@ -56,9 +59,21 @@ def write(source: str | RobotFile, robot: Robot, path: Path) -> dict[str, Any]:
                     setattr(moved, theirs, [value, 0, 0] if theirs == "damping" else value)
     base, center = spec.body(model.body(1).name), nominal.frame_position[0, 0] - robot.frame_position[0, 0]
     _weigh(base, robot.base_mass, model.body_ipos[1] + center, robot.base_inertia)
+    for limb, own in nominal.joints_in_file:
+        _name(spec, limb, nominal.joint_names, own)
     spec.compile()
     write_text_atomically(path, spec.to_xml())
     return _section(robot, path, center)
+
+
+def _name(spec: mujoco.MjSpec, limb: str, simulated: Sequence[str], own: Sequence[str]) -> None:
+    """Give a limb's joints their own names in place of the simulated, and leave out those that only fill it up."""
+    for old, new in zip(simulated, own, strict=False):
+        spec.joint(f"{limb}_{old}").name = new
+    if filling := simulated[len(own) :]:
+        foot = np.array(spec.body(f"{limb}_{filling[0]}").pos)
+        spec.delete(spec.body(f"{limb}_{filling[0]}"))
+        spec.body(f"{limb}_{simulated[len(own) - 1]}").add_site(name=f"{limb}_foot", pos=foot)
 
 
 def _weigh(body: mujoco.MjsBody, mass: np.ndarray, center: np.ndarray, inertia: np.ndarray) -> None:
@@ -80,10 +95,10 @@ def _section(robot: Robot, path: Path, center: np.ndarray) -> dict[str, Any]:
     feet = limb_frames(robot, rotation, robot.stance_joints).foot + rotation @ center
     limbs = {
         limb: {
-            "joints": [f"{limb}_{joint}" for joint in robot.joint_names],
+            "joints": list(own),
             "foot": f"{limb}_foot",
-            "foothold": [round(float(value), 9) for value in feet[n, :2]],
+            "foothold": [round(float(value), 9) for value in feet[robot.limbs.index(limb), :2]],
         }
-        for n, limb in enumerate(robot.limbs)
+        for limb, own in robot.joints_in_file
     }
     return {"file": str(path.absolute()), "height": float(robot.stance_position[2]), "limbs": limbs}

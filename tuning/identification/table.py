@@ -1,7 +1,7 @@
 """What a file holds before it is known what is what: columns of numbers over time, by topic and field."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,7 @@ class Table:
     times: Mapping[str, Float[np.ndarray, " samples"]]  # in the file's unit: by column, or `header` and `log`
     fields: Mapping[str, Float[np.ndarray, " samples"]]  # NaN: not recorded
     frame: str = ""  # of the messages' header
+    unnamed: Set[str] = frozenset()  # fields whose path has an entry's number for want of a name
 
 
 @dataclasses.dataclass(frozen=True)

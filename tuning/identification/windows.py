@@ -122,7 +122,8 @@ def cut(
         for joint, place in joints_of(robot).items()
         if (name := f"{joint}.command") in log.signals
     }
-    whole = [n for n in range(len(robot.limbs)) if all((n, j) in commands for j in range(robot.joints))]
+    lacking = {limb for limb, joint in joints_of(robot).values() if (limb, joint) not in commands}
+    whole = set(range(len(robot.limbs))) - lacking
     placed = {
         f"{joint}.{kind}": (n, j, k)
         for joint, (n, j) in joints_of(robot).items()

@@ -1,5 +1,6 @@
 """What an excitation leaves in its folder: commands as CSV and as a trajectory for ROS 2, a picture, a page, JSON."""
 
+import json
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mjx_climb import plots
-from mjx_climb.scenario.model import RobotFile
 from tuning.background import Stage
 from tuning.identification.excitation import PLAIN, Excited, scale
 from tuning.identification.information import SEEN
@@ -69,8 +69,10 @@ def gains(found: Excited) -> tuple[np.ndarray, np.ndarray]:
 def trajectory(found: Excited) -> str:
     """Return the commands as a ROS 2 message trajectory_msgs/msg/JointTrajectory in YAML."""
     robot, (_, off) = found.robot, gains(found)
-    driven = np.ones(robot.joint_lower.shape, bool) if robot.driven is None else robot.driven
-    names = [name for name, moves in zip(joint_names(found), driven.ravel(), strict=True) if moves]
+    driven = {
+        name: place for name, place in robot.places_in_file().items() if robot.driven is None or robot.driven[place]
+    }
+    limb, joint = np.transpose([*driven.values()])
     end = int(np.argmax(off)) if off.any() else len(off)
     head = [
         "# trajectory_msgs/msg/JointTrajectory, written by mjx-climb excite; where ros2 reads messages from files:",
@@ -78,10 +80,11 @@ def trajectory(found: Excited) -> str:
         f"# The first point is the posture in which the log begins, {APPROACH:g} s after the start.",
         *(["# It ends where the torque is to be switched off: a trajectory cannot do that."] if off.any() else []),
         "header: {stamp: {sec: 0, nanosec: 0}, frame_id: ''}",
-        f"joint_names: [{', '.join(names)}]",
+        # JSON quotes what YAML would read as a number
+        f"joint_names: {json.dumps([*driven], ensure_ascii=False)}",
         "points:",
     ]
-    return "\n".join([*head, *_points(found.best.motion.targets[:end, driven], found.period)]) + "\n"
+    return "\n".join([*head, *_points(found.best.motion.targets[:end, limb, joint], found.period)]) + "\n"
 
 
 def _points(targets: np.ndarray, period: float) -> Iterator[str]:
@@ -89,14 +92,6 @@ def _points(targets: np.ndarray, period: float) -> Iterator[str]:
         sec, nanosec = divmod(round((APPROACH + number * period) * 1e9), 10**9)
         values = ", ".join(f"{value:.6f}" for value in row)
         yield f"- {{positions: [{values}], time_from_start: {{sec: {sec}, nanosec: {nanosec}}}}}"
-
-
-def joint_names(found: Excited) -> list[str]:
-    """Return the names of the joints in the robot's own file, limb after limb."""
-    robot = found.scenario.robot
-    if isinstance(robot, RobotFile):
-        return [joint for _, limb in robot.limbs.items() for joint in limb.joints]
-    return [found.robot.model.joint(number + 1).name for number in range(found.robot.joint_lower.size)]
 
 
 def summary(found: Excited) -> dict[str, Any]:

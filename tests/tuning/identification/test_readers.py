@@ -209,7 +209,11 @@ def test_what_is_no_recording_is_told_in_one_line(tmp_path):
     _, _, topics = states_and_wrenches()
     whole = next(bag(tmp_path / "bag", {"/joint_states": topics["/joint_states"]}).glob("*.mcap")).read_bytes()
     for name, content, expected in (
-        ("log.mcap", whole[: len(whole) // 2], "expected a recording of ROS 2 .*, got 'File end magic is invalid'"),
+        (
+            "log.mcap",
+            whole[: len(whole) // 2],
+            r"expected a recording .* \(.*: mcap recover \S+/log.mcap -o whole.mcap\)",
+        ),
         ("text.mcap", b"no recording", "expected a recording of ROS 2 .*, got '"),
         ("text.db3", b"no recording", "expected a recording of ROS 2 .*, got "),
         ("log.mcap.zstd", whole, r"expected a log that is not packed \(unpack it before: zstd -d log.mcap.zstd\), got"),
@@ -219,6 +223,19 @@ def test_what_is_no_recording_is_told_in_one_line(tmp_path):
         with pytest.raises(mc.ConfigError, match=f"{name}: {expected}") as refused:
             read_log(tmp_path / name, ROBOT)
         assert "\n" not in str(refused.value)
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    text = metadata.read_text()
+    assert "storage_identifier: mcap" in text
+    metadata.write_text(text.replace("storage_identifier: mcap", "storage_identifier: ''"))
+    cure = r"\(name \S+/bag.mcap itself, or write storage_identifier: mcap, or sqlite3, in metadata.yaml\)$"
+    with pytest.raises(mc.ConfigError, match=f"bag: expected a recording of ROS 2 .* {cure}"):
+        read_log(tmp_path / "bag", ROBOT)
+    metadata.unlink()
+    with pytest.raises(
+        mc.ConfigError, match=r"\(name the .mcap or .db3 in it, as \S+/bag.mcap, or ros2 bag reindex \S+/bag\)$"
+    ):
+        read_log(tmp_path / "bag", ROBOT)
+    assert read_log(tmp_path / "bag" / "bag.mcap", ROBOT).signals
     shutil.rmtree(tmp_path / "bag")
     with pytest.raises(mc.ConfigError, match="bag: expected a log, got no such file or folder"):
         read_log(tmp_path / "bag", ROBOT)

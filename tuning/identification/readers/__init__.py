@@ -1,5 +1,6 @@
 """Logs of a robot, one file a format: text, netCDF, rosbags and MCAP."""
 
+import dataclasses
 import difflib
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -45,19 +46,20 @@ def read_log(
             one line.
     """
     recording = record(path)
-    place, guessed, notes = "signals", None, recording.warnings
+    there, missing, place, guessed, notes = recording, "", "signals", None, recording.warnings
     if isinstance(signals, str | os.PathLike):
         place, signals = os.fspath(signals), Signals.load(signals)
     if signals is None:
-        signals, unknown = _by_own_names(recording, robot)
-        notes += unknown
+        place = recording.source
+        there, missing = _recorded(recording)
+        signals, unknown = _by_own_names(there, robot)
+        notes += (*(f"{recording.source}: {line}" for line in [missing] if line), *unknown)
         if not signals.signals:
-            guessed, doubtful = guess(recording, robot)
+            guessed, doubtful = guess(there, robot)
             signals, notes = guessed, notes + tuple(f"{recording.source}: {note}" for note in doubtful)
     if not signals.signals:
-        raise ConfigError(
-            f"{recording.source}: expected signals such as {_some(names(robot))}, got {_columns(recording)}"
-        )
+        got = f"{_columns(there)} ({missing})" if missing else _columns(there)
+        raise ConfigError(f"{recording.source}: expected signals such as {_some(names(robot))}, got {got}")
     raw = {name: _taken(recording, signals, name, robot, place) for name in signals.signals}
     read, said = _cleaned(raw, signals)
     repairs = (without_unmeasured, without_turns) if signals.turns == "unwrap" else (without_unmeasured,)
@@ -91,13 +93,27 @@ def record(path: str | os.PathLike[str]) -> Recording:
     return reader(path)
 
 
+def _recorded(recording: Recording) -> tuple[Recording, str]:
+    """Return a recording without the columns that hold no two numbers, and which these are in words, "" for none."""
+    tables, empty = {}, []
+    for topic, table in recording.tables.items():
+        fields = {name: column for name, column in table.fields.items() if np.isfinite(column).sum() >= 2}
+        empty += [f"{topic} {name}".strip() for name in table.fields if name not in fields]
+        tables[topic] = dataclasses.replace(table, fields=fields)
+    said = f"{several(empty)}: fewer than two numbers were recorded, left out" if empty else ""
+    return dataclasses.replace(recording, tables=tables), said
+
+
 def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
     """Return the columns that have the names of signals, and what seems to be one that is misspelt."""
     table, known = recording.tables.get(""), list(names(robot))
     if table is None or not set(known) & set(table.fields):
         return Signals(), ()
     said = []
+    filling = tuple(f"{limb}.{joint}." for limb in robot.limbs for joint in robot.joint_names)
     for name in set(table.fields) - set(known):
+        if name.startswith(filling):  # a walk has joints that only fill up a limb, too
+            continue
         *_, before, last = ("", *name.split("."))
         if (last in JOINT or last == "support" or before in ("force", *BASE)) and name.count(".") in (1, 2):
             said.append(f"{recording.source}: {name}: not read, the robot has no such signal{_nearest(name, known)}")

@@ -59,7 +59,7 @@ def read(path: Path) -> Recording:
     fields: dict[str, np.ndarray] = {}
     for name, cells in zip(names, zip(*(rows[line - 1] for line in lines), strict=True), strict=True):
         fields |= _column(f"{path}: {name}", name, cells, lines)
-    return Recording({"": Table("", fields, fields)}, str(path))
+    return Recording({"": Table("", fields, fields, unnamed=fields.keys() - {*names})}, str(path))
 
 
 def _column(place: str, name: str, cells: Sequence[str], lines: Sequence[int]) -> dict[str, np.ndarray]:

@@ -29,15 +29,18 @@ def read(path: Path) -> Recording:
     if "time" not in data.variables:
         raise config_error(str(path), "", "variables over time", "none")
     fields: dict[str, np.ndarray] = {}
+    unnamed = set()
     for name, variable in data.data_vars.items():
         if variable.dims[:1] != ("time",) or variable.dtype.kind not in "fiub":
             continue
         labels = [[str(label) for label in data[dim].values] for dim in variable.dims[1:]]
         values = variable.values.reshape(len(variable), -1).astype(float)
         for place, column in zip(itertools.product(*labels), values.T, strict=True):
-            fields[_signal(str(name), place)] = column
+            fields[signal := _signal(str(name), place)] = column
+            if not data.coords.keys() >= {*variable.dims[1:]}:
+                unnamed.add(signal)
     time = {"time": data["time"].values.astype(float)}
-    return Recording({"": Table("", time, fields)}, str(path), _late(data, str(path)))
+    return Recording({"": Table("", time, fields, unnamed=unnamed)}, str(path), _late(data, str(path)))
 
 
 def _late(data: xr.Dataset, source: str) -> tuple[str, ...]:
