@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
-from mjx_climb.hardware import dynamixel
+from mjx_climb.hardware import registers
 from mjx_climb.scenario import values as v
 from mjx_climb.scenario.messages import config_error, failure, refusal
 from mjx_climb.scenario.values import setting
@@ -253,8 +253,17 @@ class BaseEstimate(v.Section):
     velocity_noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis, m/s")
 
 
+class RegisterScale(v.Section):
+    """What one unit of each register of the servo's position loop stands for: a share of the supply voltage."""
+
+    p: v.Positive = Field(description="of Position P Gain, for an error of one rad, 1/rad")
+    i: v.PositiveOrNull = setting(None, "of Position I Gain, for its integral, 1/(rad s); null: not known")
+    d: v.PositiveOrNull = setting(None, "of Position D Gain, for the rate, s/rad; null: not known")
+    largest: v.Register = setting(16383, "largest value that a register holds")
+
+
 class Registers(v.Section):
-    """Gains of the joint loop as the position PID registers of a Dynamixel X (protocol 2) hold them."""
+    """Gains of the joint loop as the registers of a servo's position loop hold them."""
 
     p: v.Register = Field(description="Position P Gain, 1 or more")
     i: v.Register = setting(0, "Position I Gain")
@@ -279,7 +288,10 @@ class Servo(v.Section):
         None, "rate of the servo's own loop, Hz; a period is a whole number of time steps; null: every time step"
     )
     registers: Registers | None = setting(
-        None, "P, I, D registers of a Dynamixel, taken in place of control.kp, ki, kd; null: none"
+        None, "P, I, D registers of the position loop, taken in place of control.kp, ki, kd; null: none"
+    )
+    register_scale: RegisterScale | None = setting(
+        None, "what a unit of each register stands for, of this kind of servo; null: not known"
     )
     profile_velocity: v.PositiveOrNull = setting(
         None, "speed at which the servo takes its goal to the joint target, rad/s; null: at once"
@@ -340,7 +352,22 @@ class Servo(v.Section):
             raise failure(
                 "1 with drive: torque, which has no share of the voltage", key="pwm_limit", got=self.pwm_limit
             )
+        if self.registers is not None:
+            self._check_registers(self.registers)
         return self
+
+    def _check_registers(self, held: Registers) -> None:
+        """Refuse registers without a scale, and those that are larger than the servo's."""
+        if (scale := self.register_scale) is None:
+            expected = "the scale of this servo's registers beside registers, as configs/hardware/mx_64.yaml has one"
+            raise failure(expected, key="register_scale", got=None)
+        for name in ("p", "i", "d"):
+            value = getattr(held, name)
+            if value and getattr(scale, name) is None:
+                raise failure(f"a number beside registers.{name}", key=f"register_scale.{name}", got=None)
+            if value > scale.largest:
+                expected = f"a whole number from 0 to {scale.largest}, as register_scale.largest says"
+                raise failure(expected, key=f"registers.{name}", got=value)
 
 
 class Hardware(v.Section):
@@ -477,9 +504,9 @@ class Scenario(v.Section):
     @model_validator(mode="after")
     def _gains_of_registers(self) -> Scenario:
         servo = self.hardware.servo
-        if servo.registers is not None and servo.torque_limit is not None:
-            registers = dynamixel.Registers(**vars(servo.registers))
-            found = dynamixel.gains_of(registers, servo.torque_limit, servo.rate)._asdict()
+        held, scale, stall_torque = servo.registers, servo.register_scale, servo.torque_limit
+        if held is not None and scale is not None and stall_torque is not None:
+            found = registers.gains_of(registers.Registers(held.p, held.i, held.d), scale, stall_torque)._asdict()
             self.__dict__["control"] = self.control.model_copy(update=found)  # frozen, but not read by anyone yet
         return self
 

@@ -12,7 +12,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.checks.time_step import growth, largest_time_step
 from mjx_climb.dynamics.state import State
-from mjx_climb.hardware import dynamixel, servo
+from mjx_climb.hardware import registers, servo
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.scenario.load import load_hardware, with_hardware
@@ -56,29 +56,43 @@ def one_joint(own, target, load, inertia=0.05, steps=3000, angle=0.0):
 # --- Registers
 
 
-def test_registers_are_what_the_manual_makes_of_them():
+@pytest.mark.parametrize("name", ["dynamixel_x", "mx_64", "mx_106"])
+def test_registers_are_what_the_manual_makes_of_them(name):
     """An output worked out count by count, as the firmware does, gives the torque of the gains in SI units."""
-    rate, stall, rng = 800.0, 7.3, np.random.default_rng(1)
-    registers = dynamixel.Registers(812, 137, 640)
-    gains = dynamixel.gains_of(registers, stall, rate)
+    rate, stall, rng = 1000.0, 7.3, np.random.default_rng(1)
+    held, scale = registers.Registers(812, 137, 640), load_hardware(name).servo.register_scale
+    gains = registers.gains_of(held, scale, stall)
     counts = rng.normal(0, 20, 200).cumsum()  # of the error
     output = 812 / 128 * counts + 137 / 65536 * counts.cumsum() + 640 / 16 * np.diff(counts, prepend=0.0)
     error, h = counts * 2 * np.pi / 4096, 1 / rate
     torque = gains.kp * error + gains.ki * h * error.cumsum() + gains.kd * np.diff(error, prepend=0.0) / h
-    np.testing.assert_allclose(torque, stall * output / 885, rtol=1e-12)
-    np.testing.assert_allclose(dynamixel.registers_of(gains, stall, rate), registers, rtol=1e-12)
+    np.testing.assert_allclose(torque, stall * output / 885, rtol=0, atol=2e-5 * np.abs(stall * output / 885).max())
+    np.testing.assert_allclose(registers.registers_of(gains, scale, stall), held, rtol=1e-12)
+
+
+# share of the voltage per rad and unit of P, as github.com/Rhoban/bam has it (`error_gain`); of an MX-64 and MX-106 for
+# protocol 1, where P is 32 where protocol 2 has 880
+MEASURED = {"mx_64": 0.158 * 32 / 880, "mx_106": 0.158 * 32 / 880, "xl_320": 0.05048199, "xl_330": 0.00246}
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_the_scale_of_a_shipped_servo_is_the_measured_one(name):
+    scale = load_hardware(name).servo.register_scale
+    assert scale.p == pytest.approx(MEASURED[name], rel=0.002)
+    assert (scale.i is None) == (scale.d is None) == (name in ("xl_320", "xl_330"))  # which nobody measured
 
 
 def test_registers_take_the_place_of_the_gains_until_one_is_set():
-    scenario = mc.Scenario().with_overrides({"hardware.servo": MOTOR | {"registers": {"p": 850, "i": 40}}})
-    found = dynamixel.gains_of(dynamixel.Registers(850, 40, 0), 8.0)
-    assert (scenario.control.kp, scenario.control.ki, scenario.control.kd) == tuple(found)
+    held = {"registers": {"p": 850, "i": 40}, "register_scale": {"p": 6e-3, "i": 0.01}}
+    scenario = mc.Scenario().with_overrides({"hardware.servo": MOTOR | held})
+    found = registers.LoopGains(850 * 6e-3 * 8.0, 40 * 0.01 * 8.0, 0.0)
+    assert (scenario.control.kp, scenario.control.ki, scenario.control.kd) == pytest.approx(tuple(found))
     assert mc.Scenario.from_yaml(scenario.to_yaml()) == scenario
-    assert float(own_parameters(scenario).ki) == found.ki
+    assert float(own_parameters(scenario).ki) == pytest.approx(found.ki)
     stronger = scenario.with_overrides({"hardware.servo.torque_limit": 16.0})
-    assert stronger.control.kp == pytest.approx(2 * found.kp, rel=1e-15)
+    assert stronger.control.kp == pytest.approx(2 * found.kp, rel=1e-14)
     other = scenario.with_overrides({"control.kd": 0.1})
-    assert other.hardware.servo.registers is None and other.control.kd == 0.1 and other.control.kp == found.kp
+    assert other.hardware.servo.registers is None and other.control.kd == 0.1 and other.control.kp == scenario.control.kp
 
 
 # --- The loop
@@ -317,6 +331,12 @@ REFUSED = {
     "hardware.servo.registers.p=0": "hardware.servo.registers.p: expected a register of 1 or more",
     "hardware.servo.registers.p=8.5": "hardware.servo.registers.p: expected a whole number from 0 to 16383",
     "hardware.servo.registers.p=800": "hardware.servo.torque_limit: expected a number beside registers, got null",
+    "hardware.servo={torque_limit: 8, registers: {p: 800}}": "hardware.servo.register_scale: expected the scale of this",
+    "hardware.servo={torque_limit: 8, registers: {p: 8, d: 1}, register_scale: {p: 0.1}}": "hardware.servo.register_scale.d: "
+    "expected a number beside registers.d, got null",
+    "hardware.servo={torque_limit: 8, registers: {p: 300}, register_scale: {p: 0.1, largest: 254}}": "hardware.servo."
+    "registers.p: expected a whole number from 0 to 254, as register_scale.largest says, got 300",
+    "hardware.servo.register_scale.p=0": "hardware.servo.register_scale.p: expected a finite number above 0, got 0",
     "hardware.servo.rate=300": "hardware.servo.rate: expected a rate whose period is a whole number of time steps",
     "hardware.servo.supply_voltage=12": "hardware.servo.rated_voltage: expected a number beside supply_voltage",
     "hardware.servo.profile_acceleration=9": "hardware.servo.profile_velocity: expected a number beside profile_acc",

@@ -15,7 +15,7 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb.control import LAWS, PD, SHIPPED, is_shipped, law_of
 from mjx_climb.files.dataset import write_text_atomically
-from mjx_climb.hardware import dynamixel
+from mjx_climb.hardware import registers
 from mjx_climb.rollouts.gait_values import GAIT, gait_of, scenario_with_gait
 from mjx_climb.rollouts.resolve import AnyGains, checked_gains, with_gains
 from mjx_climb.rollouts.resolve import by_name as by_name
@@ -241,17 +241,26 @@ def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tupl
 def registers_in_words(scenario: mc.Scenario, gains: AnyGains) -> str:
     """Return the registers that hold gains of the joint loop, the scenario's where there are none, and what they miss.
 
-    Nothing where the scenario's servos are none whose loop gives a share of the voltage.
+    Where the servo's scale is not known that is said. Nothing where the scenario's servos are none whose loop gives a
+    share of the voltage.
     """
     walked = applied(scenario, gains)
     servo, control = walked.hardware.servo, walked.control
     if servo.torque_limit is None or (servo.drive == "torque" and scenario.hardware.servo.registers is None):
         return ""
-    wanted = dynamixel.LoopGains(control.kp, control.ki, control.kd)
-    exact = dynamixel.registers_of(wanted, servo.torque_limit, servo.rate)
-    held = dynamixel.Registers(*(min(round(value), dynamixel.LARGEST) for value in exact))
-    text = f"registers of a Dynamixel X servo: Position P Gain {held.p}, I Gain {held.i}, D Gain {held.d}"
-    found = dynamixel.gains_of(held, servo.torque_limit, servo.rate)
-    pairs = zip(found._fields, found, wanted, strict=True)
-    off = [f"{name} {own:.3g} in place of {value:.3g}" for name, own, value in pairs if abs(own - value) > 0.02 * value]
+    wanted = registers.LoopGains(control.kp, control.ki, control.kd)
+    if (scale := servo.register_scale) is None:
+        own = ", ".join(f"{name} {value:g}" for name, value in wanted._asdict().items())
+        return f"no registers for {own}: hardware.servo.register_scale does not say what a unit of them stands for"
+    exact = registers.registers_of(wanted, scale, servo.torque_limit)
+    held = registers.Registers(*(None if value is None else min(round(value), scale.largest) for value in exact))
+    found = registers.gains_of(held, scale, servo.torque_limit)
+    words, off = [], []
+    for register, value, (name, gain), own in zip("PID", held, wanted._asdict().items(), found, strict=True):
+        words.append(f"{register} Gain {'not known' if value is None and gain else value or 0}")
+        if value is None and gain:
+            off.append(f"{name} {gain:.3g}: the scale of {register} is not known")
+        elif abs(own - gain) > 0.02 * gain:
+            off.append(f"{name} {own:.3g} in place of {gain:.3g}")
+    text = f"registers of the servo: Position {', '.join(words)}"
     return f"{text} ({', '.join(off)})" if off else text

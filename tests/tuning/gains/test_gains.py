@@ -237,26 +237,46 @@ def test_filter_and_rate_are_those_that_were_walked(export, judged):
     assert "filter_coefficient: 30 Hz" in text
 
 
+VOLTAGE = {"drive": "voltage", "torque_limit": 8.0, "no_load_speed": 7.0, "armature": 0.01}
+SCALE = {"p": 5e-3, "i": 0.02, "d": 4e-5}  # the share of the voltage for a unit
+
+
 def test_gains_of_the_joint_loop_are_written_as_registers(export, judged):
     """They stand for the gains to half a unit of a register; a register that cannot hold its gain says so."""
     gains = dataclasses.replace(SPLIT, kp=41.0, kd=0.3, ki=12.0)
-    config = mc.load_scenario("case_1_2").with_overrides({
-        "hardware.servo": {
-            "drive": "voltage", "torque_limit": 8.0, "no_load_speed": 7.0, "rate": 500.0, "armature": 0.01,
-        },
-    })  # fmt: skip
+    config = mc.load_scenario("case_1_2", {"hardware.servo": VOLTAGE | {"register_scale": SCALE}})
     code, text, err = export(gains, config=config)
     assert code == 0, err
     (line,) = [line for line in text.splitlines() if "registers" in line]
-    p, i, d = map(int, re.search(r"P Gain (\d+), I Gain (\d+), D Gain (\d+)$", line).groups())
-    count = 8.0 / 885 * 4096 / (2 * np.pi)  # N m/rad, of an output of one per count
+    found = map(int, re.search(r"P Gain (\d+), I Gain (\d+), D Gain (\d+)$", line).groups())
     assert line.split("In ")[1] in err
-    assert (
-        p == round(41.0 / count * 128) and i == round(12.0 * 0.002 / count * 65536) and d == round(0.15e3 / count * 16)
-    )
+    for register, unit, gain in zip(found, SCALE.values(), (41.0, 12.0, 0.3), strict=True):
+        assert abs(register * unit * 8.0 - gain) <= unit * 8.0 / 2
     _, text, _ = export(dataclasses.replace(gains, kd=30.0), config=config)
-    assert f"D Gain 16383 (kd {16383 / 16 * count / 500:.3g} in place of 30)" in text
+    assert f"D Gain 16383 (kd {16383 * 4e-5 * 8:.3g} in place of 30)" in text
     assert "registers" not in "".join(export(gains, config=mc.load_scenario("case_1_2"))[1:])
+
+
+@pytest.mark.parametrize(
+    ("hardware", "joint", "expected"),
+    [
+        ("mx_64", {"kp": 42.0, "kd": 0.0}, "P Gain 880, I Gain 0, D Gain 0"),
+        ("xl_330", {"kp": 0.685, "kd": 0.01}, "P Gain 400, I Gain 0, D Gain not known (kd 0.01: the scale of D is not known)"),
+        ("xl_320", {"kp": 0.387, "kd": 0.0}, "P Gain 32, I Gain 0, D Gain 0"),
+        ("xl_320", {"kp": 5.0, "kd": 0.0}, "P Gain 254, I Gain 0, D Gain 0 (kp 3.07 in place of 5)"),
+    ],
+)
+def test_registers_of_shipped_servos_are_those_of_the_published_fits(export, judged, hardware, joint, expected):
+    code, text, err = export(dataclasses.replace(SPLIT, **joint), "--config", "case_1_2", "--hardware", hardware)
+    assert code == 0 and f"registers of the servo: Position {expected}\n" in text and expected in err
+
+
+def test_no_register_is_written_for_a_servo_whose_scale_is_not_known(export, judged):
+    """Neither as a comment nor as a note: both say which key is missing."""
+    config = mc.load_scenario("case_1_2", {"hardware.servo": VOLTAGE})
+    code, text, err = export(dataclasses.replace(SPLIT, kp=41.0, kd=0.3), config=config)
+    assert code == 0 and "Gain" not in text + err
+    assert all("no registers for kp 41, ki 0, kd 0.3: hardware.servo.register_scale does" in said for said in (text, err))
 
 
 def test_what_the_sensors_filter_is_not_filtered_once_more(export, judged):
