@@ -43,7 +43,9 @@ def gains_of(registers: Registers, scale: Scale, stall_torque: float) -> LoopGai
     A register that is not known, or without a scale, counts as 0.
     """
     units = scale.p, scale.i, scale.d
-    return LoopGains(*(stall_torque * (unit or 0.0) * (held or 0.0) for unit, held in zip(units, registers, strict=True)))
+    return LoopGains(
+        *(stall_torque * (unit or 0.0) * (held or 0.0) for unit, held in zip(units, registers, strict=True))
+    )
 
 
 def registers_of(gains: LoopGains, scale: Scale, stall_torque: float) -> Registers:

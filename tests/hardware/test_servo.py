@@ -92,7 +92,9 @@ def test_registers_take_the_place_of_the_gains_until_one_is_set():
     stronger = scenario.with_overrides({"hardware.servo.torque_limit": 16.0})
     assert stronger.control.kp == pytest.approx(2 * found.kp, rel=1e-14)
     other = scenario.with_overrides({"control.kd": 0.1})
-    assert other.hardware.servo.registers is None and other.control.kd == 0.1 and other.control.kp == scenario.control.kp
+    assert (
+        other.hardware.servo.registers is None and other.control.kd == 0.1 and other.control.kp == scenario.control.kp
+    )
 
 
 # --- The loop
@@ -331,9 +333,9 @@ REFUSED = {
     "hardware.servo.registers.p=0": "hardware.servo.registers.p: expected a register of 1 or more",
     "hardware.servo.registers.p=8.5": "hardware.servo.registers.p: expected a whole number from 0 to 16383",
     "hardware.servo.registers.p=800": "hardware.servo.torque_limit: expected a number beside registers, got null",
-    "hardware.servo={torque_limit: 8, registers: {p: 800}}": "hardware.servo.register_scale: expected the scale of this",
-    "hardware.servo={torque_limit: 8, registers: {p: 8, d: 1}, register_scale: {p: 0.1}}": "hardware.servo.register_scale.d: "
-    "expected a number beside registers.d, got null",
+    "hardware.servo={torque_limit: 8, registers: {p: 800}}": "hardware.servo.register_scale: expected the scale of th",
+    "hardware.servo={torque_limit: 8, registers: {p: 8, d: 1}, register_scale: {p: 0.1}}": "hardware.servo."
+    "register_scale.d: expected a number beside registers.d, got null",
     "hardware.servo={torque_limit: 8, registers: {p: 300}, register_scale: {p: 0.1, largest: 254}}": "hardware.servo."
     "registers.p: expected a whole number from 0 to 254, as register_scale.largest says, got 300",
     "hardware.servo.register_scale.p=0": "hardware.servo.register_scale.p: expected a finite number above 0, got 0",

@@ -293,6 +293,9 @@ def _identifier(name: str) -> str:
     return name
 
 
+ROBOTS_OWN = ("ros2_control", "admittance_control")  # formats of controllers that integrate Eqs. 2 and 3 by themselves
+
+
 class Export(Options):
     """What is written, and in which scenario it must hold."""
 
@@ -364,7 +367,7 @@ class Export(Options):
         control = scenario.control
         if control.controller == "pd":
             raise config_error(str(config), "control.controller", "an admittance law, whose gains these are", "pd")
-        if control.reading != "virtual_model" and self.form in ("ros2_control", "admittance_control"):
+        if control.reading != "virtual_model" and self.form in ROBOTS_OWN:
             expected = "virtual_model, which is what the controller integrates"
             raise config_error(str(config), "control.reading", expected, control.reading)
         exact = self.form != "admittance_control"
@@ -399,9 +402,12 @@ def export(asked: Export) -> None:
         from mjx_climb.files import dataset
         from mjx_climb.rollouts.gait_values import gait_of
         from mjx_climb.scenario.messages import config_error
+        from tuning.command_line.options import Output
+        from tuning.command_line.session import Session
         from tuning.evaluation import deployment
         from tuning.gains import gains_file
 
+        session = Session(stdout, Output())
         source, law = str(asked.gains), asked.load_transfer()
         values = gains_file.by_name(gains_file.load(asked.gains, law))
         if gains_file.shipped_law(asked.gains) == PD.__name__:
@@ -409,46 +415,69 @@ def export(asked: Export) -> None:
         scenario, gait = asked.scenario(law), gait_of(values)
         scenario = None if scenario is None else gains_file.with_gait(scenario, gait, source)
         gains: Any = {name: value for name, value in values.items() if name not in gait}
+        not_said = ""
         if law is None:
             gains = mc.Gains(**gains)
-            text, notes = _written(asked, gains, gait, scenario)
+            kind, not_said = _law_in(asked, scenario)
+            text, notes = _written(asked, gains, kind, gait, scenario)
             files = {"": text}
         else:
             files, notes = _load_transfer(asked, values, scenario)
         if scenario is None:
-            said = [f"note: no {_BESIDE} beside {asked.gains.name} and no --config: these gains were not walked"]
+            missing = f"no {_BESIDE} beside {asked.gains.name} and no --config: these gains were not walked"
+            said = [f"note: {line}" for line in (missing + not_said, *notes)]
         else:
             of_servos = gains_file.registers_in_words(scenario, values)
             said = [f"note: {line}" for line in (*notes, *([of_servos] if of_servos else ()))]
-            warnings = deployment.check(scenario, gains, source, law=law, engine=asked.engine)
-            said += [f"warning: {line}" for line in warnings]
+            how: dict[str, Any] = {"law": law, "engine": asked.engine, "stage": session.stage}
+            said += [f"warning: {line}" for line in deployment.check(scenario, gains, source, **how)]
         for line in said:
             print(f"mjx-climb: {line}", file=sys.stderr)
         if asked.out is None:
             print(next(iter(files.values())), end="", file=stdout)
-        else:
-            for name, text in files.items():  # the one without a name is FILE itself
-                dataset.write_text_atomically(asked.out / name, text)
+            return
+        written = [
+            dataset.write_text_atomically(asked.out / name, text) for name, text in files.items()
+        ]  # "": FILE itself
+        session.say(f"wrote {', '.join(map(str, written))}")
+
+
+def _law_in(asked: Export, scenario: "mc.Scenario | None") -> "tuple[type[mc.Law], str]":
+    """Return the law whose gains are exported, and a note where nobody says which it is."""
+    from mjx_climb.control import SHIPPED, MeasuredPoseAdmittance, VirtualModelAdmittance, law_of
+    from mjx_climb.scenario.messages import config_error
+    from tuning.gains import gains_file
+
+    if scenario is not None:
+        return type(law_of(scenario)), ""
+    if (name := gains_file.shipped_law(asked.gains)) is None:
+        return VirtualModelAdmittance, f", and no law is named: they are taken for {VirtualModelAdmittance.__name__}'s"
+    law = SHIPPED[name]
+    if law is MeasuredPoseAdmittance and asked.form in ROBOTS_OWN:
+        expected = f"{VirtualModelAdmittance.__name__}, which is what the controller integrates"
+        raise config_error(str(asked.gains), "law", expected, name)
+    return law, ""
 
 
 def _written(
-    asked: Export, gains: "mc.Gains", gait: Mapping[str, Any], scenario: "mc.Scenario | None"
+    asked: Export, gains: "mc.Gains", law: "type[mc.Law]", gait: Mapping[str, Any], scenario: "mc.Scenario | None"
 ) -> tuple[str, list[str]]:
-    """Return the gains, and their gait, in the form that was asked for, and notes on it."""
+    """Return the gains of a law, and their gait, in the form that was asked for, and notes on it."""
     from mjx_climb.control import law_of
     from mjx_climb.control.virtual_mass import Motion
-    from tuning.gains import admittance_control, gains_file, gains_tables, ros2_control
+    from tuning.gains import admittance_control, gains_file, gains_tables, interfaces, ros2_control
 
     source, rate, cutoff = str(asked.gains), asked.rate or 1000, None
     if asked.form in ("json", "csv"):
-        return (gains_tables.write_json if asked.form == "json" else gains_tables.write_csv)(gains, gait), []
+        return (gains_tables.write_json if asked.form == "json" else gains_tables.write_csv)(gains, law, gait), []
     own = ", ".join(f"{key.removeprefix('gait.')} {float(value):.4g}" for key, value in gait.items())
     gait_note = [f"the gait that belongs to these gains is no parameter of the controller: {own}"] if gait else []
     if scenario is not None:
         rate = round(1 / (scenario.hardware.control_period or scenario.time_step))
         cutoff = scenario.hardware.force_sensor.filter
+    of_axes = interfaces.of_law(gains, law)
     if asked.form == "ros2_control":
-        ros2_control.check(gains, rate, source)
+        ros2_control.check(of_axes, rate, source)
         notes: list[str] = []
         if scenario is not None and cutoff is not None and scenario.hardware.force_sensor.filtered_by != "law":
             notes.append(
@@ -457,11 +486,11 @@ def _written(
                 "hardware.force_sensor.filtered_by=law"
             )
         of_servos = "" if scenario is None else gains_file.registers_in_words(scenario, gains)
-        return ros2_control.write(gains, rate, asked.name, None if notes else cutoff, of_servos), notes + gait_note
-    admittance_control.check(gains, 1 / rate, source)
+        parts = asked.name, None if notes else cutoff, of_servos, law
+        return ros2_control.write(of_axes, rate, *parts), notes + gait_note
+    admittance_control.check(of_axes, 1 / rate, source)
     motion = getattr(None if scenario is None else law_of(scenario), "motion", Motion())
-    forces = scenario is not None and scenario.control.controller == "end_effector_admittance"
-    text = admittance_control.write(gains, 1 / rate, motion, forces_only=forces)
+    text = admittance_control.write(of_axes, 1 / rate, motion, law)
     note = f"admittance_control filters nothing: give it forces behind a low pass of {cutoff:g} Hz" if cutoff else ""
     return text, [note, *gait_note] if note else gait_note
 

@@ -3,11 +3,18 @@
 import mjx_climb as mc
 from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.rollouts.resolve import AnyGains
+from tuning.background import Stage, silent
 from tuning.evaluation import margins, stability_limit
 
 
 def check(
-    scenario: mc.Scenario, gains: AnyGains, source: str, *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
+    scenario: mc.Scenario,
+    gains: AnyGains,
+    source: str,
+    *,
+    law: mc.Law | None = None,
+    engine: str = DEFAULT_ENGINE,
+    stage: Stage = silent,
 ) -> list[str]:
     """Return warnings, a margin of less than twice the hardware each; `law` None: the gains are of the scenario's.
 
@@ -19,11 +26,13 @@ def check(
     """
     standing = scenario.with_overrides({"gait.duty": 1 - 2 * scenario.time_step / scenario.gait.cycle})
     for where, walked in (("about a stance of the gait", scenario), ("of a robot that stands on all feet", standing)):
-        radius = float(stability_limit.spectral_radius(walked, gains, law=law, engine=engine).max())
+        with stage(f"disturbances {where}"):
+            radius = float(stability_limit.spectral_radius(walked, gains, law=law, engine=engine).max())
         if radius > 1 + stability_limit.ROUNDING:
             got = f"a disturbance {where} that grows by {radius:.6f} a time step"
             raise mc.ConfigError(f"{source}: expected gains that are stable on the config's hardware, got {got}")
-    found = margins.find(scenario, gains, law=law, engine=engine)
+    with stage("walks on worse hardware") as told:
+        found = margins.find(scenario, gains, law=law, engine=engine, progress=told)
     if not found.holds:
         got = "a walk that loses a gripper or diverges"
         raise mc.ConfigError(f"{source}: expected gains that hold on the config's hardware, got {got}")

@@ -12,19 +12,20 @@ import numpy as np
 import yaml
 
 import mjx_climb as mc
+from mjx_climb.control import VirtualModelAdmittance
 from mjx_climb.control.virtual_mass import LONGEST_PERIOD, SUBSTEP, Motion
 from mjx_climb.files.dataset import SIX
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains import ros2_control
+from tuning.gains.interfaces import INTERFACES, comment
 from tuning.gains.ros2_control import six
 
 _KINDS = ("force", "moment")  # of three axes each
 
 _HEADER = """\
 Gains for the C++ library admittance_control, written by mjx-climb export: call it every {period:g} s.
-It reads Eq. 3 as a virtual model. The base yields along what it is given: give it -w, w the foot forces summed at the
-base, in the axes of the base reference. Units: kg, N s/m, N/m, N, m, m/s; of moments kg m^2, N m s/rad, N m/rad, N m,
-rad, rad/s. An infinite bound is none."""
+{interface}
+Units: kg, N s/m, N/m, N, m, m/s; of moments kg m^2, N m s/rad, N m/rad, N m, rad, rad/s. An infinite bound is none."""
 
 
 def check(gains: mc.Gains, period: float, source: str) -> None:
@@ -57,21 +58,25 @@ def substep_of(period: float) -> float:
     return period / math.ceil(period / SUBSTEP - 1e-6)
 
 
-def write(gains: mc.Gains, period: float, motion: Motion | None = None, *, forces_only: bool = False) -> str:
+def write(
+    gains: mc.Gains, period: float, motion: Motion | None = None, law: type[mc.Law] = VirtualModelAdmittance
+) -> str:
     """Return the library's parameters as YAML.
 
     Arguments:
-        gains: that `check` lets through at this period, s.
+        gains: that `check` lets through at this period, s; of a law without moments as `interfaces.of_law` has it.
         motion: deadband and bounds that were walked; none where None.
-        forces_only: for a law of each foot's force (Eq. 2): no moment.
+        law: whose gains they are: no moment is written of one that has none.
     """
     motion = motion or Motion()
     tree: dict[str, Any] = {"period": period}
-    for place, kind in enumerate(_KINDS[:1] if forces_only else _KINDS):
+    for place, kind in enumerate(_KINDS[: INTERFACES[law].axes // 3]):
         own = {n: float(v[3 * place]) for n, v in zip(("mass", "damping", "stiffness"), six(gains), strict=True)}
         bounds = {n: float(getattr(motion, n)[place]) for n in ("deadband", "max_offset", "max_velocity")}
         tree[kind] = own | bounds
-    return ros2_control.commented(_HEADER.format(period=period), {"admittance_control": tree}, flow=False)
+    interface = comment(law, "The virtual mass moves along what it is given: give it")
+    header = _HEADER.format(period=period, interface=interface)
+    return ros2_control.commented(header, {"admittance_control": tree}, flow=False)
 
 
 def read(text: str) -> tuple[mc.Gains, float, Motion]:

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.control import VirtualModelAdmittance
 from mjx_climb.files.dataset import COORDINATES, SIX
 from mjx_climb.rollouts.gait_values import GAIT
+from tuning.gains.interfaces import INTERFACES
 from tuning.gains.ros2_control import six
 
 AXES = {3: "three", 6: "six"}  # the dimension of a gain of so many axes
@@ -47,29 +49,38 @@ def axes_of(variables: Mapping[str, Variable]) -> dict[str, list[str]]:
     return {name: list(SIX[:length]) for length, name in AXES.items() if name in used}
 
 
-def _rows(gains: mc.Gains, gait: Mapping[str, Any]) -> list[tuple[str, str, float, str]]:
+def _rows(gains: mc.Gains, law: type[mc.Law], gait: Mapping[str, Any]) -> list[tuple[str, str, float, str]]:
     """Return one row per number: gain, axis ("joints" for kp and kd, "gait" for the gait's keys), value, unit."""
+    axes = SIX[: INTERFACES[law].axes]
     table = [
         (name, axis, float(value), COORDINATES[name][0].split(", ")[axis.startswith("r")])
         for name, values in zip(mc.Gains.AXES, six(gains), strict=True)
-        for axis, value in zip(SIX, values, strict=True)
+        for axis, value in zip(axes, values, strict=False)
     ]
     joint = {name: getattr(gains, name) for name in JOINT_UNITS}
     table += [(name, "joints", float(v), JOINT_UNITS[name]) for name, v in joint.items() if v is not None]
     return table + [(key, "gait", float(v), COORDINATES[GAIT[key]][0]) for key, v in gait.items()]
 
 
-def write_csv(gains: mc.Gains, gait: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """Return the gains as CSV in long form."""
+def write_csv(
+    gains: mc.Gains, law: type[mc.Law] = VirtualModelAdmittance, gait: Mapping[str, Any] = MappingProxyType({})
+) -> str:
+    """Return the gains of a law as CSV in long form, below a comment that says what the law is given."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([("gain", "axis", "value", "unit"), *_rows(gains, gait)])
+    own = INTERFACES[law]
+    text.write(f"# {law.__name__}: {own.equation}\n# driven by {own.driven_by}\n# {own.moves}\n")
+    csv.writer(text, lineterminator="\n").writerows([("gain", "axis", "value", "unit"), *_rows(gains, law, gait)])
     return text.getvalue()
 
 
-def write_json(gains: mc.Gains, gait: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """Return the gains as JSON: each gain with its unit and a value for each axis."""
-    tree: dict[str, dict[str, dict[str, Any]]] = {}
-    for name, axis, value, unit in _rows(gains, gait):
+def write_json(
+    gains: mc.Gains, law: type[mc.Law] = VirtualModelAdmittance, gait: Mapping[str, Any] = MappingProxyType({})
+) -> str:
+    """Return the gains of a law as JSON: what the law is given, and each gain with its units and values by axis."""
+    own = INTERFACES[law]
+    said = {"name": law.__name__, "equation": own.equation, "driven_by": own.driven_by, "moves": own.moves}
+    tree: dict[str, dict[str, Any]] = {"law": said}
+    for name, axis, value, unit in _rows(gains, law, gait):
         entry = tree.setdefault(name, {"units": {}, "values": {}})
         entry["units"][axis], entry["values"][axis] = unit, value
     return json.dumps(tree, indent=2) + "\n"

@@ -1,8 +1,9 @@
 """Gains for the `admittance_controller` of ros2_control: its parameters, and whether its integration is stable.
 
-That controller integrates Eq. 3 with explicit damping, one semi-implicit Euler step a period h (ros2_controllers,
-admittance_rule_impl.hpp): `v += h (f - D v - K x) / M`, then `x += h v`, with `D = damping_ratio 2 sqrt(M K)`. Here
-Eq. 3 is integrated exactly and is stable for any positive gains; there it is stable below a limit of h alone.
+That controller integrates Eqs. 2 and 3 with explicit damping, one semi-implicit Euler step a period h
+(ros2_controllers, admittance_rule_impl.hpp): `v += h (f - D v - K x) / M`, then `x += h v`, with
+`D = damping_ratio 2 sqrt(M K)`; of axes that are not selected f is 0. Here they are integrated exactly and are stable
+for any positive gains; there they are stable below a limit of h alone.
 """
 
 import math
@@ -12,8 +13,10 @@ import numpy as np
 import yaml
 
 import mjx_climb as mc
+from mjx_climb.control import VirtualModelAdmittance
 from mjx_climb.files.dataset import SIX
 from mjx_climb.scenario.messages import ConfigError
+from tuning.gains.interfaces import INTERFACES, comment
 
 MASS_BOUNDS = (1e-4, 1e6)  # what the controller takes, kg and kg m^2
 MAX_STIFFNESS = 1e8  # N/m, N m/rad
@@ -24,9 +27,11 @@ _HEADER = """\
 Parameters of the ros2_control admittance_controller, written by mjx-climb export.
 The controller by itself is stable at update rates of {lowest} Hz and above; the largest discrete pole at {rate} Hz is
 {pole:.6g}. How late and slow the robot around it may be is another question: mjx-climb margins.
-The controller yields along the wrench that it is given: give it -w, w the foot forces summed at the base.
-joint_damping 0 leaves Eq. 3 as it is; {filtered}. It reads its sensor by itself:
+{interface}
+joint_damping 0 leaves the law as it is; {filtered}. It reads its sensor by itself:
 what a broadcaster's sensor_filter_chain makes of the wrench never comes here."""
+_NO_MOMENTS = """
+The law has no moments: selected_axes leaves the sensor's out. The values for rx, ry, rz repeat the translations'."""
 
 
 def six(gains: mc.Gains) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -106,21 +111,24 @@ def write(
     name: str = "admittance_controller",
     cutoff: float | None = None,
     registers: str = "",
+    law: type[mc.Law] = VirtualModelAdmittance,
 ) -> str:
     """Return the parameter file of a controller called `name`.
 
     Arguments:
-        gains: that `check` lets through at this update rate, Hz.
+        gains: that `check` lets through at this update rate, Hz; without moments as `interfaces.of_law` has them.
         cutoff: of the first-order low pass on the forces with which the gains were walked, Hz; None: none.
         registers: of the servos that hold the gains of the joint loop, in words.
+        law: whose gains they are; the axes that it has are selected.
     """
+    axes = INTERFACES[law].axes
     inertia, damping, stiffness = six(gains)
     parameters = {
         "update_rate": rate,
         # the share of a new sample in a first-order low pass; 1 filters nothing
         "ft_sensor": {"filter_coefficient": 1.0 if cutoff is None else -math.expm1(-2 * math.pi * cutoff / rate)},
         "admittance": {
-            "selected_axes": [True] * 6,
+            "selected_axes": [True] * axes + [False] * (6 - axes),
             "mass": inertia.tolist(),
             "damping_ratio": (damping / (2 * np.sqrt(inertia * stiffness))).tolist(),
             "stiffness": stiffness.tolist(),
@@ -129,7 +137,10 @@ def write(
     }
     lowest = math.ceil(lowest_rate(gains).max())
     filtered = "filter_coefficient 1 filters nothing" if cutoff is None else f"filter_coefficient: {cutoff:g} Hz"
-    header = _HEADER.format(lowest=lowest, rate=rate, pole=np.abs(poles(gains, rate)).max(), filtered=filtered)
+    interface = comment(law, "The controller yields along the wrench that it is given: give it")
+    interface += _NO_MOMENTS if axes < 6 else ""
+    pole = np.abs(poles(gains, rate)).max()
+    header = _HEADER.format(lowest=lowest, rate=rate, pole=pole, filtered=filtered, interface=interface)
     joint = {key: float(value) for key in ("kp", "kd", "ki") if (value := getattr(gains, key)) is not None}
     if joint:
         header += "\nThe joint loop is the hardware's: " + ", ".join(f"{key} {value:g}" for key, value in joint.items())

@@ -28,7 +28,9 @@ int main() {
          take(in.foot_position_reference) && take(in.until_lift_off) && take(in.since_touchdown)) {
     const auto feet = mjx_climb::step(mjx_climb::load_transfer_gains, state, in);
     std::fwrite(&feet, sizeof feet, 1, stdout);
-    const double kp = mjx_climb::safe_kp(mjx_climb::load_transfer_gains, state, 20.0);
-    std::fwrite(&kp, sizeof kp, 1, stdout);
+    for (const double own : {20.0, 50.0}) {  // softer and stiffer than what is safe
+      const double kp = mjx_climb::safe_kp(mjx_climb::load_transfer_gains, state, own);
+      std::fwrite(&kp, sizeof kp, 1, stdout);
+    }
   }
 }

@@ -90,7 +90,7 @@ def there(tmp_path_factory):
         scenes = np.concatenate([np.reshape(field, (STEPS, -1)) for field in fields], axis=1, dtype=np.float64)
         out = subprocess.run([program], input=scenes.tobytes(), capture_output=True, check=True).stdout
         rows = np.frombuffer(out).reshape(STEPS, -1)
-        return rows[:, :-1].reshape(STEPS, limbs, 3), rows[:, -1]
+        return rows[:, :-2].reshape(STEPS, limbs, 3), rows[:, -2:].T
 
     return there
 
@@ -100,10 +100,11 @@ def there(tmp_path_factory):
 def test_the_law_in_cpp_takes_the_steps_of_the_law_here(there, limbs):
     """Offsets to 1e-10 of the largest: what a reference in metres rounds is a part of them."""
     measured, reference = scenes(limbs)
-    (feet, expected_kp), (got, kp) = here(LAW, (measured, reference)), there(measured, reference)
+    (feet, expected_kp), (got, (kp, stiff)) = here(LAW, (measured, reference)), there(measured, reference)
     expected, got = feet - reference.foot_position, got - reference.foot_position
     assert kp[0] == 20 and kp[-1] > 30 and len(np.unique(kp)) > 50
     np.testing.assert_allclose(kp, expected_kp, rtol=1e-12)
+    assert (stiff == 50).all()  # kp is raised, never lowered
     bounded = np.isclose(np.linalg.norm(expected, axis=-1)[measured.support], LAW.max_offset)
     assert 0.01 < bounded.mean() < 0.5  # the scenes show the law at its bound, and within
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
@@ -132,7 +133,10 @@ def test_what_is_written_is_what_the_file_has_to_the_last_digit(export, tmp_path
     code, out, err, checked = export(
         "--config", "case_1_2", "--hardware", "dynamixel_x", "--out", folder, limits=limits, **digits
     )
-    assert (code, out, err) == (0, "", "")
+    assert (code, out) == (0, "") and err.startswith("wrote ") and len(err.splitlines()) == 1
+    assert all(
+        str(folder / name) in err for name in ("load_transfer.yaml", "load_transfer_gains.hpp", load_transfer.LAW.name)
+    )
     assert {file.name for file in folder.iterdir()} == {
         "load_transfer.yaml",
         "load_transfer_gains.hpp",
