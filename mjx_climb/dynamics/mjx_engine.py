@@ -30,6 +30,25 @@ def _put_model(model: mujoco.MjModel, x64: bool) -> tuple[mjx.Model, mjx.Data]:
         return mjx.put_model(model), mjx.make_data(model)
 
 
+def model_of(robot: Robot, cargo_mass: Array, gravity: Array, dtype: Any) -> tuple[mjx.Model, mjx.Data]:
+    """Return MJX's model of a robot with cargo on its base, () kg, under gravity (3,) m/s^2, and data for it.
+
+    The armature is the robot's, (limb, joint) kg m^2, in place of the model's own.
+    """
+
+    def in_precision(leaf: Any) -> Any:
+        return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    model, data = jax.tree.map(in_precision, _put_model(robot.model, jnp.result_type(float) == jnp.float64))
+    armature = 0.0 if robot.armature is None else jnp.asarray(robot.armature, dtype).ravel()
+    loaded = model.replace(
+        body_mass=model.body_mass.at[_BASE].add(cargo_mass),
+        dof_armature=model.dof_armature.at[6:].set(armature),
+        opt=model.opt.replace(gravity=gravity),
+    )
+    return loaded, data
+
+
 def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], Acceleration]:
     """Return MJX's forward dynamics of a robot: see `mjx_climb.dynamics.ForwardDynamics`."""
 
@@ -46,16 +65,7 @@ def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], 
         qvel = jnp.concatenate([state.base_linear_velocity, spin, state.joint_rates.ravel()])
         force = jnp.concatenate([wrench[:3], moment, joint_force.ravel()])
 
-        def in_precision(leaf: Any) -> Any:
-            return leaf.astype(qpos.dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
-
-        model, data = jax.tree.map(in_precision, _put_model(robot.model, jnp.result_type(float) == jnp.float64))
-        armature = 0.0 if robot.armature is None else jnp.asarray(robot.armature, qpos.dtype).ravel()
-        model = model.replace(
-            body_mass=model.body_mass.at[_BASE].add(cargo_mass),
-            dof_armature=model.dof_armature.at[6:].set(armature),
-            opt=model.opt.replace(gravity=gravity),
-        )
+        model, data = model_of(robot, cargo_mass, gravity, qpos.dtype)
         data = data.replace(qpos=qpos, qvel=qvel)
         for stage in (smooth.kinematics, smooth.com_pos, smooth.crb, smooth.factor_m, smooth.com_vel, smooth.rne):
             data = stage(model, data)

@@ -1,10 +1,14 @@
 """Robots of all shapes, two to eight limbs of two to seven joints, made at random: both engines against MuJoCo."""
 
+import dataclasses
+
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.dynamics import mjx_engine
 from mjx_climb.robot.constants import robot_from_model
 from tests.dynamics.mujoco_dynamics import mujoco_acceleration, relative_error, stacked
 
@@ -91,3 +95,17 @@ def test_accelerations_are_those_of_mujoco(engine, name):
     ours = mc.forward_dynamics(*given, 0.0, robot=robot, engine=engine, gravity=GRAVITY)
     model.opt.gravity[:] = GRAVITY
     assert relative_error(stacked(ours), mujoco_acceleration(model, given[0], given[1:])) < 1e-9
+
+
+def test_the_model_of_mjx_has_a_robots_armature_once_and_its_cargo():
+    """Whatever armature the file has: that of the robot, of which a walk makes more, takes its place."""
+    model = mujoco.MjModel.from_xml_string(mjcf(*SHAPES["four of three with armature"]))
+    robot = robot_from_model(model, "random")
+    assert model.dof_armature[6:].min() > 0
+    robot = dataclasses.replace(robot, armature=1.5 * robot.armature)
+    ours, _ = mjx_engine.model_of(robot, jnp.asarray(0.7), jnp.asarray(GRAVITY), jnp.float64)
+    np.testing.assert_allclose(ours.dof_armature[6:], 1.5 * model.dof_armature[6:], rtol=1e-12)
+    mass = model.body_mass.copy()
+    mass[1] += 0.7
+    np.testing.assert_allclose(ours.body_mass, mass, rtol=1e-12)
+    np.testing.assert_array_equal(ours.opt.gravity, GRAVITY)

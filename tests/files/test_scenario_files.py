@@ -116,3 +116,20 @@ def test_a_run_is_repeated_from_its_folder(config, tmp_path):
     assert again == first
     walk = dataset.load_trajectory(moved / "trajectory.nc")
     assert load_robot(walk.scenario.robot).limbs == walk.limbs
+
+
+def test_every_file_that_a_scenario_names_goes_along():
+    """Whatever section names it: paths are changed in all of them, and back."""
+    own = {
+        "law": {"file": "law.py", "name": "Law"},
+        "metrics": [{"file": "one.py", "name": "one"}, {"file": "two.py", "name": "two"}],
+        "objective": {"file": "objective.py", "name": "judge"},
+    }
+    ground = {"file": "map.csv", "resolution": 0.01, "origin": [0.0, 0.0]}
+    scenario = mc.Scenario().with_overrides({"own": own, "ground.map": ground})
+    asked = {}
+    scenario.with_files(lambda key, file: asked.setdefault(key, file))
+    assert sorted(asked.values()) == ["law.py", "map.csv", "objective.py", "one.py", "two.py"]
+    beside = scenario.beside("/there")
+    assert beside.to_yaml().count("file: /there/") == 5
+    assert beside.relative_to("/there") == scenario

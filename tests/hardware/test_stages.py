@@ -221,6 +221,16 @@ def test_a_filter_is_the_sensors_or_the_laws():
     assert stages_of(by_law, mc.parameters(by_law)) == IDEAL._replace(sampled_filter=True)
 
 
+@pytest.mark.parametrize(("who", "period"), [("law", 5e-3), ("sensor", STEP)])
+def test_a_filter_takes_in_what_its_own_samples_bring(who, period):
+    """The law's samples come once a control period, the sensor's every time step."""
+    sensor = {"filter": 30.0, "filtered_by": who}
+    scenario = mc.Scenario().with_overrides({"hardware": {"force_sensor": sensor, "control_period": 5e-3}})
+    own = mc.parameters(scenario)
+    share = hardware_of(own, stages_of(scenario, own), STEP).pace.filter_share
+    assert float(share) == pytest.approx(1 - np.exp(-2 * np.pi * 30.0 * period), rel=1e-6)
+
+
 STAGE_OF = {name: name for name in IDEAL._fields if name in vars(mc.parameters(mc.Scenario()))} | {
     "position_noise": "base_noise", "velocity_noise": "base_noise", "coulomb_friction": "dry_friction",
     "load_friction": "dry_friction", "ki": "integral", "profile_velocity": "profile",

@@ -82,6 +82,16 @@ def test_maps_give_the_heights_below_the_planned_footholds(maps):
     np.testing.assert_allclose(grey + low, expected, atol=span / 255)
 
 
+def test_footholds_are_planned_along_the_heading():
+    """Those of a walk along x, turned about z with the walk: a stride ahead for each cycle."""
+    turned, ahead = (footholds(mc.Scenario().with_overrides({"gait.heading": angle})) for angle in (0.3, 0.0))
+    forward, left = np.array([np.cos(0.3), np.sin(0.3)]), np.array([-np.sin(0.3), np.cos(0.3)])
+    np.testing.assert_allclose(turned, ahead[..., :1] * forward + ahead[..., 1:] * left, atol=1e-12)
+    np.testing.assert_allclose(
+        np.diff(turned, axis=1), mc.Scenario().gait.stride * np.ones((4, 2, 1)) * forward, atol=1e-12
+    )
+
+
 BAD = {  # content of the file, what is said
     "text.csv": (b"1,2\nthree,4\n", "ground.map.file: expected a grid of numbers"),
     "ragged.csv": (b"1,2\n3\n", "ground.map.file: expected a grid of numbers"),

@@ -409,6 +409,14 @@ def test_joints_driven_in_any_way(saved):
     assert driven_joints(described(str(saved(text)))) == {"L0_1_y", "L0_1_z"}
 
 
+def test_a_ball_joint_turns_as_far_either_way_about_each_axis(saved):
+    ball = re.sub(r'<joint name="L0_1"[^>]*>', '<joint name="L0_1" type="ball" range="0 40"/>', PLAIN)
+    made = described(str(saved(ball))).compile()
+    for letter in "xyz":
+        low, high = made.joint(f"L0_1_{letter}").range
+        assert low == -high < 0 and made.joint(f"L0_1_{letter}").type == mujoco.mjtJoint.mjJNT_HINGE
+
+
 LIMITS = {
     '<motor joint="{}" forcerange="-3 2"/>': 2,  # the smaller of two
     '<motor joint="{}" forcerange="0 2" gear="-4"/>': 8,  # one that pulls

@@ -135,6 +135,7 @@ BAD_FILES = [
     ("ground: {map: {file: a.csv, resolution: 0}}", "ground.map.resolution: expected a finite number above 0"),
     ("ground: {map: {file: a.csv, resolution: 1}, footholds: {LF: [1]}}", "expected footholds or map, not both"),
     ("gait: {duty: 0.9999}", "gait.duty: expected a swing"),
+    ("gait: {duty: 0.99975}", "gait.duty: expected a swing, (1 - duty) cycle, of two time steps of 0.001 s or more"),
     ("gait: {duty: 0.74}", "gait.duty: expected a number from 0.75 to below 1, so that"),
     ("gait: {sequence: [[LH, RF], [LF, RH]], duty: 0.4}", "gait.duty: expected a number from 0.5 to below 1, so that"),
     ("gait: {sequence: [[LH, RF], [LF]], duty: 0.5}", "gait.sequence: expected the four limbs"),

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.control import law_of
+from mjx_climb.control import PD, law_of
+from mjx_climb.dynamics.kinematics import limb_frames
+from mjx_climb.dynamics.spatial import quaternion_to_matrix
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.quantities.batches import over_batch, own_axes
 from mjx_climb.quantities.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.rollouts.resolve import resolve, resolve_in
-from mjx_climb.walk import disturbance, gait
+from mjx_climb.walk import disturbance, gait, step
+from mjx_climb.walk.structure import structure
 
 STEP = 1e-3
 LIMBS = load_robot("hubrobo_v3_2").limbs
@@ -167,6 +170,24 @@ def test_the_base_sways_towards_the_feet_that_stand_and_feet_land_with_a_speed()
         np.testing.assert_allclose((3 * height[2] - 4 * height[1] + height[0]) / (2 * STEP), -0.1, rtol=0.05)
     np.testing.assert_allclose(sway[1000:], sway[:1000], atol=1e-12)
     assert not sway[:, 2].any() and np.abs(np.diff(sway, axis=0)).max() < 2e-3
+
+
+# the base is ahead at the start, on its way from where the one hind limb has swung to where the other one will
+SWAYED = {"duty": 0.8, "sway": 0.4, "phases": {"LH": 0.1, "LF": 0.3, "RF": 0.5, "RH": 0.7}}
+
+
+@pytest.mark.parametrize("change", [{"gait": SWAYED}, {"gait.height": 0.9}], ids=["swayed", "low"])
+def test_a_walk_begins_with_its_feet_on_their_footholds(change):
+    """Also where the base is not where it is in the rest stance, so that the joints are others."""
+    scenario = mc.Scenario().with_overrides(change)
+    own = own_parameters(scenario)
+    with jax.enable_x64(True):
+        start = jax.jit(lambda: step.begin(step.prepare(structure(scenario, "limb", own, law=PD()), PD(), own)))()
+        state, robot = start.state, load_robot(scenario.robot)
+        frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
+        feet = np.asarray(state.base_position + frames.foot)
+    assert np.abs(state.joint_angles - robot.stance_joints).max() > 0.01
+    np.testing.assert_allclose(feet, start.contact.grip_point, atol=1e-6)
 
 
 @pytest.mark.slow
