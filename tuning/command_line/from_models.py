@@ -4,6 +4,7 @@ A command is a function of models alone. Each is built from what was typed, so t
 defaults. See `tuning.problem.settings.setting` for what is said of a field; its bounds are checked and shown.
 """
 
+import ast
 import inspect
 import types
 from collections.abc import Callable, Mapping
@@ -19,12 +20,6 @@ from tuning.command_line.program import InputError
 from tuning.problem.settings import Shell, explained
 
 REPEATABLE = "; may be given several times"
-METRICS = (  # for completion: a key press waits for it, so what heavy modules hold stands here again
-    "peak_foot_force", "force_variation", "peak_pull_force", "peak_joint_torque", "cost_of_transport", "travel",
-    "base_deviation", "min_tsm", "min_gia_margin", "joint_limit_margin",
-)  # fmt: skip
-
-
 _WITH_FILES = {"config": shipped.names, "ensemble": shipped.ensembles, "hardware": shipped.profiles}
 
 
@@ -173,11 +168,24 @@ def _parameter(name: str, field: FieldInfo, default_in_words: str) -> inspect.Pa
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
+def metric_names() -> list[str]:
+    """Return the names of the shipped metrics that are no failures, for completion.
+
+    They are read in the source: a key press waits for them, and importing the metrics takes seconds.
+    """
+    source = (Path(inspect.getfile(shipped)).parents[1] / "walk" / "metrics.py").read_text("utf-8")
+    assigned = (node for node in ast.parse(source).body if isinstance(node, ast.Assign))
+    values = {node.targets[0].id: node.value for node in assigned if isinstance(node.targets[0], ast.Name)}
+    strings = (node for node in ast.walk(values["METRICS"]) if isinstance(node, ast.Call) and node.args)
+    names = [call.args[0].value for call in strings if isinstance(call.args[0], ast.Constant)]
+    return [name for name in names if isinstance(name, str) and name not in ast.literal_eval(values["FAILURES"])]
+
+
 def _completion(kind: str | None, choices: tuple[str, ...]) -> Callable[[str], list[str]]:
     """Return what completes one of some choices, or what `Shell.complete` names."""
 
     def complete(incomplete: str) -> list[str]:
-        words = [*(choices or METRICS)]
+        words = [*(choices or metric_names())]
         if kind in _WITH_FILES:  # YAML files of this folder; below other folders the shell itself completes
             files = sorted(str(file) for file in Path().iterdir() if file.suffix in (".yaml", ".yml"))
             words = [*_WITH_FILES[kind](), *files]
