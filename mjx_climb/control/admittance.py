@@ -1,7 +1,8 @@
 """Admittance of the base, the paper's Eq. 3, `M dxdd + D dxd + K dx = w`, in two readings; and of each foot, Eq. 2.
 
-w = J_b^T F_e is the wrench of the foot forces on the base, dx the shift of the base in its six axes. Gains and shift
-are taken along the axes of the base reference, so a walk turned about z is the same walk.
+w = J_b^T F_e is the wrench of the foot forces on the base, dx the shift of the base in its six axes. The virtual model
+is driven by -w, so that the base yields; the measured pose has +w, as the paper prints it; a foot is driven by +F.
+Gains and shift are taken along the axes of the base reference, so a walk turned about z is the same walk.
 """
 
 from typing import ClassVar
@@ -16,7 +17,7 @@ from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply
 
 
 class SixAxes(Law):
-    """Gains of `M dxdd + D dxd + K dx = w` in three translations and three rotations.
+    """Gains M, D and K of Eq. 3 in three translations and three rotations.
 
     A rotation's gain is about a lever squared, 0.04 m^2, times that of a translation with the same effect at the feet.
     """
@@ -34,7 +35,7 @@ class SixAxes(Law):
 
 
 class VirtualModelAdmittance(SixAxes):
-    """Eq. 3 as a virtual mass, damper and spring, integrated exactly, that yields to the wrench.
+    """Eq. 3 as a virtual mass, damper and spring, `M dxdd + D dxd + K dx = -w`, integrated exactly: the base yields.
 
     The ground pushes the feet with w where something pushes the base with -w, so dx is driven by -w.
     """

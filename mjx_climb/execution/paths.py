@@ -94,8 +94,8 @@ def compiler_options(robots: int, path: str, device: str | None, *, briefly: boo
     """Return the options with which XLA compiles so many robots.
 
     Wide vectors for regions. Where a step is whole, XLA:CPU fuses elementwise operations by computing shared ones again
-    wherever they are used: six times the arithmetic of the equations. Each operation on its own is faster by far once
-    its arrays fill the vector units, and compiles sooner; with a few robots the calls would cost more than the
+    wherever they are used: six times the arithmetic of the equations. Each operation on its own is faster once its
+    arrays fill the vector units, and compiles sooner; with a few robots the calls would cost more than the
     arithmetic. Other devices are left alone.
     """
     if (device or jax.default_backend()) != "cpu":

@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -49,6 +50,30 @@ def test_the_script_is_short_and_the_page_shows_it():
     text = SCRIPT.read_text()
     assert len(text.splitlines()) <= 40
     assert text in (SCRIPT.parent / "laws.md").read_text()
+
+
+def test_the_small_law_of_the_page_yields_to_what_pushes_the_base(tmp_path):
+    """Written as the page says: the ground pushes the feet with +x, so something pushes the base along -x."""
+    (block,) = re.findall(r"```python\n(.*?class Yielding.*?)```", (SCRIPT.parent / "laws.md").read_text(), re.DOTALL)
+    (tmp_path / "page.py").write_text(block)
+    law = own_section.load_law(f"{tmp_path / 'page.py'}:Yielding")
+    zero, feet, up = jnp.zeros(3), jnp.zeros((4, 3)), jnp.array([1.0, 0.0, 0.0, 0.0])
+    reference = mc.Reference(zero, up, feet)
+    wrench = jnp.array([10.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    measured = mc.Measurement(zero, up, zero, zero, feet, wrench, jnp.ones(4, bool))
+    state, command = law.init(mc.control.Start(1e-3, reference)), None
+    for _ in range(3):
+        state, command = law.step(state, measured, reference)
+    assert command.base_position[0] < 0 and command.base_displacement[5] < 0
+    np.testing.assert_allclose(command.base_displacement[0], -3 * 1e-3 * 10 / 5e3, rtol=0.02)
+
+
+def test_a_dataclass_that_does_not_inherit_from_law_is_refused_in_one_line(tmp_path):
+    text = "import dataclasses\n@dataclasses.dataclass(frozen=True)\nclass Mine:\n    damping: float = 1.0\n"
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(mc.ConfigError, match=r"expected Mine to be a law that inherits from mjx_climb\.Law") as refused:
+        own_section.load_law(f"{tmp_path / 'mine.py'}:Mine")
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.slow

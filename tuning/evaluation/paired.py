@@ -196,7 +196,7 @@ def verdict(
     objective = table.sel(metric="objective", statistic="mean")
 
     def gained(name: str, values: xr.Dataset) -> float:
-        """Return by how much gains better a metric, relative; 0 where that is not real, or a walk more is lost."""
+        """Return by how much gains better a metric, relative; 0 where that is not real, or really more walks fail."""
         own, base = values.sel(gains=name), float(values["value"].sel(gains=table.attrs["baseline"]))
         sign = 1 if bool(own["larger_is_better"]) else -1
         counts = bool(own["real"]) and base and not worse_in(name, "failed")
