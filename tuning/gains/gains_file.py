@@ -253,14 +253,16 @@ def registers_in_words(scenario: mc.Scenario, gains: AnyGains) -> str:
         own = ", ".join(f"{name} {value:g}" for name, value in wanted._asdict().items())
         return f"no registers for {own}: hardware.servo.register_scale does not say what a unit of them stands for"
     exact = registers.registers_of(wanted, scale, servo.torque_limit)
-    held = registers.Registers(*(None if value is None else min(round(value), scale.largest) for value in exact))
+    most = scale.largest
+    others = (None if value is None else min(round(value), most) for value in exact[1:])
+    held = registers.Registers(min(round(exact.p), most), *others)
     found = registers.gains_of(held, scale, servo.torque_limit)
     words, off = [], []
-    for register, value, (name, gain), own in zip("PID", held, wanted._asdict().items(), found, strict=True):
+    for register, value, (name, gain), reached in zip("PID", held, wanted._asdict().items(), found, strict=True):
         words.append(f"{register} Gain {'not known' if value is None and gain else value or 0}")
         if value is None and gain:
             off.append(f"{name} {gain:.3g}: the scale of {register} is not known")
-        elif abs(own - gain) > 0.02 * gain:
-            off.append(f"{name} {own:.3g} in place of {gain:.3g}")
+        elif abs(reached - gain) > 0.02 * gain:
+            off.append(f"{name} {reached:.3g} in place of {gain:.3g}")
     text = f"registers of the servo: Position {', '.join(words)}"
     return f"{text} ({', '.join(off)})" if off else text
