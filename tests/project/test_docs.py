@@ -113,6 +113,16 @@ def test_commands_are_understood(page):
         assert {word.partition("=")[0] for word in rest if word.startswith("--")} <= known | {"--help"}, rest
 
 
+def test_pages_give_a_folder_to_one_run():
+    """Who follows one page after the other is not refused: a folder with another run's result is not written to."""
+    given: dict[str, set[tuple[str, ...]]] = {}
+    for page in PAGES:
+        for arguments in (call for block in fences(page.read_text("utf-8"), "sh") for call in commands(block)):
+            if "--out" in arguments and arguments[0] not in ("schema", "export"):
+                given.setdefault(arguments[arguments.index("--out") + 1], set()).add(tuple(arguments))
+    assert len(given) > 5 and [runs for runs in given.values() if len(runs) > 1] == []
+
+
 @pytest.mark.parametrize("name", PROGRAM.commands)
 def test_examples_in_the_help_are_understood(name):
     found = commands(inspect.cleandoc(PROGRAM.commands[name].help).replace("\b", ""))

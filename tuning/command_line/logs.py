@@ -44,15 +44,19 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
         from tuning.command_line.session import from_page
         from tuning.identification import excitation
         from tuning.output import excitation as written
+        from tuning.output.record import settings_of
         from tuning.report.numbers import to_json
 
-        rig = excitation.set_up(walk.load().scenario, asked)
-        shell.claim(written.FILE, walk.config.stem, "excite")
+        loaded = walk.load()
+        rig = excitation.set_up(loaded.scenario, asked)
+        settings = settings_of(loaded, "excite", asked=asked.model_dump(mode="json"))
+        shell.claim(written.FILE, walk.config.stem, "excite", *walk.words, settings=settings, varied=walk.varied)
         shell.opening()
         found = excitation.chosen(rig, stage=shell.stage)
         options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
         where = origin(walk.config.stem, repeated(("excite",), *options))
-        files = found.write(shell.out, figures=output.figures, stage=shell.stage, origin=where)
+        how: dict[str, Any] = {"figures": output.figures, "stage": shell.stage, "settings": settings}
+        files = found.write(shell.out, origin=where, **how)
         shell.show(from_page(written.table(found)), from_page(written.limits(found)))
         shell.show(*written.notes(found), found.best.information.unseen())
         shell.written(files, to_json(written.summary(found)))
@@ -84,6 +88,11 @@ class Recorded(Options):
         """Return the options that name its files, as seen from another folder: a log may be too large to be copied."""
         named = {name: path for name in FILES if (path := getattr(self, name)) is not None}
         return [word for name, path in named.items() for word in (f"--{name}", os.path.relpath(path, folder))]
+
+    def settings(self, log: "Log") -> dict[str, Any]:
+        """Return all that is asked for, as plain JSON values, with the log's samples in place of its file."""
+        asked = self.model_dump(mode="json", exclude={"log", "signals"})
+        return {**asked, "log": log.digest}
 
     def say_guess(self, log: "Log", shell: "Session") -> None:
         """Say where each signal was found, where that was guessed."""
@@ -127,13 +136,20 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         from tuning.command_line.session import from_page
         from tuning.identification import identify as fitting
         from tuning.identification.output import FILE, table
+        from tuning.output.folder import check_own
+        from tuning.output.record import settings_of
         from tuning.searches.parts import FOLDER
 
-        if output.out is not None and (shell.claim(FILE, walk.config.stem) / FOLDER).exists():
-            shell.say(f"an interrupted fit is kept in {output.out}: goes on where it stopped")
-        scenario = walk.load().scenario
+        if output.out is not None:
+            check_own(output.out, FILE)  # before the log is read
+        loaded = walk.load()
+        scenario = loaded.scenario
         log = asked.read(scenario)
         asked.say_guess(log, shell)
+        if output.out is not None:
+            settings = settings_of(loaded, "identify", asked=asked.settings(log))
+            if (shell.claim(FILE, walk.config.stem, settings=settings) / FOLDER).exists():
+                shell.say(f"an interrupted fit is kept in {output.out}: goes on where it stopped")
         keeping = contextlib.nullcontext() if output.out is None else shell.keeping("iterations")
         with keeping, shell.stage("fit", unit="iterations", keeps=True) as show:
             found = fitting.identify(scenario, progress=show, out=output.out, **dict(asked) | {"log": log})
@@ -143,7 +159,8 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
             options = (f"--{name.replace('_', '-')}" for name in Fitted.model_fields if name not in FILES)
             again = repeated(["identify", *asked.files_from(output.out)], *options)
             where = origin(walk.config.stem, again)
-            files = found.write(output.out, origin=where, figures=output.figures, stage=shell.stage)
+            how: dict[str, Any] = {"figures": output.figures, "stage": shell.stage, "settings": settings}
+            files = found.write(output.out, origin=where, **how)
             shell.written(files, json.dumps(found.as_json(), indent=2))
         else:
             shell.print_json(json.dumps(found.as_json(), indent=2))
@@ -183,6 +200,7 @@ def replay(
     with output.session() as shell:
         from tuning.identification import replay as replays
         from tuning.output.folder import write_config
+        from tuning.output.record import settings_of
 
         loaded = walk.load_with_gains()
         pictures.check(loaded.scenario)
@@ -190,14 +208,18 @@ def replay(
         if asked.judge and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
             raise InputError(f"--judge: expected pushes in {log.source} (base.force.x ...), got none")
         prepared = replays.prepare(log, loaded.scenario, asked.base, asked.mass)
-        shell.claim("replay.json", walk.config.stem, "replay")
+        settings = settings_of(loaded, "replay", asked=asked.settings(log))
+        shell.claim("replay.json", walk.config.stem, "replay", *walk.words, settings=settings, varied=walk.varied)
         asked.say_guess(log, shell)
         shell.say(*(f"warning: {line}" for line in log.warnings))
         shell.opening()
         with shell.stage("replay"):
             found = replays.simulate(prepared, loaded.engine)
-        write_config(found.scenario, shell.out, loaded.law)
-        _write(found, _judged(found, loaded, shell) if asked.judge else {}, shell, pictures)
+        judged = _judged(found, loaded, shell) if asked.judge else {}
+        with shell.whole() as out:
+            write_config(found.scenario, out, loaded.law)
+            files, text = _write(found, judged, shell, pictures, out)
+        shell.written(files, text)
 
 
 def _judged(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, dict[str, Any]]:
@@ -220,8 +242,10 @@ def _judged(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, d
     return metrics
 
 
-def _write(found: "Replay", judged: Mapping[str, Any], shell: "Session", pictures: Pictures) -> None:
-    """Write a replay and print its errors."""
+def _write(
+    found: "Replay", judged: Mapping[str, Any], shell: "Session", pictures: Pictures, out: Path
+) -> tuple[str, str]:
+    """Write a replay into a folder and print its errors; return the names of the files, and the errors as JSON."""
     from mjx_climb import plots
     from mjx_climb.files import dataset
     from tuning.command_line.session import plain_table
@@ -236,7 +260,7 @@ def _write(found: "Replay", judged: Mapping[str, Any], shell: "Session", picture
     by_signal = {name: {**error._asdict(), "unit": unit_of(name)} for name, error in found.errors.items()}
     whole = {"base": found.base, "signals": by_signal, "warnings": [*found.log.warnings, *found.warnings]}
     text = numbers.to_json({**whole, "judged": judged} if judged else whole)
-    out, files = shell.out, ["replay.json", "simulation.nc", "config.yaml"]
+    files = ["replay.json", "simulation.nc", "config.yaml"]
     dataset.write_text_atomically(out / "replay.json", text + "\n")
     dataset.save(dataset.to_dataset(found.walk), out / "simulation.nc")
     if found.log.guessed is not None:
@@ -246,4 +270,4 @@ def _write(found: "Replay", judged: Mapping[str, Any], shell: "Session", picture
         plots.save_figure(plot_replay(found), out / "replay", shell.output.figures)
     files += [f"replay.{kind}" for kind in shell.output.figures]
     files += pictures.write({"logged": found.logged(), "simulated": found.walk}, out, shell.stage)
-    shell.written(", ".join(files), text)
+    return ", ".join(files), text

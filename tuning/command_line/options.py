@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -69,6 +70,18 @@ class Walk(Options):
     law: str | None = LAW
     metrics: tuple[str, ...] = METRICS
     engine: EngineName = ENGINE
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What walks in place of the config's law and hardware, as folders are called by it."""
+        law = None if self.law is None else re.sub(r"[^\w.@+-]", "_", self.law.rpartition(":")[2])
+        hardware = None if self.hardware is None else Path(self.hardware).stem
+        return tuple(word for word in (self.controller, law, hardware) if word is not None)
+
+    @property
+    def varied(self) -> bool:
+        """Whether what walks is changed by more than `words` say."""
+        return bool(self.changes or self.gains)
 
     def load(self) -> "Problem":
         """Return scenario, law, metrics and engine, from options or the config, without the gains file but for its law.

@@ -11,7 +11,6 @@ from pydantic import AfterValidator, BeforeValidator
 
 import mjx_climb as mc
 from tuning.command_line.from_models import command
-from tuning.command_line.interruption import Interrupted
 from tuning.command_line.options import (
     ENGINE,
     FIGURES,
@@ -158,35 +157,40 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         from mjx_climb.files import dataset
         from tuning.evaluation import linear_margins
         from tuning.evaluation import margins as evaluation
-        from tuning.gains.gains_file import apart
+        from tuning.gains.gains_file import apart, by_name
         from tuning.output.folder import write_config
+        from tuning.output.record import settings_of
         from tuning.report.pictures import plot_margins
 
         loaded = walk.load()
         law = loaded.law
-        gains = walk.values(law) or {}
-        others = {}
+        gains, others = walk.values(law) or {}, {}
+        asked: dict[str, Any] = {"gains": by_name(gains)}
         if walk.gains is not None and law is None:
             config = walk.model_copy(update={"gains": None}).load().scenario
+            asked["config"] = config.control.model_dump(mode="json")
             others["config"] = evaluation.Walker(None if config == loaded.scenario else law_of(config), {})
         if joint := rival.joint_gains():
             others["retuned pd"] = evaluation.Walker(PD(), joint)
-        out = shell.claim("margins.json", walk.config.stem, "margins")
-        scenario = write_config(loaded.scenario, out, law)
-        shell.opening(scenario)
+        settings = settings_of(loaded, "margins", **asked, retuned_pd=joint)
+        words = ("margins", *walk.words)
+        shell.claim("margins.json", walk.config.stem, *words, settings=settings, varied=walk.varied)
         how: dict[str, Any] = {"law": law, "engine": walk.engine}
-        with shell.stage("margins") as told:
-            found = evaluation.find(scenario, gains, others=others, progress=told, **how)
-        with shell.stage("linearised loop", unit="quantities") as told:
-            place, own = apart(scenario, gains)
-            stable = linear_margins.find(place, own, found.margins, progress=told, **how)
-        warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
-        table, text = _margins_in_words(found, stable, warnings)
-        with shell.stage("drawing", compiles=False):
-            dataset.write_text_atomically(out / "margins.json", text + "\n")
-            dataset.save(found.walks, out / "margins.nc")
-            figure = plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
-            plots.save_figure(figure, out / "margins", output.figures)
+        with shell.whole() as out:
+            scenario = write_config(loaded.scenario, out, law)
+            shell.opening(scenario)
+            with shell.stage("margins") as told:
+                found = evaluation.find(scenario, gains, others=others, progress=told, **how)
+            with shell.stage("linearised loop", unit="quantities") as told:
+                place, own = apart(scenario, gains)
+                stable = linear_margins.find(place, own, found.margins, progress=told, **how)
+            warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
+            table, text = _margins_in_words(found, stable, warnings)
+            with shell.stage("drawing", compiles=False):
+                dataset.write_text_atomically(out / "margins.json", text + "\n")
+                dataset.save(found.walks, out / "margins.nc")
+                figure = plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
+                plots.save_figure(figure, out / "margins", output.figures)
         shell.show(table, *(f"warning: {line}" for line in warnings))
         pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
         shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
@@ -235,9 +239,9 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
         from tuning.report.numbers import to_json
         from tuning.reproduce import results
 
-        out = shell.claim("reproduce.json", "reproduce")
+        shell.claim("reproduce.json", "reproduce", settings={"command": "reproduce"})
         shell.opening()
-        try:
+        with shell.whole() as out:
             found = dict(results.reproduced(out, shell.stage))
             text = to_json(results.as_json(found))
             dataset.write_text_atomically(out / "reproduce.json", text + "\n")
@@ -249,13 +253,11 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
             with shell.stage("report", compiles=False):
                 made = results.page(found, out, origin("the paper's cases", "mjx-climb reproduce --out again"))
                 page.write(made, out)
-        except KeyboardInterrupt:
             count = len(list(out.glob("*.nc")))
-            raise Interrupted(f"{count} walks are in {out}; the same command starts again") from None
 
         show(found, shell.tables)
         files = "report.html, reproduce.json, tables.txt, paper.md, figures (.png), scenarios (.yaml)"
-        shell.written(f"{files}, {len(list(out.glob('*.nc')))} walks (.nc)", text)
+        shell.written(f"{files}, {count} walks (.nc)", text)
 
 
 def show(found: "Found", console: "Console") -> None:

@@ -136,6 +136,7 @@ def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, record
     with output.session() as shell:
         from mjx_climb import rendering
         from mjx_climb.robot.constants import load_robot
+        from tuning.output.record import settings_of
 
         loaded = walk.load_with_gains()
         gravity = incline.gravity(loaded.scenario.gravity)
@@ -144,7 +145,9 @@ def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, record
         name = scenario.control.controller if law is None else type(law).__name__
         load_robot(scenario.robot)
         pictures.check(scenario)
-        shell.claim("trajectory.nc", walk.config.stem, name)
+        settings = settings_of(loaded, "run", compare=pictures.compare)
+        words = dict.fromkeys((walk.config.stem, name, *walk.words))
+        shell.claim("trajectory.nc", *words, settings=settings, varied=walk.varied)
         walks, metrics = _walked(loaded, name, shell, pictures, recording)
         if pictures.view:
             rendering.view(*walks.values(), until=interruption.requested)
@@ -156,12 +159,26 @@ def _walked(
     loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording
 ) -> tuple[Walks, dict[str, Any]]:
     """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
+    from tuning.output.record import walks_at_home
+    from tuning.report.numbers import to_json
+
+    with shell.whole() as place:
+        walks, metrics, files = _written(loaded, name, shell, pictures, recording, place)
+    walks = walks_at_home(walks, place, shell.out)
+    _show(walks, metrics, loaded, shell)
+    shell.written(", ".join(files), to_json(metrics[name]))
+    return walks, metrics[name]
+
+
+def _written(
+    loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording, out: Path
+) -> tuple[Walks, dict[str, dict[str, Any]], list[str]]:
+    """Walk and write into a folder; return the walks, their metrics, and the names of the files."""
     from mjx_climb.files import dataset, scenario_files
     from mjx_climb.files.recording import save_mcap
     from tuning.output.folder import write_config
     from tuning.report.numbers import to_json
 
-    out = shell.out
     scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
     shell.opening(scenario)
     with shell.stage(name):
@@ -172,9 +189,8 @@ def _walked(
         with shell.stage(rival):
             walks = {rival: mc.rollout(beside, engine=loaded.engine), **walks}
     metrics = {name: mc.metrics(walked, loaded.metrics) for name, walked in reversed(walks.items())}
-    text = to_json(metrics[name])
     dataset.save(dataset.to_dataset(walks[name]), out / "trajectory.nc")
-    dataset.write_text_atomically(out / "metrics.json", text + "\n")
+    dataset.write_text_atomically(out / "metrics.json", to_json(metrics[name]) + "\n")
     with shell.stage("drawing", compiles=False):
         from mjx_climb import plots  # matplotlib takes a third of a second
 
@@ -187,9 +203,7 @@ def _walked(
     if recording.mcap:
         with shell.stage("walk.mcap", compiles=False):
             files.append(save_mcap(walks[name], out / "walk.mcap").name)
-    _show(walks, metrics, loaded, shell)
-    shell.written(", ".join(files), text)
-    return walks, metrics[name]
+    return walks, metrics, files
 
 
 def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:

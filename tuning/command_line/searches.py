@@ -3,7 +3,7 @@
 import dataclasses
 import importlib
 import shlex
-from json import dumps
+from json import dumps, loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, get_args
 
@@ -88,7 +88,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
     """
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
-        from tuning.output import comparisons
+        from tuning.output import comparisons, record
         from tuning.searches import tune as searches
 
         loaded, drawn = walk.load_with_gains(), ensemble.load()
@@ -100,7 +100,14 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
         chosen = search.method if "method" in search.model_fields_set else None
         wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), loaded.law)
         kind, name = "tune" if drawn is None else "robust", walk.config.stem
-        out = shell.claim("search.nc", name, kind, wanted.method, wanted.space, team=team)
+        settings = record.settings_of(
+            dataclasses.replace(loaded, ensemble=drawn),
+            kind,
+            search=wanted.model_dump(mode="json"),
+            judges=ensemble.judges,
+        )
+        how: dict[str, Any] = {"settings": settings, "varied": walk.varied, "team": team}
+        out = shell.claim("search.nc", name, kind, wanted.method, wanted.space, *walk.words, **how)
         shell.opening(loaded.scenario)
         shell.say(*filter(None, [team.said]))
         team.begin(out, loaded.scenario.to_yaml())
@@ -118,7 +125,9 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
             if ensemble.judges is not None:
                 found = dataclasses.replace(found, judges=ensemble.judges)
             if found.interrupted:
-                found.write_found(out, origin(name, again))
+                if (before := record.read(out)) is not None and before.whole:  # it stays until all of this one is there
+                    raise KeyboardInterrupt
+                found.write_found(out, origin(name, again), settings)
                 best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
                 raise Interrupted(f"the best of {shell.done} rounds is in {out}: {best}")
             shell.result(found, again, compared)
@@ -147,6 +156,7 @@ def pareto(
 
         devices.begin()
         from tuning.command_line.session import from_page
+        from tuning.output.record import settings_of
         from tuning.report.pages import front_table
         from tuning.searches import pareto as fronts
 
@@ -154,7 +164,11 @@ def pareto(
         wanted = file.settings(space, loaded, walk.config)
         for option, name in (("--better", asked.better), ("--against", asked.against)):
             check_metrics(Search(weights={name: 1.0}), loaded.metrics, option)
-        out = shell.claim("front.nc", walk.config.stem, "pareto")
+        settings = settings_of(
+            loaded, "pareto", search=wanted.model_dump(mode="json"), front=asked.model_dump(mode="json")
+        )
+        how: dict[str, Any] = {"settings": settings, "varied": walk.varied}
+        out = shell.claim("front.nc", walk.config.stem, "pareto", *walk.words, **how)
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(space, "--better"):
             problem = fronts.problem_of(loaded.scenario, wanted, asked, **loaded.walks)
@@ -192,13 +206,18 @@ def schedule(
 
         devices.begin()
         from tuning.command_line.session import plain_table
+        from tuning.output.record import settings_of
         from tuning.report.numbers import change, gain, number
         from tuning.searches import schedule as schedules
         from tuning.searches.retuned_pd import NAME
 
         loaded = walk.load()
         wanted = file.settings(space, loaded, walk.config)
-        out = shell.claim("schedule.nc", walk.config.stem, "schedule")
+        settings = settings_of(
+            loaded, "schedule", search=wanted.model_dump(mode="json"), operating_points=asked.model_dump(mode="json")
+        )
+        how: dict[str, Any] = {"settings": settings, "varied": walk.varied}
+        out = shell.claim("schedule.nc", walk.config.stem, "schedule", *walk.words, **how)
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(space, walk.config):
             points = schedules.operating_points(loaded.scenario, wanted, asked, **loaded.walks)
@@ -339,11 +358,15 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
     with processes.joined(apart=asked.shard is not None) as team, output.session() as shell:
         part, which = processes.shard_from(asked.shard)
         from tuning.background import background
+        from tuning.output import record
         from tuning.searches import shards
 
         work, name, (file, stage, unit) = asked.work(walk), walk.config.stem, ROWS[kind]
-        out = shell.claim(file, name, kind, team=team)
+        rows_of = record.without_machine(work.identity())
+        settings = record.settings_of(work.problem, kind, rows=rows_of)
+        out = shell.claim(file, name, kind, *walk.words, settings=settings, varied=walk.varied, team=team)
         about = {"again": typed_but("--shard", shards.SHARD), "name": name, "repeat": again}
+        about["settings"] = dumps(settings)  # for the folder of what is merged
         rows = shards.Rows(work, out, part, about)
         here, there, folder = len(rows.rows), rows.there, rows.folder or out
         said = [*asked.said(work, here, there), which, team.said, f"{there} are there already" if there else ""]
@@ -479,6 +502,8 @@ def compare(
         from mjx_climb.scenario.messages import ConfigError
 
         devices.begin()
+        from tuning.output.record import settings_of
+        from tuning.problem.evaluation import Problem
         from tuning.searches import compare as comparing
         from tuning.searches import tune as searches
 
@@ -493,7 +518,16 @@ def compare(
                 laws = comparing.contestants(loaded.scenario, asked.laws, wanted)
         except ConfigError as error:
             raise ConfigError(in_options(str(error), Laws)) from None
-        out = shell.claim("compared.nc", walk.config.stem, "compare")
+        each = {name: settings_of(Problem(own.scenario, law=own.law), "law") for name, own in laws.items()}
+        settings = settings_of(
+            dataclasses.replace(loaded, ensemble=ensemble),
+            "compare",
+            search=wanted.model_dump(mode="json"),
+            members=asked.members,
+            laws=each,
+        )
+        how: dict[str, Any] = {"settings": settings, "varied": walk.varied}
+        out = shell.claim("compared.nc", walk.config.stem, "compare", *walk.words, **how)
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, walk.config):
             problem = comparing.problem_of(
@@ -539,6 +573,7 @@ def merge(asked: Merge, output: Output) -> None:
         if target is None:
             raise InputError("--out: expected a folder for the result, as the shards lie in several places")
         kind = "judge" if kept[0].identity["kind"] == judging.Judged.KIND else "sweep"
-        shell.claim(ROWS[kind][0], about.get("name", "the scenario"), at=target)
+        settings = loads(about["settings"]) if "settings" in about else None
+        shell.claim(ROWS[kind][0], about.get("name", "the scenario"), settings=settings, at=target)
         found = shards.merged(kept, law, table)
         shell.result(found, about.get("repeat") or "the same command", before=f"{len(kept)} shards, ")

@@ -6,7 +6,7 @@ import math
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -117,16 +117,45 @@ class Session:
         self.console = console(stderr=True)
         self.tables = self.console if output.json_only else console(file=stdout)
         self.output, self.name, self.out, self.done = output, "", Path(), 0
+        self.settings: Mapping[str, Any] | None = None  # what the command was asked for
         self._json = stdout if output.json_only else None
 
-    def claim(self, file: str, name: str, *kind: str, team: "Team | None" = None, at: Path | None = None) -> Path:
-        """Take the folder of a result, `at` or by default results/NAME-KIND, which is known by a file in it."""
+    def claim(
+        self,
+        file: str,
+        name: str,
+        *kind: str,
+        settings: Mapping[str, Any] | None,
+        varied: bool = False,
+        team: "Team | None" = None,
+        at: Path | None = None,
+    ) -> Path:
+        """Take the folder of a result, which is known by a file in it: `at`, or that of --out, or one by its settings.
+
+        By default it is results/NAME-KIND, with a digest of the settings behind it where they are `varied`, not plain
+        to see in the name, or where that folder is another run's.
+
+        Raises:
+            OutputError: it cannot be written, or holds another run's result.
+        """
+        from tuning.output import record
         from tuning.output.folder import check_own
 
-        self.name, out = name, at or self.output.out or Path("results") / "-".join((name, *kind))
-        self.out = out if team is None else team.folder(out)
+        out, base = at or self.output.out, Path("results") / "-".join((name, *kind))
+        if out is None:
+            out = record.own_folder(base, settings or {}, varied=varied)
+            if not varied and out != base and not out.exists():
+                self.say(f"{base} holds {record.another(base, settings)}: this one goes to {out}")
+        self.name, self.settings, self.out = name, settings, out if team is None else team.folder(out)
         check_own(self.out, file)
+        record.check(self.out, settings)
         return self.out
+
+    def whole(self) -> "contextlib.AbstractContextManager[Path]":
+        """Give an empty folder, whose files become those of the result once the block ends well."""
+        from tuning.output import record
+
+        return record.whole(self.out, self.settings)
 
     def say(self, *lines: str) -> None:
         """Print lines beside the results."""
@@ -165,7 +194,8 @@ class Session:
         from tuning.report.pages import summed_table
 
         how: dict[str, Any] = {"figures": self.output.figures, "stage": self.stage, "compared": compared}
-        written, problem = found.write(self.out, origin=origin(self.name, again), **how), found.problem
+        how |= {"origin": origin(self.name, again), "settings": self.settings}
+        written, problem = found.write(self.out, **how), found.problem
         if table is not None:
             self.show(table)
         elif written.summed is not None:
@@ -185,6 +215,10 @@ class Session:
         process that walked beside this one, for example, was stopped as well and may be gone first.
         """
         self.done = done
+        if self.settings is not None:
+            from tuning.output import record
+
+            record.begin(self.out, self.settings)
         try:
             yield
         except Interrupted:  # it says more

@@ -8,7 +8,7 @@ beside it.
 import dataclasses
 import itertools
 import os
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -92,11 +92,15 @@ class Excited:
         origin: "Origin | None" = None,
         figures: Collection[str] = ("png",),
         stage: Stage = silent,
+        settings: Mapping[str, Any] | None = None,
     ) -> str:
-        """Write what the command writes, and return the names of the files; OutputError where it cannot be."""
+        """Write what the command writes, and return the names of the files; OutputError where it cannot be.
+
+        `settings` as of `tuning.searches.result.Result.write`.
+        """
         from tuning.output.excitation import write
 
-        return write(self, Path(folder), origin, figures, stage)
+        return write(self, Path(folder), origin, figures, stage, settings)
 
 
 def excite(

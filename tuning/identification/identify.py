@@ -128,15 +128,18 @@ class Identified:
         origin: "Origin | None" = None,
         figures: Collection[str] = ("png",),
         stage: Stage = silent,
+        settings: Mapping[str, Any] | None = None,
     ) -> str:
         """Write the result as `mjx-climb identify --out` does, and return the names of the files.
+
+        `settings` as of `tuning.searches.result.Result.write`.
 
         Raises:
             OutputError: a file cannot be written.
         """
         from tuning.identification.output import write
 
-        return write(self, Path(folder), origin, figures, stage)
+        return write(self, Path(folder), origin, figures, stage, settings)
 
 
 def turned(angles: Sequence[float]) -> np.ndarray:

@@ -22,7 +22,8 @@ from tuning.identification.inference import suspicious
 from tuning.identification.least_squares import scaled_residuals
 from tuning.identification.variables import begin
 from tuning.identification.windows import KINDS, UNITS
-from tuning.output.folder import Contents, Folder, write_config
+from tuning.output.folder import Contents, Folder, check_own, write_config
+from tuning.output.record import Settings, whole
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.report import page
 from tuning.report.numbers import number
@@ -47,14 +48,25 @@ COLUMNS = ("parameter", "unit", "before", "after", "95 % interval", "remark")
 
 
 def write(
-    found: "Identified", folder: Path, origin: "page.Origin | None", figures: Collection[str], stage: Stage
+    found: "Identified",
+    folder: Path,
+    origin: "page.Origin | None",
+    figures: Collection[str],
+    stage: Stage,
+    settings: Settings | None = None,
 ) -> str:
     """Write all files of a result into a folder and return their names."""
-    place, call = Folder(folder, FILE, origin, figures, stage), "tuning.identify(...)"
-    scenario = write_config(found.scenario, folder)
-    identified = identified_scenario(found, scenario, folder)
+    check_own(folder, FILE)
+    with whole(folder, settings) as place:
+        return _filled(found, Folder(place, FILE, origin, figures, stage, folder))
+
+
+def _filled(found: "Identified", place: Folder) -> str:
+    call, origin = "tuning.identify(...)", place.origin
+    scenario = write_config(found.scenario, place.path)
+    identified = identified_scenario(found, scenario, place.path)
     texts = {
-        "identified.yaml": portable_yaml(identified, folder),
+        "identified.yaml": portable_yaml(identified, place.path),
         "hardware.yaml": _yaml({"hardware": identified.hardware.model_dump(mode="json")}),
         **({"posterior.yaml": ensemble_of(found).to_yaml()} if found.known else {}),
         FILE: json.dumps(_result(found, call if origin is None else origin.asked), indent=2) + "\n",

@@ -15,7 +15,8 @@ from tuning.identification.information import SEEN
 from tuning.identification.log import joints_of
 from tuning.identification.readers.csv_file import csv_of
 from tuning.identification.rig import SPEED
-from tuning.output.folder import Contents, Folder, write_config
+from tuning.output.folder import Contents, Folder, check_own, write_config
+from tuning.output.record import Settings, whole
 from tuning.report.numbers import to_json
 from tuning.report.page import Origin, Page, Table
 from tuning.searches.result import Written
@@ -27,10 +28,22 @@ _EARTH = 9.81  # m/s^2
 BINS = 150  # of a picture's envelopes
 
 
-def write(found: Excited, folder: Path, origin: Origin | None, figures: Collection[str], stage: Stage) -> str:
+def write(
+    found: Excited,
+    folder: Path,
+    origin: Origin | None,
+    figures: Collection[str],
+    stage: Stage,
+    settings: Settings | None = None,
+) -> str:
     """Write everything and return the names of the files; OutputError where it cannot be."""
-    place = Folder(folder, FILE, origin, figures, stage)
-    scenario = write_config(found.scenario, folder)
+    check_own(folder, FILE)
+    with whole(folder, settings) as place:
+        return _filled(found, Folder(place, FILE, origin, figures, stage, folder))
+
+
+def _filled(found: Excited, place: Folder) -> str:
+    scenario = write_config(found.scenario, place.path)
 
     def report(origin: Origin) -> Page:
         return Page(

@@ -15,6 +15,7 @@ from mjx_climb.files import dataset, scenario_files
 from tuning.background import Stage, silent
 from tuning.gains import gains_file
 from tuning.gains.own_section import section
+from tuning.output.record import RESULTS
 from tuning.report import page
 from tuning.report.page import Origin, Page
 from tuning.searches import parts
@@ -26,11 +27,6 @@ if TYPE_CHECKING:
 _Found = TypeVar("_Found", bound=Result)
 Pictures = Mapping[str, tuple[str, "Callable[[], Figure]"]]  # by name: caption, and what draws it
 
-# by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
-RESULTS = (
-    "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json",
-    "excitation.csv", "replay.json", "result.json", "compared.nc", "judged.nc",
-)  # fmt: skip
 _WITHOUT_PARTS = ("trajectory.nc", "margins.json", "reproduce.json", "excitation.csv", "replay.json")
 
 
@@ -46,28 +42,33 @@ class Contents(NamedTuple):
 
 @dataclasses.dataclass
 class Folder:
-    """A folder that a result is written to, and what has been written there; OutputError where it cannot be."""
+    """A folder that a result is written to, and what has been written there; OutputError where it cannot be.
+
+    The files may be written elsewhere first, to appear together: see `tuning.output.record.whole`.
+    """
 
     path: Path
     result: str  # the file by which it is known
     origin: Origin | None = None  # this and the rest are as of `Result.write`
     figures: Collection[str] = ("png",)
     stage: Stage = silent
+    kept: Path | None = None  # where rounds are kept, and where the files will be; `path` where None
 
     def __post_init__(self) -> None:
-        check_own(self.path, self.result)
+        self.kept = self.kept or self.path
+        check_own(self.kept, self.result)
         self._pictures: dict[str, Path] = {}  # PNG by caption
         self._files: list[str] = []
 
     def write(self, found: Result, begun: Any = None) -> Written:
-        """Write a result as its kind declares it, remove the parts that its search kept, and say what was written."""
+        """Write a result as its kind declares it, and say what was written."""
         from tuning.output import results  # which imports matplotlib
 
         made: Contents = getattr(results, found.KIND)(found, self, begun)
         return dataclasses.replace(made.written, files=self.fill(made, f"tuning.{found.KIND}(...)"))
 
     def fill(self, made: Contents, call: str) -> str:
-        """Write what is declared, the page last, remove kept parts, and return the names of the files; `call` made it.
+        """Write what is declared, the page last, and return the names of the files; `call` made it.
 
         The folder has its config.yaml already.
         """
@@ -80,7 +81,6 @@ class Folder:
                 config = without_folders((self.path / "config.yaml").read_text(encoding="utf-8"))
                 named = page.write(made.page(origin._replace(config=config, pictures=self._pictures)), self.path).name
                 self._files.insert(0, named)
-        parts.clear(self.path)
         return ", ".join(dict.fromkeys([*self._files, "config.yaml"]))
 
     def found(self, found: _Found) -> _Found:

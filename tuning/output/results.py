@@ -202,7 +202,7 @@ def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Datas
     problem, ensemble, goal = found.problem, found.ensemble, found.problem.objective
     assert isinstance(goal, Objective)
     with folder.stage("retuned pd", unit="rounds") as told:
-        retuned = comparisons.retuned(problem, found.search, folder.path)(told)
+        retuned = comparisons.retuned(problem, found.search, folder.kept)(told)
     walked, pd, step = problem, {}, None
     if retuned is not None:  # as short a time step as it needs, for all that are compared
         pd = {retuned_pd.NAME: retuned.gains}
@@ -445,7 +445,7 @@ def compare_tuned(found: Tuned, folder: Folder, begun: OfSearch | None = None) -
     ours, engine = (replaced(found.scenario, found.law, found.gains)[0], found.law), problem.engine
     with background() as begin:
         tested = begin(lambda _: verification.tests(found, problem))  # the longest to compile
-        others = begun or comparisons.of_search(problem, found.search, begin, out=folder.path)
+        others = begun or comparisons.of_search(problem, found.search, begin, out=folder.kept)
         mapped = others.over or begin(lambda told: verification.map_of(found, problem, progress=told))
         walking = {**others.walks, "tuned": begin(one_walk(*ours, engine))}
         with stage("retuned pd", unit="rounds") as told:

@@ -41,6 +41,15 @@ class Written:
     outcome: list[str] = dataclasses.field(default_factory=list)  # in lines
     summary: str = ""  # all of it, JSON
 
+    def moved(self, place: Path, home: Path) -> "Written":
+        """Return the same, of files that were moved: scenarios name the copies of their files in the new folder."""
+        from tuning.output.record import at_home, walks_at_home
+
+        data = self.data
+        if data is not None and str(place) in data.attrs.get("scenario", ""):
+            data = data.assign_attrs(scenario=at_home(dataset.scenario_of(data), place, home).to_yaml())
+        return dataclasses.replace(self, walks=walks_at_home(self.walks, place, home), data=data)
+
 
 @dataclasses.dataclass(frozen=True)
 class Result:
@@ -74,8 +83,11 @@ class Result:
         figures: Collection[str] = ("png",),
         stage: Stage = silent,
         compared: Any = None,
+        settings: Mapping[str, Any] | None = None,
     ) -> Written:
         """Compare, test and draw the result, and write what its command writes.
+
+        The files appear together at the end, in place of those of an earlier result there.
 
         Arguments:
             folder: where to; it is made. What the search kept there with `out=folder` is removed.
@@ -83,20 +95,31 @@ class Result:
             figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; reports hold them as PNG anyway.
             stage: opened for each longer work, see `tuning.background.Stage`; nothing is printed.
             compared: what `tuning.output.comparisons` gave, where it was begun before the search.
+            settings: what a command was asked for, by which it knows its folder again.
 
         Raises:
             ConfigError: over an ensemble, some gains diverge in each member.
             OutputError: a file cannot be written, or the folder holds another command's result.
         """
-        from tuning.output.folder import Folder
+        from tuning.output.folder import Folder, check_own
+        from tuning.output.record import whole
 
-        return Folder(Path(folder), self.FILE, origin, figures, stage).write(self, compared)
+        home = Path(folder)
+        check_own(home, self.FILE)
+        with whole(home, settings) as place:
+            written = Folder(place, self.FILE, origin, figures, stage, home).write(self, compared)
+        return written.moved(place, home)
 
-    def write_found(self, folder: Path, origin: "Origin | None" = None) -> None:
-        """Write what was asked, gains and data, without walking anything."""
-        from tuning.output.folder import Folder
+    def write_found(
+        self, folder: Path, origin: "Origin | None" = None, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        """Write what was asked, gains and data, without walking anything; `settings` as of `write`."""
+        from tuning.output.folder import Folder, check_own
+        from tuning.output.record import whole
 
-        Folder(folder, self.FILE, origin).found(self)
+        check_own(folder, self.FILE)
+        with whole(folder, settings, finished=False) as place:
+            Folder(place, self.FILE, origin, kept=folder).found(self)
 
     def comment(self, name: str) -> str:
         """Return what the file of its gains says of a result for the scenario `name`."""

@@ -190,7 +190,12 @@ class Grid:
 
     def identity(self) -> dict[str, Any]:
         axes = {name: values.tolist() for name, values in self.axes.items()}
-        how = {"dtype": np.dtype(self.walked.dtype).name, "batch_size": self.size, "histories": self.rows <= HISTORIES}
+        how: dict[str, Any] = {
+            "order": [*axes],
+            "dtype": np.dtype(self.walked.dtype).name,
+            "batch_size": self.size,
+            "histories": self.rows <= HISTORIES,
+        }
         return {"kind": Swept.KIND, **identity_of(self.walked), "axes": axes, **how}
 
     def write_asked(self, folder: Path) -> None:

@@ -172,7 +172,7 @@ def test_run_writes_and_prints(call, tmp_path):
     assert code == 0
     assert "peak foot force" in out and "N m" in out and out.rstrip().endswith("held all the way")
     assert "compil" in err and str(tmp_path) in err
-    written = {"trajectory.nc", "config.yaml", "metrics.json", "walk.png", "feet.png", "walk.mcap"}
+    written = {"trajectory.nc", "config.yaml", "metrics.json", "walk.png", "feet.png", "walk.mcap", "settings.json"}
     assert {path.name for path in tmp_path.iterdir()} == written
     scenario = mc.load_scenario(tmp_path / "config.yaml")
     assert scenario == mc.load_scenario(CONFIG, ["duration=0.3", "control.controller=pd"])
@@ -290,7 +290,7 @@ def test_sweep_prints_json_alone_on_stdout_and_writes_grid_maps_and_config(swept
     for word in ("compil", "cache", "6 of 6 walks", "paper", "force variation", str(folder)):
         assert word in err
     names = {path.name for path in folder.iterdir()}
-    assert names == {"report.html", "sweep.nc", "config.yaml", "comparison.json", "maps.png"}
+    assert names == {"report.html", "sweep.nc", "config.yaml", "comparison.json", "maps.png", "settings.json"}
     result = xr.load_dataset(folder / "sweep.nc", engine="h5netcdf")
     np.testing.assert_allclose(result["stiffness"], [1e3, 1e4, 1e5])
     assert sweeps.best_cell(result)["stiffness"].item() == found["best"]["gains"]["stiffness"]

@@ -235,8 +235,13 @@ def traced(monkeypatch, tmp_path, folder):
     for module, names in RECORDED.items():
         for name in names.split():
             monkeypatch.setattr(f"{module}.{name}", getattr(calls, f"{module}.{name}".replace(".", "_")))
+    # settings, and the name of a folder, have all that is typed, used or not
+    (tmp_path / "out").mkdir()
+    monkeypatch.setattr("tuning.output.record.settings_of", lambda *_, **__: {})
+    monkeypatch.setattr("tuning.output.record.own_folder", lambda *_, **__: tmp_path / "out")
+    monkeypatch.setattr("tuning.output.record.walks_at_home", lambda walks, *_: walks)
     scenario, found = mc.load_scenario(CONFIG), Found(calls.write)
-    log = SimpleNamespace(guessed=None, warnings=(), signals={"base.force.x": ()}, source="log.csv")
+    log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.force.x": ()}, source="log.csv")
     returned = {
         "write": SimpleNamespace(summed=1, outcome=(), files="files", summary="{}"),
         "mjx_climb_metrics": dict.fromkeys(mc.METRICS.names, 1.0) | {"detached_limb": None, "diverged": False},

@@ -213,5 +213,5 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call)
     assert found["own_hardware"] == {"holds": True, "better": True}
     assert [line.startswith("force delay: gains stay better than pd") for line in found["warnings"]] == [True]
     assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
-        "config.yaml", "margins.json", "margins.nc", "margins.png"
+        "config.yaml", "margins.json", "margins.nc", "margins.png", "settings.json"
     }  # fmt: skip

@@ -174,11 +174,11 @@ def test_at_the_shell(walk, tmp_path, capsys):
     assert written["base"] == "free" and written["signals"]["LF.coxa.position"]["largest"] < 1e-12
     assert written["judged"]["law"]["peak_foot_force"] == pytest.approx(mc.metrics(walk)["peak_foot_force"], rel=1e-6)
     assert "LF.coxa.position: {topic: /joint_states, field: position.LF_coxa}" in printed.err
-    files = {"replay.json", "replay.png", "simulation.nc", "signals.yaml", "config.yaml"}
+    files = {"replay.json", "replay.png", "simulation.nc", "signals.yaml", "config.yaml", "settings.json"}
     assert {path.name for path in out.iterdir()} == files
     again = dataset.load_trajectory(out / "simulation.nc")
     np.testing.assert_allclose(again.joint_angles, walk.joint_angles, atol=1e-12)
-    assert program.run([*typed, "--signals", str(out / "signals.yaml")]) == 0  # into the same folder
+    assert program.run([*typed, "--judge", "--signals", str(out / "signals.yaml")]) == 0  # into the same folder
     assert "guessed" not in capsys.readouterr().err
     write_csv(tmp_path / "log.csv", recorded())
     assert program.run([*typed[:2], "--log", str(tmp_path / "log.csv"), "--judge"]) == 2

@@ -44,7 +44,7 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     names = {file.name for file in tmp_path.iterdir()}
     pictures = {f"{name}.png" for name in ("convergence", "path", "walks", "margins")}
     files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
-    assert names == files | pictures
+    assert names == files | pictures | {"settings.json"}
     walked = ["pd", "config", "tuned", "retuned_pd"]
     tested = ["drawing", "map", "margins", "verification"]  # pictures of the walks while the tests go on
     assert stages == ["retuned pd", *walked, *tested, "drawing", "report"]
@@ -105,7 +105,7 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
     )  # fmt: skip
     begun = comparisons.OfSearch(lambda _: types.SimpleNamespace(feasible=True), {}, nothing, {})
     with pytest.raises(Given) as given:
-        results.compare_tuned(found, types.SimpleNamespace(stage=background.silent, path=None, draw=nothing), begun)
+        results.compare_tuned(found, types.SimpleNamespace(stage=background.silent, kept=None, draw=nothing), begun)
     assert scenario.time_step == 1e-3 and given.value.args == (5e-4, 5e-4, 5e-4)
 
 
@@ -127,8 +127,9 @@ def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_p
     monkeypatch.setattr(results, "tune", tune)
     found = found_in(mc.load_scenario("case_1_2"))
     Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
-    written = Folder(tmp_path, found.FILE).write(found)
-    assert set(written.files.split(", ")) == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
+    written = found.write(tmp_path)
+    names = {*written.files.split(", "), "settings.json"}
+    assert names == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
     read = result.load(tmp_path / "search.nc")
     for name in ("scenario", "search", "value", "best_at", "env_steps", "feasible", "interrupted"):
         assert getattr(read, name) == getattr(found, name), name
