@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import mjx_climb as mc  # noqa: E402
+from mjx_climb.execution.batch_axes import own_axes  # noqa: E402
 from mjx_climb.files import dataset  # noqa: E402
-from mjx_climb.quantities.batches import own_axes  # noqa: E402
 from mjx_climb.scenario.load import load_hardware, with_hardware  # noqa: E402
 from mjx_climb.scenario.shipped import config_path  # noqa: E402
 from tuning.evaluation import paired  # noqa: E402

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import mjx_climb as mc  # noqa: E402
-from mjx_climb import plots  # noqa: E402
+from mjx_climb.viz import plots  # noqa: E402
 
 STIFFNESS = 3e3  # N/m, N m/rad
 DAMPING = np.geomspace(70, 130, 361)  # N s/m, N m s/rad

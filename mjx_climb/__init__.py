@@ -11,27 +11,27 @@ if TYPE_CHECKING:
     from mjx_climb.control import Reference as Reference
     from mjx_climb.control import Start as Start
     from mjx_climb.control import gain as gain
-    from mjx_climb.dynamics import ENGINES as ENGINES
-    from mjx_climb.dynamics import forward_dynamics as forward_dynamics
-    from mjx_climb.dynamics.state import Acceleration as Acceleration
-    from mjx_climb.dynamics.state import State as State
-    from mjx_climb.quantities.parameters import Gains as Gains
-    from mjx_climb.quantities.parameters import Parameters as Parameters
-    from mjx_climb.quantities.parameters import parameters as parameters
+    from mjx_climb.functions import Environment as Environment
+    from mjx_climb.functions import metrics as metrics
+    from mjx_climb.functions import rollout as rollout
+    from mjx_climb.functions import rollout_histories as rollout_histories
+    from mjx_climb.functions import rollout_jvp as rollout_jvp
+    from mjx_climb.functions import rollout_metrics as rollout_metrics
+    from mjx_climb.functions import simulator as simulator
+    from mjx_climb.inputs.parameters import Gains as Gains
+    from mjx_climb.inputs.parameters import Parameters as Parameters
+    from mjx_climb.inputs.parameters import parameters as parameters
+    from mjx_climb.physics.equations_of_motion import ENGINES as ENGINES
+    from mjx_climb.physics.equations_of_motion import forward_dynamics as forward_dynamics
+    from mjx_climb.physics.state import Acceleration as Acceleration
+    from mjx_climb.physics.state import State as State
     from mjx_climb.robot.constants import RobotError as RobotError
-    from mjx_climb.rollouts.functions import Environment as Environment
-    from mjx_climb.rollouts.functions import metrics as metrics
-    from mjx_climb.rollouts.functions import rollout as rollout
-    from mjx_climb.rollouts.functions import rollout_histories as rollout_histories
-    from mjx_climb.rollouts.functions import rollout_jvp as rollout_jvp
-    from mjx_climb.rollouts.functions import rollout_metrics as rollout_metrics
-    from mjx_climb.rollouts.functions import simulator as simulator
-    from mjx_climb.rollouts.trajectory import Trajectory as Trajectory
     from mjx_climb.scenario.load import load_scenario as load_scenario
     from mjx_climb.scenario.messages import ConfigError as ConfigError
     from mjx_climb.scenario.model import Scenario as Scenario
     from mjx_climb.simulation import Simulation as Simulation
     from mjx_climb.simulation import SimulationState as SimulationState
+    from mjx_climb.trajectory import Trajectory as Trajectory
     from mjx_climb.walk.control_loop import BaseShift as BaseShift
     from mjx_climb.walk.control_loop import JointTargets as JointTargets
     from mjx_climb.walk.metrics import METRICS as METRICS

@@ -8,7 +8,7 @@
     simulation.reset(gains), .step(state)      one robot, step by step, as pure functions
 
 The walk itself is `mjx_climb.walk.step`; how a function of one robot is carried out for a batch is the affair of
-`mjx_climb.execution`. `mjx_climb.rollouts.functions` has the same in one call.
+`mjx_climb.execution`. `mjx_climb.functions` has the same in one call.
 """
 
 import dataclasses
@@ -24,19 +24,14 @@ from jaxtyping import Float
 from numpy.typing import DTypeLike
 
 from mjx_climb import execution
-from mjx_climb.checks.time_step import check_time_step
 from mjx_climb.control import Law, law_of
-from mjx_climb.dynamics import DEFAULT_ENGINE, checked_engine
-from mjx_climb.dynamics.state import State
+from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, over_batch
 from mjx_climb.execution.batches import Progress
+from mjx_climb.gait.base_path import check_base
 from mjx_climb.hardware.stages import Stages, given, stages_of
-from mjx_climb.quantities.base import check_base
-from mjx_climb.quantities.batches import axes_behind, batch_shape, is_traced, over_batch
-from mjx_climb.quantities.parameters import Parameters, own_parameters
-from mjx_climb.robot.constants import load_robot
-from mjx_climb.robot.stance import check_stance
-from mjx_climb.rollouts.gait_values import gait_of, scenario_with_gait
-from mjx_climb.rollouts.resolve import (
+from mjx_climb.inputs.gait_values import gait_of, scenario_with_gait
+from mjx_climb.inputs.parameters import Parameters, own_parameters
+from mjx_climb.inputs.resolve import (
     AnyGains,
     by_name,
     check_robots,
@@ -46,22 +41,19 @@ from mjx_climb.rollouts.resolve import (
     resolve_in,
     resolved_directions,
 )
-from mjx_climb.rollouts.trajectory import Trajectory
-from mjx_climb.rollouts.walks import (
-    Metrics,
-    histories_of,
-    metrics_of,
-    metrics_of_moved,
-    samples_of,
-    samples_under,
-    together,
-)
+from mjx_climb.inputs.time_step import check_time_step
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE, checked_engine
+from mjx_climb.physics.state import State
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.stance import check_stance
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.control_loop import Action, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
+from mjx_climb.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of, samples_under, together
 
 
 class How(TypedDict, total=False):

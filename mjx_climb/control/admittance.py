@@ -13,7 +13,7 @@ from jax import Array
 
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain, shifted
 from mjx_climb.control.virtual_mass import Motion, VirtualMass, advance, at_rest
-from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply, quaternion_to_matrix
+from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply, quaternion_to_matrix
 
 
 class SixAxes(Law):

@@ -24,7 +24,7 @@ from mjx_climb.control.foot_offsets import Offsets, base_error, feet_shifted, re
 from mjx_climb.control.force_distribution import Sharing, moved_rigidly, net_wrench, pushed_up, rigid_part, sharing
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.virtual_mass import bounded
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.physics.spatial import quaternion_to_matrix
 
 _SWEEPS = 12  # through the pairs of feet, which leave 0.01 N of margin in the hundredth worst of scenes
 _FLAT = 1e-6  # added to a curvature, of one

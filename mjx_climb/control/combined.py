@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start
-from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply
+from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply
 
 
 class Part(NamedTuple):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.control.law import Command, Measurement, Reference, Start
-from mjx_climb.dynamics.spatial import quaternion_conjugate, quaternion_multiply
+from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply
 
 RELEASE = 0.05  # s, in which an offset fades once its gripper has opened
 LEAST = 0.02  # weight of a foot that stands: three of them can always take the wrench

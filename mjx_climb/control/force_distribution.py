@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.dynamics.spatial import skew, solve_symmetric
+from mjx_climb.physics.spatial import skew, solve_symmetric
 
 _REGULARIZATION = 8.0  # in units of rounding: feet on a line cannot take any wrench
 _SOFTNESS = 0.1  # of a limit on pulls, in units of a weight: where feet have to pull harder, they share it

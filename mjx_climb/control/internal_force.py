@@ -14,7 +14,7 @@ from mjx_climb.control.foot_offsets import Offsets, feet_shifted, released, stan
 from mjx_climb.control.force_distribution import least_forces, net_wrench
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.virtual_mass import bounded
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.physics.spatial import quaternion_to_matrix
 
 
 class InternalForce(Law):

@@ -20,7 +20,7 @@ from mjx_climb.control.foot_offsets import LEAST, Offsets, base_error, feet_shif
 from mjx_climb.control.force_distribution import distributed, moved_rigidly, net_wrench, rigid_part
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
 from mjx_climb.control.virtual_mass import bounded
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
+from mjx_climb.physics.spatial import quaternion_to_matrix
 
 
 class LoadTransfer(Law):

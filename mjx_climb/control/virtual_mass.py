@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.dynamics.spatial import norm
+from mjx_climb.physics.spatial import norm
 
 SUBSTEP = 2e-3  # s, at most
 LONGEST_PERIOD = 20e-3  # s

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mjx_climb.files.dataset import write_bytes_atomically
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import bare
+from mjx_climb.robot_import.description import bare
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.dynamics.spatial import quaternion_normalize
-from mjx_climb.dynamics.state import State
-from mjx_climb.hardware import signals
+from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.stages import Hardware
-from mjx_climb.quantities.parameters import whole_steps
+from mjx_climb.inputs.parameters import whole_steps
+from mjx_climb.physics.spatial import quaternion_normalize
+from mjx_climb.physics.state import State
 
 BASE_CHANNELS = 1000  # of the noise of the base estimate, the first; the force sensors have those before
 _PARTS = 8  # of 16 bits each, two to a word

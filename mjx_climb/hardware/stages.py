@@ -11,8 +11,8 @@ from jax import Array
 from jax.extend.core import concrete_or_error
 from jax.typing import ArrayLike
 
-from mjx_climb.hardware.signals import Buffer, buffer_length, period_steps, weights
-from mjx_climb.quantities.parameters import Parameters, own_parameters
+from mjx_climb.hardware.bus import Buffer, buffer_length, period_steps, weights
+from mjx_climb.inputs.parameters import Parameters, own_parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.model import Scenario
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.description import PASSIVE, RobotError
+from mjx_climb.robot_import.description import PASSIVE, RobotError
 from mjx_climb.scenario.model import RobotFile
 
 __all__ = ["Robot", "RobotError", "load_model", "load_robot", "load_spec", "model_path", "robot_from_model"]
@@ -117,7 +117,7 @@ def load_model(name: str | RobotFile) -> mujoco.MjModel:
 def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
     """Return the editable description that `load_model` compiles."""
     if isinstance(name, RobotFile):
-        from mjx_climb.robot.stance import spec_of  # which looks for a stance with the constants of a robot
+        from mjx_climb.robot_import.stance import spec_of  # which looks for a stance with the constants of a robot
 
         return spec_of(name)
     return mujoco.MjSpec.from_file(str(model_path(name)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
-from mjx_climb.hardware import registers
+from mjx_climb.scenario import registers
 from mjx_climb.scenario import values as v
 from mjx_climb.scenario.messages import config_error, failure, refusal
 from mjx_climb.scenario.values import setting

@@ -12,15 +12,16 @@ from numpy.typing import DTypeLike
 
 from mjx_climb.control import Command, JointGains, Law, Measurement, Reference, Start, sensor_watch, shifted
 from mjx_climb.control.law import beginning
-from mjx_climb.dynamics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
-from mjx_climb.dynamics.kinematics import Feet, Turning, base_wrench_of_foot_force
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
-from mjx_climb.dynamics.state import State
-from mjx_climb.hardware import sensors, servo, signals
+from mjx_climb.hardware import bus as signals
+from mjx_climb.hardware import sensors, servo
 from mjx_climb.hardware.stages import Hardware
+from mjx_climb.physics.contact.gripper import Contact, Grip
+from mjx_climb.physics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
+from mjx_climb.physics.kinematics import Feet, Turning, base_wrench_of_foot_force
+from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot
 from mjx_climb.shapes import check_shape, dims_of
-from mjx_climb.walk.contact import Contact, Grip
 
 
 class JointTargets(NamedTuple):

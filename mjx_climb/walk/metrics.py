@@ -18,7 +18,7 @@ from jax import Array
 from jax.lax import stop_gradient
 
 from mjx_climb.control.sensor_watch import SILENCE
-from mjx_climb.dynamics.spatial import norm
+from mjx_climb.physics.spatial import norm
 from mjx_climb.robot.constants import Robot
 from mjx_climb.walk.sample import Sample
 

@@ -16,10 +16,16 @@ from jax import Array
 
 from mjx_climb import execution
 from mjx_climb.control import Law
-from mjx_climb.dynamics import ENGINES
-from mjx_climb.dynamics.inverse_dynamics import load_torque
-from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics, limb_geometry
-from mjx_climb.dynamics.kinematics import (
+from mjx_climb.disturbances import on_base as disturbance
+from mjx_climb.gait import schedule as gait
+from mjx_climb.hardware import servo
+from mjx_climb.hardware.stages import Hardware, hardware_of
+from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.physics.contact.gripper import Attitude, Contact, Reach, grip
+from mjx_climb.physics.equations_of_motion import ENGINES
+from mjx_climb.physics.inverse_dynamics import load_torque
+from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
+from mjx_climb.physics.kinematics import (
     LimbFrames,
     base_wrench_of_foot_force,
     center_of_mass,
@@ -27,16 +33,12 @@ from mjx_climb.dynamics.kinematics import (
     foot_turning,
     limb_frames,
 )
-from mjx_climb.dynamics.spatial import norm, quaternion_to_matrix
-from mjx_climb.dynamics.state import Acceleration, Loads, State, integrate
-from mjx_climb.hardware import servo
-from mjx_climb.hardware.stages import Hardware, hardware_of
-from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.physics.margins import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
+from mjx_climb.physics.spatial import norm, quaternion_to_matrix
+from mjx_climb.physics.state import Acceleration, Loads, State, integrate
 from mjx_climb.robot.constants import Robot, load_robot
-from mjx_climb.walk import control_loop, disturbance, gait
-from mjx_climb.walk.contact import Attitude, Contact, Reach, grip
+from mjx_climb.walk import control_loop
 from mjx_climb.walk.sample import Sample
-from mjx_climb.walk.stability import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
 from mjx_climb.walk.structure import Structure
 
 

@@ -19,9 +19,9 @@ from mjx_climb.execution.cuda_writer import CudaWriter
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import tangents_of
 from mjx_climb.execution.gpu_kernel import body_of, written
-from mjx_climb.rollouts.resolve import resolve_in
-from mjx_climb.rollouts.walks import metrics_of
+from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.walk.structure import structure
+from mjx_climb.walks import metrics_of
 from tests.execution import primitives
 
 HERE = Path(__file__).parent

@@ -7,8 +7,8 @@ import threading
 import numpy as np
 import pytest
 
-from mjx_climb import rendering
 from mjx_climb.files.writing import OutputError, write_text_atomically
+from mjx_climb.viz import rendering
 
 WRITERS = {
     "text": lambda path: write_text_atomically(path, "new"),

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.checks.time_step import growth, largest_time_step
-from mjx_climb.dynamics.state import State
-from mjx_climb.hardware import registers, servo
+from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import hardware_of, stages_of
-from mjx_climb.quantities.parameters import own_parameters
+from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.time_step import growth, largest_time_step
+from mjx_climb.physics.state import State
+from mjx_climb.scenario import registers
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.messages import ConfigError
 from tests import derivatives

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.hardware import sensors, servo, signals
+from mjx_climb.hardware import bus as signals
+from mjx_climb.hardware import sensors, servo
 from mjx_climb.hardware.stages import IDEAL, hardware_of, stages_of
 from mjx_climb.robot.constants import load_robot
 

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import mjx_climb as mc
-from mjx_climb.dynamics.kinematics import Feet
-from mjx_climb.dynamics.spatial import norm, quaternion_multiply, quaternion_to_matrix
+from mjx_climb.physics.contact.gripper import Contact, grip
+from mjx_climb.physics.kinematics import Feet
+from mjx_climb.physics.spatial import norm, quaternion_multiply, quaternion_to_matrix
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.scenario.yaml_text import Dumper, pairs
-from mjx_climb.walk.contact import Contact, grip
 
 # --- scenarios
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.robot.proposal import propose
+from mjx_climb.robot_import.proposal import propose
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.quantities.parameters import own_parameters
-from mjx_climb.rollouts.walks import histories
+from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.walks import histories
 from tests import oracle
 from tests.conftest import six_gains
 from tests.robot import climbers

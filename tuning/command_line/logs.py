@@ -246,8 +246,8 @@ def _write(
     found: "Replay", judged: Mapping[str, Any], shell: "Session", pictures: Pictures, out: Path
 ) -> tuple[str, str]:
     """Write a replay into a folder and print its errors; return the names of the files, and the errors as JSON."""
-    from mjx_climb import plots
     from mjx_climb.files import dataset
+    from mjx_climb.viz import plots
     from tuning.command_line.session import plain_table
     from tuning.identification.log import unit_of
     from tuning.identification.replay_picture import plot_replay

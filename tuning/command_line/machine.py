@@ -188,7 +188,7 @@ def path() -> Iterator[Part]:
 
 def renderer() -> Iterator[Part]:
     """Yield which OpenGL renders pictures and videos."""
-    from mjx_climb.rendering import RenderingError, backend
+    from mjx_climb.viz.rendering import RenderingError, backend
 
     found, text, findings = None, "off (MUJOCO_GL)", []
     if os.environ.get("MUJOCO_GL", "").lower().strip() not in backend.OFF:
@@ -201,7 +201,7 @@ def renderer() -> Iterator[Part]:
 
 def simulation() -> Iterator[Part]:
     """Yield how far walk, gradient and dynamics on this machine are from the stored values."""
-    from mjx_climb.checks import self_check
+    from mjx_climb import self_check
 
     with warnings.catch_warnings():
         # what `cache` has found already

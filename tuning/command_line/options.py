@@ -19,13 +19,13 @@ from tuning.problem.search import Search, check_metrics
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    from mjx_climb.rollouts.resolve import AnyGains
+    from mjx_climb.inputs.resolve import AnyGains
     from tuning.command_line.session import Session
     from tuning.problem.evaluation import Problem
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 EngineName = Literal["limb", "mjx"]
-FORMATS = ("png", "svg", "pdf")  # those of `mjx_climb.plots`, which the command line does not wait for
+FORMATS = ("png", "svg", "pdf")  # those of `mjx_climb.viz.plots`, which the command line does not wait for
 
 
 HARDWARE = setting(
@@ -138,7 +138,7 @@ class Walk(Options):
 
     def load_with_gains(self) -> "Problem":
         """Return what `load` does, with the values of the gains file in the scenario or the law."""
-        from mjx_climb.checks.time_step import check_time_step
+        from mjx_climb.inputs.time_step import check_time_step
         from tuning.gains import gains_file
 
         loaded = self.load()
@@ -241,13 +241,13 @@ def scenario_from(
     config: Path, changes: Mapping[str, Any], hardware: str | None = None, controller: str | None = None
 ) -> "mc.Scenario":
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
-    from mjx_climb.checks.time_step import check_time_step
     from mjx_climb.execution import paths
-    from mjx_climb.quantities.base import check_base
-    from mjx_climb.quantities.ground import check_reach
-    from mjx_climb.robot.stance import check_stance
+    from mjx_climb.gait.base_path import check_base
+    from mjx_climb.inputs.time_step import check_time_step
+    from mjx_climb.robot_import.stance import check_stance
     from mjx_climb.scenario.load import load_hardware, with_hardware
     from mjx_climb.scenario.model import overridden
+    from mjx_climb.terrain import check_reach
 
     config = shipped.found(config)
     paths.begin()  # the walk of this scenario asks for it

@@ -89,7 +89,7 @@ def plot(asked: Plot) -> None:
       mjx-climb plot results/case_1_2-tune --figures svg,pdf --out paper
       mjx-climb plot results/case_2-pd --size 180x200 --style journal.mplstyle
     """
-    from mjx_climb import plots
+    from mjx_climb.viz import plots
     from tuning.output import redrawn
 
     folder, out = asked.folder, asked.out or asked.folder
@@ -122,7 +122,7 @@ class Rival(Options):
 
         if self.retuned_pd is None:
             return {}
-        from mjx_climb.rollouts.gait_values import GAIT
+        from mjx_climb.inputs.gait_values import GAIT
 
         values = gains_file.by_name(gains_file.load(self.retuned_pd))
         if missing := [name for name in ("kp", "kd") if name not in values]:
@@ -152,9 +152,9 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         from mjx_climb.execution import devices
 
         devices.begin()
-        from mjx_climb import plots
         from mjx_climb.control import PD, law_of
         from mjx_climb.files import dataset
+        from mjx_climb.viz import plots
         from tuning.evaluation import linear_margins
         from tuning.evaluation import margins as evaluation
         from tuning.gains.gains_file import apart, by_name
@@ -402,7 +402,7 @@ def export(asked: Export) -> None:
     with reserved_stdout() as stdout:
         from mjx_climb.control import PD
         from mjx_climb.files import dataset
-        from mjx_climb.rollouts.gait_values import gait_of
+        from mjx_climb.inputs.gait_values import gait_of
         from mjx_climb.scenario.messages import config_error
         from tuning.command_line.options import Output
         from tuning.command_line.session import Session
@@ -502,7 +502,7 @@ def _load_transfer(
 ) -> tuple[dict[str, str], list[str]]:
     """Return the files for a robot under load transfer, by name, and notes on them; values of a whole gains file."""
     from mjx_climb.control import LoadTransfer
-    from mjx_climb.rollouts.resolve import with_gains
+    from mjx_climb.inputs.resolve import with_gains
     from tuning.gains import gains_file, load_transfer
 
     law = LoadTransfer(**vars(with_gains(asked.load_transfer() or LoadTransfer(), values)))

@@ -55,13 +55,13 @@ def robot(asked: Robot, incline: Incline) -> None:
       mjx-climb robot humanoid.xml --limbs left_leg,right_leg
       mjx-climb robot limbero.urdf --gravity 1.62 --slope 30
     """
-    from mjx_climb import rendering
-    from mjx_climb.checks.time_step import largest_time_step
     from mjx_climb.files import dataset
-    from mjx_climb.robot.proposal import propose
-    from mjx_climb.rollouts import first_walks
+    from mjx_climb.inputs.time_step import largest_time_step
+    from mjx_climb.robot_import.proposal import propose
     from mjx_climb.scenario.model import validated
+    from mjx_climb.viz import rendering
     from tuning.command_line.session import Session
+    from tuning.evaluation import first_walks
 
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():

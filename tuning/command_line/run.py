@@ -66,7 +66,7 @@ class Pictures(Options):
         if self.compare == scenario.control.controller:
             raise InputError(f"--compare: expected a controller other than the walk's own, got {self.compare}")
         if self.video or self.snapshots or self.view:
-            from mjx_climb.rendering import backend
+            from mjx_climb.viz.rendering import backend
 
             if self.video or self.snapshots:
                 backend.find()
@@ -75,8 +75,8 @@ class Pictures(Options):
 
     def write(self, walks: Walks, folder: Path, stage: "Stage") -> list[str]:
         """Render walks side by side, each under its name, into a folder and return the names of the files."""
-        from mjx_climb import rendering
-        from mjx_climb.rendering import film
+        from mjx_climb.viz import rendering
+        from mjx_climb.viz.rendering import film
 
         files, shown, labels = [], list(walks.values()), list(walks) if len(walks) > 1 else None
         if self.video:
@@ -134,8 +134,8 @@ def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, record
       mjx-climb run case_1_2 --ceiling --snapshots
     """
     with output.session() as shell:
-        from mjx_climb import rendering
         from mjx_climb.robot.constants import load_robot
+        from mjx_climb.viz import rendering
         from tuning.output.record import settings_of
 
         loaded = walk.load_with_gains()
@@ -175,7 +175,7 @@ def _written(
 ) -> tuple[Walks, dict[str, dict[str, Any]], list[str]]:
     """Walk and write into a folder; return the walks, their metrics, and the names of the files."""
     from mjx_climb.files import dataset, scenario_files
-    from mjx_climb.files.recording import save_mcap
+    from mjx_climb.viz.recording import save_mcap
     from tuning.output.folder import write_config
     from tuning.report.numbers import to_json
 
@@ -192,7 +192,7 @@ def _written(
     dataset.save(dataset.to_dataset(walks[name]), out / "trajectory.nc")
     dataset.write_text_atomically(out / "metrics.json", to_json(metrics[name]) + "\n")
     with shell.stage("drawing", compiles=False):
-        from mjx_climb import plots  # matplotlib takes a third of a second
+        from mjx_climb.viz import plots  # matplotlib takes a third of a second
 
         figures = {"walk": plots.plot_walk(walks[name]), "feet": plots.plot_feet(walks[name])}
         figures |= {} if rival is None else {"comparison": plots.plot_comparison(walks)}
@@ -208,8 +208,8 @@ def _written(
 
 def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:
     """Print the metrics of a walk, and of the one beside it where there is one, and how they went."""
-    from mjx_climb.rollouts.remedies import remedies
     from tuning.command_line.session import comparison_table, plain_table
+    from tuning.evaluation.remedies import remedies
     from tuning.report import numbers
     from tuning.report.comparison import gains_of
     from tuning.searches.judge import without_sensors

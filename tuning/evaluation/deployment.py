@@ -1,8 +1,8 @@
 """Whether gains may go to the robot: what speaks against it on the scenario's own hardware."""
 
 import mjx_climb as mc
-from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.rollouts.resolve import AnyGains
+from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.background import Stage, silent
 from tuning.evaluation import margins, stability_limit
 

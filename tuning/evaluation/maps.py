@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.execution import devices
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.evaluation import stability_limit
 from tuning.problem import objectives
 from tuning.problem.evaluation import Problem
@@ -45,7 +45,7 @@ def with_stability(
 ) -> xr.Dataset:
     """Add `spectral_radius`, the largest eigenvalue of one step: above 1 a small disturbance grows.
 
-    Pictures of such a map show its limit, see `mjx_climb.plots.plot_map`.
+    Pictures of such a map show its limit, see `mjx_climb.viz.plots.plot_map`.
     """
     axes = {str(name): walks[name].values for name in walks["diverged"].dims}
     radius = stability_limit.over_axes(scenario, axes, law=law, engine=engine)

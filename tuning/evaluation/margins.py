@@ -15,9 +15,9 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import PD
-from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.quantities.parameters import own_parameters
-from mjx_climb.rollouts.resolve import AnyGains
+from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.gains.gains_file import by_name
 

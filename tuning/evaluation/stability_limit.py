@@ -37,15 +37,16 @@ from threadpoolctl import threadpool_limits
 import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import Law, law_of
-from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.dynamics.inverse_kinematics import inverse_kinematics
-from mjx_climb.dynamics.kinematics import limb_frames
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
-from mjx_climb.hardware.signals import period_steps
-from mjx_climb.quantities.parameters import own_parameters
-from mjx_climb.rollouts.resolve import AnyGains, resolve_in
-from mjx_climb.walk import control_loop, gait
-from mjx_climb.walk.contact import Attitude
+from mjx_climb.gait import schedule as gait
+from mjx_climb.hardware.bus import period_steps
+from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.resolve import AnyGains, resolve_in
+from mjx_climb.physics.contact.gripper import Attitude
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.physics.inverse_kinematics import inverse_kinematics
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.walk import control_loop
 from mjx_climb.walk.step import Carry, Walk, advance, begin, prepare
 from mjx_climb.walk.structure import Structure, structure
 

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.rollouts.gait_values import GAIT
+from mjx_climb.inputs.gait_values import GAIT
 from mjx_climb.walk.metrics import FAILURES
 from tuning.evaluation import maps, margins, stability_limit
 from tuning.evaluation.margins import Margin

@@ -15,10 +15,10 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb.control import LAWS, PD, SHIPPED, is_shipped, law_of
 from mjx_climb.files.dataset import write_text_atomically
-from mjx_climb.hardware import registers
-from mjx_climb.rollouts.gait_values import GAIT, gait_of, scenario_with_gait
-from mjx_climb.rollouts.resolve import AnyGains, checked_gains, with_gains
-from mjx_climb.rollouts.resolve import by_name as by_name
+from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
+from mjx_climb.inputs.resolve import AnyGains, checked_gains, with_gains
+from mjx_climb.inputs.resolve import by_name as by_name
+from mjx_climb.scenario import registers
 from mjx_climb.scenario.messages import ConfigError, config_error
 from mjx_climb.scenario.model import overridden
 from mjx_climb.scenario.yaml_text import parse, read

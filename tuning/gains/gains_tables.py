@@ -12,7 +12,7 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance
 from mjx_climb.files.dataset import COORDINATES, SIX
-from mjx_climb.rollouts.gait_values import GAIT
+from mjx_climb.inputs.gait_values import GAIT
 from tuning.gains.interfaces import INTERFACES
 from tuning.gains.ros2_control import six
 

@@ -18,7 +18,7 @@ import mjx_climb as mc
 from mjx_climb.control import SHIPPED, is_shipped, shipped
 from mjx_climb.execution.contents import in_library
 from mjx_climb.files import scenario_files
-from mjx_climb.rollouts.resolve import checked_gains
+from mjx_climb.inputs.resolve import checked_gains
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import OwnObject
 

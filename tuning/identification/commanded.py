@@ -11,12 +11,12 @@ from jax import Array
 
 import mjx_climb as mc
 from mjx_climb import execution
-from mjx_climb.dynamics.spatial import AnyArray
 from mjx_climb.hardware.stages import Stages, hardware_of
-from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.physics.spatial import AnyArray
 from mjx_climb.robot.constants import Robot, load_robot
-from mjx_climb.walk import stand as stands
 from mjx_climb.walk.control_loop import JointTargets
+from tuning.identification import held_base as stands
 
 
 class Commands(NamedTuple):

@@ -18,16 +18,16 @@ import numpy as np
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.checks.time_step import check_time_step
-from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.execution import devices
 from mjx_climb.hardware.stages import stages_of
-from mjx_climb.quantities.parameters import KEYS, own_parameters
+from mjx_climb.inputs.parameters import KEYS, own_parameters
+from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import config_error
 from tuning.background import Stage, silent
 from tuning.identification import commanded, motions
 from tuning.identification.commanded import Carried, Commands
+from tuning.identification.foot_mass import with_foot_mass
 from tuning.identification.information import Information, information
 from tuning.identification.motions import Axes, Band
 from tuning.identification.rig import RATE, SETTLING, Rig, Segment

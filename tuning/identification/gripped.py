@@ -17,15 +17,15 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb import execution
-from mjx_climb.dynamics.kinematics import limb_frames
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
-from mjx_climb.dynamics.state import State
 from mjx_climb.hardware.stages import hardware_of
-from mjx_climb.quantities.parameters import Parameters, own_parameters
+from mjx_climb.inputs.parameters import Parameters, own_parameters
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.walk import gripped as grips
-from mjx_climb.walk import stand as stands
+from tuning.identification import held_base as stands
+from tuning.identification import held_feet as grips
 from tuning.identification import model
 from tuning.identification.force_sensors import logged_force
 from tuning.identification.log import Log, Signal, joints_of

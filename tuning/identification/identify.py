@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.dynamics.spatial import quaternion_to_matrix
-from mjx_climb.quantities.parameters import KEYS
+from mjx_climb.inputs.parameters import KEYS
+from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Stage, silent

@@ -12,13 +12,13 @@ from jax import Array
 
 import mjx_climb as mc
 from mjx_climb import execution
-from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.hardware.servo import Servo, begin, gains_of, joint_loop
 from mjx_climb.hardware.stages import Stages, hardware_of, stages_of
-from mjx_climb.quantities.parameters import KEYS, Parameters, own_parameters
+from mjx_climb.inputs.parameters import KEYS, Parameters, own_parameters
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile
-from mjx_climb.walk import stand as stands
+from tuning.identification import held_base as stands
+from tuning.identification.foot_mass import with_foot_mass
 from tuning.identification.schedule import Schedule, schedule_of
 from tuning.identification.variables import Place, Variable, applied, variables
 from tuning.identification.windows import KINDS, Windows
@@ -27,7 +27,7 @@ AT_ONCE = 8  # windows in one call of an executable
 DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
 SERVO_DELAY = "hardware.servo.delay"
 LATE = {"log.velocity.delay": "velocity", "log.effort.delay": "effort"}  # of what is recorded, behind the positions
-LEAD = "log.friction.lead"  # of dry friction, see `mjx_climb.walk.stand`
+LEAD = "log.friction.lead"  # of dry friction, see `tuning.identification.held_base`
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
 _LEADS = (0.0, 0.005, 0.03)  # s, mean and sd of the prior, and the upper bound
 _BENDS = 3.0  # prior sd of the logarithm of presliding: gears bend by mrad, a simulator's friction may not at all

@@ -10,16 +10,16 @@ import numpy as np
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.dynamics.foot_mass import with_foot_mass
-from mjx_climb.dynamics.kinematics import limb_frames
 from mjx_climb.execution import devices
 from mjx_climb.hardware.stages import stages_of
-from mjx_climb.quantities.parameters import Parameters, own_parameters
+from mjx_climb.inputs.parameters import Parameters, own_parameters
+from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_STEPS
-from mjx_climb.walk import stand
+from tuning.identification import held_base as stand
 from tuning.identification.commanded import Carried, Commands, held
+from tuning.identification.foot_mass import with_foot_mass
 from tuning.identification.log import KP, OFF, Log, Signal, joints_of
 from tuning.identification.schedule import schedule_of
 

@@ -12,20 +12,20 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.dynamics.foot_mass import with_foot_mass
-from mjx_climb.dynamics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
-from mjx_climb.dynamics.kinematics import limb_frames
-from mjx_climb.dynamics.limb_engine import held_accelerations
-from mjx_climb.dynamics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
-from mjx_climb.dynamics.state import State
 from mjx_climb.hardware.stages import Stages, hardware_of
-from mjx_climb.quantities.parameters import Parameters
+from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.limb_engine import held_accelerations
+from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
+from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import config_error
-from mjx_climb.walk.stand import Sent
 from tuning.identification import commanded
 from tuning.identification.commanded import Carried, Commands
+from tuning.identification.foot_mass import with_foot_mass
 from tuning.identification.force_sensors import logged_force
+from tuning.identification.held_base import Sent
 from tuning.identification.log import Signal
 from tuning.identification.motions import Axes
 from tuning.identification.schedule import Schedule

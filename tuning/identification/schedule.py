@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from mjx_climb.walk.stand import targets_of
+from tuning.identification.held_base import targets_of
 from tuning.identification.log import KP, OFF, Signal
 
 Gains = dict[str, np.ndarray]  # share and on, as of a Schedule

@@ -18,12 +18,8 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb.dynamics.spatial import (
-    quaternion_from_rotation_vector,
-    quaternion_to_matrix,
-    turn_about_z,
-)
-from mjx_climb.quantities.parameters import COORDINATES, KEYS, Parameters, own_parameters
+from mjx_climb.inputs.parameters import COORDINATES, KEYS, Parameters, own_parameters
+from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix, turn_about_z
 from mjx_climb.robot.constants import Robot, load_robot
 from mjx_climb.scenario.messages import ConfigError, section
 

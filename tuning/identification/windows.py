@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.walk.stand import targets_of
 from tuning.identification.doubts import several
+from tuning.identification.held_base import targets_of
 from tuning.identification.log import KP, OFF, Log, Signal, joints_of
 from tuning.identification.schedule import Schedule
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.rollouts.gait_values import GAIT
-from mjx_climb.rollouts.resolve import AnyGains
+from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.inputs.resolve import AnyGains
 from tuning.background import Begin, Work
 from tuning.evaluation import margins, stability_limit, verification
 from tuning.gains.gains_file import replaced

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from mjx_climb import plots
+from mjx_climb.viz import plots
 from tuning.background import Stage
 from tuning.identification.excitation import PLAIN, Excited, scale
 from tuning.identification.information import SEEN

@@ -111,7 +111,7 @@ class Folder:
         """Draw pictures into files of all formats that are wanted."""
         if not pictures:
             return
-        from mjx_climb import plots  # which imports matplotlib
+        from mjx_climb.viz import plots  # which imports matplotlib
 
         with self.stage("drawing", compiles=False):
             for name, (caption, picture) in pictures.items():

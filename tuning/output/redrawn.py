@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.viz import plots
 from tuning.evaluation import paired
 from tuning.output import results
 from tuning.report import pictures

@@ -11,15 +11,15 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import mjx_climb as mc
-from mjx_climb import plots
 from mjx_climb.control import PD, law_of
 from mjx_climb.execution import devices
 from mjx_climb.files import scenario_files
-from mjx_climb.quantities.parameters import gains as scenario_gains
-from mjx_climb.rollouts.gait_values import GAIT
-from mjx_climb.rollouts.remedies import remedies
+from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.inputs.parameters import gains as scenario_gains
+from mjx_climb.viz import plots
 from tuning.background import Callback, Stage, Work, background, ignore
 from tuning.evaluation import maps, margins, paired, stability_limit, verification
+from tuning.evaluation.remedies import remedies
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name, replaced
 from tuning.output import comparisons

@@ -12,8 +12,8 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.execution import devices
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.objectives import NO_OBJECTIVE, Goal, OwnObjective
 from tuning.problem.spaces import NO_SPACE, Space, to_gains64

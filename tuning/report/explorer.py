@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb import plots
 from mjx_climb.files import dataset
-from mjx_climb.rollouts.walks import LINES, histories, stretches
+from mjx_climb.viz import plots
+from mjx_climb.walks import LINES, histories, stretches
 from tuning.report.numbers import failed, gain, plain, plain_unit, presentable
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one

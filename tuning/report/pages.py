@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.rollouts.walks import LINES
+from mjx_climb.walks import LINES
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import labels
 from tuning.problem.evaluation import Problem

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 from numpy.typing import ArrayLike
 
-from mjx_climb import plots
-from mjx_climb.plots import key
+from mjx_climb.viz import plots
+from mjx_climb.viz.plots import key
 from tuning.evaluation import margins
 from tuning.gains.gains_file import by_name
 from tuning.problem import ensemble

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import mjx_climb as mc
-from mjx_climb import plots
 from mjx_climb.files import dataset
 from mjx_climb.scenario import shipped
+from mjx_climb.viz import plots
 from tuning.background import Stage
 from tuning.report.explorer import explorer
 from tuning.report.numbers import number, unit

@@ -14,14 +14,14 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.execution.batch_axes import own_axes
 from mjx_climb.execution.contents import identity
 from mjx_climb.files import dataset
-from mjx_climb.quantities.batches import own_axes
-from mjx_climb.quantities.parameters import gains as gains_of
+from mjx_climb.inputs.gait_values import GAIT, gait_of
+from mjx_climb.inputs.parameters import gains as gains_of
+from mjx_climb.inputs.resolve import AnyGains, resolve_in
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.rollouts.gait_values import GAIT, gait_of
-from mjx_climb.rollouts.resolve import AnyGains, resolve_in
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import FAILURES, SENSORS
 from tuning.gains import gains_file

@@ -14,9 +14,9 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.files import dataset
-from mjx_climb.rollouts.resolve import AnyGains
+from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled

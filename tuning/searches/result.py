@@ -12,9 +12,9 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.checks.time_step import short_enough
 from mjx_climb.files import dataset
-from mjx_climb.rollouts.resolve import AnyGains, with_gains
+from mjx_climb.inputs.resolve import AnyGains, with_gains
+from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Stage, silent
 from tuning.gains.gains_file import by_name
@@ -92,7 +92,7 @@ class Result:
         Arguments:
             folder: where to; it is made. What the search kept there with `out=folder` is removed.
             origin: what the report says of where it comes from.
-            figures: formats of the pictures, of `mjx_climb.plots.FORMATS`; reports hold them as PNG anyway.
+            figures: formats of the pictures, of `mjx_climb.viz.plots.FORMATS`; reports hold them as PNG anyway.
             stage: opened for each longer work, see `tuning.background.Stage`; nothing is printed.
             compared: what `tuning.output.comparisons` gave, where it was begun before the search.
             settings: what a command was asked for, by which it knows its folder again.

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.checks.time_step import short_enough
 from mjx_climb.control import PD
-from mjx_climb.dynamics import DEFAULT_ENGINE
-from mjx_climb.rollouts.gait_values import GAIT, gait_of
+from mjx_climb.inputs.gait_values import GAIT, gait_of
+from mjx_climb.inputs.time_step import short_enough
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import applied, by_name
 from tuning.problem import spaces

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, DTypeLike
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.dynamics import DEFAULT_ENGINE
 from mjx_climb.execution import devices
 from mjx_climb.files.dataset import larger_is_better, sweep_dataset
-from mjx_climb.rollouts.resolve import AnyGains
-from mjx_climb.rollouts.walks import LINES, stretches
+from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.walks import LINES, stretches
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.problem.evaluation import Problem
@@ -43,7 +43,7 @@ class Swept(Result):
     """A grid of walks over two gains; `gains` are those in place of the scenario's or the law's own, where given.
 
     `data` holds the metrics over both gains. A grid of up to `HISTORIES` walks keeps time histories as well: for each
-    name in `mjx_climb.rollouts.walks.LINES` the least and the largest value in each stretch of time, over both
+    name in `mjx_climb.walks.LINES` the least and the largest value in each stretch of time, over both
     gains, extreme and stretch.
     """
 

@@ -12,11 +12,11 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import law_of
-from mjx_climb.dynamics import DEFAULT_ENGINE
+from mjx_climb.execution.batch_axes import batch_shape
 from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
-from mjx_climb.quantities.batches import batch_shape
-from mjx_climb.rollouts.gait_values import GAIT
+from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, objectives, spaces

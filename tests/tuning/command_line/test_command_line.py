@@ -16,9 +16,9 @@ import xarray as xr
 from jax import monitoring
 
 import mjx_climb as mc
-from mjx_climb import plots
 from mjx_climb.execution import devices
 from mjx_climb.robot.constants import load_robot
+from mjx_climb.viz import plots
 from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning.command_line import main, options, searches, session
 from tuning.command_line.from_models import made

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mjx_climb.rendering import backend
+from mjx_climb.viz.rendering import backend
 from tests.fuzz import COMMANDS, case
 from tuning.command_line import main, program
 

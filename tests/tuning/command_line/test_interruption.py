@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb import plots
 from mjx_climb.execution.devices import LostProcess
 from mjx_climb.files import dataset
+from mjx_climb.viz import plots
 from tests import interrupts
 from tests.shell import ROOT, environment
 from tuning.command_line import interruption

@@ -8,10 +8,10 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb import plots
-from mjx_climb.checks.time_step import growth
 from mjx_climb.control import LoadTransfer
-from mjx_climb.quantities.parameters import own_parameters
+from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.time_step import growth
+from mjx_climb.viz import plots
 from tuning.evaluation import maps, stability_limit
 from tuning.searches.sweep import sweep
 

@@ -17,7 +17,7 @@ from scipy.linalg import expm
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer
 from mjx_climb.control.virtual_mass import Motion, advance, at_rest
-from mjx_climb.rollouts import gait_values
+from mjx_climb.inputs import gait_values
 from mjx_climb.scenario.load import load_hardware
 from mjx_climb.scenario.shipped import config_path
 from tuning.evaluation import margins, stability_limit

@@ -13,10 +13,10 @@ import yaml
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.dynamics.foot_mass import with_foot_mass
 from mjx_climb.robot.constants import load_robot
 from tests.tuning.identification.stand_in_mujoco import JOINTS, Truth, welded
 from tuning.identification import excitation, motions
+from tuning.identification.foot_mass import with_foot_mass
 from tuning.identification.information import information
 from tuning.identification.log import joints_of
 from tuning.identification.readers import read_log

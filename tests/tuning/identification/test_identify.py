@@ -14,8 +14,8 @@ import pytest
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.dynamics.limb_engine import build
-from mjx_climb.dynamics.state import State
+from mjx_climb.physics.limb_engine import build
+from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import load_robot
 from mjx_climb.scenario.model import RobotFile, validated
 from tests.tuning.identification.coverage import counted

@@ -10,12 +10,12 @@ import pytest
 import yaml
 
 import mjx_climb as mc
-from mjx_climb.files.recording import save_mcap
-from mjx_climb.quantities.parameters import own_parameters
+from mjx_climb.inputs.parameters import own_parameters
 from mjx_climb.robot.constants import load_robot
-from mjx_climb.robot.description import bare
-from mjx_climb.robot.limbs import rerooted
+from mjx_climb.robot_import.description import bare
+from mjx_climb.robot_import.limbs import rerooted
 from mjx_climb.scenario.model import RobotFile
+from mjx_climb.viz.recording import save_mcap
 from tests.robot import climbers
 from tests.tuning.identification.recorded import ROBOT
 from tuning.identification import replay, robot_files

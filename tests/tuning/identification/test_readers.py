@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.files.recording import save_mcap
+from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
 from tuning.identification.guess import guess
 from tuning.identification.log import names

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.rollouts.walks import LINES, histories
+from mjx_climb.walks import LINES, histories
 from tests.shell import finish
 from tuning.evaluation import verification
 from tuning.output import results

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import mjx_climb as mc
-from mjx_climb.rollouts import gait_values
+from mjx_climb.inputs import gait_values
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains import gains_file
 from tuning.problem import spaces

@@ -11,7 +11,7 @@ import pytest
 
 import mjx_climb as mc
 import tuning.tune
-from mjx_climb.plots.maps import plot_map
+from mjx_climb.viz.plots.maps import plot_map
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.report import comparison
 from tuning.report.explorer import explorer, grid_points

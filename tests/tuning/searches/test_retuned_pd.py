@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.checks.time_step import short_enough
+from mjx_climb.inputs.time_step import short_enough
 from tuning.background import ignore
 from tuning.output import comparisons
 from tuning.searches import retuned_pd

@@ -11,7 +11,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
-from mjx_climb.rollouts.walks import LINES
+from mjx_climb.walks import LINES
 from tuning.problem.evaluation import Problem
 from tuning.searches import parts
 from tuning.searches import sweep as sweeps

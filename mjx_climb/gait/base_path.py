@@ -1,0 +1,97 @@
+"""Where the gait has the base over its feet: how high, and how far it sways towards those that stand.
+
+The sway passes through a point for each group of limbs that swing together, in the middle of their swing: a share of
+the way from the base to the centroid of the other feet, those of the rest stance. Between these points it is cubic,
+at rest in each. It is written with operators alone, so that arrays of JAX and of NumPy do.
+"""
+
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mjx_climb.gait.swing import rest_to_rest
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.spatial import namespace, quaternion_to_matrix
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.stance import MET, limb_joints
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Gait, RobotFile, Scenario
+
+_HALVINGS = 10
+_SLACK = 1e-6  # of a cycle
+
+
+class Sway(NamedTuple):
+    """Points through which the base sways; none where it does not."""
+
+    points: Any  # (K, 3) m, from where the base would be, in the order of the lift-offs
+    first: Any  # () cycles, when it passes through the first one
+    spans: tuple[float, ...]  # (K,) cycles, from each point to the next, the last to the first
+
+
+def sway_of(feet: Any, lift_off: Sequence[float] | np.ndarray, duty: Any, share: Any) -> Sway:
+    """Return the sway of a base whose feet stand at `feet` (limb, 3) m from it, in axes whose z is up.
+
+    `lift_off` are the shares of the cycle at which the limbs lift off, `share` is that of the way to the centroid.
+    """
+    xp, level = namespace(feet), np.array([1.0, 1.0, 0.0])
+    times, swing = np.unique(lift_off), 1 - duty
+    points = []
+    for time in times:
+        since = xp.mod(time + swing / 2 - np.asarray(lift_off) + _SLACK, 1.0)
+        stands = xp.where(since < swing, 0.0, 1.0)
+        points.append(share * level * (stands[:, None] * feet).sum(0) / stands.sum())
+    spans = np.diff([*times, times[0] + 1])
+    return Sway(xp.stack(points), times[0] + swing / 2, tuple(spans.tolist()))
+
+
+def swayed(sway: Sway, phase: Any) -> Any:
+    """Return how far the base has swayed at a phase () of its cycle, (3,) m."""
+    xp = namespace(sway.points)
+    at, begin, found = xp.mod(phase - sway.first, 1.0), 0.0, sway.points[0]
+    for number, span in enumerate(sway.spans):
+        way = sway.points[(number + 1) % len(sway.spans)] - sway.points[number]
+        found = found + way * rest_to_rest(xp.clip((at - begin) / span, 0.0, 1.0))
+        begin += span
+    return found
+
+
+def raised(name: str | RobotFile, gait: Gait) -> np.ndarray:
+    """Return how far the gait has a robot's base from where it is in the rest stance, (3,) m, but for its sway."""
+    return (gait.height - 1) * load_robot(name).stance_position * [0, 0, 1]
+
+
+def check_base(scenario: Scenario, source: str = "scenario") -> None:
+    """Refuse a height or a sway of the base with which a foot does not reach its foothold.
+
+    Raises:
+        ConfigError: in one line, the key, and how far it could go.
+    """
+    gait = scenario.gait
+    for key in ("height", "sway"):
+        none = {"height": 1.0, "sway": 0.0}[key]
+        own = gait if key == "sway" else gait.model_copy(update={"sway": 0.0})
+        if (value := getattr(gait, key)) != none and _missed(scenario.robot, own):
+            low, high = none, value
+            for _ in range(_HALVINGS):
+                middle = (low + high) / 2
+                missed = _missed(scenario.robot, own.model_copy(update={key: middle}))
+                low, high = (low, middle) if missed else (middle, high)
+            expected = f"at {'most' if value > none else 'least'} {low:.3g}"
+            raise ConfigError(
+                f"{source}: gait.{key}: expected {expected}, with which all feet are within reach and joint limits, "
+                f"got {value:g}"
+            )
+
+
+@functools.lru_cache(maxsize=256)
+def _missed(name: str | RobotFile, gait: Gait) -> bool:
+    """Return whether a foot cannot stand where it does in the rest stance from one of the places of the base."""
+    robot = load_robot(name)
+    rotation = quaternion_to_matrix(robot.stance_orientation)
+    feet = np.asarray(limb_frames(robot, rotation, robot.stance_joints).foot)
+    places = sway_of(feet, [gait.lift_off[limb] for limb in robot.limbs], gait.duty, gait.sway).points
+    places = np.vstack([np.zeros(3), places]) + raised(name, gait)
+    return any(limb_joints(robot, (feet - at) @ rotation, robot.stance_joints).errors.max() > MET for at in places)

@@ -1,0 +1,83 @@
+"""Values of the gait among the gains, by the keys of a scenario: a law and the gait under it are tuned together."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from mjx_climb.execution.batch_axes import batch_shape
+from mjx_climb.gait.base_path import check_base
+from mjx_climb.inputs.parameters import KEYS, Parameters, whole_steps
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Scenario
+
+# by key: the parameter whose value it is
+GAIT = {key: name for name, key in KEYS.items() if key.startswith("gait.") and name != "heading"}
+TIMES = ("gait.cycle", "gait.duty")  # counted in whole time steps: no metric has a derivative along them
+_WAY = ("gait.cycle", "gait.stride")
+
+
+def gait_of(gains: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of some values by name that are the gait's."""
+    return {name: value for name, value in gains.items() if name in GAIT}
+
+
+def why_fixed(scenario: Scenario, keys: Iterable[str]) -> str:
+    """Return in words which of the keys are no gains in a scenario that works something out for them, "" for none."""
+    low = scenario.gait.swing == "low_reaction"
+    for key in keys:
+        if low or (scenario.ground.map is not None and key in _WAY):
+            what = "gait.swing: low_reaction is" if low else "a map's footholds are"
+            return f"{key}: expected none, as {what} worked out for the scenario's own gait"
+    return ""
+
+
+def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, Any]) -> Parameters:
+    """Return parameters with values of the gait, by their keys, in place of their own.
+
+    The speed of travel is held: with another cycle and no stride of its own, the stride changes in proportion.
+
+    Raises:
+        ValueError: in one line, a value that no gait of the scenario could have, as far as values are known.
+    """
+    if not values:
+        return own
+    changed = {GAIT[key]: value for key, value in values.items()}
+    if "cycle" in changed:  # whole steps, so that the speed is that of the cycle that is walked
+        changed["cycle"] = whole_steps(changed["cycle"], scenario.time_step) * scenario.time_step
+        changed.setdefault("stride", own.stride / own.cycle * changed["cycle"])
+    if why := why_fixed(scenario, values):
+        raise ValueError(f"gains.{why}")
+    walked = replace(own, **changed)
+    batch_shape(walked)
+    each = [getattr(walked, name) for name in GAIT.values()]
+    if not any(isinstance(value, jax.core.Tracer) for value in each):
+        _check(scenario, dict(zip(GAIT, np.broadcast_arrays(*map(np.asarray, each)), strict=True)))
+    return walked
+
+
+def scenario_with_gait(scenario: Scenario, gains: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with the gait among the gains of one robot in place of its own, as `with_gait` has it.
+
+    Raises:
+        ConfigError: a value that it could not have.
+    """
+    values = {key: float(value) for key, value in gait_of(gains).items()}
+    if "gait.cycle" in values:
+        values["gait.cycle"] = float(whole_steps(values["gait.cycle"], scenario.time_step) * scenario.time_step)
+        values.setdefault("gait.stride", scenario.gait.stride / scenario.gait.cycle * values["gait.cycle"])
+    return scenario.with_overrides(values) if values else scenario
+
+
+def _check(scenario: Scenario, values: Mapping[str, np.ndarray]) -> None:
+    """Refuse gaits (any shape) that the scenario could not have; the extremes of a batch stand for all of it."""
+    rows = {key: value.ravel() for key, value in values.items()}
+    swing = (1 - rows["gait.duty"]) * rows["gait.cycle"]
+    extremes = {int(end) for value in (*rows.values(), swing) for end in (value.argmin(), value.argmax())}
+    for place in extremes:
+        try:
+            check_base(scenario.with_overrides({key: float(value[place]) for key, value in rows.items()}))
+        except ConfigError as error:
+            raise ValueError(f"gains.{str(error).removeprefix('scenario: ')}") from None

@@ -1,0 +1,280 @@
+"""The values of a scenario as a pytree: what may differ from one robot of a batch to the next."""
+
+# ruff: noqa: RUF009 (fields carry their keys and units)
+
+import dataclasses
+import functools
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, get_args, get_origin
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Real
+from pydantic import TypeAdapter, ValidationError
+
+from mjx_climb.execution import check_process
+from mjx_climb.gait.swing import swing_path
+from mjx_climb.physics.spatial import namespace
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.scenario.messages import section
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.scenario.values import Limit, Number, Positive
+from mjx_climb.terrain import foothold_heights
+
+# batch axes of one gain need not be those of another: they broadcast
+_Values = Array | np.ndarray
+_Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | float
+_JointGain = Real[_Values, "..."] | float
+_Scalar = Real[_Values, "..."]
+_Pushes = Real[_Values, "... pushes 3"]
+_PushTimes = Real[_Values, "... pushes"]
+_PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -1}  # which axis they are along
+ROUNDING = 2.0**-21  # of a number of steps: what single precision may be off
+_TIMES = ("cycle", "cargo_start", "cargo_stop", "push_start", "push_stop", "control_period", "force_dead")
+
+
+def _of(key: str | None, unit: str = "", long_name: str = "", **default: Any) -> Any:
+    """Return a field with the key of a scenario that it comes from; with a unit a sweep may run over it."""
+    return dataclasses.field(metadata={"key": key, "unit": unit, "long_name": long_name}, **default)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Gains:
+    """Gains of the admittance law (paper Eqs. 2 and 3): scalar, six axes, or a batch of six axes.
+
+    Axes: three translations, then three rotations, about the axes of the walk (x ahead, z up). The end-effector law
+    uses the translations. `kp`, `kd`, `ki` and `safe_kp` replace the scenario's joint gains where given.
+    """
+
+    AXES: ClassVar[Mapping[str, int]] = MappingProxyType({"inertia": 1, "damping": 1, "stiffness": 1})
+
+    inertia: _Gain = _of("control.inertia", "kg, kg m^2", "virtual inertia M")
+    damping: _Gain = _of("control.damping", "N s/m, N m s/rad", "virtual damping D")
+    stiffness: _Gain = _of("control.stiffness", "N/m, N m/rad", "virtual stiffness K")
+    kp: _JointGain | None = _of("control.kp", "N m/rad", "joint gain kp", default=None)
+    kd: _JointGain | None = _of("control.kd", "N m s/rad", "joint gain kd", default=None)
+    ki: _JointGain | None = _of("control.ki", "N m/(rad s)", "joint gain ki", default=None)
+    safe_kp: _JointGain | None = _of("control.safe_kp", "N m/rad", "joint gain kp without a sensor", default=None)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Parameters:
+    """Values of a scenario in SI units, each with any leading batch axes that broadcast with the gains'.
+
+    Arrays of JAX, or of NumPy, which keep double precision whatever JAX's own setting.
+    `AXES` tells how many axes one robot's value has, where it is no scalar.
+    """
+
+    AXES: ClassVar[Mapping[str, int]] = MappingProxyType(
+        {"gravity": 1, "foothold_height": 2, "swing_path": 3, "force_dead": 1, "push_force": 2, "push_moment": 2,
+         "push_start": 1, "push_stop": 1}
+    )  # fmt: skip
+
+    gravity: Real[_Values, "... 3"] = _of("gravity")  # (3,) m/s^2
+    contact_stiffness: _Scalar = _of("contact.stiffness", "N/m", "contact stiffness")
+    contact_damping: _Scalar = _of("contact.damping", "N s/m", "contact damping")
+    rotational_stiffness: _Scalar = _of("contact.rotational_stiffness", "N m/rad", "turning stiffness of a grip")
+    rotational_damping: _Scalar = _of("contact.rotational_damping", "N m s/rad", "turning damping of a grip")
+    holding_limit: _Scalar = _of("contact.holding_limit", "N", "holding limit of a gripper")  # infinite: never torn off
+    kp: _Scalar = _of("control.kp", "N m/rad", "joint gain kp")
+    kd: _Scalar = _of("control.kd", "N m s/rad", "joint gain kd")
+    ki: _Scalar = _of("control.ki", "N m/(rad s)", "joint gain ki")
+    safe_kp: _Scalar = _of("control.safe_kp", "N m/rad", "joint gain kp without a sensor")
+    stride: _Scalar = _of("gait.stride", "m", "stride")
+    step_height: _Scalar = _of("gait.step_height", "m", "step height")
+    cycle: _Scalar = _of("gait.cycle", "s", "gait cycle")
+    duty: _Scalar = _of("gait.duty", "1", "duty")
+    settling: _Scalar = _of("gait.settling", "1", "share of a swing in which the foot waits")
+    height: _Scalar = _of("gait.height", "1", "height of the base as a share of the rest stance's")
+    sway: _Scalar = _of("gait.sway", "1", "sway of the base")
+    landing_speed: _Scalar = _of("gait.landing_speed", "m/s", "landing speed")
+    heading: _Scalar = _of("gait.heading", "rad", "heading")
+    foothold_height: Real[_Values, "... limbs N"] = _of(None)  # (limb, N) m, in order; N = 0: flat ground
+    swing_path: Real[_Values, "... limbs 3 K"] = _of(
+        None
+    )  # (limb, 3, K) step heights, added to each swing; K = 0: nothing
+    cargo_mass: _Scalar = _of("disturbance.cargo.mass", "kg", "mass of the cargo")
+    cargo_start: _Scalar = _of("disturbance.cargo.start", "s", "loading of the cargo")
+    cargo_stop: _Scalar = _of("disturbance.cargo.stop", "s", "unloading of the cargo")
+    push_force: _Pushes = _of("disturbance.pushes.force")  # (pushes, 3) N
+    push_moment: _Pushes = _of("disturbance.pushes.moment")  # (pushes, 3) N m
+    push_start: _PushTimes = _of("disturbance.pushes.start")  # (pushes,) s
+    push_stop: _PushTimes = _of("disturbance.pushes.stop")  # (pushes,) s
+    mass_scale: _Scalar = _of(None, "1", "scale of the robot's masses and inertias")  # the cargo's not
+    capture_distance: _Scalar = _of("contact.capture_distance", "m", "reach of a gripper")  # infinite: any distance
+    control_period: _Scalar = _of("hardware.control_period", "s", "control period")  # 0: the time step
+    command_delay: _Scalar = _of("hardware.command_delay", "s", "delay of commands")
+    force_delay: _Scalar = _of("hardware.force_sensor.delay", "s", "delay of the force sensors")
+    force_noise: _Scalar = _of("hardware.force_sensor.noise", "N", "noise of the force sensors")
+    force_bias: _Scalar = _of("hardware.force_sensor.bias", "N", "offset of the force sensors")
+    force_resolution: _Scalar = _of("hardware.force_sensor.resolution", "N", "resolution of the force sensors")
+    force_filter: _Scalar = _of("hardware.force_sensor.filter", "Hz", "cut-off of the force filter")  # infinite: none
+    force_dead: Real[_Values, "... limbs"] = _of(None)  # (limb,) s, from when on the sensors read 0; infinite: never
+    base_delay: _Scalar = _of("hardware.base_estimate.delay", "s", "delay of the base estimate")
+    position_noise: _Scalar = _of("hardware.base_estimate.position_noise", "m", "noise of the base's position")
+    velocity_noise: _Scalar = _of("hardware.base_estimate.velocity_noise", "m/s", "noise of the base's velocity")
+    torque_limit: _Scalar = _of("hardware.servo.torque_limit", "N m", "torque limit")  # infinite: none
+    no_load_speed: _Scalar = _of("hardware.servo.no_load_speed", "rad/s", "speed without load")  # infinite: none
+    armature: _Scalar = _of("hardware.servo.armature", "kg m^2", "armature")  # beside what the robot's file says
+    coulomb_friction: _Scalar = _of("hardware.servo.coulomb_friction", "N m", "dry friction")
+    presliding: _Scalar = _of("hardware.servo.presliding", "rad", "bend before dry friction slips")
+    viscous_friction: _Scalar = _of("hardware.servo.viscous_friction", "N m s/rad", "viscous friction")
+    load_friction: _Scalar = _of("hardware.servo.load_friction", "1", "friction under load")
+    external_load_friction: _Scalar = _of("hardware.servo.external_load_friction", "1", "friction under external load")
+    stribeck_friction: _Scalar = _of("hardware.servo.stribeck_friction", "N m", "friction of standstill")
+    stribeck_load_friction: _Scalar = _of("hardware.servo.stribeck_load_friction", "1", "load friction of standstill")
+    stribeck_external_load_friction: _Scalar = _of(
+        "hardware.servo.stribeck_external_load_friction", "1", "external load friction of standstill"
+    )
+    quadratic_load_friction: _Scalar = _of(
+        "hardware.servo.quadratic_load_friction", "1/(N m)", "quadratic load friction"
+    )
+    quadratic_external_load_friction: _Scalar = _of(
+        "hardware.servo.quadratic_external_load_friction", "1/(N m)", "quadratic external load friction"
+    )
+    stribeck_velocity: _Scalar = _of("hardware.servo.stribeck_velocity", "rad/s", "Stribeck velocity")
+    stribeck_exponent: _Scalar = _of("hardware.servo.stribeck_exponent", "1", "Stribeck exponent")
+    servo_rate: _Scalar = _of("hardware.servo.rate", "Hz", "rate of the servos' loop")  # infinite: every time step
+    profile_velocity: _Scalar = _of("hardware.servo.profile_velocity", "rad/s", "velocity of goals")  # infinite: any
+    profile_acceleration: _Scalar = _of("hardware.servo.profile_acceleration", "rad/s^2", "acceleration of goals")
+    pwm_limit: _Scalar = _of("hardware.servo.pwm_limit", "1", "limit of PWM")
+    current_limit: _Scalar = _of("hardware.servo.current_limit", "N m", "torque at the current limit")  # infinite: none
+    rated_voltage: _Scalar = _of("hardware.servo.rated_voltage", "V", "rated voltage")  # infinite: the supply's
+    supply_voltage: _Scalar = _of("hardware.servo.supply_voltage", "V", "supply voltage")  # infinite: the rated one
+    backlash: _Scalar = _of("hardware.servo.backlash", "rad", "backlash")
+    servo_delay: _Scalar = _of("hardware.servo.delay", "s", "delay of the servos")
+    seed: _Scalar = _of("hardware.seed")  # whole, below 2^24 so that single precision holds it
+
+
+KEYS: dict[str, str] = {  # of a scenario, whose values and ranges these are
+    field.name: field.metadata["key"] for field in dataclasses.fields(Parameters) if field.metadata["key"]
+}
+# what a sweep may run over: units, long name
+COORDINATES: dict[str, tuple[str, str]] = {
+    field.name: (field.metadata["unit"], field.metadata["long_name"])
+    for kind in (Gains, Parameters)
+    for field in dataclasses.fields(kind)
+    if field.metadata["unit"]
+}
+
+
+def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
+    """Return the parameters of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
+    known = vars(own_parameters(scenario))
+    with jax.ensure_compile_time_eval():  # values under `jit` too: they say which hardware a walk is compiled for
+        return Parameters(**{n: jnp.asarray(value, dtype or jnp.result_type(float)) for n, value in known.items()})
+
+
+def own_parameters(scenario: Scenario) -> Parameters:
+    """Return the parameters of a scenario in double precision, as arrays of NumPy."""
+    check_process()
+    values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
+    values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}
+    control, dead = scenario.control, scenario.hardware.force_sensor.dead
+    values["safe_kp"] = control.kp if control.safe_kp is None else control.safe_kp
+    instants = dict(dead.items()) if dead is not None else {}
+    values["force_dead"] = [instants.get(limb, math.inf) for limb in load_robot(scenario.robot).limbs]
+    arrays = {name: np.asarray(value, float) for name, value in values.items()}
+    pushes = {name: arrays[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
+    return Parameters(**arrays | pushes)
+
+
+def _value(section: Any, *names: str) -> Any:
+    """Return the value at a key of a section, of each section in a list of them; null is infinite."""
+    if not names:
+        return math.inf if section is None else section
+    if isinstance(section, tuple):
+        return [_value(each, *names) for each in section]
+    return _value(getattr(section, names[0]), *names[1:])
+
+
+def gains(scenario: Scenario) -> Gains:
+    """Return the admittance gains that the scenario's own control section gives."""
+    control = scenario.control
+    return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
+
+
+def check_ranges(parameters: Parameters) -> None:
+    """Refuse parameters that no scenario could have, as far as their values are known.
+
+    Raises:
+        ValueError: in one line, which one, what was expected and the first value that is wrong.
+    """
+    for name, value in vars(parameters).items():
+        if isinstance(value, jax.core.Tracer):
+            continue
+        values = np.asarray(value)
+        if values.dtype.kind in "cOSU":
+            raise ValueError(f"parameters.{name}: expected real numbers, got {values.dtype}")
+        kind, validator = _type(name)
+        for end in map(float, (values.min(), values.max()) if values.size else ()):  # of NaN among them both are
+            given: Any = end
+            if end == math.inf and type(None) in get_args(kind):
+                given = None
+            elif get_origin(kind) is tuple:
+                given = (end,) * len(get_args(kind))
+            elif kind is int and end.is_integer():
+                given = int(end)
+            try:
+                validator.validate_python(given)
+            except ValidationError as invalid:
+                expected = invalid.errors()[0]["ctx"]["expected"].replace("or null", "or infinite")
+                raise ValueError(f"parameters.{name}: expected {expected}, got {end:g}") from None
+    pushes = {name: np.shape(getattr(parameters, name))[axis:][:1] for name, axis in _PUSHES.items()}
+    if len(set(pushes.values())) > 1:
+        counts = ", ".join(f"{count[0] if count else 'none'} of {name}" for name, count in pushes.items())
+        raise ValueError(f"parameters.push_start: expected as many of each for the pushes, got {counts}")
+
+
+@functools.cache
+def _type(name: str) -> tuple[Any, TypeAdapter[Any]]:
+    """Return the type of the key that a parameter comes from, and what validates its values."""
+    if name not in KEYS:
+        kind: Any = {"mass_scale": Positive, "force_dead": Limit}.get(name, Number)
+        return float | None if kind is Limit else float, TypeAdapter(kind)
+    *place, key = KEYS[name].split(".")
+    field = section(Scenario, place).model_fields[key]
+    kind = Annotated[field.annotation, *field.metadata]
+    return field.annotation, TypeAdapter(kind)
+
+
+# --- times as whole numbers of time steps, the same in single and in double precision
+
+
+def whole_steps(seconds: Any, time_step: float) -> Any:
+    """Return the whole number of time steps nearest to each time in s, of two the larger; arrays of JAX or of NumPy.
+
+    What lies below half a step by no more than the rounding of single precision counts as half a step.
+    """
+    steps = seconds / time_step + 0.5
+    return namespace(steps).floor(steps + _slack(steps))
+
+
+def stance_steps(duty: Any, cycle_steps: Any) -> Any:
+    """Return for how many steps of a cycle a limb stands: rounded up, so that limbs in turn never swing together."""
+    steps = duty * cycle_steps
+    return namespace(steps).ceil(steps - _slack(steps))
+
+
+def _slack(steps: Any) -> Any:
+    return namespace(steps).minimum(steps * ROUNDING, 0.125)
+
+
+def with_whole_steps(parameters: Parameters, time_step: float) -> Parameters:
+    """Return parameters whose gait, windows and control period are whole time steps, counted in double precision.
+
+    A walk in any precision finds the same numbers of steps in them. Values that JAX traces stay as they are.
+    """
+    known = {name: getattr(parameters, name) for name in (*_TIMES, "duty")}
+    known = {n: np.asarray(v, np.float64) for n, v in known.items() if not isinstance(v, jax.core.Tracer)}
+    steps = {name: whole_steps(known[name], time_step) for name in _TIMES if name in known}
+    changed = {name: count * time_step for name, count in steps.items()}
+    if "duty" in known and "cycle" in known:
+        changed["duty"] = stance_steps(known["duty"], steps["cycle"]) / np.maximum(steps["cycle"], 1)
+    return dataclasses.replace(parameters, **changed)

@@ -1,0 +1,253 @@
+"""What a caller passes as law, gains and parameters, resolved and checked once, before anything is traced."""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import DTypeLike
+
+from mjx_climb.control import PD, Law
+from mjx_climb.execution.batch_axes import batch_shape, own_axes
+from mjx_climb.gait.swing import COUNT
+from mjx_climb.inputs.gait_values import GAIT, TIMES, with_gait
+from mjx_climb.inputs.parameters import Gains, Parameters, check_ranges, own_parameters, with_whole_steps
+from mjx_climb.physics.spatial import namespace
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.scenario.model import Scenario
+from mjx_climb.shapes import broadcasts, check_fields
+
+AnyGains = Gains | Law | Mapping[str, Any]  # values by name
+
+_JOINT_LOOP = ("kp", "kd", "ki", "safe_kp")
+_NUMBERS = {3: "three", 6: "six"}
+
+
+class Resolved(NamedTuple):
+    """What is simulated: a law whose gains have their full length, parameters, and the batch shape of both."""
+
+    law: Law
+    parameters: Parameters  # with the joint gains that were given, and with times that are whole time steps
+    shape: tuple[int, ...]
+    own: Parameters  # as they were given, with the gait among the gains, without either of these
+    walked: Parameters  # as `parameters`, in the precision given: values that JAX does not trace are known
+    called: Mapping[str, str]  # the names of the parameters among the gains, by their names
+
+    @property
+    def axes(self) -> tuple[Law, Parameters]:
+        """How many axes the value of one robot has, in place of each value of law and parameters."""
+        return own_axes(self.law), own_axes(self.parameters)
+
+
+def resolve(
+    scenario: Scenario,
+    law: Law,
+    gains: AnyGains | None,
+    parameters: Parameters | None,
+    dtype: DTypeLike,
+    xp: ModuleType = jnp,
+) -> Resolved:
+    """Return the law with the gains given in place of its own, and parameters with joint gains and gait among them.
+
+    Parameters are the scenario's where there are none; all are arrays of a precision, of JAX or of NumPy (`xp`).
+
+    Raises:
+        ValueError: in one line, an unknown name, a wrong shape, a gain that is not positive, a parameter that no
+            scenario could have, or a precision other than float32 and float64. Of what is being traced only shapes are
+            known.
+    """
+    array = functools.partial(xp.asarray, dtype=checked_dtype(dtype))
+    own = own_parameters(scenario) if parameters is None else parameters
+    check_ranges(own)
+    check_fields("parameters", own, {"limbs": len(load_robot(scenario.robot).limbs), "K": range(COUNT + 1)})
+    values = _values_by_name(law, gains)
+    called = {GAIT.get(name, name): f"gains.{name}" for name in values if name in (*GAIT, *_JOINT_LOOP)}
+    own = with_gait(
+        scenario, own, {key: _checked(f"gains.{key}", values.pop(key), 1, 0.0) for key in GAIT if key in values}
+    )
+    joint = {name: _checked(f"gains.{name}", values.pop(name), 1) for name in _JOINT_LOOP if name in values}
+    law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
+    walked = dataclasses.replace(with_whole_steps(own, scenario.time_step), **joint)
+    parameters = jax.tree.map(array, walked)
+    # gains of a law without any still say how many robots there are
+    others = {name: jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS}
+    shape = batch_shape(law, parameters, others=others)
+    check_robots(shape)
+    if shape != batch_shape(law, parameters):
+        parameters = dataclasses.replace(parameters, kp=xp.broadcast_to(parameters.kp, shape))
+    return Resolved(law, parameters, shape, own, walked, called)
+
+
+def resolve_in(
+    scenario: Scenario, law: Law, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike
+) -> Resolved:
+    """Return what `resolve` does, as arrays of NumPy."""
+    with jax.enable_x64(True):
+        return resolve(scenario, law, gains, parameters, dtype, np)
+
+
+def check_robots(shape: tuple[int, ...]) -> None:
+    """Raise a ValueError for a batch of nobody."""
+    if 0 in shape:
+        raise ValueError(f"gains and parameters: expected one robot or more, got batch axes {shape}")
+
+
+def checked_dtype(dtype: DTypeLike) -> np.dtype:
+    """Return the precision of a walk; raise a ValueError for other than float32 and float64."""
+    if np.dtype(dtype) not in (np.float32, np.float64):
+        raise ValueError(f"dtype: expected float32 or float64, got {np.dtype(dtype)}")
+    return np.dtype(dtype)
+
+
+def with_gains(law: Law, gains: AnyGains) -> Law:
+    """Return a law with some of its gains replaced, by name; those of the joint loop are no part of it.
+
+    Raises:
+        ValueError: a name that it does not have.
+    """
+    values = {name: value for name, value in _values_by_name(law, gains).items() if name in law.GAINS}
+    changed: Law = dataclasses.replace(law, **values)  # type: ignore[type-var]
+    return changed
+
+
+def has_gains_of_the_paper(law: Law) -> bool:
+    """Tell whether a law's gains are those of `Gains`, as far as it has any."""
+    return isinstance(law, PD) or set(law.GAINS) == set(Gains.AXES)
+
+
+def recorded(scenario: Scenario, gains: AnyGains | None, resolved: Resolved) -> Gains | dict[str, Any]:
+    """Return the gains of a walk to be stored with it, six axes each where the law has those of the paper, or none.
+
+    A law of translations leaves the rotations as they were given, or as the scenario has them.
+    """
+    law, parameters = resolved.law, resolved.parameters
+    joint = {name: getattr(parameters, name) for name in _JOINT_LOOP if name in _values_by_name(law, gains)}
+    if not has_gains_of_the_paper(law):
+        return {name: getattr(law, name) for name in law.GAINS} | joint
+    place, six = gains if isinstance(gains, Gains) else scenario.control, {}
+    for name in Gains.AXES:
+        six[name] = np.array(np.broadcast_to(np.asarray(getattr(place, name), parameters.kp.dtype), 6))
+        own = getattr(law, name, six[name])
+        six[name][: own.size] = own
+    return Gains(**six, **joint)
+
+
+def checked_gains(law: Law, values: Mapping[str, Any], array: Callable[[Any], Any] = np.asarray) -> Law:
+    """Return a law with some values replaced, all of its gains as arrays of their full length.
+
+    Raises:
+        ValueError: in one line, a wrong shape, or a gain that is not positive.
+    """
+    whole = {}
+    for name, field in law.GAINS.items():
+        value = _checked(f"gains.{name}", values.get(name, getattr(law, name)), field.length, field.bounds[0])
+        if field.length > 1:
+            value = namespace(value).broadcast_to(value, (*value.shape[:-1], field.length))
+        whole[name] = array(value)
+    changed: Law = dataclasses.replace(law, **whole)  # type: ignore[type-var]
+    return changed
+
+
+def checked(law: Law) -> Law:
+    """Return a law as it is.
+
+    Raises:
+        ValueError: no instance of `mjx_climb.Law`, or a field that cannot be hashed.
+    """
+    if not isinstance(law, Law):
+        made = f"; {law.__name__}() makes one" if isinstance(law, type) and issubclass(law, Law) else ""
+        raise ValueError(f"law: expected an instance of a class that inherits from mjx_climb.Law, got {law!r}{made}")
+    try:
+        hash(jax.tree.structure(law))
+    except TypeError as error:
+        what = f"{type(law).__name__}: expected fields that can be hashed beside its gains: {error}"
+        raise ValueError(what) from None
+    return law
+
+
+def by_name(gains: AnyGains) -> dict[str, Any]:
+    """Return gains as a mapping, without those that are not given."""
+    if isinstance(gains, Law):
+        return {name: getattr(gains, name) for name in gains.GAINS}
+    values = gains if isinstance(gains, Mapping) else vars(gains)
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
+    """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
+    values = dict(gains or {}) if isinstance(gains, Mapping | None) else by_name(gains)
+    known = [*law.GAINS, *_JOINT_LOOP]
+    if values.keys() >= Gains.AXES.keys():  # those of the paper, whatever else stands beside them
+        for name, field in law.GAINS.items():
+            if field.length == 3 and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
+                own = values[name]
+                values[name] = (own if isinstance(own, jax.Array) else np.asarray(own))[..., :3]
+        known += Gains.AXES if isinstance(law, PD) else ()
+    if unknown := [name for name in values if name not in known and name not in GAIT]:
+        names = f"{', '.join(known)}, the gains of {type(law).__name__}"
+        raise ValueError(f"gains.{unknown[0]}: expected one of {names}")
+    return values
+
+
+def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
+    """Return the values of a gain as an array, of whatever precision they have.
+
+    Raises:
+        ValueError: not so many on the last axis, or values known now that are not finite or too small.
+    """
+    if not isinstance(value, jax.Array):
+        value = np.asarray(value, float if np.ndim(value) == 0 and not np.iscomplexobj(value) else None)
+    if length > 1 and value.ndim and value.shape[-1] not in (1, length):
+        raise ValueError(f"{name}: expected a scalar or a last axis of {_NUMBERS[length]}, got shape {value.shape}")
+    if np.iscomplexobj(value):
+        raise ValueError(f"{name}: expected real numbers, got {value.dtype}")
+    if isinstance(value, jax.core.Tracer):
+        return value
+    known = np.asarray(value)
+    zero_is_fine = name in ("gains.kd", "gains.ki") or low == 0
+    wrong = ~np.isfinite(known) | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero_is_fine))))
+    if wrong.any():
+        expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero_is_fine else 'above 0'}"
+        raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")
+    return value
+
+
+def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: AnyGains) -> dict[str, np.ndarray]:
+    """Return rates of gains (k, *batch, n) by name as (*batch, k, n), without the last axis where a gain is one number.
+
+    Raises:
+        ValueError: in one line, `kp`, `kd` or `ki` in one of two `Gains` alone, a time of the gait that changes, or
+            another shape.
+    """
+    if isinstance(gains, Gains) and isinstance(directions, Gains):
+        for name, rates in vars(directions).items():
+            if (getattr(gains, name) is None) != (rates is None):
+                so = f"rates of change, as gains.{name} is given" if rates is None else f"None, as gains.{name} is"
+                raise ValueError(f"directions.{name}: expected {so}, got {'None' if rates is None else 'rates'}")
+    law, shape, dtype, found = resolved.law, resolved.shape, resolved.parameters.kp.dtype, {}
+    given = {GAIT.get(name, name): rates for name, rates in _values_by_name(law, directions).items()}
+    for key in TIMES:
+        if np.any(given.pop(GAIT[key], 0.0)):
+            raise ValueError(f"directions.{key}: expected none, as it is counted in whole time steps")
+    lengths = (
+        dict.fromkeys(_JOINT_LOOP, 1)
+        | dict.fromkeys(GAIT.values(), 1)
+        | {n: own.length for n, own in law.GAINS.items()}
+    )
+    count = max([np.shape(rates)[0] for rates in given.values() if np.ndim(rates)], default=1)
+    for name in (name for name in given if name in lengths):
+        value, own = np.asarray(given[name], dtype), (lengths[name],) if lengths[name] > 1 else ()
+        if value.ndim <= len(own) or value.shape[0] != count or not broadcasts(value.shape[1:], (*shape, *own)):
+            expected = f"shape {(count, *shape, *own)}, or fewer batch axes behind the first"
+            raise ValueError(f"directions.{name}: expected {expected}, got {value.shape}")
+        (number, *batch) = value.shape[: value.ndim - len(own)]
+        value = np.broadcast_to(value, (number, *batch, *own))
+        value = value.reshape(number, *[1] * (len(shape) - len(batch)), *batch, *own)
+        found[name] = np.moveaxis(np.broadcast_to(value, (number, *shape, *own)), 0, len(shape))
+    # where the law has none of these gains nothing moves
+    return found or {"kp": np.zeros((*shape, len(next(iter(given.values())))), dtype)}

@@ -1,0 +1,198 @@
+"""Forward dynamics of a base with limbs, each a chain of joints.
+
+The limbs meet in the base alone, so the mass matrix is an arrow: a 6 x 6 block of the base, an N x N block for each
+limb of N joints and 6 x N couplings between them. Each limb is eliminated by its own block, and a 6 x 6 Schur
+complement is left for the base. The mass matrix comes from composite rigid bodies, the bias from recursive
+Newton-Euler at zero acceleration. All in the base's axes, in which the mass matrix depends on the joints alone; moments
+about the base's centre of mass.
+
+References:
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008: chapters 5 and 6.
+    J. Carpentier, N. Mansard, Analytical Derivatives of Rigid Body Dynamics Algorithms, 2018.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.custom_derivatives import SymbolicZero
+from jax.numpy import cross
+
+from mjx_climb.physics.inverse_dynamics import Forces, Limb, limbs_of, missing_forces
+from mjx_climb.physics.kinematics import JointAxes, LimbFrames, joint_axes, limb_frames
+from mjx_climb.physics.spatial import inverse_3x3, quaternion_to_matrix, skew, solve_symmetric, symmetric
+from mjx_climb.physics.state import Acceleration, Loads, State
+from mjx_climb.robot.constants import Robot
+
+_Three = tuple[Array, Array, Array]
+
+
+class Factors(NamedTuple):
+    """The mass matrix, factorised: joints first, then the base by blocks `[A C; C^T D]`."""
+
+    joints: Array  # (limb, N, N), inverse of the block of a limb's joints
+    force: Array  # (limb, 3, N), coupling times that inverse: force on the base
+    moment: Array  # (limb, 3, N)
+    linear: Array  # (3, 3), A^-1
+    columns: Array  # (3, 3), A^-1 C
+    angular: Array  # (3, 3), (D - C^T A^-1 C)^-1
+
+
+def factorized(robot: Robot, joint_angles: Array, cargo_mass: Array) -> Factors:
+    """Return the factors of the mass matrix, for joint angles (limb, joint) rad and a cargo () kg."""
+    frames = limb_frames(robot, None, joint_angles)
+    joints, blocks = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
+    linear, mixed, angular = (block.sum(0) for block in blocks)
+    linear = inverse_3x3((robot.base_mass + cargo_mass) * jnp.eye(3, dtype=joint_angles.dtype) + linear)
+    columns = linear @ mixed
+    return Factors(*joints, linear, columns, inverse_3x3(robot.base_inertia + angular - mixed.T @ columns))
+
+
+def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[_Three, _Three]:
+    """Return the factors of a limb's joints, and what is left for the base: its inertia less what its joints give way.
+
+    The former are the first three of `Factors`, the latter the blocks A, C, D of the mass matrix (3, 3).
+    """
+    links, angular = range(len(limb.mass)), axes.angular
+    linear = cross(frames.position, angular)  # motion at the base's centre of mass per rate, as `angular`
+    if axes.linear is not None:
+        linear = linear + axes.linear
+    body: Any = None
+    forces, moments, mass = {}, {}, {}
+    for j in reversed(links):  # composite rigid bodies: all that is beyond a joint moves as one
+        turn, mass_of_link = frames.rotation[j], limb.mass[j]
+        center = frames.position[j] + turn @ limb.center[j]
+        moment, inertia = mass_of_link * center, symmetric(turn @ limb.inertia[j] @ turn.T)
+        # m, h = m c, and I about the base's centre of mass by the parallel-axis theorem
+        link = mass_of_link, moment, symmetric(inertia - skew(moment) @ skew(center))
+        m, h, inertia = body = link if body is None else jax.tree.map(jnp.add, body, link)
+        forces[j] = m * linear[j] + cross(angular[j], h)
+        moments[j] = inertia @ angular[j] + cross(h, linear[j])
+        for i in range(j + 1):
+            mass[i, j] = mass[j, i] = jnp.dot(angular[i], moments[j]) + jnp.dot(linear[i], forces[j])
+        if limb.armature is not None:
+            mass[j, j] = mass[j, j] + limb.armature[j]
+    size = len(links)
+    block = jnp.stack([mass[i, j] for i in links for j in links]).reshape(size, size)
+    inverse = inverse_3x3(block) if size == 3 else solve_symmetric(block, jnp.eye(size, dtype=block.dtype))
+    force, moment = (jnp.stack([column[j] for j in links], axis=1) for column in (forces, moments))
+    force_way, moment_way = force @ inverse, moment @ inverse
+    left = (
+        m * jnp.eye(3, dtype=force.dtype) - symmetric(force_way @ force.T),
+        -skew(h) - force_way @ moment.T,
+        inertia - symmetric(moment_way @ moment.T),
+    )
+    return (inverse, force_way, moment_way), left
+
+
+def accelerations(factors: Factors, forces: Forces) -> _Three:
+    """Return what generalised forces accelerate, in the base's axes: the fields of an `Acceleration`."""
+    force = forces.force + (forces.limb_force - jnp.matvec(factors.force, forces.joint)).sum(0)
+    moment = forces.moment + (forces.limb_moment - jnp.matvec(factors.moment, forces.joint)).sum(0)
+    angular = factors.angular @ (moment - factors.columns.T @ force)
+    linear = factors.linear @ force - factors.columns @ angular
+    joints = jnp.matvec(factors.joints, forces.joint) - linear @ factors.force - angular @ factors.moment
+    return linear, angular, joints
+
+
+def build(robot: Robot) -> Callable[[State, Array, Array, Array, Array, Array], Acceleration]:
+    """Return the forward dynamics of a robot: see `mjx_climb.physics.equations_of_motion.ForwardDynamics`."""
+
+    def forward_dynamics(state: State, *acting: Array) -> Acceleration:
+        return Acceleration(*_forward_dynamics(robot, state, *acting))
+
+    return forward_dynamics
+
+
+def solved(robot: Robot, state: State, loads: Loads) -> tuple[Factors, tuple[Array, ...]]:
+    """Return the factors of the mass matrix and the accelerations (paper Eq. 1), in world axes."""
+    still = Acceleration(*map(jnp.zeros_like, (loads.gravity, loads.gravity, loads.joint_torque)))
+    factors = factorized(robot, state.joint_angles, loads.cargo_mass)
+    return factors, _in_world_axes(state, *accelerations(factors, missing_forces(robot, state, still, loads)))
+
+
+def _in_world_axes(state: State, linear: Array, angular: Array, joints: Array) -> _Three:
+    rotation = quaternion_to_matrix(state.base_orientation)
+    return rotation @ linear, rotation @ angular, joints
+
+
+# of a plain tuple: JAX makes trees of texts like the result, which no `Acceleration` can hold while types are checked
+@jax.custom_jvp
+def _forward_dynamics(robot: Robot, state: State, *acting: Array) -> tuple[Array, ...]:
+    return solved(robot, state, Loads(*acting))[1]
+
+
+@functools.partial(_forward_dynamics.defjvp, symbolic_zeros=True)
+def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Return the accelerations and their tangents: `M^-1` times the tangents of the forces missing at them.
+
+    So the mass matrix and its factors need no derivatives (Carpentier and Mansard). Orientations stay of unit length.
+    """
+    robot, state, *acting = primals
+    factors, acceleration = solved(robot, state, Loads(*acting))
+    # what is missing is zero: so is what the turn of the base's axes adds to it
+    change = _missing_change(primals, tangents, Acceleration(*acceleration))
+    return acceleration, _in_world_axes(state, *accelerations(factors, change))
+
+
+def _missing_change(primals: tuple[Any, ...], tangents: tuple[Any, ...], acceleration: Acceleration) -> Forces:
+    """Return the tangents of the forces that are missing at accelerations which stay as they are."""
+    leaves, tree = jax.tree.flatten(primals)
+    directions = jax.tree.leaves(tangents, is_leaf=lambda tangent: isinstance(tangent, SymbolicZero))
+    moving = [place for place, direction in enumerate(directions) if not isinstance(direction, SymbolicZero)]
+
+    def missing(values: list[Array]) -> Forces:
+        every = list(leaves)
+        for place, value in zip(moving, values, strict=True):
+            every[place] = value
+        robot, state, *acting = jax.tree.unflatten(tree, every)
+        return missing_forces(robot, state, acceleration, Loads(*acting))
+
+    change: Forces
+    _, change = jax.jvp(missing, ([leaves[place] for place in moving],), ([directions[place] for place in moving],))
+    return change
+
+
+def held_accelerations(robot: Robot, state: State, joint_torque: Array, gravity: Array) -> Array:
+    """Return the joints' accelerations (limb, joint) rad/s^2 of a robot whose base is held still, its feet in the air.
+
+    Each limb is then a robot of its own, `H qdd + c = tau`; `joint_torque` is (limb, joint) N m, `gravity` (3,) m/s^2
+    in world axes.
+    """
+    still = jnp.zeros_like(gravity)
+    loads = Loads(joint_torque, jnp.zeros_like(robot.foot_center), jnp.zeros_like(gravity, shape=6), still[0], gravity)
+    state = dataclasses.replace(state, base_linear_velocity=still, base_angular_velocity=still)
+    return jnp.asarray(_held(robot, state, *loads))
+
+
+def held_mobility(robot: Robot, state: State) -> Array:
+    """Return the inverse of each limb's mass matrix (limb, N, N) 1/(kg m^2), the base held still."""
+    frames = limb_frames(robot, None, state.joint_angles)
+    (inverse, *_), _ = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
+    return jnp.asarray(inverse)
+
+
+@jax.custom_jvp
+def _held(robot: Robot, state: State, *acting: Array) -> Array:
+    return _held_solved(robot, state, Loads(*acting))[1]
+
+
+def _held_solved(robot: Robot, state: State, loads: Loads) -> tuple[Array, Array]:
+    """Return the inverse of each limb's mass matrix (limb, N, N), and the accelerations of the joints."""
+    inverse = held_mobility(robot, state)
+    still = Acceleration(*map(jnp.zeros_like, (loads.gravity, loads.gravity, loads.joint_torque)))
+    return inverse, jnp.matvec(inverse, missing_forces(robot, state, still, loads).joint)
+
+
+@functools.partial(_held.defjvp, symbolic_zeros=True)
+def _held_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    """Return what `_jvp` does, of the joints alone."""
+    robot, state, *acting = primals
+    inverse, joints = _held_solved(robot, state, Loads(*acting))
+    still = jnp.zeros_like(state.base_position)
+    change = _missing_change(primals, tangents, Acceleration(still, still, joints))
+    return joints, jnp.matvec(inverse, change.joint)

@@ -1,0 +1,173 @@
+"""A walk as a recording of ROS 2 in one MCAP file, which Foxglove, Rerun and PlotJuggler open."""
+
+import itertools
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mjx_climb.files.writing import write_bytes_atomically
+from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot_import.limbs import quaternion
+from mjx_climb.robot_import.robot_file import root_link
+from mjx_climb.scenario.model import RobotFile
+from mjx_climb.trajectory import Trajectory
+
+WORLD = "world"
+FRAMES_PER_SECOND = 100  # of transforms, which are there to be looked at
+
+
+class _Topic(NamedTuple):
+    name: str
+    kind: str  # type of its messages
+    message: Callable[[int, Any], Any]  # of a row, with the header that it is given
+
+
+def save_mcap(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
+    """Write a walk as MCAP and return its path; time begins at 0, and the same walk gives the same file.
+
+    Topics: `/joint_states` and `/joint_commands` (by the names in the robot's file), `/LIMB/force` (of the ground on
+    the foot) and `/LIMB/support`, `/base_pose` and `/base_twist` of the base's centre of mass, `/push` (from outside),
+    `/tf` of the file's root link and of the feet. Frame `world`, SI units.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    stamps = np.round(1e9 * trajectory.time).astype(np.int64).tolist()
+    with tempfile.TemporaryDirectory() as folder:
+        writer = Writer(Path(folder) / "walk", version=9, storage_plugin=StoragePlugin.MCAP)
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        with writer:
+            topics = [*_topics(trajectory, store.types)]
+            to = [writer.add_connection(topic.name, topic.kind, typestore=store) for topic in topics]
+            every = max(round(1 / (FRAMES_PER_SECOND * trajectory.scenario.time_step)), 1)
+            for row, stamp in enumerate(stamps):
+                header = _header(store.types, stamp)
+                for topic, connection in zip(topics, to, strict=True):
+                    if topic.name != "/tf" or row % every == 0:
+                        message = topic.message(row, header)
+                        writer.write(connection, stamp, store.serialize_cdr(message, topic.kind))
+        return write_bytes_atomically(path, (Path(folder) / "walk" / "walk.mcap").read_bytes())
+
+
+def _header(types: Any, stamp: int) -> Any:
+    seconds, nanoseconds = divmod(stamp, 10**9)
+    time = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    return types["std_msgs/msg/Header"](stamp=time, frame_id=WORLD)
+
+
+def _topics(walk: Trajectory, types: Any) -> Iterator[_Topic]:
+    """Yield the topics of a walk."""
+    state, wrench = types["sensor_msgs/msg/JointState"], types["geometry_msgs/msg/WrenchStamped"]
+    pose, twist = types["geometry_msgs/msg/PoseStamped"], types["geometry_msgs/msg/TwistStamped"]
+    pair, at = types["geometry_msgs/msg/Wrench"], types["geometry_msgs/msg/Pose"]
+    rates, flag = types["geometry_msgs/msg/Twist"], types["std_msgs/msg/Bool"]
+    vector, none = _vector(types["geometry_msgs/msg/Vector3"]), np.array([])
+    point, turn = _vector(types["geometry_msgs/msg/Point"]), _quaternion(types)
+    robot = load_robot(walk.scenario.robot)
+    joints, held = _joints(walk, robot)
+    angles, velocity, effort = (
+        np.hstack([values, np.broadcast_to(fixed, (len(values), len(held)))])
+        for values, fixed in (
+            (joints["joint_angles"], [*held.values()]), (joints["joint_rates"], 0.0), (joints["joint_torque"], 0.0)
+        )
+    )  # fmt: skip
+    names, targets = [*robot.places_in_file()], joints["joint_targets"]
+    yield _Topic(
+        "/joint_states", "sensor_msgs/msg/JointState",
+        lambda row, header: state(header, [*names, *held], angles[row], velocity[row], effort[row]),
+    )  # fmt: skip
+    yield _Topic(
+        "/joint_commands", "sensor_msgs/msg/JointState",
+        lambda row, header: state(header, names, targets[row], none, none),
+    )  # fmt: skip
+    for place, limb in enumerate(walk.limbs):
+        force, moment, support = walk.foot_force[:, place], walk.foot_moment[:, place], walk.support[:, place]
+
+        def forces(row: int, header: Any, force: np.ndarray = force, moment: np.ndarray = moment) -> Any:
+            return wrench(header, pair(vector(force[row]), vector(moment[row])))
+
+        def supports(row: int, header: Any, support: np.ndarray = support) -> Any:
+            return flag(bool(support[row]))
+
+        yield _Topic(f"/{_word(limb)}/force", "geometry_msgs/msg/WrenchStamped", forces)
+        yield _Topic(f"/{_word(limb)}/support", "std_msgs/msg/Bool", supports)
+    position, orientation = walk.base_position, walk.base_orientation
+    yield _Topic(
+        "/base_pose", "geometry_msgs/msg/PoseStamped",
+        lambda row, header: pose(header, at(point(position[row]), turn(orientation[row]))),
+    )  # fmt: skip
+    linear, angular = walk.base_linear_velocity, walk.base_angular_velocity
+    yield _Topic(
+        "/base_twist", "geometry_msgs/msg/TwistStamped",
+        lambda row, header: twist(header, rates(vector(linear[row]), vector(angular[row]))),
+    )  # fmt: skip
+    yield _Topic(
+        "/push", "geometry_msgs/msg/WrenchStamped",
+        lambda row, header: wrench(header, pair(vector(walk.push[row, :3]), vector(walk.push[row, 3:]))),
+    )  # fmt: skip
+    yield _Topic("/tf", "tf2_msgs/msg/TFMessage", _transforms(walk, robot, types))
+
+
+def _joints(walk: Trajectory, robot: Robot) -> tuple[dict[str, np.ndarray], Mapping[str, float]]:
+    """Return histories (time, joint) in the order of the robot's file, and the joints that are held, with their angles.
+
+    A viewer would put joints that it hears nothing of at zero.
+    """
+    limb, joint = np.transpose([*robot.places_in_file().values()])
+    fields = ("joint_angles", "joint_rates", "joint_torque", "joint_targets")
+    values = {name: np.asarray(getattr(walk, name), np.float64)[:, limb, joint].copy("C") for name in fields}
+    source = walk.scenario.robot
+    return values, dict(source.locked.items()) if isinstance(source, RobotFile) else {}
+
+
+def _transforms(walk: Trajectory, robot: Robot, types: Any) -> Callable[[int, Any], Any]:
+    """Return what makes a message of where the robot's root link and feet are; a foot has the world's axes.
+
+    No foot's frame has the name of a link: viewers place the links by the robot's file and `/joint_states`.
+    """
+    source = walk.scenario.robot
+    root = root_link(source, robot) if isinstance(source, RobotFile) else None
+    feet = [_word(f"{limb}_foot") for limb in walk.limbs]
+    while root is not None and {*feet} & {*root.links}:
+        feet = [f"{name}_contact" for name in feet]
+    stamped, transform = types["geometry_msgs/msg/TransformStamped"], types["geometry_msgs/msg/Transform"]
+    vector, turn = _vector(types["geometry_msgs/msg/Vector3"]), _quaternion(types)
+    upright = np.array([1.0, 0.0, 0.0, 0.0])
+
+    def message(row: int, header: Any) -> Any:
+        at, turned = walk.base_position[row], walk.base_orientation[row]
+        if root is not None:
+            offset, axes = root.pose(walk.joint_angles[row])
+            own = quaternion_to_matrix(turned)
+            at, turned = at + own @ offset, quaternion(own @ axes)
+        places = [(root.name if root else "base", at, turned)]
+        places += zip(feet, walk.foot_position[row], itertools.repeat(upright), strict=False)
+        made = [stamped(header, child, transform(vector(at), turn(turned))) for child, at, turned in places]
+        return types["tf2_msgs/msg/TFMessage"](made)
+
+    return message
+
+
+def _vector(kind: Any) -> Callable[[np.ndarray], Any]:
+    return lambda values: kind(*map(float, values))
+
+
+def _quaternion(types: Any) -> Callable[[np.ndarray], Any]:
+    """Return what makes a message of a quaternion wxyz; ROS writes w last."""
+    kind = types["geometry_msgs/msg/Quaternion"]
+    return lambda wxyz: kind(*map(float, (*wxyz[1:], wxyz[0])))
+
+
+def _word(name: str) -> str:
+    """Return a name as ROS takes it."""
+    return re.sub(r"\W", "_", name)

@@ -1,0 +1,161 @@
+"""Whole walks of one robot, from law and parameters to metrics or histories: what `mjx_climb.execution` carries out.
+
+Histories that are kept for a batch are small: the least and the largest value of `LINES` in each stretch of a walk.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from mjx_climb.control import Law
+from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.physics.spatial import norm
+from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.trajectory import Trajectory
+from mjx_climb.walk.control_loop import JointTargets
+from mjx_climb.walk.metrics import Context, Running, accumulate, finish, start
+from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.step import Carry, advance, begin, prepare
+from mjx_climb.walk.structure import Structure
+
+Metrics = dict[str, Array]
+
+STRETCHES = 200
+_LEAST = "least of "  # before a line's name
+
+# name: unit, long name, and the metric that is its largest value
+LINES: dict[str, tuple[str, str, str]] = {
+    "foot_force_history": ("N", "largest foot force", "peak_foot_force"),
+    "base_deviation_history": ("m", "base off its reference", "base_deviation"),
+    "joint_torque_history": ("N m", "largest joint torque", "peak_joint_torque"),
+}
+
+
+def metrics_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:
+    """Return the metrics of a walk; nothing is stored over time."""
+    return _walked(structure, law, parameters, lambda sample: ())[0]
+
+
+def metrics_of_moved(structure: Structure, gains: Mapping[str, Array], law: Law, parameters: Parameters) -> Metrics:
+    """Return the metrics of a walk with some gains, by name, in place of those of the law and of the joint loop."""
+    moved = dataclasses.replace(law, **{n: v for n, v in gains.items() if n in law.GAINS})  # type: ignore[type-var]
+    of_joints = {name: value for name, value in gains.items() if name not in law.GAINS}
+    return metrics_of(structure, moved, dataclasses.replace(parameters, **of_joints))
+
+
+def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:
+    """Return the metrics of a walk, and the extremes of `LINES` in each stretch of time beside them."""
+    metrics, over_time = _walked(structure, law, parameters, _lines)
+    return metrics | _extremes(over_time)
+
+
+def samples_of(structure: Structure, law: Law, parameters: Parameters) -> Sample:
+    """Return every sample of a walk, stacked over time."""
+    walk = prepare(structure, law, parameters)
+    samples: Sample = jax.lax.scan(functools.partial(advance, walk), begin(walk), jnp.arange(structure.steps))[1]
+    return samples
+
+
+def samples_under(
+    structure: Structure, law: Law, parameters: Parameters, targets: Float[Array, "time limb joint"]
+) -> Sample:
+    """Return every sample of a walk whose joint targets, rad, take the law's place, stacked over time."""
+    walk = prepare(structure, law, parameters)
+
+    def step(carry: Carry, now: tuple[Array, Array]) -> tuple[Carry, Sample]:
+        return advance(walk, carry, now[0], JointTargets(now[1]))
+
+    samples: Sample = jax.lax.scan(step, begin(walk), (jnp.arange(structure.steps), targets))[1]
+    return samples
+
+
+def _walked(
+    structure: Structure, law: Law, parameters: Parameters, record: Callable[[Sample], Any]
+) -> tuple[Metrics, Any]:
+    """Return the metrics of a walk, and what `record` keeps of each sample, stacked over time."""
+    walk, table = prepare(structure, law, parameters), structure.metrics
+    context = _context(structure, walk.robot, parameters)
+
+    def step(carry: tuple[Carry, Running], _: None) -> tuple[tuple[Carry, Running], Any]:
+        walked, running = carry
+        walked, sample = advance(walk, walked, running.steps)
+        return (walked, accumulate(table, running, sample, context)), record(sample)
+
+    begun = (begin(walk), start(table, parameters.kp.dtype))
+    (_, running), records = jax.lax.scan(step, begun, length=structure.steps)
+    return finish(table, running, context), records
+
+
+def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parameters) -> Metrics:
+    """Return the metrics of samples stacked over time, of a walk that is over."""
+    dtype, table = samples.base_position.dtype, structure.metrics
+    robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), load_robot(structure.robot))
+    context = _context(structure, robot, parameters)
+
+    def step(running: Running, sample: Sample) -> tuple[Running, None]:
+        return accumulate(table, running, sample, context), None
+
+    return finish(table, jax.lax.scan(step, start(table, dtype), samples)[0], context)
+
+
+def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Context:
+    """Return what metrics may know of a walk: the robot as heavy as it is in this walk."""
+    names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
+    scaled = {name: getattr(robot, name) * parameters.mass_scale for name in names}
+    heavy = dataclasses.replace(robot, **scaled)
+    return Context(heavy, parameters.gravity, parameters.heading, structure.time_step)
+
+
+# --- histories
+
+
+def stretches(steps: int) -> tuple[int, int]:
+    """Return the number of stretches of a walk, `STRETCHES` or fewer, and the steps of one; the last may be shorter."""
+    length = math.ceil(steps / STRETCHES)
+    return math.ceil(steps / length), length
+
+
+def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
+    """Return `LINES` of one walk, (2, stretches): the least and the largest value in each stretch."""
+    return together({name: np.asarray(value) for name, value in _extremes(_lines(trajectory)).items()})
+
+
+def _lines(sample: Any) -> dict[str, Any]:
+    """Return `LINES` of a `Sample`, (), or of a `Trajectory`, (time,); by JAX or by NumPy, as its arrays are."""
+    return {
+        "foot_force_history": norm(sample.foot_force).max(-1),
+        "base_deviation_history": norm(sample.base_position - sample.base_reference),
+        "joint_torque_history": abs(sample.joint_torque).max((-2, -1)),
+    }
+
+
+def _extremes(over_time: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the least and the largest value of lines (time,) in each stretch, (stretches,), for `together`.
+
+    They are results of their own: put together within a compiled program each stretch would be an operation.
+    """
+    found: dict[str, Any] = {}
+    for name, line in over_time.items():
+        xp, (steps,) = line.__array_namespace__(), line.shape
+        number, length = stretches(steps)
+        # the last stretch is filled up with its last value
+        rows = xp.concatenate([line, xp.repeat(line[-1:], number * length - steps)]).reshape(number, length)
+        found |= {f"{_LEAST}{name}": rows.min(1), name: rows.max(1)}
+    return found
+
+
+def together(found: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return results of walks with both extremes (..., stretches) of a line in one array, (..., 2, stretches)."""
+    return {
+        name: np.stack([found[f"{_LEAST}{name}"], value], axis=-2) if name in LINES else value
+        for name, value in found.items()
+        if not name.startswith(_LEAST)
+    }

@@ -1,0 +1,202 @@
+"""The gait step by step against integers, and steps that are counted alike in both precisions."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control import PD, law_of
+from mjx_climb.disturbances import on_base as disturbance
+from mjx_climb.execution.batch_axes import over_batch, own_axes
+from mjx_climb.gait import schedule as gait
+from mjx_climb.hardware.stages import hardware_of, stages_of
+from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.resolve import resolve, resolve_in
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.walk import step
+from mjx_climb.walk.structure import structure
+
+STEP = 1e-3
+LIMBS = load_robot("hubrobo_v3_2").limbs
+PUSH = {"start": 0.1, "stop": 0.2, "force": [1.0, 0.0, 0.0], "moment": [0.0, 0.0, 0.0]}
+
+
+def plan_of(scenario, parameters):
+    robot = load_robot(scenario.robot)
+    return gait.plan(robot, jnp.zeros((4, 3)), parameters, tuple(scenario.gait.lift_off.items()), STEP)
+
+
+def of_batch(function, parameters, count):
+    """A function of one robot's parameters, under vmap."""
+    return jax.jit(lambda many: over_batch(function, [many], [own_axes(many)], (count,)))(parameters)
+
+
+def counted(scenario, changes, dtype, count):
+    """Cycle, swing and lift-offs in steps of parameters with changes, as a walk in a precision has them."""
+    changed = dataclasses.replace(own_parameters(scenario), **changes)
+    parameters = resolve_in(scenario, law_of(scenario), None, changed, dtype).parameters
+    plan = of_batch(lambda one: plan_of(scenario, one), parameters, count)
+    assert plan.cycle_steps.dtype == dtype
+    return np.vstack([plan.cycle_steps, plan.swing_steps, plan.swing_offset.T])
+
+
+def test_cycles_have_the_same_steps_in_both_precisions():
+    """Of whole milliseconds against integers, half a step being one; of others against each other.
+
+    Swings are cut to whole steps: a limb that lifts off next does not before.
+    """
+    scenario, number = mc.load_scenario("case_1_2"), np.arange(1000, 6000)
+    quarters = [round(scenario.gait.lift_off[limb] * 4) for limb in LIMBS]
+    whole = np.array([number, number // 4, *((k * number + 2) // 4 for k in quarters)])
+    lift_offs = np.sort([*whole[2:], number], axis=0)
+    assert (lift_offs[:-1] + whole[1] <= lift_offs[1:]).all()
+    any_duty = {"cycle": np.random.default_rng(0).uniform(1, 6, 5000), "duty": np.float64(0.7003)}
+    for dtype in (np.float32, np.float64):
+        np.testing.assert_array_equal(counted(scenario, {"cycle": number * STEP}, dtype, 5000), whole)
+        single = np.float32(number * STEP)  # what a caller without double precision has
+        np.testing.assert_array_equal(counted(scenario, {"cycle": single}, dtype, 5000), whole)
+    np.testing.assert_array_equal(*(counted(scenario, any_duty, dtype, 5000) for dtype in (np.float32, np.float64)))
+
+
+@pytest.mark.parametrize("traced", [False, True])
+def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
+    """From JAX's transformations too, where nothing is known in double precision; and the gait's."""
+    scenario = mc.load_scenario("case_1_2", {"disturbance.pushes": [PUSH]})
+    half_steps = np.arange(1, 10001, 7)
+    times = half_steps * STEP / 2
+    windows = dict.fromkeys(("push_start", "push_stop"), times[:, None])
+    spans = dict.fromkeys(("cycle", "cargo_start", "cargo_stop", "control_period"), times)
+    parameters = dataclasses.replace(own_parameters(scenario), **windows, **spans)
+    stages = stages_of(scenario, own_parameters(scenario))._replace(control_period=True)
+
+    def resolved(parameters):
+        return resolve(scenario, law_of(scenario), None, parameters, parameters.kp.dtype).parameters
+
+    def steps_of_one(one):
+        windows, period = disturbance.windows(one, STEP), hardware_of(one, stages, STEP).pace.period
+        return [*windows.cargo, *(w[0] for w in windows.pushes), period, plan_of(scenario, one).cycle_steps]
+
+    @jax.jit
+    def steps(parameters):
+        return of_batch(steps_of_one, resolved(parameters) if traced else parameters, times.size)
+
+    for dtype in (np.float32, np.float64):
+        own = jax.tree.map(lambda value: np.asarray(value, dtype), parameters)  # noqa: B023
+        for found in steps(own if traced else resolved(own)):
+            assert found.dtype == dtype
+            np.testing.assert_array_equal(found, (half_steps + 1) // 2)
+
+
+def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
+    """Towards longer delays: their derivative moves weight from the sample to the next older one."""
+    scenario, number = mc.Scenario(), np.arange(1, 200)
+    for dtype in (np.float32, np.float64):
+        own = dataclasses.replace(own_parameters(scenario), command_delay=dtype(number * STEP))
+        stages = stages_of(scenario, own)
+
+        def weights(delay, own=own, stages=stages):
+            return jnp.stack(hardware_of(dataclasses.replace(own, command_delay=delay), stages, STEP).pace.command)
+
+        found, rate = jax.jvp(weights, (own.command_delay,), (jnp.ones(len(number), dtype),))
+        np.testing.assert_allclose(found, np.arange(len(found))[:, None] == number, atol=5e-5)
+        np.testing.assert_array_equal(np.argmin(rate, axis=0), number)
+        np.testing.assert_array_equal(np.argmax(rate, axis=0), number + 1)
+
+
+@pytest.mark.parametrize("duty", [0.75, 0.8])
+def test_a_limb_knows_when_it_lifts_off_and_when_it_touched_down(duty):
+    """Over two cycles, counted in when its gripper opens and shuts; a swinging limb has neither time.
+
+    In the cycle before the walk nothing swings: a limb that has not swung yet has stood for a cycle longer.
+    """
+    scenario = mc.load_scenario("case_1_2", {"gait.cycle": 0.5, "gait.duty": duty})
+    plan, cycle, limbs = plan_of(scenario, own_parameters(scenario)), 500, len(LIMBS)
+    opens = np.array([round(scenario.gait.lift_off[limb] * cycle) for limb in LIMBS])
+    shuts = opens + cycle - round(duty * cycle)
+    step = np.arange(2 * cycle)
+    expected = np.zeros((2, len(step), limbs))
+    for limb, (first, last) in enumerate(zip(opens, shuts, strict=True)):
+        shut = np.ones(5 * cycle, bool)  # beginning two cycles before the walk
+        for begin in np.array([0, 2, 3, 4]) * cycle:
+            shut[begin + first : begin + last] = False
+        for n in step:
+            after, before = shut[n + 2 * cycle :], shut[: n + 2 * cycle + 1][::-1]
+            expected[:, n, limb] = np.argmin(after), max(np.argmin(before) - 1, 0)
+
+    def reference_of(n):
+        start, feet = plan.base_start, gait.first_footholds(plan)
+        return gait.reference(plan, gait.schedule(plan, n), start, feet, STEP)
+
+    found = jax.jit(jax.vmap(reference_of, axis_size=len(step)))(jnp.asarray(step))
+    for own, times in zip((found.until_lift_off, found.since_touchdown), expected * STEP, strict=True):
+        np.testing.assert_allclose(own, times, atol=1e-9)
+    assert expected.max(1).min() > 0.5 * cycle
+
+
+def test_the_base_sways_towards_the_feet_that_stand_and_feet_land_with_a_speed():
+    """By differences of the reference: at rest in the middle of a swing, where it is over 0.4 of the way to the others.
+
+    The way is taken at the first cycle; a cycle later the sway is the same.
+    """
+    changes = {"gait.cycle": 1.0, "gait.duty": 0.8, "gait.sway": 0.4, "gait.landing_speed": 0.1, "gait.heading": 0.5}
+    changes |= {"gait.step_height": 0.002}
+    scenario = mc.load_scenario("case_1_2", changes)
+    own, robot = own_parameters(scenario), load_robot(scenario.robot)
+    feet = np.array([[0.2, 0.1, 0.0], [-0.1, 0.2, 0.0], [-0.2, -0.1, 0.0], [0.1, -0.1, 0.0]])
+    with jax.enable_x64(True):
+        made = gait.plan(
+            robot, jnp.asarray(feet), own, tuple(scenario.gait.lift_off.items()), STEP, stages_of(scenario, own)
+        )
+
+        def at(n):
+            now = gait.schedule(made, n)
+            start, standing = gait.planned_start(made, now.cycle), gait.first_footholds(made)
+            plain = gait.base_reference(made._replace(sway=()), now, start)
+            return gait.base_reference(made, now, start) - plain, gait.foot_targets(made, now, standing), now.closed
+
+        sway, targets, closed = jax.jit(jax.vmap(at))(jnp.arange(2000))
+    turn = np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]])
+    for limb, name in enumerate(LIMBS):
+        begin = round(scenario.gait.lift_off[name] * 1000)
+        others = np.delete(feet, limb, 0).mean(0)[:2]
+        np.testing.assert_allclose(sway[begin + 100, :2], 0.4 * (others - robot.stance_position[:2]) @ turn, atol=1e-12)
+        np.testing.assert_allclose(sway[begin + 101], sway[begin + 99], atol=1e-5)
+        assert not closed[begin + 199, limb] and closed[begin + 200, limb]
+        height = targets[begin + 197 : begin + 200, limb, 2]
+        np.testing.assert_allclose(height[2] / STEP, 0.1, rtol=0.05)  # the step that would end at the ground
+        np.testing.assert_allclose((3 * height[2] - 4 * height[1] + height[0]) / (2 * STEP), -0.1, rtol=0.05)
+    np.testing.assert_allclose(sway[1000:], sway[:1000], atol=1e-12)
+    assert not sway[:, 2].any() and np.abs(np.diff(sway, axis=0)).max() < 2e-3
+
+
+# the base is ahead at the start, on its way from where the one hind limb has swung to where the other one will
+SWAYED = {"duty": 0.8, "sway": 0.4, "phases": {"LH": 0.1, "LF": 0.3, "RF": 0.5, "RH": 0.7}}
+
+
+@pytest.mark.parametrize("change", [{"gait": SWAYED}, {"gait.height": 0.9}], ids=["swayed", "low"])
+def test_a_walk_begins_with_its_feet_on_their_footholds(change):
+    """Also where the base is not where it is in the rest stance, so that the joints are others."""
+    scenario = mc.Scenario().with_overrides(change)
+    own = own_parameters(scenario)
+    with jax.enable_x64(True):
+        start = jax.jit(lambda: step.begin(step.prepare(structure(scenario, "limb", own, law=PD()), PD(), own)))()
+        state, robot = start.state, load_robot(scenario.robot)
+        frames = limb_frames(robot, quaternion_to_matrix(state.base_orientation), state.joint_angles)
+        feet = np.asarray(state.base_position + frames.foot)
+    assert np.abs(state.joint_angles - robot.stance_joints).max() > 0.01
+    np.testing.assert_allclose(feet, start.contact.grip_point, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_batch_walks_the_gait_of_one_robot():
+    """And no two limbs swing in one step: a swing of 256 steps of 1022 would begin before the last one ends."""
+    scenario = mc.load_scenario("case_1_2", {"gait.cycle": 1.022, "duration": 0.8})
+    alone, batch = mc.rollout(scenario), mc.rollout_metrics(scenario)
+    assert (~alone.support[:, LIMBS.index("LH")]).sum() == 255
+    assert alone.support.sum(1).min() == 3
+    np.testing.assert_allclose(batch["min_gia_margin"], mc.metrics(alone)["min_gia_margin"], rtol=1e-3, atol=1e-3)

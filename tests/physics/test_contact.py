@@ -1,0 +1,92 @@
+"""Grippers: what they hold, what tears them off, what is out of their reach, and how they keep a foot from turning."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import mjx_climb as mc
+from mjx_climb.physics.contact.gripper import Attitude, Contact, Reach, grip
+from mjx_climb.physics.kinematics import Feet, Turning
+
+OPEN = jnp.zeros(4, bool)
+PARAMETERS = dataclasses.replace(
+    mc.parameters(mc.Scenario()),
+    capture_distance=jnp.asarray(0.005),
+    holding_limit=jnp.asarray(jnp.inf),
+    rotational_stiffness=jnp.asarray(5.0),
+    rotational_damping=jnp.asarray(0.1),
+)
+AWAY = Contact(jnp.zeros((4, 3)), OPEN, OPEN, Reach(OPEN, OPEN))
+
+
+def feet(*heights, slide=(0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
+    position = jnp.array([[*slide, height] for height in heights])
+    return Feet(position, jnp.broadcast_to(jnp.array(velocity), (4, 3)), position)
+
+
+def gripped(contact, foot, *closed, ground=(0.0,) * 4, turning=None, **changes):
+    changes = {name: jnp.asarray(value) for name, value in changes.items()}
+    parameters = dataclasses.replace(PARAMETERS, **changes)
+    return grip(contact, foot, jnp.array(closed), jnp.array(ground), parameters, turning)
+
+
+@pytest.mark.parametrize("ground", [0.0, 0.3, -0.2])
+def test_a_gripper_holds_what_is_within_reach_of_the_ground(ground):
+    """Where it misses it stays open, near or not, until its next swing."""
+    level = np.array([ground] * 4)
+
+    def walked(contact, heights, *closed):
+        return gripped(contact, feet(*(ground + np.array(heights))), *closed, ground=level)
+
+    contact, held = walked(AWAY, [0.004, 0.006, -0.001, 0.1], True, True, True, False)
+    np.testing.assert_array_equal(held.support, [True, False, True, False])
+    np.testing.assert_array_equal(held.missed, [False, True, False, False])
+    np.testing.assert_allclose(contact.grip_point[0], [0, 0, ground])
+    assert held.foot_force[0, 2] < 0 and held.foot_force[1, 2] == 0
+    again, later = walked(contact, [0.004, 0.001, -0.001, 0.1], True, True, True, False)
+    np.testing.assert_array_equal(later.support, [True, False, True, False])
+    assert not later.missed.any()
+    lifted, _ = walked(again, [0.004, 0.1, -0.001, 0.1], True, False, True, False)
+    assert walked(lifted, [0.004, 0.001, -0.001, 0.1], True, True, True, False)[1].support[1]
+
+
+def test_an_open_gripper_pushes_along_the_normal_and_does_not_stick():
+    """A foot that slid is gripped where it is."""
+    down, on_ground = (False,) * 4, (-0.001, 0.1, 0.1, 0.1)
+    contact, held = gripped(AWAY, feet(*on_ground), *down)
+    assert held.foot_force[0, 2] > 0
+    _, slid = gripped(contact, feet(*on_ground, slide=(0.003, 0.0)), *down)
+    np.testing.assert_array_equal(slid.foot_force[0, :2], 0)
+    _, rising = gripped(contact, feet(*on_ground, velocity=(0.0, 0.0, 10.0)), *down)
+    np.testing.assert_array_equal(rising.foot_force, 0)
+    after, held = gripped(contact, feet(*on_ground, slide=(0.003, 0.0)), True, False, False, False)
+    np.testing.assert_allclose(after.grip_point[0], [0.003, 0, 0])
+    assert held.support[0]
+
+
+def test_without_a_capture_distance_a_gripper_holds_from_anywhere():
+    _, held = gripped(AWAY, feet(0.114, 0.1, 0.1, 0.1), True, False, False, False, capture_distance=np.inf)
+    assert held.support[0] and not held.missed.any()
+    np.testing.assert_allclose(held.foot_force[0, 2], -1140)
+
+
+def test_a_grip_keeps_the_attitude_in_which_it_shut_last():
+    """It resists by the sine of the angle and by the rate; when it grips again, the attitude is the new one."""
+
+    def turned(angle, rate=0.0):
+        rotation = jnp.broadcast_to(jnp.asarray(Rotation.from_rotvec([0, 0, angle]).as_matrix()), (4, 3, 3))
+        return Turning(rotation, jnp.zeros((4, 3)).at[:, 2].set(rate), jnp.zeros((4, 3, 3)))
+
+    on_ground, moments = feet(0.0, 0.0, 0.0, 0.0), []
+    contact = AWAY._replace(reach=(), attitude=Attitude(turned(0.0).rotation, OPEN))
+    for closed, turning in (
+        (True, turned(0.2)), (True, turned(0.5)), (True, turned(0.5, rate=2.0)),
+        (False, turned(0.9, rate=2.0)), (True, turned(0.9)), (True, turned(1.0)),
+    ):  # fmt: skip
+        contact, held = gripped(contact, on_ground, *[closed] * 4, turning=turning)
+        moments.append(held.foot_moment[0])
+    expected = [0, -5 * np.sin(0.3), -5 * np.sin(0.3) - 0.2, 0, 0, -5 * np.sin(0.1)]
+    np.testing.assert_allclose(moments, [[0, 0, moment] for moment in expected], atol=1e-12)

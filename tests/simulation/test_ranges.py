@@ -1,0 +1,173 @@
+"""Parameters of a scenario, from Python in the ranges of its keys, and bad arguments of a batch in one line each."""
+
+import copy
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control import law_of
+from mjx_climb.inputs.parameters import KEYS, check_ranges, own_parameters
+from mjx_climb.inputs.resolve import resolve_in
+
+
+@pytest.fixture(scope="module")
+def scenario(case):
+    return case("case_2", "virtual_model", {"duration": 0.01, "gait.cycle": 4.0})
+
+
+@pytest.fixture(scope="module")
+def numbers(scenario):
+    return own_parameters(scenario)
+
+
+WRONG = {
+    "torque_limit": (-1.0, "expected a finite number above 0, or infinite, got -1"),
+    "holding_limit": (-1.0, "expected a finite number, 0 or above, or infinite, got -1"),
+    "duty": (2.0, "expected a number above 0 and below 1, got 2"),
+    "kp": ([50.0, -5.0], "expected a finite number above 0, got -5"),
+    "cargo_mass": (-5.0, "expected a finite number, 0 or above, got -5"),
+    "force_delay": (-1.0, "expected a finite number, 0 or above, got -1"),
+    "gravity": ([0.0, np.nan, -9.81], "expected a list of three numbers from -10000 to 10000, got nan"),
+    "heading": (7.0, "expected an angle in rad between -2 pi and 2 pi, got 7"),
+    "seed": (1.5, "expected a whole number from 0 to below 2^24, got 1.5"),
+    "mass_scale": (0.0, "expected a finite number above 0, got 0"),
+    "cycle": (np.inf, "expected a finite number above 0, got inf"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_parameters_outside_of_the_ranges_of_a_scenario_are_refused(scenario, numbers, name):
+    value, said = WRONG[name]
+    for of in (np.asarray, jnp.asarray):
+        with pytest.raises(ValueError, match=f"^parameters.{name}: ") as error:
+            mc.rollout_metrics(scenario, None, dataclasses.replace(numbers, **{name: of(value)}))
+        assert str(error.value) == f"parameters.{name}: {said}"
+
+
+def test_pushes_without_their_times_are_refused(numbers):
+    bad = copy.copy(numbers)
+    object.__setattr__(bad, "push_start", np.zeros(1))  # jaxtyping knows it too, while tests run
+    with pytest.raises(ValueError, match=r"^parameters\.push_start: .* 3 of push_force, .* 1 of push_start"):
+        check_ranges(bad)
+
+
+SHAPES = {  # of one robot of four limbs, by name: another one, and what is said
+    "gravity": ((2,), "(..., 3), got (2,)"),
+    "foothold_height": ((3, 2), "(..., 4, N), got (3, 2)"),
+    "swing_path": ((4, 3, 7), "(..., 4, 3, K), K 0 to 6, got (4, 3, 7)"),
+    "force_dead": ((3,), "(..., 4), got (3,)"),
+    "push_force": ((3, 2), "(..., pushes, 3), got (3, 2)"),
+    "push_moment": ((3, 2), "(..., pushes, 3), got (3, 2)"),
+}
+
+
+def test_each_parameter_of_another_shape_is_named(scenario, numbers):
+    """By every method, before JAX sees it."""
+    assert {*SHAPES, "push_start", "push_stop"} == {*mc.Parameters.AXES}  # which any one row is for
+    methods = (mc.rollout, mc.rollout_metrics, lambda s, *of: mc.simulator(s)(*of), mc.Simulation(scenario).reset)
+    for name, (shape, said) in SHAPES.items():
+        for method in methods:
+            bad = copy.copy(numbers)
+            object.__setattr__(bad, name, np.zeros(shape))
+            with pytest.raises(ValueError) as error:
+                method(None, bad) if method is methods[-1] else method(scenario, None, bad)
+            assert str(error.value) == f"parameters.{name}: expected shape {said}"
+
+
+ACTIONS = [  # to robots (2,), or to one alone
+    (mc.JointTargets(np.zeros((4, 2))), "JointTargets.angles: expected shape (4, 3){}, got (4, 2)"),
+    (mc.JointTargets(np.zeros((3, 4, 3))), "JointTargets.angles: expected shape (4, 3){}, got (3, 4, 3)"),
+    (mc.BaseShift(np.zeros(3)), "BaseShift.displacement: expected shape (6,){}, got (3,)"),
+    (np.zeros(6), "action: expected JointTargets, BaseShift or None, got ndarray"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(ACTIONS)))
+def test_an_action_of_another_shape_is_named(scenario, number):
+    action, said = ACTIONS[number]
+    env = mc.Environment(scenario)
+    one, two = (jax.eval_shape(lambda batch=batch: env.reset(batch=batch)) for batch in ((), (2,)))
+    for step, state, more in (
+        (env.simulation.step, one, ""),
+        (env.step, one, ""),
+        (env.step, two, ", or with batch axes before it that broadcast to (2,)"),
+    ):
+        with pytest.raises(ValueError) as error:
+            jax.eval_shape(lambda state, step=step: step(state, action), state)
+        assert str(error.value) == said.format(more)
+
+
+def test_what_the_scenario_allows_is_allowed(numbers):
+    """The ends of ranges, batches, and what nobody knows yet."""
+    ends = {"holding_limit": np.array([0.0, np.inf]), "kd": 0.0, "duty": np.nextafter(1, 0), "seed": 2.0**24 - 1}
+    check_ranges(dataclasses.replace(numbers, **{name: np.asarray(value) for name, value in ends.items()}))
+    assert set(KEYS) | {"mass_scale", "foothold_height", "swing_path", "force_dead"} == set(vars(numbers))
+    jax.eval_shape(lambda kp: check_ranges(dataclasses.replace(numbers, kp=kp)), -1.0)
+
+
+SIX = mc.Gains(*[np.ones((1, 6))] * 3)
+NO_DTYPE, NO_BATCH = "dtype: expected float32 or float64, got ", "batch_size: expected 1 or more, got 0"
+UNLIKE = "batch axes of gains and parameters: expected some that broadcast, got "
+NOBODY = "gains and parameters: expected one robot or more, got batch axes (0,)"
+LIMIT = "parameters.torque_limit: expected a finite number above 0, or infinite, got -1"
+BAD = [  # a call of a scenario and of bad parameters, and what is said
+    (lambda s, bad: mc.rollout(s, None, bad), LIMIT),
+    (lambda s, bad: mc.rollout_histories(s, None, bad), LIMIT),
+    (lambda s, bad: mc.rollout_jvp(s, {"damping": 1e2}, {"damping": 1.0}, bad), LIMIT),
+    (lambda s, bad: mc.simulator(s)(None, bad), LIMIT),
+    (lambda s, bad: mc.Environment(s).reset(None, bad), LIMIT),
+    (lambda s, _: mc.rollout_metrics(s, dtype=jnp.bfloat16), f"{NO_DTYPE}bfloat16"),
+    (lambda s, _: mc.rollout_metrics(s, dtype=np.int32), f"{NO_DTYPE}int32"),
+    (lambda s, _: mc.Environment(s, dtype=jnp.float16), f"{NO_DTYPE}float16"),
+    (lambda s, _: mc.simulator(s)({"damping": jnp.full(6, 1e2, jnp.bfloat16)}), f"{NO_DTYPE}bfloat16"),
+    (lambda s, _: resolve_in(s, law_of(s), None, None, np.int32), f"{NO_DTYPE}int32"),
+    (lambda s, _: mc.rollout_metrics(s, batch_size=0), NO_BATCH),
+    (lambda s, _: mc.rollout_jvp(s, SIX, SIX, batch_size=0), NO_BATCH),
+    (lambda s, _: mc.rollout_histories(s, batch_size=0), NO_BATCH),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": np.ones(0)}), NOBODY),
+    (lambda s, _: mc.Environment(s).reset(batch=(0,)), NOBODY),
+    (lambda s, _: mc.Environment(s).reset(batch=(2.5,)), "batch: expected whole numbers of robots, got (2.5,)"),
+    (lambda s, _: mc.Environment(s).reset(batch="ab"), "batch: expected whole numbers of robots, got ('a', 'b')"),
+    (
+        lambda s, _: mc.Environment(s).reset({"kp": np.full(2, 50.0)}, batch=(3,)),
+        f"{UNLIKE}gains and parameters (2,), batch (3,)",
+    ),
+    (
+        lambda s, _: mc.rollout_metrics(s, {"gait.sway": np.zeros(2), "gait.height": np.ones(3)}),
+        f"{UNLIKE}height (3,), sway (2,)",
+    ),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"damping": 1e2}, {"damping": 1.0}),
+        "directions.damping: expected shape (1, 6), or fewer batch axes behind the first, got ()",
+    ),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"kp": np.full(2, 50.0)}, {"kp": np.ones((1, 3))}),
+        "directions.kp: expected shape (1, 2), or fewer batch axes behind the first, got (1, 3)",
+    ),
+    (lambda s, _: mc.rollout_metrics(s, {"damping": 1e2 + 1j}), "gains.damping: expected real numbers, got complex128"),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": 1j}), "gains.kp: expected real numbers, got complex128"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(BAD)))
+def test_bad_arguments_have_one_line_each(scenario, numbers, number):
+    call, said = BAD[number]
+    with pytest.raises(ValueError) as error:
+        call(scenario, dataclasses.replace(numbers, torque_limit=np.asarray(-1.0)))
+    assert str(error.value) == said
+
+
+@pytest.mark.parametrize("hardware", [(), ["hardware.force_sensor.delay=0.002"]])
+def test_parameters_in_numpy_are_those_of_jax(hardware):
+    """To the last bit, where no array of JAX is made: a GPU would have to start for it."""
+    scenario = mc.load_scenario("case_1_2", hardware)
+    with jax.transfer_guard("disallow"):
+        mine = own_parameters(scenario)
+    for name, value in vars(mc.parameters(scenario)).items():
+        own = getattr(mine, name)
+        assert isinstance(own, np.ndarray) and own.dtype == value.dtype == np.float64
+        np.testing.assert_array_equal(own, value, err_msg=name)

@@ -1,0 +1,51 @@
+"""A gripped robot whose base sways: against MuJoCo's C code with a spring and a damper at each foot."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.hardware.stages import hardware_of, stages_of
+from mjx_climb.inputs.parameters import parameters
+from mjx_climb.physics.state import State
+from mjx_climb.robot.constants import load_robot
+from tests.tuning.identification.gripped_in_mujoco import TRUTH, swayed, sways
+from tuning.identification import held_feet as grips
+from tuning.identification.held_base import targets_of
+
+ROBOT = load_robot("hubrobo_v3_2")
+# the torque jumps as the target does
+BOUNDS = {"position": 2e-4, "velocity": 5e-3, "effort": 0.2, "force": 0.02, "base_position": 2e-5,
+          "base_orientation": 3e-5}  # fmt: skip
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e4, 20.0), (5e4, 60.0)])
+def test_a_step_of_a_millisecond_is_right_to_second_order(stiffness, damping):
+    truth = dataclasses.replace(TRUTH, stiffness=stiffness, damping=damping)
+    time, targets = sways(1.5, 0.001)
+    log = swayed(truth, time, targets, step=2.5e-5, lead=0.0)
+    scenario = mc.load_scenario("case_1_1", {
+        "control.kp": truth.kp, "control.kd": truth.kd, "hardware.servo.armature": truth.armature,
+        "contact.stiffness": stiffness, "contact.damping": damping,
+    })  # fmt: skip
+    with jax.enable_x64(True):
+        own = parameters(scenario)
+        hardware = hardware_of(own, stages_of(scenario, own, ROBOT), 0.001, ROBOT)
+        robot = jax.tree.map(lambda value: jnp.asarray(value, float), ROBOT)
+        still = jnp.zeros(3)
+        pose = robot.stance_position, robot.stance_orientation
+        state = State(*pose, still, still, robot.stance_joints, jnp.zeros((4, 3)))
+        gripped = grips.Gripped(robot, hardware, grips.grips(robot, state, hardware))
+        held = np.stack([targets_of(time, command, time, 0.001)[0] for command in targets.T], axis=1)
+        step = functools.partial(grips.advance, gripped)
+        _, ours = jax.lax.scan(step, grips.begin(hardware, state), jnp.asarray(held.reshape(-1, 4, 3)))
+    after = time > 0.3  # it begins at rest half a step early
+    for kind, bound in BOUNDS.items():
+        off = np.reshape(getattr(ours, kind), (len(time), -1)) - log[kind].reshape(len(time), -1)
+        moved = np.ptp(log[kind].reshape(len(time), -1)[after], axis=0).max()
+        assert np.abs(off[after]).max() < bound
+        assert moved > 20 * bound

@@ -1,0 +1,154 @@
+"""The first walks of a proposed scenario: its joint gains, the cycle at which it holds, and what a ceiling asks of it.
+
+All of them are the walks of one compiled program, `WALKS` side by side, which differ by their parameters alone.
+"""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mjx_climb.functions import rollout_metrics
+from mjx_climb.inputs.parameters import Gains, own_parameters
+from mjx_climb.inputs.time_step import short_enough
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.robot.constants import load_robot
+from mjx_climb.scenario.model import Scenario
+
+WALKS = 16
+SLOWER = ((1.0,), (2.0, 4.0, 4.0))  # times the cycle, walked together; the third with grips that never let go
+RIGID = 1e12  # kg, kg m^2: a virtual mass that no wrench moves, with which base admittance is pd
+ROUNDS = 3  # grids of kp and kd, each about the best of the one before and half as wide
+GRID, TIMES = (5, 3), (5.0, 10.0)  # values of kp and kd; the first grid goes so many times lower and higher
+SAGS = 0.1  # of the stance's height, what the base may stray for less force variation
+MANY = 2.0  # times the robot's weight on Earth, in a single foot: worth a warning
+EARTH = 9.81  # m/s^2
+
+
+class FirstWalk(NamedTuple):
+    """A scenario, two cycles long, and how its walk went."""
+
+    scenario: Scenario
+    holds: bool
+    how: str
+    peak_foot_force: float  # N
+
+
+def _walked(scenario: Scenario, *, rigid: bool = False, **values: np.ndarray | float) -> dict[str, np.ndarray]:
+    """Return the metrics of walks with some parameters replaced, (N,) each and N up to `WALKS`, and which stay upright.
+
+    With `rigid` under pd, whatever the scenario's gains.
+    """
+    own, control, robot = own_parameters(scenario), scenario.control, load_robot(scenario.robot)
+    count = max(map(np.size, values.values()))
+    varied = {name: getattr(own, name) for name in ("kp", "kd", "cycle", "holding_limit")} | values
+    padded = {name: np.resize(value, WALKS) for name, value in varied.items() if name != "gravity"}
+    padded["gravity"] = np.broadcast_to(values.get("gravity", own.gravity), (WALKS, 3))
+    inertia, damping, stiffness = (
+        np.broadcast_to(np.asarray(gain, float), (WALKS, 6))
+        for gain in (RIGID if rigid else control.inertia, control.damping, control.stiffness)
+    )
+    walked = rollout_metrics(
+        scenario, Gains(inertia, damping, stiffness), dataclasses.replace(own, **padded), dtype=np.float64
+    )
+    found = {name: np.asarray(value)[:count] for name, value in walked.items()}
+    return found | {"upright": ~found["diverged"] & (found["base_deviation"] < robot.stance_position[2] / 2)}
+
+
+def with_joint_gains(scenario: Scenario) -> tuple[Scenario, str]:
+    """Return a scenario with the kp and kd that give pd the least force variation, and in words what they change.
+
+    Walked with grips that never let go, over the scenario's duration; among gains that its time step can follow, with
+    which the base strays no farther than a tenth of its height, or than with the scenario's own.
+    """
+    control, middle = scenario.control, math.prod(GRID) // 2  # the scenario's own, in the first grid
+    own = best = np.log([control.kp, control.kd])
+    half, first, allowed = np.log(TIMES), math.inf, SAGS * load_robot(scenario.robot).stance_position[2]
+    offsets = np.stack(np.meshgrid(*(np.linspace(-1, 1, count) for count in GRID)), -1).reshape(-1, 2)
+    for number in range(ROUNDS):
+        points = best + half * offsets
+        kp, kd = np.exp(points).T
+        walked = _walked(scenario, rigid=True, kp=kp, kd=kd, holding_limit=math.inf)
+        if number == 0 and walked["upright"][middle]:
+            first = float(walked["force_variation"][middle])
+            allowed = max(allowed, float(walked["base_deviation"][middle]))
+        good = walked["upright"] & (walked["base_deviation"] <= allowed)
+        values = np.where(good, walked["force_variation"], np.inf)
+        for place in np.argsort(values):
+            found = [float(f"{gain:.2g}") for gain in np.exp(points[place])]
+            changed = scenario.with_overrides({"control.kp": found[0], "control.kd": found[1]})
+            if not np.isfinite(values[place]) or short_enough(changed):
+                break
+        if not np.isfinite(values[place]):
+            return scenario, "no others among those searched keep the base as near to its reference"
+        best, half = points[place], half / 2
+    if np.allclose(best, own) or not values[place] < first:
+        return scenario, f"none of {ROUNDS * math.prod(GRID) - 1} others gives pd less force variation"
+    before = f"with kp {control.kp:g} and kd {control.kd:g}, HubRobo's in proportion"
+    less = f"{100 * (1 - values[place] / first):.0f} % less than" if np.isfinite(first) else "which does not walk"
+    return changed, f"of {ROUNDS * math.prod(GRID)} short walks of pd that of least force variation, {less} {before}"
+
+
+def slow_enough(scenario: Scenario) -> FirstWalk:
+    """Return a scenario with its cycle, or twice or four times that, whichever is the first at which it walks.
+
+    It walks where all grips hold and the base strays by no more than half its height. Where it does at none, the words
+    say what fails although the slowest one has grips that never let go.
+    """
+    own, cycle, robot = own_parameters(scenario), scenario.gait.cycle, load_robot(scenario.robot)
+    for times in SLOWER:
+        cycles, endless = cycle * np.array(times), np.arange(len(times)) == 2
+        span = 2 * float(cycles[0])
+        limits = np.where(endless, math.inf, own.holding_limit)
+        walked = _walked(scenario.with_overrides({"duration": span}), cycle=cycles, holding_limit=limits)
+        held = walked["upright"] & (walked["detached_limb"] < 0) & ~endless
+        if held.any():
+            found = float(cycles[np.argmax(held)])
+            slower = "" if found == cycle else f", which it does not at {found / 2:g} s"
+            scenario = scenario.with_overrides({"gait.cycle": found, "duration": 2 * found})
+            how = f"holds for {span:g} s at a cycle of {found:g} s{slower}"
+            return FirstWalk(scenario, True, how, float(walked["peak_foot_force"][np.argmax(held)]))
+    if walked["upright"][-1]:
+        limb = robot.limbs[int(walked["detached_limb"][-2])]
+        pull, limit = walked["peak_pull_force"][-1], scenario.contact.holding_limit
+        why = f"limb {limb} lets go; a grip that held would pull {pull:.3g} N, contact.holding_limit is {limit:g} N"
+    elif walked["diverged"][-1]:
+        why = "diverges, with grips that never let go too: see stance, joint limits and control"
+    else:
+        strays = walked["base_deviation"][-1]
+        why = f"its base strays {strays:.3g} m, with grips that never let go too: see control.kp and torque limits"
+    how = f"does not walk at any cycle from {cycle:g} to {cycles[-1]:g} s: {why}"
+    return FirstWalk(scenario, False, how, math.nan)
+
+
+def on_ceiling(scenario: Scenario) -> tuple[bool, str]:
+    """Return whether a walk holds on a ceiling, and in words the holding limit with which it would hold there.
+
+    It is the largest pull on grips that never let go, rounded up: any limit above that changes nothing in the walk.
+    """
+    strength, own = float(np.linalg.norm(scenario.gravity)), scenario.contact.holding_limit
+    limit, gravity = math.inf if own is None else own, np.array([0.0, 0.0, strength])
+    walked = _walked(scenario, gravity=gravity, holding_limit=np.array([limit, math.inf]))
+    pull = float(walked["peak_pull_force"][1])
+    robot = load_robot(scenario.robot)
+    # it hangs away from the ground: what counts is how far the limbs hold the base
+    away = np.linalg.norm(limb_frames(robot, None, robot.stance_joints).foot, axis=-1).mean()
+    if walked["diverged"][1] or not walked["base_deviation"][1] < away / 2:
+        how = "diverges" if walked["diverged"][1] else f"its base strays {walked['base_deviation'][1]:.3g} m"
+        return False, f"{how} there, with grips that never let go too: see control.kp and torque limits"
+    if walked["detached_limb"][0] < 0:
+        return True, f"holds there too: the largest pull is {pull:.3g} N"
+    power = 10.0 ** (math.floor(math.log10(pull)) - 1)
+    needed = float(f"{math.ceil(pull / power + 1e-9) * power:.2g}")
+    limb = robot.limbs[int(walked["detached_limb"][0])]
+    return False, f"limb {limb} lets go there; contact.holding_limit={needed:g} would hold"
+
+
+def heavy_load(scenario: Scenario, peak_foot_force: float) -> str | None:
+    """Return in words a load on one foot that is many times the robot's weight on Earth; None of one that is not."""
+    weight = EARTH * float(load_robot(scenario.robot).total_mass)
+    if not peak_foot_force > MANY * weight:
+        return None
+    times = f"{peak_foot_force / weight:.2g} times its weight on Earth"
+    return f"{peak_foot_force:.3g} N on one foot, {times}: are a real robot's joints and grips as strong?"

@@ -1,0 +1,45 @@
+"""What keeps grippers from letting go: found by walking again, slower, shorter, with other joint gains."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from mjx_climb.control import Law
+from mjx_climb.functions import metrics, rollout
+from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.time_step import check_time_step
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Scenario
+
+
+def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> str:
+    """Return in one line what pulls on the grips of a walk in which one let go, and with which changes less does.
+
+    Walked again with grips that never let go: as it is, with twice the cycle (where the grip let go in the first half
+    of the walk), half the stride, joints half and twice as stiff. These are parameters of the compiled walk, so
+    that each costs no more than the walk. The first gripper let go at `detached_at` s.
+    """
+    own, gait, control = own_parameters(scenario), scenario.gait, scenario.control
+    changes = {
+        "": {},
+        f"with gait.cycle={2 * gait.cycle:g}": {"cycle": 2.0},
+        f"with gait.stride={gait.stride / 2:g}": {"stride": 0.5},
+        f"with control.kp={control.kp / 2:g} and control.kd={control.kd / 2:g}": {"kp": 0.5, "kd": 0.5},
+        f"with control.kp={control.kp * 2:g} and control.kd={control.kd * 2:g}": {"kp": 2.0, "kd": 2.0},
+    }
+    if 2 * detached_at > scenario.duration:
+        del changes[f"with gait.cycle={2 * gait.cycle:g}"]
+    pulls = []
+    for change, factors in changes.items():
+        changed = {name: getattr(own, name) * by for name, by in factors.items()}
+        parameters = dataclasses.replace(own, holding_limit=np.array(math.inf), **changed)
+        try:
+            check_time_step(scenario, parameters=parameters)
+        except ConfigError:
+            continue
+        found = metrics(rollout(scenario, parameters=parameters, law=law))
+        how = "it diverges" if found["diverged"] else f"{found['peak_pull_force']:.3g} N"
+        pulls.append(f"{change} {how}".strip())
+    limit = scenario.contact.holding_limit
+    return f"pull on grips that never let go: {', '.join(pulls)}; contact.holding_limit is {limit:g} N"
