@@ -12,17 +12,17 @@ if TYPE_CHECKING:
     from mjx_climb.control import Start as Start
     from mjx_climb.control import gain as gain
     from mjx_climb.functions import Environment as Environment
+    from mjx_climb.functions import forward_dynamics as forward_dynamics
     from mjx_climb.functions import metrics as metrics
     from mjx_climb.functions import rollout as rollout
     from mjx_climb.functions import rollout_histories as rollout_histories
     from mjx_climb.functions import rollout_jvp as rollout_jvp
     from mjx_climb.functions import rollout_metrics as rollout_metrics
     from mjx_climb.functions import simulator as simulator
-    from mjx_climb.inputs.parameters import Gains as Gains
-    from mjx_climb.inputs.parameters import Parameters as Parameters
-    from mjx_climb.inputs.parameters import parameters as parameters
+    from mjx_climb.inputs.from_scenario import parameters as parameters
+    from mjx_climb.parameter_types import Gains as Gains
+    from mjx_climb.parameter_types import Parameters as Parameters
     from mjx_climb.physics.equations_of_motion import ENGINES as ENGINES
-    from mjx_climb.physics.equations_of_motion import forward_dynamics as forward_dynamics
     from mjx_climb.physics.state import Acceleration as Acceleration
     from mjx_climb.physics.state import State as State
     from mjx_climb.robot.constants import RobotError as RobotError

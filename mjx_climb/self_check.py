@@ -16,11 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mjx_climb.inputs.parameters import Gains
+from mjx_climb.functions import forward_dynamics
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.physics.equations_of_motion import ENGINES, forward_dynamics
+from mjx_climb.parameter_types import Gains
+from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.physics.state import State
-from mjx_climb.robot.constants import load_model
+from mjx_climb.robot_import.load import load_model
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.simulation import Simulation
 from mjx_climb.trajectory import named

@@ -29,8 +29,8 @@ from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, 
 from mjx_climb.execution.batches import Progress
 from mjx_climb.gait.base_path import check_base
 from mjx_climb.hardware.stages import Stages, given, stages_of
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import gait_of, scenario_with_gait
-from mjx_climb.inputs.parameters import Parameters, own_parameters
 from mjx_climb.inputs.resolve import (
     AnyGains,
     by_name,
@@ -42,9 +42,10 @@ from mjx_climb.inputs.resolve import (
     resolved_directions,
 )
 from mjx_climb.inputs.time_step import check_time_step
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE, checked_engine
 from mjx_climb.physics.state import State
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.robot_import.stance import check_stance
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.trajectory import Trajectory

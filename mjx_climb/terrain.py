@@ -11,9 +11,10 @@ import numpy as np
 from mjx_climb.gait.base_path import raised, sway_of, swayed
 from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.postures import MET, limb_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix
-from mjx_climb.robot.constants import Robot, load_robot
-from mjx_climb.robot_import.stance import MET, limb_joints
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import HeightMap, Scenario
 

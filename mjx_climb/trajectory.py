@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mjx_climb.control.sensor_watch import SILENCE
-from mjx_climb.inputs.parameters import Gains, Parameters
+from mjx_climb.parameter_types import Gains, Parameters
 from mjx_climb.scenario.model import Scenario
 
 

@@ -16,9 +16,10 @@ from jax import Array
 from jaxtyping import Float
 
 from mjx_climb.control import Law
-from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.spatial import norm
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.control_loop import JointTargets
 from mjx_climb.walk.metrics import Context, Running, accumulate, finish, start

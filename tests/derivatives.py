@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 
 
 def by_each(scenario, names, metric):

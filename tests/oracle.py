@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from mjx_climb.hardware.sensors import normal
-from mjx_climb.robot.constants import load_model
+from mjx_climb.robot_import.load import load_model
 
 RELAXATION = 5e-3  # s: dry friction
 PLUS_MINUS = np.array([-1, 1])

@@ -4,9 +4,10 @@ import functools
 import math
 from typing import Any
 
-from mjx_climb.control.admittance import EndEffectorAdmittance, MeasuredPoseAdmittance, VirtualModelAdmittance
+from mjx_climb.control.base_admittance import MeasuredPoseAdmittance, VirtualModelAdmittance
 from mjx_climb.control.climb_sdk import ClimbSDK
 from mjx_climb.control.combined import combined
+from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
 from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.control.law import (
     PD,

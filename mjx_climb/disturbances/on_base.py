@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.inputs.parameters import Parameters, whole_steps
+from mjx_climb.parameter_types import Parameters, whole_steps
 
 
 class Windows(NamedTuple):

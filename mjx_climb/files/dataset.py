@@ -21,9 +21,10 @@ from mjx_climb.files.writing import OutputError as OutputError
 from mjx_climb.files.writing import check_folder as check_folder
 from mjx_climb.files.writing import write_bytes_atomically as write_bytes_atomically
 from mjx_climb.files.writing import write_text_atomically as write_text_atomically
-from mjx_climb.inputs.parameters import COORDINATES as COORDINATES
-from mjx_climb.inputs.parameters import Gains, Parameters, parameters
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.inputs.from_scenario import parameters
+from mjx_climb.parameter_types import COORDINATES as COORDINATES
+from mjx_climb.parameter_types import Gains, Parameters
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.trajectory import Trajectory

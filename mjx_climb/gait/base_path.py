@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mjx_climb.arrays import namespace
 from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.physics.spatial import namespace, quaternion_to_matrix
-from mjx_climb.robot.constants import load_robot
-from mjx_climb.robot_import.stance import MET, limb_joints
+from mjx_climb.physics.postures import MET, limb_joints
+from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 

@@ -9,7 +9,7 @@ from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import Sway, sway_of, swayed
 from mjx_climb.gait.swing import added_shapes, lift, rest_to_rest
 from mjx_climb.hardware.stages import IDEAL, Stages
-from mjx_climb.inputs.parameters import Parameters, stance_steps, whole_steps
+from mjx_climb.parameter_types import Parameters, stance_steps, whole_steps
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 

@@ -18,7 +18,7 @@ from numpy.polynomial import chebyshev
 from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 
 COUNT = 6  # of added shapes for each axis

@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from mjx_climb.inputs.parameters import ROUNDING, whole_steps
+from mjx_climb.parameter_types import ROUNDING, whole_steps
 from mjx_climb.scenario.model import MAX_DELAY
 
 _MULTIPLE = 4  # lengths of buffers are rounded up to it, so that other delays seldom need another program

@@ -11,7 +11,7 @@ from jax import Array
 
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.stages import Hardware
-from mjx_climb.inputs.parameters import whole_steps
+from mjx_climb.parameter_types import whole_steps
 from mjx_climb.physics.spatial import quaternion_normalize
 from mjx_climb.physics.state import State
 

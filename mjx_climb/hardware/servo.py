@@ -22,7 +22,7 @@ from jax import Array
 
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.stages import Hardware, Stages
-from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.state import State
 
 RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m

@@ -12,7 +12,8 @@ from jax.extend.core import concrete_or_error
 from jax.typing import ArrayLike
 
 from mjx_climb.hardware.bus import Buffer, buffer_length, period_steps, weights
-from mjx_climb.inputs.parameters import Parameters, own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.model import Scenario
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjx_climb.execution.batch_axes import batch_shape
 from mjx_climb.gait.base_path import check_base
-from mjx_climb.inputs.parameters import KEYS, Parameters, whole_steps
+from mjx_climb.parameter_types import KEYS, Parameters, whole_steps
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 

@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import DTypeLike
 
+from mjx_climb.arrays import namespace
 from mjx_climb.control import PD, Law
 from mjx_climb.execution.batch_axes import batch_shape, own_axes
 from mjx_climb.gait.swing import COUNT
+from mjx_climb.inputs.from_scenario import check_ranges, own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, with_gait
-from mjx_climb.inputs.parameters import Gains, Parameters, check_ranges, own_parameters, with_whole_steps
-from mjx_climb.physics.spatial import namespace
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.parameter_types import Gains, Parameters, with_whole_steps
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import broadcasts, check_fields
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from mjx_climb.execution.batch_axes import is_traced
 from mjx_climb.hardware.servo import RELAXATION
-from mjx_climb.inputs.parameters import KEYS, Parameters
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.parameter_types import KEYS, Parameters
 from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.postures import MET, limb_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix
-from mjx_climb.robot.constants import load_model, load_robot
-from mjx_climb.robot_import.description import PASSIVE
-from mjx_climb.robot_import.stance import MET, limb_joints
+from mjx_climb.robot.constants import PASSIVE
+from mjx_climb.robot_import.load import load_model, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 

@@ -16,8 +16,9 @@ import numpy as np
 from jax import Array
 from jax.numpy import cross
 
+from mjx_climb.arrays import AnyArray
 from mjx_climb.physics.kinematics import LinkPose, by_kind, link_poses
-from mjx_climb.physics.spatial import AnyArray, quaternion_to_matrix, skew, symmetric
+from mjx_climb.physics.spatial import quaternion_to_matrix, skew, symmetric
 from mjx_climb.physics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot
 

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjx_climb.arrays import AnyArray, namespace
 from mjx_climb.physics.kinematics import foot_jacobian, joint_axes, limb_frames, turn_between
-from mjx_climb.physics.spatial import AnyArray, namespace, norm, solve_symmetric
+from mjx_climb.physics.spatial import norm, solve_symmetric
 from mjx_climb.robot.constants import Robot
 
 STEPS = 4  # of a walk's inverse kinematics, from the last solution

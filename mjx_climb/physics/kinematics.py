@@ -8,7 +8,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.physics.spatial import AnyArray, namespace, quaternion_to_matrix, turn_about_z
+from mjx_climb.arrays import AnyArray, namespace
+from mjx_climb.physics.spatial import quaternion_to_matrix, turn_about_z
 from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot
 

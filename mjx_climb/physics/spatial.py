@@ -4,20 +4,12 @@ A vector is (3,), a rotation matrix (3, 3), a quaternion (4,) in the order wxyz.
 work over any leading axes and for NumPy's arrays, which stay NumPy's.
 """
 
-from typing import Any
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-AnyArray = Any  # an array of JAX or of NumPy
-
-
-def namespace(*arrays: object) -> Any:
-    """Return `jax.numpy` where some of the arrays are JAX's, else `numpy`."""
-    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
+from mjx_climb.arrays import AnyArray, namespace
 
 
 def norm(vector: Float[AnyArray, "... n"], at_zero: float = 0.0) -> Float[AnyArray, "..."]:

@@ -1,10 +1,6 @@
 """The robot as constants: what the equations need of an MJCF."""
 
 import dataclasses
-import functools
-import os
-from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,8 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot_import.description import PASSIVE, RobotError
-from mjx_climb.scenario.model import RobotFile
+
+PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
+FILLING = 2  # group of the joints that only fill up a limb of fewer joints than others
+
+
+class RobotError(ValueError):
+    """A model that mjx_climb cannot use: the message names the model and what was expected."""
+
 
 __all__ = ["Robot", "RobotError", "load_model", "load_robot", "load_spec", "model_path", "robot_from_model"]
 
@@ -88,53 +90,6 @@ class Robot:
         """Mass of base and links, kg."""
         mass: np.ndarray = self.base_mass + self.link_mass.sum()
         return mass
-
-
-def model_path(name: str | RobotFile) -> Path:
-    """Return the file of a robot: a user's own, or the MJCF of one that comes with mjx_climb.
-
-    Raises:
-        RobotError: no such robot.
-    """
-    if isinstance(name, RobotFile):
-        return Path(name.file)
-    folder = Path(str(resources.files("mjx_climb"))) / "robot" / "models"
-    path = folder / f"{name}.xml"
-    if not os.path.isfile(path):
-        known = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
-        raise RobotError(f"robot: expected one of {known}, got {name!r}")
-    return path
-
-
-@functools.cache
-def load_model(name: str | RobotFile) -> mujoco.MjModel:
-    """Return the compiled MuJoCo model of a robot: one that comes with mjx_climb, or one from a file."""
-    if isinstance(name, RobotFile):
-        return load_spec(name).compile()
-    return mujoco.MjModel.from_xml_path(str(model_path(name)))
-
-
-def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
-    """Return the editable description that `load_model` compiles."""
-    if isinstance(name, RobotFile):
-        from mjx_climb.robot_import.stance import spec_of  # which looks for a stance with the constants of a robot
-
-        return spec_of(name)
-    return mujoco.MjSpec.from_file(str(model_path(name)))
-
-
-@functools.cache
-def load_robot(name: str | RobotFile) -> Robot:
-    """Return the constants of a robot, read off its MuJoCo model with the joints at zero.
-
-    Raises:
-        RobotError: no such robot, or a model other than a floating base with limbs of as many joints each and a foot.
-    """
-    if isinstance(name, str):
-        return robot_from_model(load_model(name), name)
-    robot = robot_from_model(load_model(name), Path(name.file).stem)
-    # as the section lists them: `mjx-climb robot` writes them in the file's order
-    return dataclasses.replace(robot, joints_in_file=tuple((limb, own.joints) for limb, own in name.limbs.items()))
 
 
 def frame_along(axis: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -10,10 +10,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.constants import RobotError
 
 JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-PASSIVE = 1  # group of the joints that nothing drives, in the models simulated here
-FILLING = 2  # group of the joints that only fill up a limb of fewer joints than others
 SPECK = 1e-10  # kg, of links without a mass, as many a file has them between two joints
 SPECK_MOMENT = 1e-14  # kg m^2, of these and of points: MuJoCo wants some, and an insect's leg has 1e-11
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # of an inertia, as MuJoCo writes it in a row
@@ -33,10 +32,6 @@ _ROOT = re.compile(r"<\?.*?\?>|</?\s*mujoco(?:include)?\b[^>]*>")
 _NUMBER = re.compile(r"[Ll]ine (?:number=)?(\d+)")
 _NAME = r"[^<>]*?\bname\s*=\s*[\"']"
 _DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes", "hfields")
-
-
-class RobotError(ValueError):
-    """A model that mjx_climb cannot use: the message names the model and what was expected."""
 
 
 def described(file: str, looks: bool = False) -> mujoco.MjSpec:

@@ -14,16 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot_import.description import (
-    JOINTS,
-    SPECK,
-    RobotError,
-    bare,
-    compiled,
-    described,
-    driven_joints,
-    one_limit,
-)
+from mjx_climb.robot.constants import RobotError
+from mjx_climb.robot_import.description import JOINTS, SPECK, bare, compiled, described, driven_joints, one_limit
 from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS, Limb
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb

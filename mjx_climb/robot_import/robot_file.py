@@ -8,18 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.constants import Robot, frame_along, robot_from_model
-from mjx_climb.robot_import.description import (
-    COLUMNS,
-    FILLING,
-    JOINTS,
-    PASSIVE,
-    ROWS,
-    SPECK,
-    RobotError,
-    is_urdf,
-    line_of,
-)
+from mjx_climb.robot.constants import FILLING, PASSIVE, Robot, RobotError, frame_along, robot_from_model
+from mjx_climb.robot_import.description import COLUMNS, JOINTS, ROWS, SPECK, is_urdf, line_of
 from mjx_climb.robot_import.limbs import add_joint, at_zero, beginning, foot_of, quaternion, rigid_parts, robot_in
 from mjx_climb.scenario.model import RobotFile
 

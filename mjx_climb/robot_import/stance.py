@@ -6,23 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mjx_climb.mujoco_import import mujoco
-from mjx_climb.physics.inverse_kinematics import POSE, Chain, settled
-from mjx_climb.physics.kinematics import foot_jacobian, joint_axes, limb_frames
-from mjx_climb.robot.constants import Robot, RobotError, load_robot
-from mjx_climb.robot_import.description import FILLING, PASSIVE
-from mjx_climb.robot_import.robot_file import refusal, unposed
+from mjx_climb.physics.kinematics import foot_jacobian, limb_frames
+from mjx_climb.physics.postures import _SINGULAR, MET, _driven, _keeps_attitude, _least_singular_values, limb_joints
+from mjx_climb.robot.constants import RobotError
+from mjx_climb.robot_import.load import load_robot
+from mjx_climb.robot_import.robot_file import unposed
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
-_ITERATIONS, _LONGEST_STEP = 60, 0.5  # rad, or m
-MET = 1e-9  # m, rad: a foot as near to its place is there
-_STARTS = 5  # of femur and tibia each, spread over their limits
-_OTHERS = 1e-3  # rad of the knee, that the other joints of a limb of three count for
-_OTHER_STARTS = 15  # of limbs of another number of joints
-_SINGULAR = (
-    0.01  # smallest singular value of a limb's Jacobian, lengths over its reach: below, it cannot move every way
-)
 STANDING = 3  # feet on the ground that keep a robot from swinging about them: grips of fewer limbs hold attitudes
 _SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)  # of a limb's reach: how far out and how far down a foot may stand
 _WELL = 0.15  # of a joint's range to its limits: more counts for no more
@@ -33,108 +24,8 @@ _LEVELLING, _LEVEL = 20, 1e-12  # steps, and m, in which a foot is put at a heig
 _IN_SPACE = 3  # driven joints of a limb that can put its foot anywhere
 
 
-class LimbJoints(NamedTuple):
-    """Joint angles of every limb, and by how much its foot misses the target."""
-
-    angles: np.ndarray  # (limb, joint) rad
-    errors: np.ndarray  # (limb,) m
-
-
-def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) -> LimbJoints:
-    """Return joint angles within the limits that put the feet at `feet` (limb, 3) m, in the frame of the base.
-
-    Of several postures the one whose joints are nearest the middle of their ranges, in the mean of squares over these;
-    of limbs of three joints the one whose knee is, and the others only where knees are alike. Of limbs with more joints
-    a singular posture only where there is no other. Joints nothing drives are where their springs are slack. `near` are
-    angles (limb, joint) to begin with: where all feet get there from these, no other posture is looked for.
-    """
-    if robot.joints == 3:
-        fractions = (np.arange(_STARTS) + 0.5) / _STARTS
-        shares = np.array([[0.5, femur, tibia] for femur in fractions for tibia in fractions])
-    else:
-        spread = np.random.default_rng(0).uniform(0.1, 0.9, (_OTHER_STARTS, robot.joints))
-        shares = np.vstack([np.full(robot.joints, 0.5), spread])
-    starts = robot.joint_lower + (robot.joint_upper - robot.joint_lower) * shares[:, None]
-    if near is not None:
-        angles, missed = _reached(robot, feet, near[None])
-        if missed.max() < MET:
-            return LimbJoints(angles[0], missed[0])
-        starts = np.concatenate([near[None], starts])
-    angles, missed = _reached(robot, feet, starts)
-    middle, half = (robot.joint_lower + robot.joint_upper) / 2, (robot.joint_upper - robot.joint_lower) / 2
-    off = np.abs(angles - middle)
-    bent = ((off / half) ** 2).mean(-1)
-    if robot.joints == 3:
-        bent = off[..., 2] + _OTHERS * bent
-    else:  # one range off the middle, at worst
-        bent += _least_singular_values(robot, angles, _keeps_attitude(robot)) < _SINGULAR
-    bent[missed >= MET] = np.inf
-    first_best = np.where(np.isfinite(bent), bent <= bent.min(0) + MET, missed <= missed.min(0)).argmax(0)
-    limbs = np.arange(len(feet))
-    best, errors = angles[first_best, limbs], missed[first_best, limbs]
-    return LimbJoints(np.where(np.isfinite(errors)[:, None], best, middle), errors)
-
-
-def _reached(robot: Robot, feet: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return postures from some starts (start, limb, joint), and what the feet miss, infinite beyond the limits."""
-    if robot.driven is not None:
-        slack = robot.model.qpos_spring[7:].reshape(robot.driven.shape)
-        starts = np.where(robot.driven, starts, slack)
-    angles, missed = settled(Chain(robot), feet, starts, _ITERATIONS, pull=False, longest=_LONGEST_STEP)
-    wrapped = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
-    angles = wrapped if robot.sliding is None else np.where(robot.sliding, angles, wrapped)
-    within = ((angles >= robot.joint_lower - MET) & (angles <= robot.joint_upper + MET)).all(-1)
-    return angles, np.where(within, missed, np.inf)
-
-
-def _driven(robot: Robot) -> np.ndarray:
-    """Return which joints are driven and move something, (limb, joint): not those that only fill up a limb."""
-    return ~np.isin(robot.model.jnt_group[1:], (PASSIVE, FILLING)).reshape(len(robot.limbs), -1)
-
-
-def _keeps_attitude(robot: Robot) -> bool:
-    """Return whether all limbs have the driven joints that it takes to keep the attitudes of their feet."""
-    return bool(_driven(robot).sum(1).min() >= POSE)
-
-
-def _least_singular_values(robot: Robot, angles: np.ndarray, turned: bool) -> np.ndarray:
-    """Return each limb's smallest singular value of the Jacobian of its driven joints at angles (..., limb, joint).
-
-    Lengths are shares of the limb's. It is of the foot's place, with `turned` of its attitude, too.
-    """
-    frames = limb_frames(robot, None, angles)
-    points = np.concatenate([frames.position, frames.foot[..., None, :]], axis=-2)
-    reach = np.linalg.norm(np.diff(points, axis=-2), axis=-1).sum(-1)
-    jacobian = foot_jacobian(robot, frames) / reach[..., None, None]
-    if turned:
-        jacobian = np.concatenate([jacobian, joint_axes(robot, frames).angular.mT], axis=-2)
-    own = (jacobian[..., limb, :, :][..., moved] for limb, moved in enumerate(_driven(robot)))
-    return np.stack([np.linalg.svd(columns, compute_uv=False)[..., -1] for columns in own], axis=-1)
-
-
 # ------------------------------------------------------------------------------------------------------------
 # The rest stance of a scenario
-
-
-def spec_of(source: RobotFile) -> mujoco.MjSpec:
-    """Return a robot file as simulated, see `unposed`, in its rest stance.
-
-    Raises:
-        RobotError: in one line, the key of the config, what was expected and what the file has.
-    """
-    spec, robot, offset = unposed(source)
-    limbs = dict(source.limbs.items())
-    feet = np.array([[*limbs[name].foothold, -source.height] for name in robot.limbs]) - offset
-    joints = limb_joints(robot, feet)
-    for limb, error in zip(robot.limbs, joints.errors, strict=True):
-        if error > MET:
-            expected = f"a foothold within reach and joint limits at a height of {source.height:g} m"
-            got = f"one that the foot misses by {error * 1e3:.3g} mm" if np.isfinite(error) else "one beyond the limits"
-            raise refusal(source, f"limbs.{limb}.foothold", expected, got)
-    position = [offset[0], offset[1], source.height + offset[2]]
-    spec.add_key(name="stance", qpos=[*position, 1, 0, 0, 0, *joints.angles.ravel()])
-    spec.body("base").pos = position
-    return spec
 
 
 def check_stance(scenario: Scenario, source: str = "scenario") -> None:

@@ -20,7 +20,7 @@ from mjx_climb.disturbances import on_base as disturbance
 from mjx_climb.gait import schedule as gait
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import Hardware, hardware_of
-from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.contact.gripper import Attitude, Contact, Reach, grip
 from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.physics.inverse_dynamics import load_torque
@@ -36,7 +36,8 @@ from mjx_climb.physics.kinematics import (
 from mjx_climb.physics.margins import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
 from mjx_climb.physics.spatial import norm, quaternion_to_matrix
 from mjx_climb.physics.state import Acceleration, Loads, State, integrate
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk import control_loop
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.structure import Structure

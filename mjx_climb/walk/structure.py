@@ -9,10 +9,10 @@ import numpy as np
 from mjx_climb.control import LAWS, Law
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.hardware.stages import IDEAL, Stages, stages_under_trace
-from mjx_climb.inputs.parameters import Parameters
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.equations_of_motion import ENGINES
-from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.robot_import.load import load_model, load_robot
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk.metrics import METRICS, SENSORS, Metric, MetricTable
 

@@ -14,8 +14,8 @@ from mjx_climb.execution import gpu_kernel, paths
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.gpu_kernel import over_robots, tangents_over_robots
 from mjx_climb.execution.paths import first_possible
-from mjx_climb.inputs.parameters import Gains
 from mjx_climb.inputs.resolve import resolve_in
+from mjx_climb.parameter_types import Gains
 from mjx_climb.walk.structure import structure
 from mjx_climb.walks import metrics_of, metrics_of_moved
 

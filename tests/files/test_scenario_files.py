@@ -10,8 +10,8 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset, scenario_files
-from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot_import.description import bare
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.terrain import foothold_heights
 from tests.robot.test_robot_file import keys, urdf
 from tuning.command_line import main

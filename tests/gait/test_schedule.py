@@ -13,11 +13,11 @@ from mjx_climb.disturbances import on_base as disturbance
 from mjx_climb.execution.batch_axes import over_batch, own_axes
 from mjx_climb.gait import schedule as gait
 from mjx_climb.hardware.stages import hardware_of, stages_of
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import resolve, resolve_in
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk import step
 from mjx_climb.walk.structure import structure
 

@@ -17,7 +17,7 @@ from mjx_climb.gait import swing
 from mjx_climb.gait.swing import heights, swing_path
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from tests.robot import climbers
 
 LOW = {"gait.swing": "low_reaction"}

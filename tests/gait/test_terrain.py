@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.robot_import.proposal import propose
 from mjx_climb.terrain import check_reach, foothold_heights, footholds
 from tests.robot import climbers

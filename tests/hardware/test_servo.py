@@ -12,7 +12,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import hardware_of, stages_of
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import growth, largest_time_step
 from mjx_climb.physics.state import State
 from mjx_climb.scenario import registers

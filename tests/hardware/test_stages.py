@@ -12,7 +12,7 @@ import mjx_climb as mc
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware import sensors, servo
 from mjx_climb.hardware.stages import IDEAL, hardware_of, stages_of
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 
 STEP = 1e-3
 PRESLIDING = mc.Scenario().hardware.servo.presliding

@@ -9,7 +9,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD, JointGains
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from tests import derivatives
 

@@ -11,7 +11,8 @@ import pytest
 from mjx_climb.physics import limb_engine
 from mjx_climb.physics.inverse_dynamics import missing_forces
 from mjx_climb.physics.state import Loads, State
-from mjx_climb.robot.constants import load_robot, robot_from_model
+from mjx_climb.robot.constants import robot_from_model
+from mjx_climb.robot_import.load import load_robot
 from tests.physics.test_shapes import SHAPES, mjcf
 
 BATCH = 5

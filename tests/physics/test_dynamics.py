@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import mjx_climb as mc
 from mjx_climb.physics.kinematics import foot_kinematics, limb_frames
 from mjx_climb.physics.state import State, integrate
-from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.robot_import.load import load_model, load_robot
 from mjx_climb.walk.metrics import FAILURES
 from tests.physics.mujoco_dynamics import apply, relative_error, set_state
 

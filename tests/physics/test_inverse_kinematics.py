@@ -8,7 +8,8 @@ import pytest
 
 from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.robot.constants import load_robot, robot_from_model
+from mjx_climb.robot.constants import robot_from_model
+from mjx_climb.robot_import.load import load_robot
 from tests.physics.test_shapes import mjcf
 
 ROBOT = load_robot("hubrobo_v3_2")

@@ -12,7 +12,7 @@ import mjx_climb as mc
 from mjx_climb.physics.kinematics import center_of_mass, foot_jacobian, foot_kinematics, limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.physics.state import State
-from mjx_climb.robot.constants import load_model, load_robot
+from mjx_climb.robot_import.load import load_model, load_robot
 from tests.physics.mujoco_dynamics import set_state
 
 MODEL = load_model("hubrobo_v3_2")

@@ -9,7 +9,7 @@ import mjx_climb as mc
 from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from tests import oracle
 from tests.robot import climbers
 

@@ -7,7 +7,7 @@ from PIL import Image
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.inputs.time_step import check_time_step
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from tuning.command_line import main

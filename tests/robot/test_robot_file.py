@@ -16,7 +16,7 @@ import mjx_climb as mc
 from mjx_climb.inputs.time_step import check_time_step, growth, largest_time_step
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.robot.constants import load_model, load_robot, model_path
+from mjx_climb.robot_import.load import load_model, load_robot, model_path
 
 LIMBS = {"LF": (1, 1), "LH": (-1, 1), "RH": (-1, -1), "RF": (1, -1)}  # signs of x and y
 LINKS = ("yaw", "lift", "knee")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 
 COUNT = 64
 LOST, BLOWN_UP = 10, 40  # environments made to detach and to diverge

@@ -10,8 +10,9 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.inputs.parameters import KEYS, check_ranges, own_parameters
+from mjx_climb.inputs.from_scenario import check_ranges, own_parameters
 from mjx_climb.inputs.resolve import resolve_in
+from mjx_climb.parameter_types import KEYS
 
 
 @pytest.fixture(scope="module")

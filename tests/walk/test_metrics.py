@@ -11,7 +11,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.physics.spatial import norm
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk.metrics import FAILURES, Context, Metric, accumulate, finish, largest, peak, smallest, start, total
 from mjx_climb.walk.sample import Sample
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.walks import histories
 from tests import oracle
 from tests.conftest import six_gains

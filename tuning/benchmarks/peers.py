@@ -15,7 +15,7 @@ from mujoco import batch, rollout
 
 import mjx_climb as mc
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.constants import load_spec
+from mjx_climb.robot_import.load import load_spec
 from mjx_climb.scenario.model import Cargo, Push
 
 FEET = ("LF_foot", "LH_foot", "RH_foot", "RF_foot")

@@ -79,7 +79,7 @@ class Recorded(Options):
 
     def read(self, scenario: "mc.Scenario") -> "Log":
         """Return the log."""
-        from mjx_climb.robot.constants import load_robot
+        from mjx_climb.robot_import.load import load_robot
         from tuning.identification.readers import read_log
 
         return read_log(self.log, load_robot(scenario.robot), self.signals)

@@ -134,7 +134,7 @@ def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, record
       mjx-climb run case_1_2 --ceiling --snapshots
     """
     with output.session() as shell:
-        from mjx_climb.robot.constants import load_robot
+        from mjx_climb.robot_import.load import load_robot
         from mjx_climb.viz import rendering
         from tuning.output.record import settings_of
 

@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.functions import rollout_metrics
-from mjx_climb.inputs.parameters import Gains, own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import short_enough
+from mjx_climb.parameter_types import Gains
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
 
 WALKS = 16

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.evaluation import stability_limit

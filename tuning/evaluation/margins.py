@@ -15,7 +15,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import PD
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.model import MAX_DELAY

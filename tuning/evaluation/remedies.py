@@ -7,7 +7,7 @@ import numpy as np
 
 from mjx_climb.control import Law
 from mjx_climb.functions import metrics, rollout
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario

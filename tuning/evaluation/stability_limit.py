@@ -39,7 +39,7 @@ from mjx_climb import execution
 from mjx_climb.control import Law, law_of
 from mjx_climb.gait import schedule as gait
 from mjx_climb.hardware.bus import period_steps
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
 from mjx_climb.physics.contact.gripper import Attitude
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE

@@ -11,10 +11,11 @@ from jax import Array
 
 import mjx_climb as mc
 from mjx_climb import execution
+from mjx_climb.arrays import AnyArray
 from mjx_climb.hardware.stages import Stages, hardware_of
-from mjx_climb.inputs.parameters import Parameters
-from mjx_climb.physics.spatial import AnyArray
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.parameter_types import Parameters
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk.control_loop import JointTargets
 from tuning.identification import held_base as stands
 

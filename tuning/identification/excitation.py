@@ -20,9 +20,11 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.execution import devices
 from mjx_climb.hardware.stages import stages_of
-from mjx_climb.inputs.parameters import KEYS, own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import check_time_step
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.parameter_types import KEYS
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import config_error
 from tuning.background import Stage, silent
 from tuning.identification import commanded, motions

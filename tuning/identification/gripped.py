@@ -18,11 +18,13 @@ from scipy.spatial.transform import Rotation
 import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.hardware.stages import hardware_of
-from mjx_climb.inputs.parameters import Parameters, own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.physics.state import State
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.identification import held_base as stands
 from tuning.identification import held_feet as grips

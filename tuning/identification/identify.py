@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.inputs.parameters import KEYS
+from mjx_climb.parameter_types import KEYS
 from mjx_climb.physics.spatial import quaternion_to_matrix
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Stage, silent
 from tuning.identification import inference

@@ -14,8 +14,9 @@ import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.hardware.servo import Servo, begin, gains_of, joint_loop
 from mjx_climb.hardware.stages import Stages, hardware_of, stages_of
-from mjx_climb.inputs.parameters import KEYS, Parameters, own_parameters
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.parameter_types import KEYS, Parameters
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile
 from tuning.identification import held_base as stands
 from tuning.identification.foot_mass import with_foot_mass

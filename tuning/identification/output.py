@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.files.scenario_files import portable_yaml
-from mjx_climb.inputs.parameters import KEYS
+from mjx_climb.parameter_types import KEYS
 from mjx_climb.viz import plots
 from tuning.background import Stage
 from tuning.identification import robot_files

@@ -12,9 +12,11 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.execution import devices
 from mjx_climb.hardware.stages import stages_of
-from mjx_climb.inputs.parameters import Parameters, own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_STEPS
 from tuning.identification import held_base as stand

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz.plots.styling import AXIS_COLORS, BLACK, BLUE, COLUMN, GREY, VERMILLION, key, legend_below, style
 from tuning.identification.log import Signal
 from tuning.identification.replay import Error, Replay

@@ -13,13 +13,14 @@ from jaxtyping import Float
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import Stages, hardware_of
-from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.limb_engine import held_accelerations
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
 from mjx_climb.physics.state import State
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import config_error
 from tuning.identification import commanded
 from tuning.identification.commanded import Carried, Commands

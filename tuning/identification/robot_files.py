@@ -10,7 +10,8 @@ from mjx_climb.files.dataset import write_text_atomically
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
-from mjx_climb.robot.constants import Robot, load_robot, load_spec
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot, load_spec
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile
 

@@ -18,9 +18,11 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb.inputs.parameters import COORDINATES, KEYS, Parameters, own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.parameter_types import COORDINATES, KEYS, Parameters
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix, turn_about_z
-from mjx_climb.robot.constants import Robot, load_robot
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError, section
 
 FACTOR = 1.0  # prior sd of the logarithm of what is positive: a factor of e, 7 at two sd

@@ -14,8 +14,8 @@ import mjx_climb as mc
 from mjx_climb.control import PD, law_of
 from mjx_climb.execution import devices
 from mjx_climb.files import scenario_files
+from mjx_climb.inputs.from_scenario import gains as scenario_gains
 from mjx_climb.inputs.gait_values import GAIT
-from mjx_climb.inputs.parameters import gains as scenario_gains
 from mjx_climb.viz import plots
 from tuning.background import Callback, Stage, Work, background, ignore
 from tuning.evaluation import maps, margins, paired, stability_limit, verification

@@ -17,7 +17,8 @@ from pydantic import Field, model_validator
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import given
-from mjx_climb.inputs.parameters import KEYS, own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.parameter_types import KEYS
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting

@@ -22,10 +22,10 @@ from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
 from mjx_climb.gait.base_path import check_base
 from mjx_climb.hardware.stages import IDEAL, stages_of
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, gait_of, scenario_with_gait, why_fixed
-from mjx_climb.inputs.parameters import own_parameters
 from mjx_climb.inputs.resolve import AnyGains, has_gains_of_the_paper
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile
 from tuning.problem.ensemble import hypercube

@@ -16,10 +16,10 @@ import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import PD, Measurement, Reference, Start, begin, law_of
 from mjx_climb.hardware.stages import given
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Callback as Told
 from tuning.background import Stage, silent

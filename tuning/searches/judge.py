@@ -17,11 +17,11 @@ from mjx_climb.control import law_of
 from mjx_climb.execution.batch_axes import own_axes
 from mjx_climb.execution.contents import identity
 from mjx_climb.files import dataset
+from mjx_climb.inputs.from_scenario import gains as gains_of
 from mjx_climb.inputs.gait_values import GAIT, gait_of
-from mjx_climb.inputs.parameters import gains as gains_of
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import FAILURES, SENSORS
 from tuning.gains import gains_file

@@ -19,10 +19,10 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.functions import STANDARD_GRAVITY as EARTH
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
-from mjx_climb.physics.equations_of_motion import STANDARD_GRAVITY as EARTH
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.problem import objectives, spaces

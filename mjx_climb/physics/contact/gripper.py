@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.inputs.parameters import Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
 

@@ -15,9 +15,9 @@ from PIL import Image
 
 from mjx_climb.files.writing import whole, write_bytes_atomically
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.constants import load_robot
 from mjx_climb.robot_import.description import bare, compiled, described
 from mjx_climb.robot_import.limbs import foot_of
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.viz.plots.events import row_at

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.constants import load_spec
+from mjx_climb.robot_import.load import load_spec
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.viz.plots.events import whole
 from mjx_climb.viz.rendering.proportions import size_of

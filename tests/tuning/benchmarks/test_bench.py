@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.robot.constants import load_model
+from mjx_climb.robot_import.load import load_model
 from tests.robot.test_robot_file import keys, urdf
 from tuning.benchmarks import commands, measure, operations, peers
 from tuning.command_line import machine

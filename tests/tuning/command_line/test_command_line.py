@@ -17,7 +17,7 @@ from jax import monitoring
 
 import mjx_climb as mc
 from mjx_climb.execution import devices
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
 from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning.command_line import main, options, searches, session

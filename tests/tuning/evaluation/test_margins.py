@@ -8,7 +8,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from tuning.evaluation import linear_margins, margins, stability_limit
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name

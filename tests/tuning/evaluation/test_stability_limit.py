@@ -9,7 +9,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer
-from mjx_climb.inputs.parameters import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import growth
 from mjx_climb.viz import plots
 from tuning.evaluation import maps, stability_limit

@@ -4,7 +4,7 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 
 ROBOT = load_robot("hubrobo_v3_2")
 JOINTS = [f"{limb}.{joint}" for limb in ROBOT.limbs for joint in ROBOT.joint_names]

@@ -5,7 +5,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from mjx_climb.robot.constants import load_robot, load_spec
+from mjx_climb.robot_import.load import load_robot, load_spec
 from tuning.identification.log import KP, OFF, Log, Signal
 
 JOINTS = tuple(f"{limb}.{joint}" for limb in ("LF", "LH", "RH", "RF") for joint in ("coxa", "femur", "tibia"))

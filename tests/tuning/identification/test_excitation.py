@@ -13,7 +13,7 @@ import yaml
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from tests.tuning.identification.stand_in_mujoco import JOINTS, Truth, welded
 from tuning.identification import excitation, motions
 from tuning.identification.foot_mass import with_foot_mass

@@ -9,7 +9,7 @@ import pytest
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tests.tuning.identification.gripped_in_mujoco import NOISE, TRUTH, log_of
 from tests.tuning.identification.stand_in_mujoco import columns_of

@@ -10,9 +10,9 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import hardware_of, stages_of
-from mjx_climb.inputs.parameters import parameters
+from mjx_climb.inputs.from_scenario import parameters
 from mjx_climb.physics.state import State
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from tests.tuning.identification.gripped_in_mujoco import TRUTH, swayed, sways
 from tuning.identification import held_feet as grips
 from tuning.identification.held_base import targets_of

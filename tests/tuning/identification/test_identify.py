@@ -16,7 +16,7 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.physics.limb_engine import build
 from mjx_climb.physics.state import State
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile, validated
 from tests.tuning.identification.coverage import counted
 from tests.tuning.identification.stand_in_mujoco import NOISE, TRUTH, columns_of, log_of

@@ -9,7 +9,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot.constants import load_model
+from mjx_climb.robot_import.load import load_model
 from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, recorded
 from tests.tuning.identification.stand_in_mujoco import TRUTH, sines

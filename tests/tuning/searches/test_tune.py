@@ -13,8 +13,8 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
-from mjx_climb.inputs.parameters import gains as gains_of
-from mjx_climb.robot.constants import load_robot
+from mjx_climb.inputs.from_scenario import gains as gains_of
+from mjx_climb.robot_import.load import load_robot
 from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.searches import result

@@ -16,7 +16,7 @@ import pytest
 from matplotlib.colors import to_rgb
 
 import mjx_climb as mc
-from mjx_climb.robot.constants import load_model
+from mjx_climb.robot_import.load import load_model
 from mjx_climb.viz import rendering
 from mjx_climb.viz.plots.events import whole
 from mjx_climb.viz.rendering import backend, canvas, captions, film, marks, surroundings

@@ -1,29 +1,17 @@
-"""The values of a scenario as a pytree: what may differ from one robot of a batch to the next."""
-
+"""Gains and parameters: the numbers that may differ from one robot of a batch to the next."""
 # ruff: noqa: RUF009 (fields carry their keys and units)
 
 import dataclasses
-import functools
-import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, get_args, get_origin
+from typing import Any, ClassVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Real
-from pydantic import TypeAdapter, ValidationError
 
-from mjx_climb.execution import check_process
-from mjx_climb.gait.swing import swing_path
-from mjx_climb.physics.spatial import namespace
-from mjx_climb.robot.constants import load_robot
-from mjx_climb.scenario.messages import section
-from mjx_climb.scenario.model import Scenario
-from mjx_climb.scenario.values import Limit, Number, Positive
-from mjx_climb.terrain import foothold_heights
+from mjx_climb.arrays import namespace
 
 # batch axes of one gain need not be those of another: they broadcast
 _Values = Array | np.ndarray
@@ -32,7 +20,6 @@ _JointGain = Real[_Values, "..."] | float
 _Scalar = Real[_Values, "..."]
 _Pushes = Real[_Values, "... pushes 3"]
 _PushTimes = Real[_Values, "... pushes"]
-_PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -1}  # which axis they are along
 ROUNDING = 2.0**-21  # of a number of steps: what single precision may be off
 _TIMES = ("cycle", "cargo_start", "cargo_stop", "push_start", "push_stop", "control_period", "force_dead")
 
@@ -162,89 +149,6 @@ COORDINATES: dict[str, tuple[str, str]] = {
     for field in dataclasses.fields(kind)
     if field.metadata["unit"]
 }
-
-
-def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
-    """Return the parameters of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
-    known = vars(own_parameters(scenario))
-    with jax.ensure_compile_time_eval():  # values under `jit` too: they say which hardware a walk is compiled for
-        return Parameters(**{n: jnp.asarray(value, dtype or jnp.result_type(float)) for n, value in known.items()})
-
-
-def own_parameters(scenario: Scenario) -> Parameters:
-    """Return the parameters of a scenario in double precision, as arrays of NumPy."""
-    check_process()
-    values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
-    values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}
-    control, dead = scenario.control, scenario.hardware.force_sensor.dead
-    values["safe_kp"] = control.kp if control.safe_kp is None else control.safe_kp
-    instants = dict(dead.items()) if dead is not None else {}
-    values["force_dead"] = [instants.get(limb, math.inf) for limb in load_robot(scenario.robot).limbs]
-    arrays = {name: np.asarray(value, float) for name, value in values.items()}
-    pushes = {name: arrays[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
-    return Parameters(**arrays | pushes)
-
-
-def _value(section: Any, *names: str) -> Any:
-    """Return the value at a key of a section, of each section in a list of them; null is infinite."""
-    if not names:
-        return math.inf if section is None else section
-    if isinstance(section, tuple):
-        return [_value(each, *names) for each in section]
-    return _value(getattr(section, names[0]), *names[1:])
-
-
-def gains(scenario: Scenario) -> Gains:
-    """Return the admittance gains that the scenario's own control section gives."""
-    control = scenario.control
-    return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
-
-
-def check_ranges(parameters: Parameters) -> None:
-    """Refuse parameters that no scenario could have, as far as their values are known.
-
-    Raises:
-        ValueError: in one line, which one, what was expected and the first value that is wrong.
-    """
-    for name, value in vars(parameters).items():
-        if isinstance(value, jax.core.Tracer):
-            continue
-        values = np.asarray(value)
-        if values.dtype.kind in "cOSU":
-            raise ValueError(f"parameters.{name}: expected real numbers, got {values.dtype}")
-        kind, validator = _type(name)
-        for end in map(float, (values.min(), values.max()) if values.size else ()):  # of NaN among them both are
-            given: Any = end
-            if end == math.inf and type(None) in get_args(kind):
-                given = None
-            elif get_origin(kind) is tuple:
-                given = (end,) * len(get_args(kind))
-            elif kind is int and end.is_integer():
-                given = int(end)
-            try:
-                validator.validate_python(given)
-            except ValidationError as invalid:
-                expected = invalid.errors()[0]["ctx"]["expected"].replace("or null", "or infinite")
-                raise ValueError(f"parameters.{name}: expected {expected}, got {end:g}") from None
-    pushes = {name: np.shape(getattr(parameters, name))[axis:][:1] for name, axis in _PUSHES.items()}
-    if len(set(pushes.values())) > 1:
-        counts = ", ".join(f"{count[0] if count else 'none'} of {name}" for name, count in pushes.items())
-        raise ValueError(f"parameters.push_start: expected as many of each for the pushes, got {counts}")
-
-
-@functools.cache
-def _type(name: str) -> tuple[Any, TypeAdapter[Any]]:
-    """Return the type of the key that a parameter comes from, and what validates its values."""
-    if name not in KEYS:
-        kind: Any = {"mass_scale": Positive, "force_dead": Limit}.get(name, Number)
-        return float | None if kind is Limit else float, TypeAdapter(kind)
-    *place, key = KEYS[name].split(".")
-    field = section(Scenario, place).model_fields[key]
-    kind = Annotated[field.annotation, *field.metadata]
-    return field.annotation, TypeAdapter(kind)
-
-
-# --- times as whole numbers of time steps, the same in single and in double precision
 
 
 def whole_steps(seconds: Any, time_step: float) -> Any:

@@ -1,0 +1,83 @@
+"""Robots by name or from a file of the user's own."""
+
+import dataclasses
+import functools
+import os
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from mjx_climb.mujoco_import import mujoco
+from mjx_climb.physics.postures import MET, limb_joints
+from mjx_climb.robot.constants import Robot, RobotError, robot_from_model
+from mjx_climb.robot_import.robot_file import refusal, unposed
+from mjx_climb.scenario.model import RobotFile
+
+
+def model_path(name: str | RobotFile) -> Path:
+    """Return the file of a robot: a user's own, or the MJCF of one that comes with mjx_climb.
+
+    Raises:
+        RobotError: no such robot.
+    """
+    if isinstance(name, RobotFile):
+        return Path(name.file)
+    folder = Path(str(resources.files("mjx_climb"))) / "robot" / "models"
+    path = folder / f"{name}.xml"
+    if not os.path.isfile(path):
+        known = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
+        raise RobotError(f"robot: expected one of {known}, got {name!r}")
+    return path
+
+
+@functools.cache
+def load_model(name: str | RobotFile) -> mujoco.MjModel:
+    """Return the compiled MuJoCo model of a robot: one that comes with mjx_climb, or one from a file."""
+    if isinstance(name, RobotFile):
+        return load_spec(name).compile()
+    return mujoco.MjModel.from_xml_path(str(model_path(name)))
+
+
+def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
+    """Return the editable description that `load_model` compiles."""
+    if isinstance(name, RobotFile):
+        # which looks for a stance with the constants of a robot
+
+        return spec_of(name)
+    return mujoco.MjSpec.from_file(str(model_path(name)))
+
+
+@functools.cache
+def load_robot(name: str | RobotFile) -> Robot:
+    """Return the constants of a robot, read off its MuJoCo model with the joints at zero.
+
+    Raises:
+        RobotError: no such robot, or a model other than a floating base with limbs of as many joints each and a foot.
+    """
+    if isinstance(name, str):
+        return robot_from_model(load_model(name), name)
+    robot = robot_from_model(load_model(name), Path(name.file).stem)
+    # as the section lists them: `mjx-climb robot` writes them in the file's order
+    return dataclasses.replace(robot, joints_in_file=tuple((limb, own.joints) for limb, own in name.limbs.items()))
+
+
+def spec_of(source: RobotFile) -> mujoco.MjSpec:
+    """Return a robot file as simulated, see `unposed`, in its rest stance.
+
+    Raises:
+        RobotError: in one line, the key of the config, what was expected and what the file has.
+    """
+    spec, robot, offset = unposed(source)
+    limbs = dict(source.limbs.items())
+    feet = np.array([[*limbs[name].foothold, -source.height] for name in robot.limbs]) - offset
+    joints = limb_joints(robot, feet)
+    for limb, error in zip(robot.limbs, joints.errors, strict=True):
+        if error > MET:
+            expected = f"a foothold within reach and joint limits at a height of {source.height:g} m"
+            got = f"one that the foot misses by {error * 1e3:.3g} mm" if np.isfinite(error) else "one beyond the limits"
+            raise refusal(source, f"limbs.{limb}.foothold", expected, got)
+    position = [offset[0], offset[1], source.height + offset[2]]
+    spec.add_key(name="stance", qpos=[*position, 1, 0, 0, 0, *joints.angles.ravel()])
+    spec.body("base").pos = position
+    return spec
