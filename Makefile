@@ -30,6 +30,7 @@ test-nightly: .venv/.installed-test
 lint: .venv/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo
 
 # NO_MKDOCS_2_WARNING: the theme's notice about a release that pyproject.toml keeps out.
 types: .venv/.installed-dev

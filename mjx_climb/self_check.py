@@ -28,7 +28,7 @@ from mjx_climb.trajectory import named
 
 LIMBS = ("LF", "LH", "RH", "RF")
 MUJOCO = "mujoco"  # among the engines: its C code
-STORED = Path(str(resources.files("mjx_climb"))) / "checks" / "self_check.json"
+STORED = Path(str(resources.files("mjx_climb"))) / "self_check.json"
 
 # Relative. Another order of the same arithmetic (the other engine all through the walk) moves the values by 3e-14 at
 # most, so other processors stay far below this; a mass or a gain that is off by a millionth moves them far above.

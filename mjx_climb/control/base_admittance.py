@@ -1,4 +1,4 @@
-"""Admittance of the base, the paper's Eq. 3, `M dxdd + D dxd + K dx = w`, in two readings; and of each foot, Eq. 2.
+"""Admittance of the base, the paper's Eq. 3, `M dxdd + D dxd + K dx = w`, in two readings.
 
 w = J_b^T F_e is the wrench of the foot forces on the base, dx the shift of the base in its six axes. The virtual model
 is driven by -w, so that the base yields; the measured pose has +w, as the paper prints it; a foot is driven by +F.

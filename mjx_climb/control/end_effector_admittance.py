@@ -1,4 +1,7 @@
-"""Admittance of each foot, the paper's Eq. 2: `M dxdd + D dxd + K dx = F_e`."""
+"""Admittance of each foot, the paper's Eq. 2, `M dxdd + D dxd + K dx = F_e`.
+
+F_e is the force of the ground on the foot, dx the shift of its target, both along the axes of the base reference.
+"""
 
 from typing import ClassVar
 

@@ -16,6 +16,7 @@ import importlib.metadata
 import os
 import pickle
 import platform
+import tempfile
 import threading
 import time
 import uuid
@@ -31,7 +32,6 @@ from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
 from mjx_climb.execution.jax_internals import prepare_for
-from mjx_climb.files.writing import whole
 
 VARIABLE = "MJX_CLIMB_CACHE"
 _OFF = {"off", "0", "no", "none", "false"}
@@ -238,7 +238,22 @@ def _stored(
     executable = jax.jit(named, static_argnums=0, compiler_options=options).lower(structure, *trees).compile()
     with contextlib.suppress(Exception):  # no room, no rights, or not to be serialized: it is made again next time
         content = pickle.dumps(serialize_executable.serialize(executable))
-        with whole(file) as path:
-            path.touch(mode=0o600)  # read again by its owner alone
-            path.write_bytes(_digest(file, content) + b"\n" + content)
+        write_whole(file, _digest(file, content) + b"\n" + content)
     return executable
+
+
+def write_whole(file: Path, content: bytes) -> None:
+    """Write a file that other processes find whole or not at all, and that its owner alone reads.
+
+    Raises:
+        OSError: no room, or no rights.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    handle, partial = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+        os.replace(partial, file)
+    except BaseException:
+        os.unlink(partial)
+        raise

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.execution.refused import Refused
 
-_OWN = ("mjx_climb", "tuning")
+_PACKAGE = __name__.partition(".")[0]
 _UNSEEN = {"eval", "exec", "compile", "globals", "locals", "open", "input", "__import__"}  # read what no digest knows
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented))  # exact by repr
 _CODE = (
@@ -30,7 +30,7 @@ _CODE = (
 )  # fmt: skip
 
 
-class Unidentifiable(ConfigError):
+class Unidentifiable(Refused):
     """A value that has no digest; in one line: where it was found, and what it is."""
 
 
@@ -190,9 +190,9 @@ def _members(module: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
 
 @functools.cache
 def in_library(module: str) -> bool:
-    """Return whether a module comes with Python, with this program, or from an installed package."""
+    """Return whether a module comes with Python, with this package, or from an installed one."""
     top = module.partition(".")[0]
-    if top in sys.stdlib_module_names or top in _OWN:
+    if top in sys.stdlib_module_names or top == _PACKAGE:
         return True
     file = getattr(sys.modules.get(module), "__file__", None) or getattr(sys.modules.get(top), "__file__", None)
     return file is not None and any(folder in file for folder in ("site-packages", "dist-packages"))

@@ -29,12 +29,11 @@ from jax.errors import JaxRuntimeError
 from numpy.typing import DTypeLike
 
 from mjx_climb.execution import gpu_kernel
-from mjx_climb.execution.cache import cache_folder, machine, source_digest
+from mjx_climb.execution.cache import cache_folder, machine, source_digest, write_whole
 from mjx_climb.execution.devices import on_host
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.one_robot import over_robots
-from mjx_climb.files.writing import OutputError, write_text_atomically
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.execution.refused import Refused
 
 PATHS = {"regions": "the CPU's regions", "kernel": "the GPU kernel"}
 ON_CPU = "MJX_CLIMB_ON_CPU"  # the variable that says up to how many robots go to the CPU although there is a GPU
@@ -75,13 +74,13 @@ def device_for(robots: int, tangents: int, *, kernel: bool) -> str | None:
     A step of any few takes a GPU as long as one of thousands. The environment variable `ON_CPU` sets another limit.
 
     Raises:
-        ConfigError: another limit that is no whole number.
+        Refused: another limit that is no whole number.
     """
     if jax.default_backend() == "cpu" or jax.process_count() > 1:
         return None
     if limit := os.environ.get(ON_CPU, "").strip():
         if not limit.isdecimal():
-            raise ConfigError(f"{ON_CPU}: expected a number of robots, got {limit!r}")
+            raise Refused(f"{ON_CPU}: expected a number of robots, got {limit!r}")
         few = robots <= int(limit)
     elif robots * (1 + tangents) > _AS_LAUNCHES:
         few = False
@@ -188,8 +187,8 @@ def verdict(path: str) -> Verdict:
             pass  # not there, or not what was written: tried again
     found, lasting = _tried(path)
     if kept is not None and lasting:
-        with contextlib.suppress(OutputError):  # no room, no rights: tried again in the next process
-            write_text_atomically(kept, json.dumps(found._asdict()))
+        with contextlib.suppress(OSError):  # no room, no rights: tried again in the next process
+            write_whole(kept, json.dumps(found._asdict()).encode())
     return found
 
 

@@ -17,8 +17,6 @@ class RobotError(ValueError):
     """A model that mjx_climb cannot use: the message names the model and what was expected."""
 
 
-__all__ = ["Robot", "RobotError", "load_model", "load_robot", "load_spec", "model_path", "robot_from_model"]
-
 _DRIVES = {"armature": "dof_armature", "damping": "dof_damping", "friction": "dof_frictionloss"}  # by MuJoCo's names
 _STATIC = {"static": True}  # to JAX
 

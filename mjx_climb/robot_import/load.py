@@ -42,8 +42,6 @@ def load_model(name: str | RobotFile) -> mujoco.MjModel:
 def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
     """Return the editable description that `load_model` compiles."""
     if isinstance(name, RobotFile):
-        # which looks for a stance with the constants of a robot
-
         return spec_of(name)
     return mujoco.MjSpec.from_file(str(model_path(name)))
 

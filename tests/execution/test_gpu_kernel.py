@@ -14,6 +14,7 @@ from mjx_climb.execution import gpu_kernel, paths
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.gpu_kernel import over_robots, tangents_over_robots
 from mjx_climb.execution.paths import first_possible
+from mjx_climb.execution.refused import Refused
 from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.parameter_types import Gains
 from mjx_climb.walk.structure import structure
@@ -155,7 +156,7 @@ def test_a_limit_that_is_no_number_is_refused(monkeypatch):
     monkeypatch.setenv(paths.ON_CPU, "few")
     assert paths.device_for(1, 0, kernel=True) is None  # where there is no GPU nothing is asked
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    with pytest.raises(mc.ConfigError, match=r"^MJX_CLIMB_ON_CPU: expected a number of robots, got 'few'$"):
+    with pytest.raises(Refused, match=r"^MJX_CLIMB_ON_CPU: expected a number of robots, got 'few'$"):
         paths.device_for(1, 0, kernel=True)
 
 

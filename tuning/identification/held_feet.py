@@ -1,7 +1,7 @@
 """A robot whose grippers are all shut, its base free: it sways by its servos, and no gripper opens or is torn off.
 
-A step is that of `tuning.identification.held_base`: velocities, the base's too, stand half a step before positions, and what acts
-at the beginning of a step takes them half a step on. So motion and forces are right to second order in the time step.
+A step is that of `tuning.identification.held_base`: velocities, the base's too, stand half a step before positions
+(leapfrog), and the loads of a step take them half a step on. Motion and forces are right to second order in the step.
 
 What a grip damps takes the foot's velocity half a step on by `AHEAD` of the change in this step, and the rest of the
 change in the step before: at a frequency w the former is too small by (w h)^2 / 8, the latter too large by 3 (w h)^2 /
