@@ -5,12 +5,16 @@ from mjx_climb.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from mjx_climb.component import parameter as parameter
     from mjx_climb.control import Command as Command
     from mjx_climb.control import Law as Law
     from mjx_climb.control import Measurement as Measurement
     from mjx_climb.control import Reference as Reference
     from mjx_climb.control import Start as Start
     from mjx_climb.control import gain as gain
+    from mjx_climb.disturbances.disturbance import Body as Body
+    from mjx_climb.disturbances.disturbance import Disturbance as Disturbance
+    from mjx_climb.disturbances.disturbance import External as External
     from mjx_climb.functions import Environment as Environment
     from mjx_climb.functions import forward_dynamics as forward_dynamics
     from mjx_climb.functions import metrics as metrics
@@ -19,9 +23,14 @@ if TYPE_CHECKING:
     from mjx_climb.functions import rollout_jvp as rollout_jvp
     from mjx_climb.functions import rollout_metrics as rollout_metrics
     from mjx_climb.functions import simulator as simulator
+    from mjx_climb.hardware.actuator import Actuator as Actuator
+    from mjx_climb.hardware.actuator import Drive as Drive
+    from mjx_climb.hardware.actuator import Joints as Joints
     from mjx_climb.inputs.from_scenario import parameters as parameters
     from mjx_climb.parameter_types import Gains as Gains
     from mjx_climb.parameter_types import Parameters as Parameters
+    from mjx_climb.physics.contact.contact import Contact as Contact
+    from mjx_climb.physics.contact.contact import Grip as Grip
     from mjx_climb.physics.equations_of_motion import ENGINES as ENGINES
     from mjx_climb.physics.state import Acceleration as Acceleration
     from mjx_climb.physics.state import State as State

@@ -2,7 +2,7 @@
 # ruff: noqa: RUF009 (fields carry their keys and units)
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -12,6 +12,7 @@ from jax import Array
 from jaxtyping import Real
 
 from mjx_climb.arrays import namespace
+from mjx_climb.component import Component
 
 # batch axes of one gain need not be those of another: they broadcast
 _Values = Array | np.ndarray
@@ -137,17 +138,39 @@ class Parameters:
     backlash: _Scalar = _of("hardware.servo.backlash", "rad", "backlash")
     servo_delay: _Scalar = _of("hardware.servo.delay", "s", "delay of the servos")
     seed: _Scalar = _of("hardware.seed")  # whole, below 2^24 so that single precision holds it
+    contact: Any = None  # a `Contact` in place of the gripper that the values above describe
+    drive: Any = None  # an `Actuator` in place of the servos that the values above describe
+    disturbances: Any = ()  # a tuple of `Disturbance`, beside cargo and pushes
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The values by name, without contact, drive and disturbances, which have values of their own."""
+        return {name: value for name, value in vars(self).items() if name not in COMPONENTS}
+
+    def with_components(self, change: Callable[[str, Component], Component]) -> "Parameters":
+        """Parameters with each component replaced by what `change` makes of its place and itself."""
+        changed = {place: change(place, each) for place, each in self.components.items()}
+        others = tuple(changed[f"disturbances.{n}"] for n in range(len(self.disturbances)))
+        contact, drive = changed.get("contact"), changed.get("drive")
+        return dataclasses.replace(self, contact=contact, drive=drive, disturbances=others)
+
+    @property
+    def components(self) -> dict[str, Component]:
+        """Contact, drive and disturbances, as far as there are any, by their places: "disturbances.0"."""
+        found = {f"disturbances.{n}": each for n, each in enumerate(self.disturbances)}
+        return {name: each for name in ("contact", "drive") if (each := getattr(self, name)) is not None} | found
 
 
+COMPONENTS = ("contact", "drive", "disturbances")
 KEYS: dict[str, str] = {  # of a scenario, whose values and ranges these are
-    field.name: field.metadata["key"] for field in dataclasses.fields(Parameters) if field.metadata["key"]
+    field.name: field.metadata["key"] for field in dataclasses.fields(Parameters) if field.metadata.get("key")
 }
 # what a sweep may run over: units, long name
 COORDINATES: dict[str, tuple[str, str]] = {
     field.name: (field.metadata["unit"], field.metadata["long_name"])
     for kind in (Gains, Parameters)
     for field in dataclasses.fields(kind)
-    if field.metadata["unit"]
+    if field.metadata.get("unit")
 }
 
 

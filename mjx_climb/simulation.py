@@ -25,9 +25,11 @@ from numpy.typing import DTypeLike
 
 from mjx_climb import execution
 from mjx_climb.control import Law, law_of
+from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, over_batch
 from mjx_climb.execution.batches import Progress
 from mjx_climb.gait.base_path import check_base
+from mjx_climb.hardware.actuator import Actuator
 from mjx_climb.hardware.stages import Stages, given, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import gait_of, scenario_with_gait
@@ -43,6 +45,7 @@ from mjx_climb.inputs.resolve import (
 )
 from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.parameter_types import Parameters
+from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE, checked_engine
 from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
@@ -107,6 +110,9 @@ class Simulation:
     table: MetricTable  # the metrics
     engine: str
     smooth: bool
+    contact: Contact | None  # in place of the scenario's, None: the scenario's
+    drive: Actuator | None
+    disturbances: tuple[Disturbance, ...]  # beside the scenario's
 
     def __init__(
         self,
@@ -115,6 +121,9 @@ class Simulation:
         metrics: Iterable[Metric] = METRICS,
         engine: str = DEFAULT_ENGINE,
         *,
+        contact: Contact | None = None,
+        drive: Actuator | None = None,
+        disturbances: Iterable[Disturbance] = (),
         smooth: bool = False,
     ) -> None:
         """Prepare a simulation.
@@ -124,30 +133,44 @@ class Simulation:
             law: the control law with its gains, the scenario's own where None.
             metrics: what walks are evaluated by, as `mjx_climb.METRICS + (mine,)`.
             engine: the dynamics, one of `mjx_climb.ENGINES`.
+            contact: what holds feet to the ground, in place of the scenario's gripper.
+            drive: what turns the joints, in place of the scenario's servos.
+            disturbances: what acts from outside, beside the scenario's cargo and pushes.
             smooth: for searches: no gripper is torn off, whatever the force (`peak_pull_force` tells), and the metrics
                 have smooth companions, see `mjx_climb.walk.metrics`.
 
         Raises:
             ConfigError: no such engine, or a rest stance that is singular.
             RuntimeError: a process that was forked from one in which JAX had begun.
-            ValueError: no control law, or two metrics of one name.
+            ValueError: no control law, contact, actuator or disturbance, or two metrics of one name.
         """
         checked_engine(engine)
         check_stance(scenario)
         check_base(scenario)
         vars(self).update(  # frozen from here on
             scenario=scenario,
-            law=law_of(scenario) if law is None else checked(law),
+            law=law_of(scenario) if law is None else checked(law, Law),
             law_name="" if law is None else type(law).__name__,
             table=MetricTable(metrics),
             engine=engine,
             smooth=smooth,
+            contact=None if contact is None else checked(contact, Contact),
+            drive=None if drive is None else checked(drive, Actuator),
+            disturbances=tuple(checked(each, Disturbance) for each in disturbances),
         )
 
     @functools.cached_property
     def structure(self) -> Structure:
         """What the scenario's own walk is compiled for."""
-        return self._structure(own_parameters(self.scenario), {})
+        return self._structure(self._given(None), {})
+
+    def _given(self, parameters: Parameters | None) -> Parameters:
+        """Return parameters, the scenario's where None, with the simulation's own contact, drive and disturbances."""
+        given = own_parameters(self.scenario) if parameters is None else parameters
+        contact = given.contact if self.contact is None else self.contact
+        drive = given.drive if self.drive is None else self.drive
+        disturbances = given.disturbances + self.disturbances
+        return dataclasses.replace(given, contact=contact, drive=drive, disturbances=disturbances)
 
     def _structure(self, parameters: Parameters, called: Mapping[str, str]) -> Structure:
         """Return what a walk under these parameters is compiled for: they say which stages of hardware there are."""
@@ -176,7 +199,7 @@ class Simulation:
             ConfigError: a time step too long for the scenario's contacts and joints.
             ValueError: batched gains or parameters, gains that the law does not have, or targets of another shape.
         """
-        resolved = resolve_in(self.scenario, self.law, gains, parameters, dtype)
+        resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
         if resolved.shape != ():
             raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
         check_time_step(self.scenario, parameters=resolved.walked)
@@ -277,7 +300,7 @@ class Simulation:
         unsteady: bool = False,
         **how: Any,
     ) -> Any:
-        resolved = resolve_in(self.scenario, self.law, gains, parameters, dtype)
+        resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
         check_time_step(self.scenario, parameters=None if unsteady else resolved.walked)
         law, own, batch = resolved[:3]
         shape, arguments, axes = self._structure(resolved.walked, resolved.called), (law, own), resolved.axes
@@ -311,7 +334,8 @@ class Simulation:
         """
         leaves = jax.tree.leaves(self.law if gains is None else gains)
         dtypes = [leaf.dtype for leaf in leaves if hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)]
-        resolved = resolve(self.scenario, self.law, gains, parameters, jnp.result_type(*(dtypes or [float])))
+        precision = jnp.result_type(*(dtypes or [float]))
+        resolved = resolve(self.scenario, self.law, gains, self._given(parameters), precision)
         check_time_step(self.scenario, parameters=resolved.walked)
         walk = _carried_out(metrics_of, self._structure(resolved.walked, resolved.called))
         found: Metrics = over_batch(walk, resolved[:2], resolved.axes, resolved.shape)
@@ -347,7 +371,7 @@ class Simulation:
         With the stages of hardware that are given, whatever the parameters, which JAX may trace then.
         """
         precision = jnp.result_type(float) if dtype is None else dtype
-        resolved = resolve(self.scenario, self.law, gains, parameters, precision)
+        resolved = resolve(self.scenario, self.law, gains, self._given(parameters), precision)
         if stages is None:
             structure = self._structure(resolved.walked, resolved.called)
         else:

@@ -47,7 +47,7 @@ def metrics_of(structure: Structure, law: Law, parameters: Parameters) -> Metric
 
 def metrics_of_moved(structure: Structure, gains: Mapping[str, Array], law: Law, parameters: Parameters) -> Metrics:
     """Return the metrics of a walk with some gains, by name, in place of those of the law and of the joint loop."""
-    moved = dataclasses.replace(law, **{n: v for n, v in gains.items() if n in law.GAINS})  # type: ignore[type-var]
+    moved = dataclasses.replace(law, **{n: v for n, v in gains.items() if n in law.GAINS})
     of_joints = {name: value for name, value in gains.items() if name not in law.GAINS}
     return metrics_of(structure, moved, dataclasses.replace(parameters, **of_joints))
 

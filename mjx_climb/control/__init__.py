@@ -12,7 +12,6 @@ from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.control.law import (
     PD,
     Command,
-    GainField,
     JointGains,
     Law,
     Measurement,
@@ -40,7 +39,7 @@ LAWS: dict[tuple[str, str], type[Law]] = {
 SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), LoadTransfer, InternalForce, ClimbSDK)}
 
 __all__ = [
-    "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "GainField", "InternalForce",
+    "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "InternalForce",
     "JointGains", "Law", "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "Reference", "Start",
     "VirtualModelAdmittance", "begin", "combined", "gain", "is_shipped", "law_of", "phased", "shifted", "shipped",
 ]  # fmt: skip
@@ -79,7 +78,7 @@ def law_of(scenario: Scenario) -> Law:
     law, control = LAWS[scenario.control.controller, scenario.control.reading], scenario.control
     values = {name: getattr(control, name) for name in law.GAINS}
     # six values of a law of translations alone: the rotations are not its own
-    own: dict[str, Any] = {n: v[: law.GAINS[n].length] if isinstance(v, tuple) else v for n, v in values.items()}
+    own: dict[str, Any] = {n: v[: law.GAINS[n].size] if isinstance(v, tuple) else v for n, v in values.items()}
     if law not in (VirtualModelAdmittance, EndEffectorAdmittance):
         return law(**own)
     limits = (control.deadband, control.max_offset, control.max_velocity)

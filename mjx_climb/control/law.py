@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from mjx_climb.component import Component, ValueField, value_field
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
 
 LONG = 1e3  # s, the times of a reference whose limbs are not said to swing
@@ -94,21 +95,11 @@ def shifted(reference: Reference, displacement: Array, turn: Array | None = None
     )
 
 
-class GainField(NamedTuple):
-    """What a law declares of a gain beside its value."""
-
-    unit: str
-    length: int  # 1; 3 axes; or 6: three translations, then three rotations
-    bounds: tuple[float, float]  # of a search
-    rotation_bounds: tuple[float, float] | None  # of a search, where rotations have their own
-    long_name: str
-    searched: bool  # whether searches move it without being asked
-
-
 def gain(
     unit: str,
     *,
     length: int = 6,
+    shape: tuple[int, ...] | None = None,
     bounds: tuple[float, float],
     rotation_bounds: tuple[float, float] | None = None,
     default: Any = dataclasses.MISSING,
@@ -120,6 +111,7 @@ def gain(
     Arguments:
         unit: as in "N s/m", or "N s/m, N m s/rad" where rotations have their own.
         length: 1, or 3 or 6 axes; a value is a scalar, which holds for all axes, or has them last, after a batch's.
+        shape: in place of `length`, any: (12, 8) of the weights of a small network. A value has these axes last.
         bounds: where searches look, low and high. A gain must be above 0, unless `low` lets it be 0 or less.
         rotation_bounds: the bounds of the three rotations, where they are others.
         default: the value of a law that is made without one.
@@ -131,15 +123,12 @@ def gain(
     """
     if length not in (1, 3, 6):
         raise ValueError(f"length of a gain: expected 1, 3 or 6, got {length}")
-    for low, high in (bounds, rotation_bounds or bounds):
-        if not low < high:
-            raise ValueError(f"bounds of a gain: expected low < high, got {low}, {high}")
-    field = GainField(unit, length, bounds, rotation_bounds, long_name, searched)
-    return dataclasses.field(default=default, metadata={"gain": field})
+    own = ((length,) if length > 1 else ()) if shape is None else tuple(shape)
+    return value_field(ValueField(unit, own, bounds, rotation_bounds, long_name, searched), default)
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(gain, dataclasses.field))
-class Law:
+class Law(Component):
     """Base of control laws: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `gain` are its gains: swept, batched, differentiated, tuned. Any other field is part of the program:
@@ -149,22 +138,15 @@ class Law:
     a gain may also be a scalar that holds for all axes, or have batch axes in front.
     """
 
-    GAINS: ClassVar[Mapping[str, GainField]] = MappingProxyType({})  # by name, in the order of the fields
-    AXES: ClassVar[Mapping[str, int]] = MappingProxyType({})  # number of axes of one robot's value
+    GAINS: ClassVar[Mapping[str, ValueField]] = MappingProxyType({})  # by name, in the order of the fields
     # gains that act on each limb for itself: (limb, length) works in their place, too
     LIMBWISE: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        dataclasses.dataclass(frozen=True, eq=False)(cls)
-        fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # a dataclass from here on
-        gains = {field.name: field.metadata["gain"] for field in fields if "gain" in field.metadata}
-        for name in {"kp", "kd", "ki", "safe_kp"} & gains.keys():
+        for name in {"kp", "kd", "ki", "safe_kp"} & cls.VALUES.keys():
             raise ValueError(f"{cls.__name__}.{name}: expected another name, this one is the joint loop's")
-        cls.GAINS = MappingProxyType(gains)
-        cls.AXES = MappingProxyType({name: int(field.length > 1) for name, field in gains.items()})
-        others = [field.name for field in fields if field.name not in gains]
-        jax.tree_util.register_dataclass(cls, data_fields=list(gains), meta_fields=others)
+        cls.GAINS = cls.VALUES
 
     def init(self, start: Start) -> Any:
         """Return the state at the start: a pytree. What depends on the gains alone belongs into it."""

@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from mjx_climb.component import ValueField
 from mjx_climb.control.combined import Made, Part, Sum, law_class, product
-from mjx_climb.control.law import Command, GainField, JointGains, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start, gain
 
 PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as they stand behind a gain's name
 
@@ -164,9 +165,9 @@ def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
     own, fields = {field.name: field for field in dataclasses.fields(kind)}, {}
     for name, field in own.items():
         for phase in PHASES if name in gains else ():
-            said: GainField = field.metadata["gain"]
-            words = f"{said.long_name or name}, {phase.replace('_', ' ')}"
-            metadata = {"gain": said._replace(long_name=words)}
+            declared: ValueField = field.metadata["value"]
+            words = f"{declared.long_name or name}, {phase.replace('_', ' ')}"
+            metadata = {"value": declared._replace(long_name=words)}
             fields[f"{name}_{phase}"] = dataclasses.field(default=field.default, metadata=metadata)
         if name not in gains:
             fields[name] = field

@@ -1,6 +1,7 @@
 """Batch axes of laws, gains and parameters, in front of the axes of one robot's values.
 
-A tree here has `AXES`: how many axes one environment's value has, by field, where it is no scalar.
+A tree here is a dataclass, or has some in it, with `AXES`: how many axes one robot's value has, by field, where it is
+no scalar.
 """
 
 import math
@@ -22,9 +23,15 @@ def is_traced(tree: Any) -> bool:
 
 
 def own_axes(tree: Tree) -> Tree:
-    """Return in place of each value how many axes one environment's value has."""
-    axes = tree.AXES  # type: ignore[attr-defined]
-    own: Tree = jax.tree_util.tree_map_with_path(lambda path, _: axes.get(path[-1].name, 0), tree)
+    """Return in place of each value how many axes one robot's value has."""
+
+    def of(path: Sequence[Any], _: Any) -> int:
+        owner: Any = tree  # the dataclass that has the value
+        for key in path[:-1]:
+            owner = owner[key.idx] if hasattr(key, "idx") else getattr(owner, key.name)
+        return int(owner.AXES.get(path[-1].name, 0))
+
+    own: Tree = jax.tree_util.tree_map_with_path(of, tree)
     return own
 
 

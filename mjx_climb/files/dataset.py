@@ -177,7 +177,7 @@ def _revision(package: Path) -> str:
 
 def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:
     """Return numbers by name as JSON, arrays as lists."""
-    by_name = values if isinstance(values, Mapping) else vars(values)
+    by_name = values if isinstance(values, Mapping) else getattr(values, "numbers", vars(values))
     return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in by_name.items()})
 
 
@@ -257,7 +257,7 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     of_the_paper = {field.name for field in dataclasses.fields(Gains)} >= set(by_name)
     gains = Gains(**by_name) if of_the_paper else by_name
     with jax.enable_x64(dtype == np.float64):
-        own = {name: np.asarray(value) for name, value in vars(parameters(scenario_of(dataset), dtype)).items()}
+        own = {name: np.asarray(value) for name, value in parameters(scenario_of(dataset), dtype).numbers.items()}
     numbers = own | _from_json(dataset.attrs["parameters"], dtype)
     # lists without pushes have lost their second axis
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}

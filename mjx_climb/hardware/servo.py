@@ -15,15 +15,16 @@ References:
     2024: models M1 to M6 of the bound; its program is github.com/Rhoban/bam.
 """
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.hardware import bus as signals
+from mjx_climb.hardware.actuator import Actuator, Drive, JointGains, Joints
 from mjx_climb.hardware.stages import Hardware, Stages
 from mjx_climb.parameter_types import Parameters
-from mjx_climb.physics.state import State
 
 RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m
 
@@ -44,29 +45,35 @@ class Servo(NamedTuple):
     buffer: signals.Buffer  # of torques (limb, joint) N m
     bristle: Any  # (limb, joint) 1, see `dry_friction`
     loop: Loop = Loop()
-    # (limb, joint) N m, torque of the load on the joints: who steps the dynamics puts it here before `joint_loop`
+    # (limb, joint) N m, torque of the load on the joints in this step
     load: Any = ()
-
-
-class Drive(NamedTuple):
-    """What the servos do in a step."""
-
-    motor_torque: Array  # (limb, joint) N m
-    joint_torque: Array  # (limb, joint) N m, less friction
-    armature: Any  # (limb, joint) kg m^2, what sticking joints have more of it in this step; () without dry friction
-
-
-class JointGains(NamedTuple):
-    """Gains of the joint loop in a step."""
-
-    kp: Array  # () or (limb, joint) N m/rad
-    kd: Array  # () or (limb, joint) N m s/rad
-    ki: Any = ()  # () or (limb, joint) N m/(rad s); felt with the stage `integral` alone
 
 
 def gains_of(hardware: Hardware) -> JointGains:
     """Return the gains of the joint loop that the hardware's parameters have."""
     return JointGains(*(jnp.asarray(getattr(hardware.parameters, name)) for name in JointGains._fields))
+
+
+class Servos(Actuator):
+    """The servos that a config's hardware section describes, all alike."""
+
+    hardware: Hardware = dataclasses.field(metadata={"tree": True})
+
+    @property
+    def feels_load(self) -> bool:
+        """Whether the servos' friction depends on the load."""
+        return self.hardware.stages.load_torque
+
+    def init(self, angles: Array) -> Servo:
+        """The memory of servos that have always rested at joint angles (limb, joint) rad, under no torque."""
+        return begin(angles, self.hardware.stages)
+
+    def step(
+        self, memory: Servo, targets: Array, gains: JointGains, joints: Joints, period: float
+    ) -> tuple[Servo, Drive]:
+        """The servos after a step, and what they do in it: see `joint_loop`."""
+        memory = memory if joints.load is None else memory._replace(load=joints.load)
+        return joint_loop(memory, targets, joints, gains, self.hardware)
 
 
 def begin(angles: Array, stages: Stages) -> Servo:
@@ -84,7 +91,7 @@ def begin(angles: Array, stages: Stages) -> Servo:
 
 
 def joint_loop(
-    servo: Servo, targets: Array, state: State, gains: JointGains, hardware: Hardware
+    servo: Servo, targets: Array, joints: Joints, gains: JointGains, hardware: Hardware
 ) -> tuple[Servo, Drive]:
     """Return the servos after this step and what they do in it, for joint targets (limb, joint) rad.
 
@@ -92,26 +99,26 @@ def joint_loop(
     measured rate. A voltage drive takes `tau` over the stall torque for its share of the voltage.
     """
     stages, before = hardware.stages, servo.loop
-    loop, asked = pid(before, targets, state, gains, hardware)
+    loop, asked = pid(before, targets, joints, gains, hardware)
     if stages.servo_rate:
         loop, asked = signals.held(before.age == 0, (loop, asked), (before, before.asked))
         age = before.age + 1
         loop = loop._replace(asked=asked, age=jnp.where(age < hardware.pace.servo_period - 0.5, age, 0.0))
-    return driven(servo._replace(loop=loop), asked, state.joint_rates, hardware)
+    return driven(servo._replace(loop=loop), asked, joints.rates, hardware)
 
 
-def pid(loop: Loop, targets: Array, state: State, gains: JointGains, hardware: Hardware) -> tuple[Loop, Array]:
+def pid(loop: Loop, targets: Array, joints: Joints, gains: JointGains, hardware: Hardware) -> tuple[Loop, Array]:
     """Return the loop once evaluated, and what it asks for, (limb, joint) N m, whatever the motor can give."""
     stages, parameters, period = hardware.stages, hardware.parameters, hardware.servo_period
     if stages.profile:
         fastest = jnp.asarray(parameters.profile_velocity), jnp.asarray(parameters.profile_acceleration)
         targets, goal_rate = profiled(loop.goal, loop.goal_rate, targets, *fastest, period)
         loop = loop._replace(goal=targets, goal_rate=goal_rate)
-    error = targets - state.joint_angles
+    error = targets - joints.angles
     if stages.backlash:  # the motor rests at its target; the link is free to move by half the play either way
         play = parameters.backlash / 2
         error = error - jnp.clip(error, -play, play)
-    asked = jnp.asarray(gains.kp * error - gains.kd * state.joint_rates)
+    asked = jnp.asarray(gains.kp * error - gains.kd * joints.rates)
     if not stages.integral:
         return loop, asked
     integral = loop.integral + period * error

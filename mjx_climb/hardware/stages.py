@@ -1,23 +1,21 @@
 """Which stages of hardware a walk has, decided once before it is compiled, and what they need of its parameters."""
 
 import dataclasses
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.extend.core import concrete_or_error
 from jax.typing import ArrayLike
 
 from mjx_climb.hardware.bus import Buffer, buffer_length, period_steps, weights
-from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.model import Scenario
 
-_DELAYED = ("force", "base", "command", "servo")
+DELAYED = ("force", "base", "command", "servo")
 _QUADRATIC = ("quadratic_load_friction", "quadratic_external_load_friction")
 _STRIBECK = ("stribeck_friction", "stribeck_load_friction", "stribeck_external_load_friction", *_QUADRATIC)
 _OF_LOAD = ("external_load_friction", "stribeck_external_load_friction", *_QUADRATIC)
@@ -81,9 +79,9 @@ def stages_of(
     The parameters named in `moving` have their stages whatever their values, as derivatives along them need.
 
     Raises:
-        TypeError: parameters that are traced by JAX, so that nothing can be decided by them: see `stages_under_trace`.
+        TypeError: parameters that JAX traces, by which nothing can be decided: see `mjx_climb.inputs.traced_stages`.
     """
-    for name, value in vars(parameters).items():
+    for name, value in parameters.numbers.items():
         if isinstance(value, jax.core.Tracer):
             raise TypeError(f"parameters.{name}: expected an array, got one that JAX traces")
     step, voltage = scenario.time_step, scenario.hardware.servo.drive == "voltage"
@@ -106,7 +104,7 @@ def stages_of(
     filtered, by_law = finite("force_filter"), scenario.hardware.force_sensor.filtered_by == "law"
     simple = ("force_noise", "force_bias", "force_resolution", "control_period", "armature", "backlash")
     found: dict[str, Any] = {name: some(name) for name in simple}
-    found |= {f"{part}_delay": length(f"{part}_delay") for part in _DELAYED}
+    found |= {f"{part}_delay": length(f"{part}_delay") for part in DELAYED}
     return Stages(
         **found,
         force_filter=filtered and not by_law,
@@ -131,41 +129,6 @@ def stages_of(
         sway=some("sway"),
         landing_speed=some("landing_speed"),
     )
-
-
-def stages_under_trace(
-    scenario: Scenario,
-    parameters: Parameters,
-    robot: Robot | None = None,
-    called: Callable[[str], str] = "parameters.{}".format,
-) -> Stages:
-    """Return the stages that parameters need, of which JAX may trace some.
-
-    What a derivative alone traces is known; what `jit` or `vmap` traces counts as the scenario's own.
-
-    Arguments:
-        called: how a parameter, by its name, is called where it is refused.
-
-    Raises:
-        ValueError: a parameter that is traced and decides about a stage which is not there, or a delay that is traced,
-            whose buffer has a length.
-    """
-    values, traced = dict(vars(parameters)), {}
-    for name, value in vars(parameters).items():
-        if isinstance(value, jax.core.Tracer):
-            try:
-                values[name], traced[name] = np.asarray(concrete_or_error(None, value)), True
-            except jax.errors.ConcretizationTypeError:
-                values[name], traced[name] = getattr(own_parameters(scenario), name), False
-    known = Parameters(**values)
-    stages = stages_of(scenario, known, robot)
-    for name, is_known in traced.items():
-        late = name.removesuffix("_delay") in _DELAYED and not is_known
-        if late or lacking(stages, stages_of(scenario, known, robot, (name,))):
-            known_one = "a value that is known where the walk is compiled"
-            expected = known_one if late else f"{known_one}, or a scenario that has such a stage"
-            raise ValueError(f"{called(name)}: expected {expected}, got one that JAX traces: trace only what varies")
-    return stages
 
 
 def lacking(stages: Stages, asked: Stages) -> bool:
@@ -232,7 +195,7 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
         # what a first-order filter takes in of an input held over a period: 1 - exp(-2 pi f h)
         share = -jnp.expm1(-2 * jnp.pi * sampled * parameters.force_filter)
     late: dict[str, Buffer] = {}
-    for part in _DELAYED:
+    for part in DELAYED:
         length, seconds = getattr(stages, f"{part}_delay"), getattr(parameters, f"{part}_delay")
         late[part] = weights(jnp.asarray(seconds) / time_step, length) if length else ()
     servo_period: Any = ()

@@ -23,7 +23,7 @@ _PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -
 
 def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
     """Return the parameters of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
-    known = vars(own_parameters(scenario))
+    known = own_parameters(scenario).numbers
     with jax.ensure_compile_time_eval():  # values under `jit` too: they say which hardware a walk is compiled for
         return Parameters(**{n: jnp.asarray(value, dtype or jnp.result_type(float)) for n, value in known.items()})
 
@@ -63,7 +63,7 @@ def check_ranges(parameters: Parameters) -> None:
     Raises:
         ValueError: in one line, which one, what was expected and the first value that is wrong.
     """
-    for name, value in vars(parameters).items():
+    for name, value in parameters.numbers.items():
         if isinstance(value, jax.core.Tracer):
             continue
         values = np.asarray(value)

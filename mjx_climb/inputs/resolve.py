@@ -2,8 +2,7 @@
 
 import dataclasses
 import functools
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import DTypeLike
 
-from mjx_climb.arrays import namespace
+from mjx_climb.component import AnyComponent, checked_value, with_values
 from mjx_climb.control import PD, Law
 from mjx_climb.execution.batch_axes import batch_shape, own_axes
 from mjx_climb.gait.swing import COUNT
@@ -26,7 +25,7 @@ from mjx_climb.shapes import broadcasts, check_fields
 AnyGains = Gains | Law | Mapping[str, Any]  # values by name
 
 _JOINT_LOOP = ("kp", "kd", "ki", "safe_kp")
-_NUMBERS = {3: "three", 6: "six"}
+_MAY_BE_ZERO = ("kd", "ki")
 
 
 class Resolved(NamedTuple):
@@ -69,10 +68,15 @@ def resolve(
     values = _values_by_name(law, gains)
     called = {GAIT.get(name, name): f"gains.{name}" for name in values if name in (*GAIT, *_JOINT_LOOP)}
     own = with_gait(
-        scenario, own, {key: _checked(f"gains.{key}", values.pop(key), 1, 0.0) for key in GAIT if key in values}
+        scenario, own, {key: checked_value(f"gains.{key}", values.pop(key), (), 0.0) for key in GAIT if key in values}
     )
-    joint = {name: _checked(f"gains.{name}", values.pop(name), 1) for name in _JOINT_LOOP if name in values}
-    law = checked_gains(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
+    joint = {
+        name: checked_value(f"gains.{name}", values.pop(name), (), zero=name in _MAY_BE_ZERO)
+        for name in _JOINT_LOOP
+        if name in values
+    }
+    law = with_values(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
+    own = own.with_components(lambda place, each: with_values(each, {}, array, place))
     walked = dataclasses.replace(with_whole_steps(own, scenario.time_step), **joint)
     parameters = jax.tree.map(array, walked)
     # gains of a law without any still say how many robots there are
@@ -112,8 +116,7 @@ def with_gains(law: Law, gains: AnyGains) -> Law:
         ValueError: a name that it does not have.
     """
     values = {name: value for name, value in _values_by_name(law, gains).items() if name in law.GAINS}
-    changed: Law = dataclasses.replace(law, **values)  # type: ignore[type-var]
-    return changed
+    return dataclasses.replace(law, **values)
 
 
 def has_gains_of_the_paper(law: Law) -> bool:
@@ -138,37 +141,27 @@ def recorded(scenario: Scenario, gains: AnyGains | None, resolved: Resolved) -> 
     return Gains(**six, **joint)
 
 
-def checked_gains(law: Law, values: Mapping[str, Any], array: Callable[[Any], Any] = np.asarray) -> Law:
-    """Return a law with some values replaced, all of its gains as arrays of their full length.
+def checked(component: AnyComponent, kind: type[AnyComponent]) -> AnyComponent:
+    """Return a law, contact, actuator or disturbance as it is.
 
     Raises:
-        ValueError: in one line, a wrong shape, or a gain that is not positive.
+        ValueError: no instance of the kind, or a field that cannot be hashed.
     """
-    whole = {}
-    for name, field in law.GAINS.items():
-        value = _checked(f"gains.{name}", values.get(name, getattr(law, name)), field.length, field.bounds[0])
-        if field.length > 1:
-            value = namespace(value).broadcast_to(value, (*value.shape[:-1], field.length))
-        whole[name] = array(value)
-    changed: Law = dataclasses.replace(law, **whole)  # type: ignore[type-var]
-    return changed
-
-
-def checked(law: Law) -> Law:
-    """Return a law as it is.
-
-    Raises:
-        ValueError: no instance of `mjx_climb.Law`, or a field that cannot be hashed.
-    """
-    if not isinstance(law, Law):
-        made = f"; {law.__name__}() makes one" if isinstance(law, type) and issubclass(law, Law) else ""
-        raise ValueError(f"law: expected an instance of a class that inherits from mjx_climb.Law, got {law!r}{made}")
+    what = kind.__name__.lower()
+    if not isinstance(component, kind):
+        made = (
+            f"; {component.__name__}() makes one" if isinstance(component, type) and issubclass(component, kind) else ""
+        )
+        expected = f"an instance of a class that inherits from mjx_climb.{kind.__name__}"
+        raise ValueError(f"{what}: expected {expected}, got {component!r}{made}")
     try:
-        hash(jax.tree.structure(law))
+        hash(jax.tree.structure(component))
     except TypeError as error:
-        what = f"{type(law).__name__}: expected fields that can be hashed beside its gains: {error}"
-        raise ValueError(what) from None
-    return law
+        known = "gains" if kind is Law else "parameters"
+        raise ValueError(
+            f"{type(component).__name__}: expected fields that can be hashed beside its {known}: {error}"
+        ) from None
+    return component
 
 
 def by_name(gains: AnyGains) -> dict[str, Any]:
@@ -185,7 +178,7 @@ def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
     known = [*law.GAINS, *_JOINT_LOOP]
     if values.keys() >= Gains.AXES.keys():  # those of the paper, whatever else stands beside them
         for name, field in law.GAINS.items():
-            if field.length == 3 and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
+            if field.shape == (3,) and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
                 own = values[name]
                 values[name] = (own if isinstance(own, jax.Array) else np.asarray(own))[..., :3]
         known += Gains.AXES if isinstance(law, PD) else ()
@@ -193,29 +186,6 @@ def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
         names = f"{', '.join(known)}, the gains of {type(law).__name__}"
         raise ValueError(f"gains.{unknown[0]}: expected one of {names}")
     return values
-
-
-def _checked(name: str, value: Any, length: int, low: float = math.nan) -> Any:
-    """Return the values of a gain as an array, of whatever precision they have.
-
-    Raises:
-        ValueError: not so many on the last axis, or values known now that are not finite or too small.
-    """
-    if not isinstance(value, jax.Array):
-        value = np.asarray(value, float if np.ndim(value) == 0 and not np.iscomplexobj(value) else None)
-    if length > 1 and value.ndim and value.shape[-1] not in (1, length):
-        raise ValueError(f"{name}: expected a scalar or a last axis of {_NUMBERS[length]}, got shape {value.shape}")
-    if np.iscomplexobj(value):
-        raise ValueError(f"{name}: expected real numbers, got {value.dtype}")
-    if isinstance(value, jax.core.Tracer):
-        return value
-    known = np.asarray(value)
-    zero_is_fine = name in ("gains.kd", "gains.ki") or low == 0
-    wrong = ~np.isfinite(known) | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero_is_fine))))
-    if wrong.any():
-        expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero_is_fine else 'above 0'}"
-        raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")
-    return value
 
 
 def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: AnyGains) -> dict[str, np.ndarray]:
@@ -235,14 +205,11 @@ def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: 
     for key in TIMES:
         if np.any(given.pop(GAIT[key], 0.0)):
             raise ValueError(f"directions.{key}: expected none, as it is counted in whole time steps")
-    lengths = (
-        dict.fromkeys(_JOINT_LOOP, 1)
-        | dict.fromkeys(GAIT.values(), 1)
-        | {n: own.length for n, own in law.GAINS.items()}
-    )
+    shapes: dict[str, tuple[int | None, ...]] = dict.fromkeys([*_JOINT_LOOP, *GAIT.values()], ())
+    shapes |= {name: field.shape for name, field in law.GAINS.items()}
     count = max([np.shape(rates)[0] for rates in given.values() if np.ndim(rates)], default=1)
-    for name in (name for name in given if name in lengths):
-        value, own = np.asarray(given[name], dtype), (lengths[name],) if lengths[name] > 1 else ()
+    for name in (name for name in given if name in shapes):
+        value, own = np.asarray(given[name], dtype), shapes[name]
         if value.ndim <= len(own) or value.shape[0] != count or not broadcasts(value.shape[1:], (*shape, *own)):
             expected = f"shape {(count, *shape, *own)}, or fewer batch axes behind the first"
             raise ValueError(f"directions.{name}: expected {expected}, got {value.shape}")

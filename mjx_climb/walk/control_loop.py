@@ -14,8 +14,10 @@ from mjx_climb.control import Command, JointGains, Law, Measurement, Reference, 
 from mjx_climb.control.law import beginning
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware import sensors, servo
+from mjx_climb.hardware.actuator import Actuator, Drive, Joints
+from mjx_climb.hardware.actuator import JointGains as ActuatorGains
 from mjx_climb.hardware.stages import Hardware
-from mjx_climb.physics.contact.gripper import Contact, Grip
+from mjx_climb.physics.contact.contact import Grip
 from mjx_climb.physics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
 from mjx_climb.physics.kinematics import Feet, Turning, base_wrench_of_foot_force
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -63,6 +65,7 @@ class Controller:
     law: Law
     geometry: LimbGeometry | Chain
     hardware: Hardware
+    actuator: Actuator
 
 
 class Held(NamedTuple):
@@ -83,7 +86,7 @@ class Memory(NamedTuple):
     base_estimate: Any  # buffers, one for each field of a `sensors.Base`
     held: Any  # `Held`
     targets: signals.Buffer  # of joint targets (limb, joint) rad
-    servo: servo.Servo
+    actuator: Any  # of the actuators
     posture: Any  # (limb, joint) rad, the joint angles last solved for, () where there is a closed form
     reports: Any  # `Reports`, () where the law does not read them
     joint_gains: Any  # buffers of what is sent of the joint gains, () where that is nothing
@@ -102,7 +105,7 @@ class Actual(NamedTuple):
     state: State
     feet: Feet
     turning: Turning | None  # of the feet, where grips transmit moments
-    contact: Contact  # after the step
+    contact: Any  # memory of the contacts after the step
     grip: Grip
     wrench: Array  # (6,) N, N m, on the base, of all that the feet transmit
 
@@ -132,7 +135,7 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
         base_estimate=tuple((value,) * stages.base_delay for value in base),
         held=held,
         targets=(angles,) * stages.command_delay,
-        servo=servo.begin(angles, stages),
+        actuator=controller.actuator.init(angles),
         posture=angles if isinstance(controller.geometry, Chain) else (),
         reports=Reports(reported, no_torque) if law.reads_servos else (),
         joint_gains=tuple((value,) * stages.command_delay for value in _sent(law.joint_gains, watch).values()),
@@ -140,12 +143,18 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
 
 
 def control(
-    controller: Controller, memory: Memory, actual: Actual, reference: Reference, step: Array, action: Action = None
-) -> tuple[Memory, Command, JointSolution, servo.Drive]:
-    """Return the memory after a step, the command, the joint targets that come of it, and what the servos do.
+    controller: Controller,
+    memory: Memory,
+    actual: Actual,
+    reference: Reference,
+    step: Array,
+    load: Array | None,
+    action: Action = None,
+) -> tuple[Memory, Command, JointSolution, Drive]:
+    """Return the memory after a step, the command, the joint targets that come of it, and what the actuators do.
 
     An action takes the place of the law, whose state then stays as it is; its way to the joints is the same. `step`
-    counts steps, ().
+    counts steps, (). `load` is that on the joints, where the actuator asks for it.
     """
     hardware, state = controller.hardware, actual.state
     stages, pace = hardware.stages, hardware.pace
@@ -177,9 +186,14 @@ def control(
 
     sent = _sent(command.joint_gains, memory.sensor_watch)
     late_gains, gains = _joint_gains(hardware, memory.joint_gains, sent)
-    servos, drive = servo.joint_loop(memory.servo, joints.joint_angles, state, gains, hardware)
+    actual_joints = Joints(state.joint_angles, state.joint_rates, load)
+    actuators, drive = controller.actuator.step(
+        memory.actuator, joints.joint_angles, gains, actual_joints, hardware.time_step
+    )
     reports = memory.reports._replace(torque=drive.motor_torque) if memory.reports else ()
-    memory = memory._replace(law=law_state, held=held, targets=targets, servo=servos, posture=posture, reports=reports)
+    memory = memory._replace(
+        law=law_state, held=held, targets=targets, actuator=actuators, posture=posture, reports=reports
+    )
     return memory._replace(joint_gains=late_gains), command, joints, drive
 
 
@@ -188,7 +202,7 @@ def _sent(factors: JointGains | tuple[()], watch: Any) -> dict[str, Array]:
     return (factors.moved if factors else {}) | ({"kp_rise": watch.kp_rise} if watch else {})
 
 
-def _joint_gains(hardware: Hardware, buffers: Any, sent: dict[str, Array]) -> tuple[Any, servo.JointGains]:
+def _joint_gains(hardware: Hardware, buffers: Any, sent: dict[str, Array]) -> tuple[Any, ActuatorGains]:
     """Return what is on its way to the joint loop, and its gains in a step: by what it was sent, if anything."""
     gains = servo.gains_of(hardware)
     if hardware.stages.command_delay and sent:  # by the bus that takes the joint targets

@@ -16,12 +16,15 @@ from jax import Array
 
 from mjx_climb import execution
 from mjx_climb.control import Law
-from mjx_climb.disturbances import on_base as disturbance
+from mjx_climb.disturbances import on_base
+from mjx_climb.disturbances.disturbance import Body, External
 from mjx_climb.gait import schedule as gait
-from mjx_climb.hardware import servo
+from mjx_climb.hardware.actuator import Drive
+from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import Hardware, hardware_of
 from mjx_climb.parameter_types import Parameters
-from mjx_climb.physics.contact.gripper import Attitude, Contact, Reach, grip
+from mjx_climb.physics.contact.contact import Contact
+from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.physics.inverse_dynamics import load_torque
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
@@ -50,7 +53,7 @@ class Setup(NamedTuple):
     parameters: Parameters
     hardware: Hardware
     plan: gait.Plan
-    windows: disturbance.Windows
+    windows: on_base.Windows
 
 
 class Walk(NamedTuple):
@@ -59,7 +62,8 @@ class Walk(NamedTuple):
     robot: Robot  # as its file says: `mass_scale` is none of it
     parameters: Parameters
     plan: gait.Plan
-    windows: disturbance.Windows
+    windows: on_base.Windows
+    contact: Contact
     controller: control_loop.Controller
     structure: Structure
 
@@ -68,7 +72,7 @@ class Carry(NamedTuple):
     """What goes from one step to the next."""
 
     state: State
-    contact: Contact
+    contact: Any  # memory of the contacts
     cycle_start: Array  # (3,) m, what the gait remembers of the base
     memory: control_loop.Memory  # of the law and the hardware
 
@@ -83,7 +87,7 @@ def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
         parameters=parameters,
         hardware=hardware_of(parameters, structure.stages, structure.time_step, robot),
         plan=gait.plan(robot, feet, parameters, structure.lift_off, structure.time_step, structure.stages),
-        windows=disturbance.windows(parameters, structure.time_step),
+        windows=on_base.windows(parameters, structure.time_step),
     )
 
 
@@ -93,8 +97,14 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     geometry = limb_geometry(robot, structure.stages.rotational)
     robot, geometry = _in_precision((robot, geometry), setup.parameters.kp.dtype)
     robot = execution.of_limbs(robot)  # from here on execution knows which arrays have the limbs first
-    controller = control_loop.Controller(setup.law, geometry, setup.hardware)
-    return Walk(robot, setup.parameters, setup.plan, setup.windows, controller, structure)
+    parameters, stages = setup.parameters, structure.stages
+    contact = parameters.contact
+    if contact is None:
+        contact = Gripper.of(parameters, limited_reach=stages.capture, rotational=stages.rotational)
+    actuator = Servos(setup.hardware) if parameters.drive is None else parameters.drive
+    controller = control_loop.Controller(setup.law, geometry, setup.hardware, actuator)
+    contact = contact.unbreakable() if structure.smooth else contact
+    return Walk(robot, parameters, setup.plan, setup.windows, contact, controller, structure)
 
 
 def _in_precision(tree: Any, dtype: Any) -> Any:
@@ -118,11 +128,8 @@ def begin(walk: Walk) -> Carry:
         joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     still = jnp.zeros_like(reference.base_position)
     state = State(reference.base_position, reference.base_orientation, still, still, joints, jnp.zeros_like(joints))
-    shut = jnp.ones(len(robot.limbs), bool)
-    contact = Contact(reference.foot_position, shut, ~shut, Reach(shut, ~shut) if stages.capture else ())
-    if stages.rotational:
-        frames = limb_frames(robot, rotation, joints)
-        contact = contact._replace(attitude=Attitude(frames.rotation[:, -1], ~shut))
+    attitudes = limb_frames(robot, rotation, joints).rotation[:, -1]
+    contact = walk.contact.init(reference.foot_position, attitudes)
     memory = control_loop.begin(walk.controller, state, reference)
     return Carry(state, contact, gait.unswayed(plan, now, reference.base_position), memory)
 
@@ -140,26 +147,27 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     if walk.structure.base_reference == "actual":  # a cycle starts where the base is, not where the last one ended
         here = gait.unswayed(walk.plan, now, state.base_position)
         cycle_start = start = jnp.where(now.cycle_phase == 0, here, carry.cycle_start)
-    reference = gait.reference(walk.plan, now, start, actual.contact.grip_point, walk.structure.time_step)
-    cargo, push = disturbance.acting(parameters, walk.windows, step)
-    memory = carry.memory
-    if walk.structure.stages.load_torque:  # of all but the servos: what their gears carry
-        loads = _loads(walk, actual, jnp.zeros_like(state.joint_angles), push, cargo)
-        load = parameters.mass_scale * load_torque(walk.robot, state, loads)
-        memory = memory._replace(servo=memory.servo._replace(load=load))
-    memory, command, joints, drive = control_loop.control(walk.controller, memory, actual, reference, step, action)
+    reference = gait.reference(walk.plan, now, start, actual.grip.grip_point, walk.structure.time_step)
+    time = step * jnp.asarray(walk.structure.time_step, state.base_position.dtype)
+    external = _external(walk, Body(walk.robot, frames, state), step, time)
+    push, cargo = external.base_wrench, external.cargo_mass
+    load = None
+    if walk.controller.actuator.feels_load:  # of all but the actuators: what their gears carry
+        loads = _loads(walk, actual, jnp.zeros_like(state.joint_angles), external)
+        load = jnp.asarray(parameters.mass_scale * load_torque(walk.robot, state, loads))
+    loop = control_loop.control(walk.controller, carry.memory, actual, reference, step, load, action)
+    memory, command, joints, drive = loop
 
-    acceleration = _accelerations(walk, actual, drive, push, cargo)
+    acceleration = _accelerations(walk, actual, drive, external)
     com = center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale)
     tsm, gia = _stability_margins(walk, actual, push, com, cargo)
     watch, no_sensor = memory.sensor_watch, jnp.zeros_like(actual.grip.support)
     sample = Sample(
-        time=step * jnp.asarray(walk.structure.time_step, com.dtype), **vars(state), **actual.grip._asdict(),
+        time=time, **vars(state), **actual.grip._asdict(),
         base_linear_acceleration=acceleration.base_linear, base_angular_acceleration=acceleration.base_angular,
         joint_accelerations=acceleration.joints, joint_torque=drive.motor_torque,
         joint_targets=joints.joint_angles, reachable=joints.reachable,
         foot_position=actual.feet.position, foot_velocity=actual.feet.velocity, foot_target=command.foot_position,
-        grip_point=actual.contact.grip_point, contact=actual.contact.touching, detached=carry.contact.detached,
         sensor_lost=watch.lost if watch else no_sensor,
         base_reference=reference.base_position, base_displacement=command.base_displacement,
         base_wrench=actual.wrench, push=push, cargo_mass=cargo, center_of_mass=com, tsm=tsm, gia_margin=gia,
@@ -169,40 +177,47 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
 
 def _standing(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> control_loop.Actual:
     """Return how the robot stands on the ground in a step."""
-    parameters, ground = walk.parameters, gait.foothold_height(walk.plan, now.foothold)
-    if walk.structure.smooth:  # nothing is torn off
-        parameters = dataclasses.replace(parameters, holding_limit=jnp.full_like(parameters.holding_limit, jnp.inf))
+    ground = gait.foothold_height(walk.plan, now.foothold)
     feet = foot_kinematics(walk.robot, frames, carry.state)
-    turning = foot_turning(walk.robot, frames, carry.state) if walk.structure.stages.rotational else None
-    contact, held = grip(carry.contact, feet, now.closed, ground, parameters, turning)
+    turning = foot_turning(walk.robot, frames, carry.state) if walk.contact.transmits_moments else None
+    contact, held = walk.contact.step(carry.contact, feet, turning, now.closed, ground)
     wrench = base_wrench_of_foot_force(feet.lever, held.foot_force, held.foot_moment)
     return control_loop.Actual(carry.state, feet, turning, contact, held, wrench)
 
 
-def _accelerations(
-    walk: Walk, actual: control_loop.Actual, drive: servo.Drive, push: Array, cargo: Array
-) -> Acceleration:
+def _external(walk: Walk, body: Body, step: Array, time: Array) -> External:
+    """Return what acts from outside in a step: cargo and pushes on the base, and all other disturbances."""
+    cargo, push = on_base.acting(walk.parameters, walk.windows, step)
+    external = body.untouched()._replace(base_wrench=push, cargo_mass=cargo)
+    for disturbance in walk.parameters.disturbances:
+        external = External(*(one + more for one, more in zip(external, disturbance.act(time, body), strict=True)))
+    return external
+
+
+def _accelerations(walk: Walk, actual: control_loop.Actual, drive: Drive, external: External) -> Acceleration:
     """Return what the equations of motion give."""
     robot, torque = driven_robot(walk.robot, drive, actual.state.joint_angles, walk.controller.hardware)
-    loads = _loads(walk, actual, torque, push, cargo)
+    loads = _loads(walk, actual, torque, external)
     return ENGINES[walk.structure.engine](robot)(actual.state, *loads)
 
 
-def _loads(walk: Walk, actual: control_loop.Actual, torque: Array, push: Array, cargo: Array) -> Loads:
-    """Return what acts on the robot, its servos with a torque (limb, joint) N m.
+def _loads(walk: Walk, actual: control_loop.Actual, torque: Array, external: External) -> Loads:
+    """Return what acts on the robot, its actuators with a torque (limb, joint) N m.
 
     With all masses times s, s (H qdd + c) = f has the accelerations of H qdd + c = f / s: the engine is given the
     robot as its file says, and forces, armature and cargo over s.
     """
     parameters, state, held, share = walk.parameters, actual.state, actual.grip, 1 / walk.parameters.mass_scale
+    if walk.parameters.disturbances:  # cargo and pushes put no torque on joints
+        torque = torque + external.joint_torque
     if actual.turning is not None:
         torque = torque + jnp.vecmat(held.foot_moment, actual.turning.jacobian)
     no_force, gravity = jnp.zeros_like(state.base_position), jnp.asarray(parameters.gravity)
-    wrench = push + jnp.concatenate([no_force, held.foot_moment.sum(0)])
-    return Loads(torque * share, held.foot_force * share, wrench * share, cargo * share, gravity)
+    wrench = external.base_wrench + jnp.concatenate([no_force, held.foot_moment.sum(0)])
+    return Loads(torque * share, held.foot_force * share, wrench * share, external.cargo_mass * share, gravity)
 
 
-def driven_robot(robot: Robot, drive: servo.Drive, joint_angles: Array, hardware: Hardware) -> tuple[Robot, Array]:
+def driven_robot(robot: Robot, drive: Drive, joint_angles: Array, hardware: Hardware) -> tuple[Robot, Array]:
     """Return the robot with the armature of its drives, over `mass_scale`, and the torques (limb, joint) N m on it."""
     parameters, torque, own = hardware.parameters, drive.joint_torque, robot.armature
     if hardware.stages.armature or not isinstance(drive.armature, tuple) or own is not None:
@@ -218,13 +233,10 @@ def driven_robot(robot: Robot, drive: servo.Drive, joint_angles: Array, hardware
 def _stability_margins(
     walk: Walk, actual: control_loop.Actual, push: Array, com: Array, cargo: Array
 ) -> tuple[Array, Array]:
-    """Return TSM, m, and GIA margin, m/s^2.
-
-    A gripper that cannot be torn off has no holding force to count on: the margins are then those of bare feet.
-    """
+    """Return TSM, m, and GIA margin, m/s^2."""
     net_wrench = net_external_wrench(actual.wrench + push, actual.state.base_position)
     parameters, axes = walk.parameters, support_axes(actual.feet.position, actual.grip.support)
     mass = cargo + parameters.mass_scale * walk.robot.total_mass
-    holding = jnp.where(jnp.isfinite(parameters.holding_limit), parameters.holding_limit, 0.0)
+    holding = jnp.asarray(walk.contact.holding_force())
     tsm = tumble_stability_margin(axes, net_wrench, mass, norm(jnp.asarray(parameters.gravity)), holding)
     return tsm, gia_margin(axes, com, net_wrench[0], mass, holding)

@@ -8,7 +8,8 @@ import numpy as np
 
 from mjx_climb.control import LAWS, Law
 from mjx_climb.execution.contents import Unidentifiable, identity
-from mjx_climb.hardware.stages import IDEAL, Stages, stages_under_trace
+from mjx_climb.hardware.stages import IDEAL, Stages
+from mjx_climb.inputs.traced_stages import stages_under_trace
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.equations_of_motion import ENGINES
@@ -32,7 +33,9 @@ class Structure(NamedTuple):
     smooth: bool = False  # no gripper is torn off
     stages: Stages = IDEAL  # of hardware between law and joints
     model: str = ""  # digest of what a robot's own file says, empty for one that comes with the package
-    own_code: str = ""  # digest of law, metrics and engine of the user's own: a global that they read may have changed
+    own_code: str = (
+        ""  # digest of law, components, metrics and engine of the user's own: a global that they read may have changed
+    )
 
 
 def structure(
@@ -56,6 +59,8 @@ def structure(
     table = MetricTable(metrics)
     own: list[Any] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
     own += [] if law is None or type(law) in LAWS.values() else [type(law)]
+    components = {type(each) for each in parameters.components.values()}
+    own += [kind for kind in components if not kind.__module__.startswith(_PACKAGE)]
     own += [] if ENGINES[engine].__module__.startswith(_PACKAGE) else [ENGINES[engine]]
     try:
         own_code = identity(own) if own else ""

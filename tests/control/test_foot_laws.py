@@ -111,7 +111,7 @@ def test_derivatives_by_every_gain_agree_with_central_differences(kind):
     for name, field in kind.law.GAINS.items():
 
         def shift(value, name=name, field=field):
-            gain = value * jnp.ones(3) if field.length == 3 else value
+            gain = value * jnp.ones(3) if field.shape == (3,) else value
             return twice(dataclasses.replace(kind.law, **{name: gain}), measured, reference)
 
         value = jnp.asarray(float(getattr(kind.law, name)))

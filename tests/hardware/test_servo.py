@@ -11,10 +11,10 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.hardware import servo
+from mjx_climb.hardware.actuator import Joints
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import growth, largest_time_step
-from mjx_climb.physics.state import State
 from mjx_climb.scenario import registers
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.messages import ConfigError
@@ -41,7 +41,7 @@ def one_joint(own, target, load, inertia=0.05, steps=3000, angle=0.0):
 
     def one(carry, n):
         angle, rate, servos = carry
-        now = State(*map(jnp.zeros, (3, 4, 3, 3)), angle, rate)
+        now = Joints(angle, rate, None)
         heavy = load(angle, n * own.time_step)
         if own.stages.load_torque:
             servos = servos._replace(load=heavy)

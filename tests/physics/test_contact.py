@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.physics.contact.gripper import Attitude, Contact, Reach, grip
+from mjx_climb.physics.contact.gripper import Attitude, Gripper, GripperMemory, Reach
 from mjx_climb.physics.kinematics import Feet, Turning
 
 OPEN = jnp.zeros(4, bool)
@@ -19,7 +19,7 @@ PARAMETERS = dataclasses.replace(
     rotational_stiffness=jnp.asarray(5.0),
     rotational_damping=jnp.asarray(0.1),
 )
-AWAY = Contact(jnp.zeros((4, 3)), OPEN, OPEN, Reach(OPEN, OPEN))
+AWAY = GripperMemory(jnp.zeros((4, 3)), OPEN, OPEN, Reach(OPEN, OPEN))
 
 
 def feet(*heights, slide=(0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
@@ -30,7 +30,8 @@ def feet(*heights, slide=(0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
 def gripped(contact, foot, *closed, ground=(0.0,) * 4, turning=None, **changes):
     changes = {name: jnp.asarray(value) for name, value in changes.items()}
     parameters = dataclasses.replace(PARAMETERS, **changes)
-    return grip(contact, foot, jnp.array(closed), jnp.array(ground), parameters, turning)
+    stages = {"limited_reach": bool(contact.reach), "rotational": bool(contact.attitude)}
+    return Gripper.of(parameters, **stages).step(contact, foot, turning, jnp.array(closed), jnp.array(ground))
 
 
 @pytest.mark.parametrize("ground", [0.0, 0.3, -0.2])

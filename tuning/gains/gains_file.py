@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.component import with_values
 from mjx_climb.control import LAWS, PD, SHIPPED, is_shipped, law_of
 from mjx_climb.files.dataset import write_text_atomically
 from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
-from mjx_climb.inputs.resolve import AnyGains, checked_gains, with_gains
+from mjx_climb.inputs.resolve import AnyGains, with_gains
 from mjx_climb.inputs.resolve import by_name as by_name
 from mjx_climb.scenario import registers
 from mjx_climb.scenario.messages import ConfigError, config_error
@@ -72,7 +73,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
     if law is None:
         return values | gait if gait or name == PD.__name__ else mc.Gains(**values)
     try:
-        changed = checked_gains(law, {key: np.asarray(data[key], float) for key in law.GAINS})
+        changed = with_values(law, {key: np.asarray(data[key], float) for key in law.GAINS})
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{source}: {str(error).removeprefix('gains.')}") from None
     return values | {key: getattr(changed, key) for key in law.GAINS} | gait

@@ -15,10 +15,10 @@ import jax
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.component import with_values
 from mjx_climb.control import SHIPPED, is_shipped, shipped
 from mjx_climb.execution.contents import in_library
 from mjx_climb.files import scenario_files
-from mjx_climb.inputs.resolve import checked_gains
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import OwnObject
 
@@ -110,7 +110,7 @@ def reference(law: mc.Law) -> str:
 
 def limits_of(law: mc.Law) -> dict[str, float]:
     """Return the fields of a law that are plain numbers and none of its gains: a walk is compiled for them."""
-    others = [field.name for field in dataclasses.fields(law) if field.name not in law.GAINS]  # type: ignore[arg-type]
+    others = [field.name for field in dataclasses.fields(law) if field.name not in law.GAINS]
     values = {name: getattr(law, name) for name in others}
     return {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
 
@@ -118,7 +118,7 @@ def limits_of(law: mc.Law) -> dict[str, float]:
 def with_limits(law: mc.Law, limits: Mapping[str, float]) -> mc.Law:
     """Return a law with some of its `limits_of` replaced, as it is where it has them already."""
     changes = {name: value for name, value in limits.items() if value != getattr(law, name)}
-    changed: mc.Law = dataclasses.replace(law, **changes) if changes else law  # type: ignore[type-var]
+    changed: mc.Law = dataclasses.replace(law, **changes) if changes else law
     return changed
 
 
@@ -176,7 +176,7 @@ def taken(
 
 def of_one(law: mc.Law, values: Mapping[str, Any]) -> mc.Law:
     """Return a law with some gains of one robot replaced, all of full length; TypeError, ValueError: no such values."""
-    changed = checked_gains(law, values)
+    changed = with_values(law, values)
     for name in values:
         if (shape := np.shape(getattr(changed, name)))[: len(shape) - law.AXES[name]]:
             raise ValueError(f"expected the gains of one law, got {shape[0]} of {name}")

@@ -25,6 +25,7 @@ from jax import Array
 from jaxtyping import Float
 
 from mjx_climb.hardware import servo
+from mjx_climb.hardware.actuator import Drive, Joints
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.physics.inverse_dynamics import load_torque
 from mjx_climb.physics.limb_engine import held_accelerations, held_mobility
@@ -108,9 +109,9 @@ def advance_by(
     if hardware.stages.load_torque:
         before = before._replace(load=parameters.mass_scale * load_torque(stand.robot, state, loads))
 
-    def driven(rates: Array) -> tuple[Array, tuple[servo.Servo, servo.Drive]]:
-        now = dataclasses.replace(state, joint_rates=rates)
-        after, drive = servo.joint_loop(before, targets, now, gains, smooth)
+    def driven(rates: Array) -> tuple[Array, tuple[servo.Servo, Drive]]:
+        joints = Joints(state.joint_angles, rates, None)
+        after, drive = servo.joint_loop(before, targets, joints, gains, smooth)
         return drive.motor_torque, (after, drive)
 
     rates, ahead = state.joint_rates, moving.change / 2

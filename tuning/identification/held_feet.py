@@ -19,7 +19,8 @@ from jax import Array
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.sensors import ForceSensor, measured_force
 from mjx_climb.hardware.stages import Hardware
-from mjx_climb.physics.contact.gripper import Attitude, Contact, Grip, grip
+from mjx_climb.physics.contact.contact import Grip
+from mjx_climb.physics.contact.gripper import Attitude, Gripper, GripperMemory
 from mjx_climb.physics.kinematics import LimbFrames, Turning, foot_jacobian, foot_kinematics, foot_turning, limb_frames
 from mjx_climb.physics.limb_engine import build
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -36,7 +37,7 @@ class Gripped(NamedTuple):
 
     robot: Robot
     hardware: Hardware
-    contact: Contact  # all grippers shut
+    contact: GripperMemory  # all grippers shut
 
 
 class Moving(NamedTuple):
@@ -60,7 +61,7 @@ class Recorded(NamedTuple):
     base_angular_velocity: Array  # (3,) rad/s, world
 
 
-def grips(robot: Robot, state: State, hardware: Hardware, points: Array | None = None) -> Contact:
+def grips(robot: Robot, state: State, hardware: Hardware, points: Array | None = None) -> GripperMemory:
     """Return contacts of a robot that gripped in a state, at points (limb, 3) m; None: where its feet are."""
     frames = limb_frames(robot, None, state.joint_angles)
     points = foot_kinematics(robot, frames, state).position if points is None else points
@@ -68,7 +69,7 @@ def grips(robot: Robot, state: State, hardware: Hardware, points: Array | None =
     attitude: Attitude | tuple[()] = ()
     if hardware.stages.rotational:
         attitude = Attitude(foot_turning(robot, frames, state).rotation, shut)
-    return Contact(points, shut, ~shut, (), attitude)
+    return GripperMemory(points, shut, ~shut, (), attitude)
 
 
 def begin(hardware: Hardware, state: State) -> Moving:
@@ -148,5 +149,6 @@ def _held(gripped: Gripped, frames: LimbFrames, state: State, turning: Turning |
     """Return the forces of the grips (limb, 3) N in a state, and all that they do."""
     feet, contact = foot_kinematics(gripped.robot, frames, state), gripped.contact
     shut = jnp.ones(len(gripped.robot.limbs), bool)
-    _, held = grip(contact, feet, shut, contact.grip_point[:, 2], gripped.hardware.parameters, turning)
+    gripper = Gripper.of(gripped.hardware.parameters, limited_reach=False, rotational=turning is not None)
+    _, held = gripper.step(contact, feet, turning, shut, contact.grip_point[:, 2])
     return held.foot_force, held

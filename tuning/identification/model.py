@@ -12,6 +12,7 @@ from jax import Array
 
 import mjx_climb as mc
 from mjx_climb import execution
+from mjx_climb.hardware.actuator import Joints
 from mjx_climb.hardware.servo import Servo, begin, gains_of, joint_loop
 from mjx_climb.hardware.stages import Stages, hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -125,7 +126,7 @@ def _filled(stand: stands.Stand, moving: stands.Moving, before: Array) -> stands
     gains, servo = gains_of(stand.hardware), moving.servo
     for n in range(len(before)):
         angles = state.joint_angles - (len(before) - n) * step * state.joint_rates
-        servo, _ = joint_loop(servo, before[n], dataclasses.replace(state, joint_angles=angles), gains, stand.hardware)
+        servo, _ = joint_loop(servo, before[n], Joints(angles, state.joint_rates, None), gains, stand.hardware)
     return moving._replace(servo=servo)
 
 

@@ -173,7 +173,7 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     for gain, value in own.items():
         values, field = np.atleast_1d(value), law.GAINS.get(gain)
         if gain in joint or (field is not None and (field.searched or gain in asked)):
-            axes = 1 if field is None else field.length  # that the law has; further ones keep their values
+            axes = 1 if field is None else field.size  # that the law has; further ones keep their values
             depth = 1 if axes == 1 else 1 + LAYOUTS.index(search.space)
             keys = [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"][:depth] for axis in range(axes)]
             entries[gain] = [*map(number, keys), *values[axes:]]
@@ -270,13 +270,13 @@ def as_gains(values: Mapping[str, Any]) -> AnyGains:
 
 
 def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:
-    """Return the values of a law's gains by name, each (length,), of length 1 ().
+    """Return the values of a law's gains by name, each of its full shape.
 
     A law with the paper's gains has six of each, or leaves those that it has not to the scenario, as `mc.Gains` does.
     """
-    own = {n: np.broadcast_to(np.asarray(getattr(law, n), float), field.length) for n, field in law.GAINS.items()}
+    own = {n: np.broadcast_to(np.asarray(getattr(law, n), float), field.shape) for n, field in law.GAINS.items()}
     if not has_gains_of_the_paper(law):
-        return {name: values if law.AXES[name] else values[0] for name, values in own.items()}
+        return {name: values for name, values in own.items()}
     whole = {name: np.array(np.broadcast_to(getattr(scenario.control, name), 6), float) for name in mc.Gains.AXES}
     for name, values in own.items():
         whole[name][: values.size] = values

@@ -109,10 +109,10 @@ class OperatingPoints:
 
     def at(self, places: np.ndarray) -> Problem:
         """Return the problem whose rows are at some of the points."""
-        values = vars(self.problem.parameters).items()
-        rows = {name: value[places] if name in _VARIED else value for name, value in values}
+        own = self.problem.parameters or own_parameters(self.problem.scenario)
+        rows = {name: getattr(own, name)[places] for name in _VARIED}
         objective = _rows([self.goals[place] for place in places])
-        return dataclasses.replace(self.problem, parameters=mc.Parameters(**rows), objective=objective)
+        return dataclasses.replace(self.problem, parameters=dataclasses.replace(own, **rows), objective=objective)
 
 
 def operating_points(scenario: mc.Scenario, search: Search, asked: Schedule, **walks: Any) -> OperatingPoints:

@@ -1,14 +1,22 @@
-"""Grip: a spring-damper between a foot and the point where it gripped, and its letting go."""
+"""The gripper of the paper's Eq. 5: a spring-damper between a foot and the point where it gripped, and its letting go.
 
+`F_e = k_s (p_grip - p) - d_s pdot` per axis, both ways, N. An open gripper's foot feels the ground at or below it.
+"""
+
+import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from mjx_climb.component import parameter
 from mjx_climb.parameter_types import Parameters
+from mjx_climb.physics.contact.contact import Contact, Grip
 from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
+
+_NORMAL = np.array([False, False, True])  # of the ground, among the axes of the world
 
 
 class Reach(NamedTuple):
@@ -25,7 +33,7 @@ class Attitude(NamedTuple):
     held: Array  # (limb,) bool: the gripper held at the last step
 
 
-class Contact(NamedTuple):
+class GripperMemory(NamedTuple):
     """What the contacts remember from step to step."""
 
     grip_point: Array  # (limb, 3) m, world
@@ -35,58 +43,100 @@ class Contact(NamedTuple):
     attitude: Attitude | tuple[()] = ()  # where grips transmit moments
 
 
-class Grip(NamedTuple):
-    """Contacts of one step."""
+class Gripper(Contact):
+    """A gripper that holds its foot to the grip point both ways, up to a holding limit.
 
-    foot_force: Array  # (limb, 3) N, of the ground on the foot, world axes
-    foot_moment: Array  # (limb, 3) N m, of the ground on the foot, world axes; zero unless grips transmit moments
-    support: Array  # (limb,) bool: the gripper holds
-    torn_off: Array  # (limb,) bool: the holding limit was passed in this step
-    missed: Array  # (limb,) bool: it shut out of reach in this step
+    The grip point is below the foot, at the ground's height, where the gripper shuts or the foot first touches. A
+    supporting limb lets go, from the next step on, when the ground pulls its foot down and the whole force is larger
+    than the holding limit (ClimbLab's rule).
 
-
-def grip(
-    contact: Contact, feet: Feet, closed: Array, ground: Array, parameters: Parameters, turning: Turning | None = None
-) -> tuple[Contact, Grip]:
-    """Return the contacts after this step and the forces in it.
-
-    `closed` (limb,) says which grippers are commanded shut, `ground` (limb,) m how high it is below each foot. A shut
-    gripper holds its foot to the grip point both ways. An open one, or one torn off, feels the ground while its foot is
-    at or below it. The grip point is below the foot, at the ground's height, where the gripper shuts or the foot first
-    touches. A supporting limb lets go, from the next step on, when the ground pulls its foot down and the whole force
-    is larger than the holding limit (ClimbLab's rule).
-
-    With a `Reach` and a finite capture distance a gripper that shuts further off the ground holds nothing and stays
-    open until its next swing, and the ground only pushes a foot whose gripper is open, along its normal. With an
-    `Attitude` a gripper that holds also keeps its foot from turning, by the sine of the angle from the attitude in
-    which it shut (the gradient of a potential of 1 - cos) and by the rate; it lets go by its force alone.
+    With a finite capture distance a gripper that shuts further off the ground holds nothing and stays open until its
+    next swing, and the ground only pushes a foot whose gripper is open, along its normal. A grip with a rotational
+    stiffness also keeps its foot from turning, by the sine of the angle from the attitude in which it shut (the
+    gradient of a potential of 1 - cos) and by the rate; it lets go by its force alone.
     """
-    height = feet.position[:, 2]
-    support, missed, caught = closed & ~contact.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
-    reach, attitude = contact.reach, contact.attitude
-    if reach:
-        limited = jnp.isfinite(parameters.capture_distance)
-        caught = support & ~reach.shut & limited
-        missed = caught & (height - ground > parameters.capture_distance)
-        reach = Reach(closed, closed & (reach.missed | missed))
-        support = support & ~reach.missed
-    touching = support | (height <= ground)
-    # a gripper with a capture distance anchors anew when it shuts, though its foot touched before
-    fresh = (touching & ~contact.touching) | caught
-    below = jnp.concatenate([feet.position[:, :2], ground[:, None]], axis=1)
-    grip_point = jnp.where(fresh[:, None], below, contact.grip_point)
-    force = parameters.contact_stiffness * (grip_point - feet.position) - parameters.contact_damping * feet.velocity
-    force = jnp.where(touching[:, None], force, 0.0)
-    if reach:
-        push = jnp.where(np.array([False, False, True]), jnp.maximum(force, 0.0), 0.0)
-        force = jnp.where((support | ~limited)[:, None], force, push)
-    torn_off = support & (force[:, 2] < 0) & (norm(force) > parameters.holding_limit)
-    moment = jnp.zeros_like(force)
-    if attitude and turning is not None:
-        held_on = (support & attitude.held)[:, None, None]
-        rotation = jnp.where(held_on, attitude.rotation, turning.rotation)
-        moment = parameters.rotational_stiffness * turn_between(turning.rotation, rotation)
-        moment = jnp.where(support[:, None], moment - parameters.rotational_damping * turning.velocity, 0.0)
-        attitude = Attitude(rotation, support)
-    after = Contact(grip_point, touching, contact.detached | torn_off, reach, attitude)
-    return after, Grip(force, moment, support, torn_off, missed)
+
+    stiffness: Array = parameter("N/m", bounds=(1.0, 1e6), default=1e4, long_name="contact stiffness")
+    damping: Array = parameter("N s/m", bounds=(0.0, 1e4), default=20.0, long_name="contact damping")
+    rotational_stiffness: Array = parameter("N m/rad", bounds=(0.0, 1e4), default=0.0)
+    rotational_damping: Array = parameter("N m s/rad", bounds=(0.0, 1e3), default=0.0)
+    holding_limit: Array = parameter("N", bounds=(0.0, np.inf), default=15.0, long_name="holding limit of a gripper")
+    capture_distance: Array = parameter("m", bounds=(0.0, np.inf), default=np.inf, long_name="reach of a gripper")
+    limited_reach: bool = False  # some gripper has a capture distance
+    rotational: bool = False  # grips transmit moments
+
+    @classmethod
+    def of(cls, parameters: Parameters, *, limited_reach: bool, rotational: bool) -> "Gripper":
+        """The grippers that a scenario's contact section describes."""
+        return cls(
+            stiffness=jnp.asarray(parameters.contact_stiffness),
+            damping=jnp.asarray(parameters.contact_damping),
+            rotational_stiffness=jnp.asarray(parameters.rotational_stiffness),
+            rotational_damping=jnp.asarray(parameters.rotational_damping),
+            holding_limit=jnp.asarray(parameters.holding_limit),
+            capture_distance=jnp.asarray(parameters.capture_distance),
+            limited_reach=limited_reach,
+            rotational=rotational,
+        )
+
+    @property
+    def transmits_moments(self) -> bool:
+        """Whether grips have a rotational stiffness."""
+        return self.rotational
+
+    def init(self, grip_point: Array, rotation: Array) -> GripperMemory:
+        """The memory of grippers that are shut at their grip points and rest."""
+        shut = jnp.ones(len(grip_point), bool)
+        reach: Reach | tuple[()] = Reach(shut, ~shut) if self.limited_reach else ()
+        return GripperMemory(grip_point, shut, ~shut, reach, Attitude(rotation, ~shut) if self.rotational else ())
+
+    def step(
+        self, memory: GripperMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
+    ) -> tuple[GripperMemory, Grip]:
+        """The memory after a step, and the contacts in it."""
+        height = feet.position[:, 2]
+        support, missed, caught = closed & ~memory.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
+        reach, attitude = memory.reach, memory.attitude
+        if reach:
+            limited = jnp.isfinite(self.capture_distance)
+            caught = support & ~reach.shut & limited
+            missed = caught & (height - ground > self.capture_distance)
+            reach = Reach(closed, closed & (reach.missed | missed))
+            support = support & ~reach.missed
+        touching = support | (height <= ground)
+        # a gripper with a capture distance anchors anew when it shuts, though its foot touched before
+        fresh = (touching & ~memory.touching) | caught
+        below = jnp.concatenate([feet.position[:, :2], ground[:, None]], axis=1)
+        grip_point = jnp.where(fresh[:, None], below, memory.grip_point)
+        force = self.stiffness * (grip_point - feet.position) - self.damping * feet.velocity
+        force = jnp.where(touching[:, None], force, 0.0)
+        if reach:
+            push = jnp.where(_NORMAL, jnp.maximum(force, 0.0), 0.0)
+            force = jnp.where((support | ~limited)[:, None], force, push)
+        torn_off = support & self.overloaded(force)
+        moment = jnp.zeros_like(force)
+        if attitude and turning is not None:
+            moment, attitude = self._held_attitude(attitude, turning, support)
+        after = GripperMemory(grip_point, touching, memory.detached | torn_off, reach, attitude)
+        grip = Grip(force, moment, grip_point, support, touching, memory.detached, torn_off, missed)
+        return after, grip
+
+    def overloaded(self, force: Array) -> Array:
+        """Whether forces of the ground on the feet (limb, 3) N are more than a grip holds, (limb,) bool."""
+        return jnp.asarray(jnp.asarray(force[:, 2] < 0) & (norm(force) > self.holding_limit))
+
+    def holding_force(self) -> Array:
+        """The holding limit, () N; 0 where grippers are never torn off: margins are then those of bare feet."""
+        return jnp.where(jnp.isfinite(self.holding_limit), self.holding_limit, 0.0)
+
+    def unbreakable(self) -> "Gripper":
+        """Grippers without a holding limit."""
+        return dataclasses.replace(self, holding_limit=jnp.full_like(self.holding_limit, jnp.inf))
+
+    def _held_attitude(self, attitude: Attitude, turning: Turning, support: Array) -> tuple[Array, Attitude]:
+        """The moments that keep feet from turning, (limb, 3) N m, and the attitudes that they hold."""
+        held = (support & attitude.held)[:, None, None]
+        rotation = jnp.where(held, attitude.rotation, turning.rotation)
+        moment = self.rotational_stiffness * turn_between(turning.rotation, rotation)
+        moment = jnp.where(support[:, None], moment - self.rotational_damping * turning.velocity, 0.0)
+        return moment, Attitude(rotation, support)

@@ -1,0 +1,155 @@
+"""What laws, contacts, actuators and disturbances have in common: classes whose fields are their values.
+
+```python
+class Magnet(mjx_climb.Contact):
+    pull: Array = mjx_climb.parameter("N", bounds=(0.0, 1e3), default=40.0)
+```
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple, TypeVar, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+_NUMBERS = {3: "three", 6: "six"}
+
+
+class ValueField(NamedTuple):
+    """What a component declares of a value beside its default."""
+
+    unit: str
+    shape: tuple[int, ...]  # of one robot's value; () of one number
+    bounds: tuple[float, float]  # of a search
+    rotation_bounds: tuple[float, float] | None = None  # of a search, where rotations have their own
+    long_name: str = ""
+    searched: bool = True  # whether searches move it without being asked
+
+    @property
+    def size(self) -> int:
+        """How many numbers the value of one robot has."""
+        return math.prod(self.shape)
+
+
+def parameter(
+    unit: str,
+    *,
+    shape: tuple[int, ...] = (),
+    bounds: tuple[float, float],
+    default: Any = dataclasses.MISSING,
+    long_name: str = "",
+) -> Any:
+    """Return the field of a contact, an actuator or a disturbance that is one of its values.
+
+    Arguments:
+        unit: as in "N".
+        shape: of one robot's value; a value may have batch axes in front, or be a scalar that holds for all.
+        bounds: low and high. A value must be above 0, unless `low` lets it be 0 or less.
+        default: the value of a component that is made without one.
+        long_name: for axes and tables; the field's own name where empty.
+
+    Raises:
+        ValueError: bounds that are not in order.
+    """
+    return value_field(ValueField(unit, tuple(shape), bounds, None, long_name), default)
+
+
+def value_field(field: ValueField, default: Any) -> Any:
+    """Return a field of a dataclass that is a value, as declared.
+
+    Raises:
+        ValueError: bounds that are not in order.
+    """
+    for low, high in (field.bounds, field.rotation_bounds or field.bounds):
+        if not low < high:
+            raise ValueError(f"bounds of a value: expected low < high, got {low}, {high}")
+    return dataclasses.field(default=default, metadata={"value": field})
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(parameter, dataclasses.field))
+class Component:
+    """Base of laws, contacts, actuators and disturbances: a subclass becomes a frozen dataclass and a pytree.
+
+    Fields made by `gain` or `parameter` are its values: batched, differentiated, stored. A field whose metadata say
+    `tree` is a pytree that the program makes of other values. Any other field is part of the program: it must be
+    hashable, and another value is compiled anew. Methods are written for one robot.
+    """
+
+    VALUES: ClassVar[Mapping[str, ValueField]] = MappingProxyType({})  # by name, in the order of the fields
+    AXES: ClassVar[Mapping[str, int]] = MappingProxyType({})  # number of axes of one robot's value
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        dataclasses.dataclass(frozen=True, eq=False)(cls)
+        fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # a dataclass from here on
+        values = {field.name: field.metadata["value"] for field in fields if "value" in field.metadata}
+        cls.VALUES = MappingProxyType(values)
+        cls.AXES = MappingProxyType({name: len(field.shape) for name, field in values.items()})
+        trees = [field.name for field in fields if "tree" in field.metadata]
+        others = [field.name for field in fields if field.name not in (*values, *trees)]
+        jax.tree_util.register_dataclass(cls, data_fields=[*values, *trees], meta_fields=others)
+
+
+AnyComponent = TypeVar("AnyComponent", bound=Component)
+
+
+def with_values(
+    component: AnyComponent,
+    values: Mapping[str, Any],
+    array: Callable[[Any], Any] = np.asarray,
+    name: str = "gains",
+    zero: tuple[str, ...] = (),
+) -> AnyComponent:
+    """Return a component with some values replaced, all of them as arrays of their full shape.
+
+    Arguments:
+        array: makes an array of JAX or of NumPy, in the precision of the walk.
+        name: of the component in messages, as "gains".
+        zero: values that may be 0 whatever their bounds.
+
+    Raises:
+        ValueError: in one line, a wrong shape, or a value that is not positive.
+    """
+    whole = {}
+    for key, field in component.VALUES.items():
+        given = values.get(key, getattr(component, key))
+        value = checked_value(f"{name}.{key}", given, field.shape, field.bounds[0])
+        if field.shape:
+            xp = jnp if isinstance(value, jax.Array) else np
+            batch = value.shape[: max(0, value.ndim - len(field.shape))]
+            value = xp.broadcast_to(value, (*batch, *field.shape))
+        whole[key] = array(value)
+    return dataclasses.replace(component, **whole)  # type: ignore[type-var]
+
+
+def checked_value(name: str, value: Any, shape: tuple[int, ...], low: float = math.nan, zero: bool = False) -> Any:
+    """Return a value as an array, of whatever precision it has.
+
+    A value of one axis may be a scalar, or have a last axis of one; of more axes a scalar or all of them.
+
+    Raises:
+        ValueError: another shape, or values known now that are not finite or too small.
+    """
+    if not isinstance(value, jax.Array):
+        value = np.asarray(value, float if np.ndim(value) == 0 and not np.iscomplexobj(value) else None)
+    own = value.shape[max(0, value.ndim - len(shape)) :] if shape and value.ndim else shape
+    if own != shape and not (len(shape) == 1 and own == (1,)):
+        wanted = f"last axis of {_NUMBERS.get(shape[0], shape[0])}" if len(shape) == 1 else f"last axes {shape}"
+        raise ValueError(
+            f"{name}: expected a scalar or {'a ' if len(shape) == 1 else ''}{wanted}, got shape {value.shape}"
+        )
+    if np.iscomplexobj(value):
+        raise ValueError(f"{name}: expected real numbers, got {value.dtype}")
+    if isinstance(value, jax.core.Tracer):
+        return value
+    known = np.asarray(value)
+    zero = zero or low == 0
+    wrong = ~np.isfinite(known) | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero))))
+    if wrong.any():
+        expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero else 'above 0'}"
+        raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")
+    return value

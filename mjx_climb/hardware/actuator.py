@@ -1,0 +1,59 @@
+"""The seam of actuators: from joint targets to the torques on the joints."""
+
+from typing import Any, NamedTuple
+
+from jax import Array
+
+from mjx_climb.component import Component
+
+
+class JointGains(NamedTuple):
+    """Gains of the joint loop in a step."""
+
+    kp: Array  # () or (limb, joint) N m/rad
+    kd: Array  # () or (limb, joint) N m s/rad
+    ki: Any = ()  # () or (limb, joint) N m/(rad s); felt where the actuator integrates
+
+
+class Joints(NamedTuple):
+    """How the joints are in a step, whatever their encoders say."""
+
+    angles: Array  # (limb, joint) rad, m of sliding joints
+    rates: Array  # (limb, joint) rad/s, m/s
+    load: Array | None  # (limb, joint) N m, of all but the actuators; None unless the actuator asks for it
+
+
+class Drive(NamedTuple):
+    """What the actuators do in a step."""
+
+    motor_torque: Array  # (limb, joint) N m
+    joint_torque: Array  # (limb, joint) N m, less friction
+    armature: Any  # (limb, joint) kg m^2, what sticking joints have more of it in this step; () without
+
+
+class Actuator(Component):
+    """Base of actuators: a class that inherits from it becomes a frozen dataclass and a pytree.
+
+    Fields made by `parameter` are its values. `init` and `step` are written for one robot, for all joints at once.
+    """
+
+    @property
+    def feels_load(self) -> bool:
+        """Whether `step` asks for the load on the joints."""
+        return False
+
+    def init(self, angles: Array) -> Any:
+        """The memory of actuators that have always rested at joint angles (limb, joint) rad, under no torque."""
+        raise NotImplementedError(f"{type(self).__name__}.init")
+
+    def step(self, memory: Any, targets: Array, gains: JointGains, joints: Joints, period: float) -> tuple[Any, Drive]:
+        """The memory after a step, of the same structure and shapes, and what the actuators do in it.
+
+        Arguments:
+            memory: of `init` or the step before.
+            targets: of the joints, (limb, joint) rad, as the bus delivers them.
+            gains: of the joint loop, those of the config times the law's factors.
+            joints: angles, rates and load.
+            period: length of the step, s.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.step")

@@ -1,0 +1,64 @@
+"""The seam of contacts: what holds a foot to the ground, and when it lets go."""
+
+from typing import Any, NamedTuple, TypeVar
+
+from jax import Array
+
+from mjx_climb.component import Component
+from mjx_climb.physics.kinematics import Feet, Turning
+
+AnyContact = TypeVar("AnyContact", bound="Contact")
+
+
+class Grip(NamedTuple):
+    """Contacts of one step; forces and moments are those of the ground on the feet, world axes."""
+
+    foot_force: Array  # (limb, 3) N
+    foot_moment: Array  # (limb, 3) N m; zero unless grips transmit moments
+    grip_point: Array  # (limb, 3) m, world, where the foot grips or last gripped
+    support: Array  # (limb,) bool: the gripper holds
+    contact: Array  # (limb,) bool: the ground acts on the foot
+    detached: Array  # (limb,) bool: the gripper was torn off before this step, for good
+    torn_off: Array  # (limb,) bool: the gripper is torn off in this step, and lets go from the next one on
+    missed: Array  # (limb,) bool: the gripper shut out of reach in this step
+
+
+class Contact(Component):
+    """Base of contacts: a class that inherits from it becomes a frozen dataclass and a pytree.
+
+    Fields made by `parameter` are its values. `init` and `step` are written for one robot.
+    """
+
+    @property
+    def transmits_moments(self) -> bool:
+        """Whether the contact turns the feet: `step` is then given how they are turned."""
+        return False
+
+    def init(self, grip_point: Array, rotation: Array) -> Any:
+        """The memory of contacts whose grippers are all shut and rest.
+
+        Arguments:
+            grip_point: (limb, 3) m, world, where the feet are.
+            rotation: (limb, 3, 3), of the links that end in feet, to world axes.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.init")
+
+    def step(self, memory: Any, feet: Feet, turning: Turning | None, closed: Array, ground: Array) -> tuple[Any, Grip]:
+        """The memory after a step, of the same structure and shapes, and the contacts in it.
+
+        Arguments:
+            memory: of `init` or the step before.
+            feet: position, velocity and lever of the feet, world axes.
+            turning: attitude of the feet; None unless the contact transmits moments.
+            closed: (limb,) bool, which grippers are commanded shut.
+            ground: (limb,) m, height of the ground below each foot.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.step")
+
+    def holding_force(self) -> Array | float:
+        """The pull along the ground's normal that stability margins may count on, () N; 0: none."""
+        return 0.0
+
+    def unbreakable(self: AnyContact) -> AnyContact:
+        """A contact that never lets go, for searches that need smooth walks; this one where it cannot break."""
+        return self
