@@ -56,7 +56,7 @@ def _checked_fields(init: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(init)
     def filled(*fields: Any, **named: Any) -> None:
-        values = [value for value in (*fields[1:], *named.values()) if value is not None]
+        values = jax.tree.leaves((fields[1:], named))
         counts = all(type(value) is int for value in values)  # a tree of what is to be known of another's arrays
         (init if counts or any(map(_stands_for_a_leaf, values)) else whole)(*fields, **named)
 

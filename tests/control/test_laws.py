@@ -154,7 +154,7 @@ def test_a_state_begins_in_the_precision_of_the_walk():
 def test_declared_gains_are_checked():
     with pytest.raises(ValueError, match=r"^length of a gain: expected 1, 3 or 6, got 4"):
         mc.gain("N", length=4, bounds=(1.0, 2.0))
-    with pytest.raises(ValueError, match=r"^bounds of a gain: expected low < high"):
+    with pytest.raises(ValueError, match=r"^bounds of a value: expected low < high"):
         mc.gain("N", bounds=(2.0, 1.0))
     with pytest.raises(ValueError, match=r"^Taken.kp: expected another name"):
         type("Taken", (mc.Law,), {"__annotations__": {"kp": float}, "kp": mc.gain("N", bounds=(1.0, 2.0))})

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mjx_climb.execution.contents import Unidentifiable, identity
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.execution.refused import Refused
 
 SCALE = 2.0
 
@@ -169,7 +169,7 @@ REFUSED = {
 def test_what_cannot_be_told_apart_is_refused_in_one_line(value, seen):
     with pytest.raises(Unidentifiable, match="^objective" + seen) as error:
         identity(value, "objective")
-    assert isinstance(error.value, ConfigError) and "\n" not in str(error.value)
+    assert isinstance(error.value, Refused) and "\n" not in str(error.value)
 
 
 _ELSEWHERE = """

@@ -123,7 +123,7 @@ class Gripper(Contact):
 
     def overloaded(self, force: Array) -> Array:
         """Whether forces of the ground on the feet (limb, 3) N are more than a grip holds, (limb,) bool."""
-        return jnp.asarray(jnp.asarray(force[:, 2] < 0) & (norm(force) > self.holding_limit))
+        return jnp.asarray((force[:, 2] < 0) & (norm(force) > self.holding_limit))
 
     def holding_force(self) -> Array:
         """The holding limit, () N; 0 where grippers are never torn off: margins are then those of bare feet."""
