@@ -23,7 +23,7 @@ class ValueField(NamedTuple):
     """What a component declares of a value beside its default."""
 
     unit: str
-    shape: tuple[int, ...]  # of one robot's value; () of one number
+    shape: tuple[int | None, ...]  # of one robot's value; () of one number; None: any length
     bounds: tuple[float, float]  # of a search
     rotation_bounds: tuple[float, float] | None = None  # of a search, where rotations have their own
     long_name: str = ""
@@ -32,13 +32,13 @@ class ValueField(NamedTuple):
     @property
     def size(self) -> int:
         """How many numbers the value of one robot has."""
-        return math.prod(self.shape)
+        return math.prod(length or 1 for length in self.shape)
 
 
 def parameter(
     unit: str,
     *,
-    shape: tuple[int, ...] = (),
+    shape: tuple[int | None, ...] = (),
     bounds: tuple[float, float],
     default: Any = dataclasses.MISSING,
     long_name: str = "",
@@ -47,8 +47,9 @@ def parameter(
 
     Arguments:
         unit: as in "N".
-        shape: of one robot's value; a value may have batch axes in front, or be a scalar that holds for all.
-        bounds: low and high. A value must be above 0, unless `low` lets it be 0 or less.
+        shape: of one robot's value, None for any length; a value may have batch axes in front, or be a scalar that holds for all.
+        bounds: low and high. A value must be above 0, unless `low` lets it be 0 or less, and
+            finite, unless `high` is infinite.
         default: the value of a component that is made without one.
         long_name: for axes and tables; the field's own name where empty.
 
@@ -117,8 +118,8 @@ def with_values(
     whole = {}
     for key, field in component.VALUES.items():
         given = values.get(key, getattr(component, key))
-        value = checked_value(f"{name}.{key}", given, field.shape, field.bounds[0])
-        if field.shape:
+        value = checked_value(f"{name}.{key}", given, field.shape, *field.bounds)
+        if field.shape and None not in field.shape:
             xp = jnp if isinstance(value, jax.Array) else np
             batch = value.shape[: max(0, value.ndim - len(field.shape))]
             value = xp.broadcast_to(value, (*batch, *field.shape))
@@ -126,7 +127,14 @@ def with_values(
     return dataclasses.replace(component, **whole)  # type: ignore[type-var]
 
 
-def checked_value(name: str, value: Any, shape: tuple[int, ...], low: float = math.nan, zero: bool = False) -> Any:
+def checked_value(
+    name: str,
+    value: Any,
+    shape: tuple[int | None, ...],
+    low: float = math.nan,
+    high: float = math.nan,
+    zero: bool = False,
+) -> Any:
     """Return a value as an array, of whatever precision it has.
 
     A value of one axis may be a scalar, or have a last axis of one; of more axes a scalar or all of them.
@@ -137,18 +145,18 @@ def checked_value(name: str, value: Any, shape: tuple[int, ...], low: float = ma
     if not isinstance(value, jax.Array):
         value = np.asarray(value, float if np.ndim(value) == 0 and not np.iscomplexobj(value) else None)
     own = value.shape[max(0, value.ndim - len(shape)) :] if shape and value.ndim else shape
-    if own != shape and not (len(shape) == 1 and own == (1,)):
-        wanted = f"last axis of {_NUMBERS.get(shape[0], shape[0])}" if len(shape) == 1 else f"last axes {shape}"
-        raise ValueError(
-            f"{name}: expected a scalar or {'a ' if len(shape) == 1 else ''}{wanted}, got shape {value.shape}"
-        )
+    fits = len(own) == len(shape) and all(want in (None, got) for want, got in zip(shape, own, strict=True))
+    if not fits and not (len(shape) == 1 and own == (1,)):
+        last = f"a last axis of {_NUMBERS.get(shape[0] or 0, shape[0])}" if len(shape) == 1 else f"last axes {shape}"
+        raise ValueError(f"{name}: expected a scalar or {last}, got shape {value.shape}")
     if np.iscomplexobj(value):
         raise ValueError(f"{name}: expected real numbers, got {value.dtype}")
     if isinstance(value, jax.core.Tracer):
         return value
     known = np.asarray(value)
     zero = zero or low == 0
-    wrong = ~np.isfinite(known) | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero))))
+    infinite = np.isnan(known) if high == math.inf else ~np.isfinite(known)
+    wrong = infinite | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero))))
     if wrong.any():
         expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero else 'above 0'}"
         raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")

@@ -68,5 +68,10 @@ class Disturbance(Component):
     """
 
     def act(self, time: Array, body: Body) -> External:
-        """What acts in the step that begins at a time, () s."""
+        """What acts in a step.
+
+        Arguments:
+            time: () s, of the middle of the step: what starts at an instant starts with the step nearest to it.
+            body: the robot at the beginning of the step.
+        """
         raise NotImplementedError(f"{type(self).__name__}.act")

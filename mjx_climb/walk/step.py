@@ -148,8 +148,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         here = gait.unswayed(walk.plan, now, state.base_position)
         cycle_start = start = jnp.where(now.cycle_phase == 0, here, carry.cycle_start)
     reference = gait.reference(walk.plan, now, start, actual.grip.grip_point, walk.structure.time_step)
-    time = step * jnp.asarray(walk.structure.time_step, state.base_position.dtype)
-    external = _external(walk, Body(walk.robot, frames, state), step, time)
+    external = _external(walk, Body(walk.robot, frames, state), step)
     push, cargo = external.base_wrench, external.cargo_mass
     load = None
     if walk.controller.actuator.feels_load:  # of all but the actuators: what their gears carry
@@ -163,7 +162,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     tsm, gia = _stability_margins(walk, actual, push, com, cargo)
     watch, no_sensor = memory.sensor_watch, jnp.zeros_like(actual.grip.support)
     sample = Sample(
-        time=time, **vars(state), **actual.grip._asdict(),
+        time=step * jnp.asarray(walk.structure.time_step, com.dtype), **vars(state), **actual.grip._asdict(),
         base_linear_acceleration=acceleration.base_linear, base_angular_acceleration=acceleration.base_angular,
         joint_accelerations=acceleration.joints, joint_torque=drive.motor_torque,
         joint_targets=joints.joint_angles, reachable=joints.reachable,
@@ -185,12 +184,13 @@ def _standing(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) 
     return control_loop.Actual(carry.state, feet, turning, contact, held, wrench)
 
 
-def _external(walk: Walk, body: Body, step: Array, time: Array) -> External:
+def _external(walk: Walk, body: Body, step: Array) -> External:
     """Return what acts from outside in a step: cargo and pushes on the base, and all other disturbances."""
     cargo, push = on_base.acting(walk.parameters, walk.windows, step)
     external = body.untouched()._replace(base_wrench=push, cargo_mass=cargo)
+    middle = (step + 0.5) * jnp.asarray(walk.structure.time_step, push.dtype)
     for disturbance in walk.parameters.disturbances:
-        external = External(*(one + more for one, more in zip(external, disturbance.act(time, body), strict=True)))
+        external = External(*(one + more for one, more in zip(external, disturbance.act(middle, body), strict=True)))
     return external
 
 

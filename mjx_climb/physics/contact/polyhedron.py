@@ -1,0 +1,125 @@
+"""Grips whose holding limit is a polyhedron of forces: magnets, microspines, suction with friction.
+
+A grip has axes of its own: z along the ground's normal, x from the base to the foot, level, when the gripper shut. It
+holds forces f of the ground on the foot, in these axes, with `A f <= b`: a pull has f_z < 0.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from mjx_climb.component import parameter
+from mjx_climb.physics.contact.contact import Contact, Grip
+from mjx_climb.physics.contact.gripper import Gripper, GripperMemory
+from mjx_climb.physics.kinematics import Feet, Turning
+
+_TINY = 1e-9  # m, of a foot below the base, which has no direction outwards
+
+
+class PolyhedralMemory(NamedTuple):
+    """What polyhedral grips remember beside what grippers do."""
+
+    gripper: GripperMemory
+    outward: Array  # (limb, 2) 1, level direction from the base to the foot, when the gripper shut
+
+
+class PolyhedralGripper(Contact):
+    """Grippers as `Gripper`, which hold the forces of a polyhedron in place of those below one limit."""
+
+    normals: Array = parameter("1", shape=(None, 3), bounds=(-np.inf, np.inf))  # rows of A
+    limits: Array = parameter("N", shape=(None,), bounds=(0.0, np.inf))  # b
+    gripper: Gripper = dataclasses.field(default=Gripper(), metadata={"tree": True})
+    only_pulled: bool = False  # a foot that is pushed holds whatever its force, as in ClimbLab's rule
+
+    @property
+    def transmits_moments(self) -> bool:
+        """Whether grips have a rotational stiffness."""
+        return self.gripper.transmits_moments
+
+    def init(self, grip_point: Array, rotation: Array) -> PolyhedralMemory:
+        """The memory of grippers that are shut around their middle and rest."""
+        outward = grip_point[:, :2] - grip_point[:, :2].mean(0)
+        return PolyhedralMemory(self.gripper.init(grip_point, rotation), _unit(outward))
+
+    def step(
+        self, memory: PolyhedralMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
+    ) -> tuple[PolyhedralMemory, Grip]:
+        """The memory after a step, and the contacts in it: those of `Gripper`, but for what tears a grip off."""
+        before = memory.gripper
+        after, grip = self.gripper.unbreakable().step(before, feet, turning, closed, ground)
+        shuts = (grip.contact & ~before.touching)[:, None]
+        outward = jnp.where(shuts, _unit(feet.lever[:, :2]), memory.outward)
+        torn_off = grip.support & (self.utilization(in_grip(grip.foot_force, outward)) > 1)
+        if self.only_pulled:
+            torn_off = torn_off & (grip.foot_force[:, 2] < 0)
+        after = after._replace(detached=after.detached | torn_off)
+        return PolyhedralMemory(after, outward), grip._replace(torn_off=torn_off)
+
+    def utilization(self, force: Array) -> Array:
+        """The largest share of a limit that forces (..., 3) N in a grip's axes use up, (...,) 1; above 1 none holds."""
+        return jnp.max((force @ self.normals.T) / self.limits, axis=-1)
+
+    def holding_force(self) -> Array:
+        """The largest pull along the normal alone that a grip holds, () N; 0 where any is held."""
+        most = jnp.min(
+            jnp.where(self.normals[:, 2] < 0, self.limits / jnp.maximum(-self.normals[:, 2], _TINY), jnp.inf)
+        )
+        return jnp.where(jnp.isfinite(most), most, 0.0)
+
+    def unbreakable(self) -> "PolyhedralGripper":
+        """Grippers that hold any force."""
+        return dataclasses.replace(self, limits=jnp.full_like(self.limits, jnp.inf))
+
+
+def in_grip(force: Array, outward: Array) -> Array:
+    """Forces (limb, 3) N of world axes in the axes of grips with level directions outwards (limb, 2)."""
+    x, y, z = force[:, 0], force[:, 1], force[:, 2]
+    along, across = outward[:, 0], outward[:, 1]
+    return jnp.stack([x * along + y * across, y * along - x * across, z], axis=1)
+
+
+def _unit(level: Array) -> Array:
+    """Level directions (limb, 2), along x where there is none."""
+    length = jnp.sqrt(jnp.maximum((level * level).sum(1), _TINY**2))[:, None]
+    return jnp.where(length > _TINY, level / length, jnp.array([1.0, 0.0], level.dtype))
+
+
+def magnet(pull: float, friction: float, sides: int = 8) -> dict[str, np.ndarray]:
+    """Normals and limits of a magnet: shear up to `friction` times what presses it to the ground, `pull` N at rest."""
+    angles = 2 * np.pi * np.arange(sides) / sides
+    # an inscribed pyramid: never a force that the cone does not hold
+    level = np.column_stack([np.cos(angles), np.sin(angles)]) / np.cos(np.pi / sides)
+    shear = np.column_stack([level, np.full(sides, -friction)])
+    return {"normals": np.vstack([shear, [0.0, 0.0, -1.0]]), "limits": np.append(np.full(sides, friction * pull), pull)}
+
+
+def microspines(
+    pull_per_shear: float, largest_shear: float, friction: float = 0.5, unloaded: float = 0.5
+) -> dict[str, np.ndarray]:
+    """Normals and limits of microspines: a pull needs a foot that drags the ground towards the base.
+
+    Arguments:
+        pull_per_shear: N of pull for each N of shear towards the base; 1 is 45 degrees.
+        largest_shear: N, at which spines or rock break.
+        friction: of spines that are pushed against the ground and dragged outwards.
+        unloaded: N, of pull or outward shear that spines hold without being loaded.
+    """
+    # the ground pulls a foot outwards, f_x > 0, that drags it towards the base
+    rows = [
+        ([-pull_per_shear, 0.0, -1.0], unloaded),
+        ([-1.0, 0.0, -friction], unloaded),
+        ([1.0, 0.0, 0.0], largest_shear),
+        ([0.0, 1.0, 0.0], largest_shear),
+        ([0.0, -1.0, 0.0], largest_shear),
+    ]
+    return {"normals": np.array([row for row, _ in rows]), "limits": np.array([limit for _, limit in rows])}
+
+
+def scalar(limit: float, rings: int = 12, sides: int = 24) -> dict[str, np.ndarray]:
+    """Normals and limits of forces up to `limit` N in any direction with a pull, for `only_pulled` grips."""
+    up, around = np.meshgrid(np.linspace(0, np.pi / 2, rings), 2 * np.pi * np.arange(sides) / sides, indexing="ij")
+    normals = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), -np.sin(up)], axis=-1).reshape(-1, 3)
+    return {"normals": normals, "limits": np.full(len(normals), limit)}

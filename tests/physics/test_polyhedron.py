@@ -1,0 +1,61 @@
+"""Polyhedra of forces that a grip holds, against linear programs and against the scalar rule."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import mjx_climb as mc
+from mjx_climb.physics.contact.polyhedron import PolyhedralGripper, in_grip, magnet, microspines, scalar
+
+KINDS = {"magnet": magnet(20.0, 0.4), "microspines": microspines(0.8, 15.0), "scalar": scalar(15.0, 6, 12)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_a_grip_holds_is_the_answer_of_a_linear_program(kind):
+    """The largest multiple of each of 10,000 loads that `A f <= b` admits; a program at each hundredth of them."""
+    grip, draw = PolyhedralGripper(**KINDS[kind]), np.random.default_rng(0)
+    loads = draw.normal(size=(10_000, 3)) * draw.uniform(0.1, 30.0, (10_000, 1))
+    used = np.asarray(grip.utilization(jnp.asarray(loads)))
+    held = (loads @ grip.normals.T <= grip.limits).all(1)
+    np.testing.assert_array_equal(used <= 1, held)
+    for load, share in zip(loads[::100], used[::100], strict=True):
+        found = linprog([-1.0], (grip.normals @ load)[:, None], grip.limits, bounds=[(0, 1e9)])
+        most = 1 / share if share > 0 else 1e9
+        np.testing.assert_allclose(found.x[0], most, rtol=1e-7)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_pull_that_margins_count_on_is_the_answer_of_a_linear_program(kind):
+    grip = PolyhedralGripper(**KINDS[kind])
+    found = linprog([-1.0], -grip.normals[:, 2:], grip.limits, bounds=[(0, 1e9)])
+    np.testing.assert_allclose(grip.holding_force(), found.x[0], rtol=1e-6)
+
+
+def test_a_force_in_the_axes_of_a_grip():
+    """Its x is outwards: a foot on the left is pulled to the left."""
+    outward = jnp.array([[0.0, 1.0], [-1.0, 0.0]])
+    force = jnp.array([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]])
+    np.testing.assert_allclose(in_grip(force, outward), [[2.0, -1.0, 3.0], [-1.0, -2.0, 3.0]])
+
+
+def test_the_scalar_limit_is_one_of_them(case):
+    """A walk that loses a grip by the scalar rule loses it in the same step by fine facets, and walks alike."""
+    scenario = case("case_1_2", "pd", {"duration": 0.3, "contact.holding_limit": 1.0, "gravity": [0.1, 0.0, 2.0]})
+    ruled = mc.rollout(scenario)
+    faceted = mc.Simulation(scenario, contact=PolyhedralGripper(**scalar(1.0, 40, 90), only_pulled=True)).rollout()
+    assert ruled.torn_off.any()
+    np.testing.assert_array_equal(ruled.torn_off.argmax(0), faceted.torn_off.argmax(0))
+    np.testing.assert_allclose(ruled.foot_force, faceted.foot_force, atol=1e-9)
+
+
+def test_a_batch_of_limits_is_torn_off_as_one_robot_is(case):
+    """On the fast path, without a fall back: warnings are errors."""
+    scenario = case("case_1_2", "pd", {"duration": 0.3})
+    weak, limits = magnet(0.5, 0.3, 4), np.array([0.5, 1.0, 100.0])
+    own = PolyhedralGripper(normals=weak["normals"], limits=weak["limits"] * limits[:, None])
+    batch = mc.Simulation(scenario, contact=own).metrics()
+    alone = mc.metrics(mc.Simulation(scenario, contact=PolyhedralGripper(**magnet(0.25, 0.3, 4))).rollout())
+    assert alone["detached_at"] is not None
+    np.testing.assert_allclose(batch["detached_at"][0], alone["detached_at"], atol=1e-6)
+    assert np.isnan(batch["detached_at"][2])
