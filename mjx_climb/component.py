@@ -30,9 +30,14 @@ class ValueField(NamedTuple):
     searched: bool = True  # whether searches move it without being asked
 
     @property
+    def lengths(self) -> tuple[int, ...]:
+        """The shape, with 1 in place of any length."""
+        return tuple(length or 1 for length in self.shape)
+
+    @property
     def size(self) -> int:
         """How many numbers the value of one robot has."""
-        return math.prod(length or 1 for length in self.shape)
+        return math.prod(self.lengths)
 
 
 def parameter(
@@ -47,7 +52,7 @@ def parameter(
 
     Arguments:
         unit: as in "N".
-        shape: of one robot's value, None for any length; a value may have batch axes in front, or be a scalar that holds for all.
+        shape: of one robot's value, None for any length; a value may have batch axes in front, or be a scalar.
         bounds: low and high. A value must be above 0, unless `low` lets it be 0 or less, and
             finite, unless `high` is infinite.
         default: the value of a component that is made without one.

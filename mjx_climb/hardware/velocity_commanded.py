@@ -22,11 +22,11 @@ class Commanded(NamedTuple):
 
 
 class VelocityCommanded(Actuator):
-    """A manager commands `p e + d de/dt` of the position error e; the motor gives `velocity_gain` times its rate's error.
+    """A manager commands the rate `p e + d de/dt` of the position error e, and the motor follows it.
 
-    The motor's loop is stiff: its torque is taken at the rates after the step, `(H + A) qdd = f + velocity_gain
-    (command - rates)` with `A = h velocity_gain`, so that it holds at any time step. The config's kp and kd have no part
-    in it, nor have a law's factors of them.
+    The motor gives `velocity_gain` times the error of its rate, up to its torque limit. This loop is stiff: its torque
+    is taken at the rates after the step, `(H + A) qdd = f + velocity_gain (command - rates)` with `A = h
+    velocity_gain`, and holds at any time step. The config's kp and kd, and a law's factors of them, have no part in it.
     """
 
     p: Array = parameter("1/s", bounds=(0.1, 1e3), default=10.0, long_name="rate per position error")

@@ -205,8 +205,8 @@ def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: 
     for key in TIMES:
         if np.any(given.pop(GAIT[key], 0.0)):
             raise ValueError(f"directions.{key}: expected none, as it is counted in whole time steps")
-    shapes: dict[str, tuple[int | None, ...]] = dict.fromkeys([*_JOINT_LOOP, *GAIT.values()], ())
-    shapes |= {name: field.shape for name, field in law.GAINS.items()}
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys([*_JOINT_LOOP, *GAIT.values()], ())
+    shapes |= {name: field.lengths for name, field in law.GAINS.items()}
     count = max([np.shape(rates)[0] for rates in given.values() if np.ndim(rates)], default=1)
     for name in (name for name in given if name in shapes):
         value, own = np.asarray(given[name], dtype), shapes[name]

@@ -274,7 +274,7 @@ def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:
 
     A law with the paper's gains has six of each, or leaves those that it has not to the scenario, as `mc.Gains` does.
     """
-    own = {n: np.broadcast_to(np.asarray(getattr(law, n), float), field.shape) for n, field in law.GAINS.items()}
+    own = {n: np.broadcast_to(np.asarray(getattr(law, n), float), field.lengths) for n, field in law.GAINS.items()}
     if not has_gains_of_the_paper(law):
         return {name: values for name, values in own.items()}
     whole = {name: np.array(np.broadcast_to(getattr(scenario.control, name), 6), float) for name in mc.Gains.AXES}

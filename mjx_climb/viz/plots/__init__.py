@@ -1,6 +1,5 @@
 """Pictures of walks and of sweeps, for a column of a paper; colour-blind safe, SI units on every axis."""
 
-
 from mjx_climb.viz.plots.events import detachments, disturbances, grip_changes, largest_foot_force, thin
 from mjx_climb.viz.plots.maps import color_scale, comparable, failed_walks, plot_map, plot_maps, stability_lines
 from mjx_climb.viz.plots.styling import (
