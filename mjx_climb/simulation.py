@@ -167,6 +167,8 @@ class Simulation:
     def _given(self, parameters: Parameters | None) -> Parameters:
         """Return parameters, the scenario's where None, with the simulation's own contact, drive and disturbances."""
         given = own_parameters(self.scenario) if parameters is None else parameters
+        if self.contact is None and self.drive is None and not self.disturbances:
+            return given
         contact = given.contact if self.contact is None else self.contact
         drive = given.drive if self.drive is None else self.drive
         disturbances = given.disturbances + self.disturbances
