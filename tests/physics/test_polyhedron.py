@@ -40,14 +40,15 @@ def test_a_force_in_the_axes_of_a_grip():
 
 
 def test_the_scalar_limit_is_one_of_them(case):
-    """Fine facets around the ball hold up to 0.2 % more: grips are lost in the same step or the next, until then alike."""
+    """Fine facets around the ball hold up to 0.2 % more: grips are lost in the same step or the next."""
     scenario = case("case_1_2", "pd", {"duration": 0.3, "contact.holding_limit": 1.0, "gravity": [0.1, 0.0, 2.0]})
     ruled = mc.rollout(scenario)
     faceted = mc.Simulation(scenario, contact=PolyhedralGripper(**scalar(1.0, 40, 90), only_pulled=True)).rollout()
     by_rule, by_facets = (walk.torn_off.argmax(0) for walk in (ruled, faceted))
-    assert ruled.torn_off.any(0).all() and (by_rule > 0).sum() > 1
+    assert ruled.torn_off.any(0).sum() > 1
+    np.testing.assert_array_equal(ruled.torn_off.any(0), faceted.torn_off.any(0))
     assert np.isin(by_facets - by_rule, (0, 1)).all()
-    alike = slice(0, by_rule[by_facets > by_rule].min(initial=len(ruled.time)) + 1)
+    alike = slice(0, by_rule[by_facets > by_rule].min(initial=len(ruled.time)) + 1)  # until one holds on
     np.testing.assert_allclose(ruled.foot_force[alike], faceted.foot_force[alike], atol=1e-9)
 
 
