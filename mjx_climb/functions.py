@@ -238,7 +238,7 @@ def forward_dynamics(
     dims = {f"state.{name}": (getattr(state, name), each) for name, each in own}
     dims |= {"tau": (tau, "joints"), "foot_force": (foot_force, "limbs 3"), "base_wrench": (base_wrench, "6")}
     for name, (value, each) in (dims | {"cargo_mass": (cargo_mass, ""), "gravity": (gravity, "3")}).items():
-        check_shape(name, jnp.shape(value), each, sizes, batch)
+        check_shape(name, np.shape(value), each, sizes, batch)
     loads = Loads(*(jnp.asarray(load) for load in (tau, foot_force, base_wrench, cargo_mass, gravity)))
     return cast(Acceleration, _forward_dynamics(state, loads, robot, engine))
 

@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
-import jax.numpy as jnp
+import numpy as np
 
 Sizes = Mapping[str, int | range]
 
@@ -20,7 +20,7 @@ def check_fields(of: str, tree: Any, sizes: Sizes) -> None:
     """
     for field in dataclasses.fields(tree):
         if dims := dims_of(field.type):
-            check_shape(f"{of}.{field.name}", jnp.shape(getattr(tree, field.name)), dims, sizes)
+            check_shape(f"{of}.{field.name}", np.shape(getattr(tree, field.name)), dims, sizes)
 
 
 def dims_of(annotation: Any) -> str:

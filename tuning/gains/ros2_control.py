@@ -137,7 +137,7 @@ def write(
     }
     lowest = math.ceil(lowest_rate(gains).max())
     filtered = "filter_coefficient 1 filters nothing" if cutoff is None else f"filter_coefficient: {cutoff:g} Hz"
-    interface = comment(law, "The controller yields along the wrench that it is given: give it")
+    interface = comment(law, "It yields along the wrench that it is given: give it")
     interface += _NO_MOMENTS if axes < 6 else ""
     pole = np.abs(poles(gains, rate)).max()
     header = _HEADER.format(lowest=lowest, rate=rate, pole=pole, filtered=filtered, interface=interface)

@@ -506,6 +506,10 @@ def test_pd_is_not_exported_and_options_do_not_contradict_a_file(call, tmp_path)
 
 
 def test_a_law_of_each_foots_force_has_no_moment_in_the_cpp_librarys_file():
-    for alone, kinds in ((True, ["period", "force"]), (False, ["period", "force", "moment"])):
-        text = admittance_control.write(SPLIT, 0.01, forces_only=alone)
+    laws = {
+        mc.control.EndEffectorAdmittance: ["period", "force"],
+        mc.control.VirtualModelAdmittance: ["period", "force", "moment"],
+    }
+    for law, kinds in laws.items():
+        text = admittance_control.write(SPLIT, 0.01, law=law)
         assert list(yaml.safe_load(text)["admittance_control"]) == kinds

@@ -73,7 +73,7 @@ def moved(scene):
 def motion_of(scenario, scene):
     """What the law here does: shift of the base (T, 6), and of the feet (T, limb, 3), along the reference's axes."""
     law, reference = law_of(scenario), scene[1]
-    six = {name: jnp.broadcast_to(jnp.asarray(getattr(law, name)), field.length) for name, field in law.GAINS.items()}
+    six = {name: jnp.broadcast_to(jnp.asarray(getattr(law, name)), field.shape) for name, field in law.GAINS.items()}
     law = type(law)(**vars(law) | six)
     start = Start(PERIOD, jax.tree.map(lambda values: jnp.asarray(values)[0], reference))
 
