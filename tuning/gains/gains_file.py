@@ -28,6 +28,7 @@ from tuning.gains.ros2_control import commented
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
 OPTIONAL = ("kp", "kd", "ki", "safe_kp")
+_EARLIER = "admittance.py"  # the file of Eqs. 2 and 3 in earlier versions, as some gains files name it
 LAW = "law"  # whose gains they are: the name of a shipped law, or FILE.py:NAME; the config's where there is none
 SECTION = "gait"
 LIMITS = "limits"  # of a law: numbers beside its gains, for which a walk is compiled
@@ -157,7 +158,7 @@ def _shipped(stored: Any) -> str | None:
     """Return the name of the shipped law that a file names, alone or behind that of its module, None for another."""
     file, _, name = stored.rpartition(":") if isinstance(stored, str) else ("", "", "")
     module = Path(inspect.getfile(SHIPPED[name])).name if name in SHIPPED else ""
-    return name if is_shipped(name) and file in ("", module) else None
+    return name if is_shipped(name) and file in ("", module, _EARLIER) else None
 
 
 def of_scenarios(name: str | None) -> bool:
