@@ -264,7 +264,7 @@ class Simulation:
         """Walk a batch of robots and return metrics as `metrics` does, and some histories over time beside them.
 
         Returns:
-            The metrics, and arrays (*batch, 2, stretches), by the names of `rollouts.walks.LINES`, in their units.
+            The metrics, and arrays (*batch, 2, stretches), by the names of `mjx_climb.walks.LINES`, in their units.
             These are the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the
             state stopped being finite.
         """

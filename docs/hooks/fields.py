@@ -43,16 +43,21 @@ def _kind(annotation: str) -> str:
 
 
 def _help(code: str) -> str:
-    """Return what `setting(default, "help")`, `Field(..., description="help")` or `_of(key, unit, name)` say."""
+    """Return what `setting(default, "help")`, `Field(..., description="help")`, `parameter` or `_of` say."""
     call = getattr(ast.parse(textwrap.dedent(code)).body[0], "value", None)
     if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "_of":  # a gain or parameter
         _, unit, name, *_ = [*(getattr(each, "value", None) for each in call.args), None, None]
         return f"{name[:1].upper()}{name[1:]}, {unit}" if name and unit else name or ""
-    if not isinstance(call, ast.Call) or getattr(call.func, "id", "") not in ("setting", "Field"):
+    if not isinstance(call, ast.Call) or getattr(call.func, "id", "") not in ("setting", "Field", "parameter"):
         return ""
     named = {keyword.arg: keyword.value for keyword in call.keywords}
-    text = named.get("description", call.args[1] if len(call.args) > 1 else None)
-    default = named.get("default", call.args[0] if call.args else None)
+    if getattr(call.func, "id", "") == "parameter":  # of a contact, an actuator or a disturbance
+        unit, name = (getattr(each, "value", "") for each in (call.args[0], named.get("long_name")))
+        text: ast.expr | None = ast.Constant(f"{name}, {unit}" if name else f"in {unit}")
+        default = named.get("default")
+    else:
+        text = named.get("description", call.args[1] if len(call.args) > 1 else None)
+        default = named.get("default", call.args[0] if call.args else None)
     if not isinstance(text, ast.Constant):
         return ""
     shown = "" if default is None or ast.unparse(default) in ("None", "...") else f" Default: `{ast.unparse(default)}`."

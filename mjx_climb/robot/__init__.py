@@ -1,1 +1,1 @@
-"""Robots: their constants, read from MJCF and URDF, and the postures of their limbs."""
+"""What a robot is: its constants, and the models that come with the program."""
