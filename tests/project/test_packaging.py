@@ -16,7 +16,7 @@ import mjx_climb as mc
 
 ROOT = Path(__file__).parents[2]
 FILES = (  # beside the code
-    "mjx_climb/robot/models/*.xml", "mjx_climb/checks/*.json", "mjx_climb/plots/*.mplstyle", "tuning/report/page.*",
+    "mjx_climb/robot/models/*.xml", "mjx_climb/*.json", "mjx_climb/viz/plots/*.mplstyle", "tuning/report/page.*",
     "tuning/gains/*.hpp", "*/py.typed",
 )  # fmt: skip
 
@@ -105,8 +105,8 @@ def test_the_installed_program_works_outside_the_repository(programs, tmp_path):
 
 
 INSTALLED = """
-from mjx_climb.checks import self_check
-from mjx_climb.robot.constants import load_robot
+from mjx_climb import self_check
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario import load, shipped
 from tuning.problem import ensemble
 from tuning.report import page

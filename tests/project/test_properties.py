@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import mjx_climb as mc
-from mjx_climb.physics.contact.gripper import Contact, grip
+from mjx_climb.physics.contact.gripper import Gripper, GripperMemory
 from mjx_climb.physics.kinematics import Feet
 from mjx_climb.physics.spatial import norm, quaternion_multiply, quaternion_to_matrix
 from mjx_climb.scenario.messages import ConfigError
@@ -134,8 +134,12 @@ def test_an_option_says_what_the_file_would(data, scenario):
 PARAMETERS = jax.tree.map(np.asarray, mc.parameters(Scenario()))
 place = arrays(float, (4, 3), elements=st.floats(-0.1, 0.1, allow_subnormal=False))
 flags = arrays(bool, 4)
-contacts = st.builds(Contact, grip_point=place, touching=flags, detached=flags, reach=st.just(()), attitude=st.just(()))
-gripped = jax.jit(grip)
+contacts = st.builds(GripperMemory, place, flags, flags, reach=st.just(()), attitude=st.just(()))
+
+
+@jax.jit
+def gripped(memory, feet, closed, ground, parameters):
+    return Gripper.of(parameters, limited_reach=False, rotational=False).step(memory, feet, None, closed, ground)
 
 
 levels = arrays(float, 4, elements=st.floats(-0.05, 0.05, allow_subnormal=False))
