@@ -1,1 +1,7 @@
 """What acts on the robot from outside."""
+
+from mjx_climb.disturbances.disturbance import Disturbance
+from mjx_climb.disturbances.link_wrench import LinkWrench
+
+# by the names that --disturbance and `own.disturbances.0.name` take
+SHIPPED: dict[str, type[Disturbance]] = {"LinkWrench": LinkWrench}

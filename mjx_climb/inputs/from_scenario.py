@@ -1,5 +1,6 @@
 """The values of a scenario as a pytree: what may differ from one robot of a batch to the next."""
 
+import dataclasses
 import functools
 import math
 from typing import Annotated, Any, get_args, get_origin
@@ -11,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mjx_climb.execution import check_process
 from mjx_climb.gait.swing import swing_path
+from mjx_climb.inputs.own_objects import components_of
 from mjx_climb.parameter_types import KEYS, Gains, Parameters
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import section
@@ -23,13 +25,14 @@ _PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -
 
 def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
     """Return the parameters of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
-    known = own_parameters(scenario).numbers
     with jax.ensure_compile_time_eval():  # values under `jit` too: they say which hardware a walk is compiled for
-        return Parameters(**{n: jnp.asarray(value, dtype or jnp.result_type(float)) for n, value in known.items()})
+        own, kind = own_parameters(scenario), dtype or jnp.result_type(float)
+        made: Parameters = jax.tree.map(lambda value: jnp.asarray(value, kind), own)
+        return made
 
 
-def own_parameters(scenario: Scenario) -> Parameters:
-    """Return the parameters of a scenario in double precision, as arrays of NumPy."""
+def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
+    """Return the parameters of a scenario in double precision, as arrays of NumPy; files of its section own are run."""
     check_process()
     values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
     values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}
@@ -39,7 +42,8 @@ def own_parameters(scenario: Scenario) -> Parameters:
     values["force_dead"] = [instants.get(limb, math.inf) for limb in load_robot(scenario.robot).limbs]
     arrays = {name: np.asarray(value, float) for name, value in values.items()}
     pushes = {name: arrays[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
-    return Parameters(**arrays | pushes)
+    numbers = Parameters(**arrays | pushes)
+    return dataclasses.replace(numbers, **components_of(scenario, numbers, source))
 
 
 def _value(section: Any, *names: str) -> Any:

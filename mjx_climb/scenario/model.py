@@ -478,12 +478,41 @@ class OwnLaw(OwnObject):
     limits: OwnLimits = setting(OwnLimits(), "in place of its own, SI units; a walk is compiled for them")
 
 
+class OwnValues(_ByName):
+    """Values by the names that a contact, an actuator or a disturbance gives them."""
+
+    __pydantic_extra__: dict[str, v.Values]
+
+
+class OwnOptions(_ByName):
+    """Fields of a contact, an actuator or a disturbance that are none of its values, by their names."""
+
+    __pydantic_extra__: dict[str, v.Option]
+
+
+class OwnComponent(OwnObject):
+    """A contact, an actuator or a disturbance: one that is shipped, by its name alone, or the user's."""
+
+    values: OwnValues = setting(OwnValues(), "in place of its own, SI units")
+    options: OwnOptions = setting(OwnOptions(), "in place of its own; a walk is compiled for them")
+
+
 class Own(v.Section):
     """What walked, or judged the walks, beside what comes with the program."""
 
     law: OwnLaw | None = setting(None, "control law in place of the control section's")
     metrics: tuple[OwnObject, ...] = setting((), "metrics beside the shipped ones")
     objective: OwnObject | None = setting(None, "objective of a search from Python")
+    contact: OwnComponent | None = setting(None, "what holds feet, in place of the gripper of the contact section")
+    drive: OwnComponent | None = setting(None, "what turns joints, in place of the servos of the hardware section")
+    disturbances: tuple[OwnComponent, ...] = setting((), "what acts from outside, beside cargo and pushes")
+
+    @property
+    def components(self) -> dict[str, OwnComponent]:
+        """Contact, drive and disturbances, as far as there are any, by their places: "disturbances.0"."""
+        found = {"contact": self.contact, "drive": self.drive}
+        found |= {f"disturbances.{n}": each for n, each in enumerate(self.disturbances)}
+        return {place: each for place, each in found.items() if each is not None}
 
 
 class Scenario(v.Section):
@@ -499,7 +528,7 @@ class Scenario(v.Section):
     control: Control = setting(Control(), "controller and gains")
     disturbance: Disturbance = setting(Disturbance(), "cargo and pushes")
     hardware: Hardware = setting(Hardware(), "sensors, rate, bus and servos; ideal ones by default")
-    own: Own | None = setting(None, "law, metrics and objective of one's own: their files are run")
+    own: Own | None = setting(None, "law, metrics, contact and more of one's own: files are run")
 
     @model_validator(mode="after")
     def _gains_of_registers(self) -> Scenario:
@@ -577,12 +606,19 @@ class Scenario(v.Section):
         """The scenario in a YAML text, as `to_yaml` writes it; `source` names it in the `ConfigError` of a bad one."""
         return validated(cls, parse(text, source), source)
 
+    def with_own(self, **changes: Any) -> Scenario:
+        """A copy with some keys of the section `own` changed; without the section where it names nothing then."""
+        own = {**({} if self.own is None else self.own.model_dump(mode="json")), **changes}
+        place = {"own": own} if any(own.values()) else {"own": None}
+        return validated(Scenario, self.model_dump(mode="json") | place, "scenario")
+
     def with_files(self, change: Callable[[str, str], str]) -> Scenario:
         """A copy with the paths in it changed; `change` is given a dotted key and its path."""
         named: dict[str, Any] = {"robot": self.robot, "ground.map": self.ground.map}
         if self.own is not None:
             named |= {"own.law": self.own.law, "own.objective": self.own.objective}
             named |= {f"own.metrics.{n}": metric for n, metric in enumerate(self.own.metrics)}
+            named |= {f"own.{place}": each for place, each in self.own.components.items()}
         files = {f"{key}.file": getattr(section, "file", None) for key, section in named.items()}
         return self.with_overrides({key: change(key, file) for key, file in files.items() if file is not None})
 

@@ -124,12 +124,16 @@ def test_every_file_that_a_scenario_names_goes_along():
         "law": {"file": "law.py", "name": "Law"},
         "metrics": [{"file": "one.py", "name": "one"}, {"file": "two.py", "name": "two"}],
         "objective": {"file": "objective.py", "name": "judge"},
+        "contact": {"file": "grip.py", "name": "Grip"},
+        "drive": {"file": "drive.py", "name": "Drive"},
+        "disturbances": [{"name": "LinkWrench"}, {"file": "wind.py", "name": "Wind"}],
     }
     ground = {"file": "map.csv", "resolution": 0.01, "origin": [0.0, 0.0]}
     scenario = mc.Scenario().with_overrides({"own": own, "ground.map": ground})
     asked = {}
     scenario.with_files(lambda key, file: asked.setdefault(key, file))
-    assert sorted(asked.values()) == ["law.py", "map.csv", "objective.py", "one.py", "two.py"]
+    names = ["drive", "grip", "law", "objective", "one", "two", "wind"]
+    assert sorted(asked.values()) == sorted([*(f"{name}.py" for name in names), "map.csv"])
     beside = scenario.beside("/there")
-    assert beside.to_yaml().count("file: /there/") == 5
+    assert beside.to_yaml().count("file: /there/") == 8
     assert beside.relative_to("/there") == scenario

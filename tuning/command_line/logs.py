@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import mjx_climb as mc
 from tuning.command_line.from_models import command
-from tuning.command_line.options import Output, Walk
+from tuning.command_line.options import Output, Walk, fitted
 from tuning.command_line.program import InputError, origin, repeated
 from tuning.command_line.run import Pictures
 from tuning.problem.excitation import Excitation
@@ -47,7 +47,7 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
         from tuning.output.record import settings_of
         from tuning.report.numbers import to_json
 
-        loaded = walk.load()
+        loaded = fitted(walk, "excite")
         rig = excitation.set_up(loaded.scenario, asked)
         settings = settings_of(loaded, "excite", asked=asked.model_dump(mode="json"))
         shell.claim(written.FILE, walk.config.stem, "excite", *walk.words, settings=settings, varied=walk.varied)
@@ -142,7 +142,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
 
         if output.out is not None:
             check_own(output.out, FILE)  # before the log is read
-        loaded = walk.load()
+        loaded = fitted(walk, "identify")
         scenario = loaded.scenario
         log = asked.read(scenario)
         asked.say_guess(log, shell)

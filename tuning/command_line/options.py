@@ -39,6 +39,22 @@ LAW = setting(
     "control law in place of the config's: a shipped one, as LoadTransfer, or one's own, whose file is run",
     metavar="NAME|FILE.py:NAME",
 )
+CONTACT = setting(
+    None,
+    "what holds feet to the ground, in place of the config's: a shipped one, as PolyhedralGripper, or one's own",
+    metavar="NAME|FILE.py:NAME",
+)
+DRIVE = setting(
+    None,
+    "what turns the joints, in place of the config's: a shipped one, as VelocityCommanded, or one's own",
+    metavar="NAME|FILE.py:NAME",
+)
+DISTURBANCES = setting(
+    (),
+    "what acts from outside, in place of the config's beside cargo and pushes: shipped, as LinkWrench, or one's own",
+    flag="--disturbance",
+    metavar="NAME|FILE.py:NAME",
+)
 METRICS = setting(
     (), "metric of one's own beside the shipped ones; the file is run", flag="--metric", metavar="FILE.py:NAME"
 )
@@ -69,6 +85,9 @@ class Walk(Options):
     gains: Path | None = setting(None, "gains file in place of the config's gains", metavar="FILE")
     law: str | None = LAW
     metrics: tuple[str, ...] = METRICS
+    contact: str | None = CONTACT
+    drive: str | None = DRIVE
+    disturbances: tuple[str, ...] = DISTURBANCES
     engine: EngineName = ENGINE
 
     @property
@@ -81,13 +100,14 @@ class Walk(Options):
     @property
     def varied(self) -> bool:
         """Whether what walks is changed by more than `words` say."""
-        return bool(self.changes or self.gains)
+        return bool(self.changes or self.gains or self.contact or self.drive or self.disturbances)
 
     def load(self) -> "Problem":
         """Return scenario, law, metrics and engine, from options or the config, without the gains file but for its law.
 
         A change of `control.NAME`, a gain of a law of one's own, is the law's.
         """
+        from mjx_climb.inputs.from_scenario import own_parameters
         from mjx_climb.scenario.yaml_text import pairs
         from tuning.gains import gains_file
         from tuning.gains.own_section import of_one, taken, without
@@ -98,7 +118,7 @@ class Walk(Options):
             named = gains_file.shipped_law(self.gains)
             named = None if gains_file.of_scenarios(named) else named
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(named, self.metrics)
-        changes = dict(pairs(self.changes, source))
+        changes = self._components() | dict(pairs(self.changes, source))
         if self.controller is not None:
             if self.law is not None:
                 raise InputError(f"--controller: expected none with --law, got {self.controller}")
@@ -117,11 +137,26 @@ class Walk(Options):
             except (TypeError, ValueError) as error:
                 raise InputError(f"--set {', '.join(mine)}: {error}") from None
         scenario = without(scenario_from(Path(source), changes, self.hardware, self.controller))
+        own_parameters(scenario, source)
         if self.gains is not None and self.law is None:
             scenario, law = self._of_file(self.gains, scenario, law, changes)
         elif self.gains is not None and law is not None:
             law = gains_file.limited(self.gains, law)
         return Problem(scenario, law=law, metrics=metrics, engine=self.engine)
+
+    def _components(self) -> dict[str, Any]:
+        """Return contact, drive and disturbances as changes of the config, which those of `--set` may follow."""
+        from mjx_climb.inputs.own_objects import named_by
+
+        changes: dict[str, Any] = {}
+        for place, text in (("contact", self.contact), ("drive", self.drive)):
+            if text is not None:  # nothing is left of the config's own
+                named = named_by(text, place, f"--{place}")
+                changes |= {f"own.{place}": None} | {f"own.{place}.{key}": value for key, value in named.items()}
+        if self.disturbances:
+            named_ones = [named_by(text, "disturbances", "--disturbance") for text in self.disturbances]
+            changes["own.disturbances"] = named_ones
+        return changes
 
     def _of_file(
         self, file: Path, scenario: "mc.Scenario", law: "mc.Law | None", changes: Mapping[str, Any]
@@ -153,6 +188,17 @@ class Walk(Options):
         from tuning.gains import gains_file
 
         return None if self.gains is None else gains_file.load(self.gains, law)
+
+
+def fitted(walk: Walk, command: str) -> "Problem":
+    """Return what `Walk.load` does, for a command that models grippers and servos alone.
+
+    Raises InputError for another contact or drive. A disturbance is refused too: what acted on the robot stands in its log.
+    """
+    loaded = walk.load()
+    for place, named in (loaded.scenario.own.components if loaded.scenario.own else {}).items():
+        raise InputError(f"{walk.config}: own.{place}: expected none with {command}, got {named.name}")
+    return loaded
 
 
 class Incline(Options):

@@ -179,6 +179,11 @@ class Session:
 
         (cache,) = machine.cache()
         warnings = numbers.ahead_of(scenario) if scenario else ()
+        own = scenario.own.components if scenario is not None and scenario.own is not None else {}
+        named = {
+            place: f"{Path(each.file).name}:{each.name}" if each.file else each.name for place, each in own.items()
+        }
+        self.say(*(f"{place}: {name}" for place, name in named.items()))
         self.say(f"compilation cache: {cache.text}", *(f"warning: {line}" for line in warnings))
 
     def written(self, files: str, json: str, before: str = "") -> None:

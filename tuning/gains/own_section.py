@@ -1,12 +1,9 @@
 """Laws, metrics and objectives of the user's: FILE.py:NAME, and the section `own` of a config.yaml that names them."""
 
 import dataclasses
-import importlib.util
 import inspect
 import operator
-import os
 import sys
-import types
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,42 +15,11 @@ import mjx_climb as mc
 from mjx_climb.component import with_values
 from mjx_climb.control import SHIPPED, is_shipped, shipped
 from mjx_climb.execution.contents import in_library
-from mjx_climb.files import scenario_files
+from mjx_climb.inputs.file_contents import digest
+from mjx_climb.inputs.own_objects import RUN, load, reference_to
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import OwnObject
 
 THE_CONFIG = "the config's law"
-_RUN: list[tuple[types.ModuleType, str]] = []  # what was run here, and the digest of its files then
-
-
-def load(text: str, what: str) -> tuple[Any, str, str]:
-    """Return the object that FILE.py:NAME names, and both names; the file is run.
-
-    Raises:
-        ConfigError: in one line, no such file or name, or a file that fails; `what` was wanted, as "law".
-    """
-    file, colon, name = text.rpartition(":")
-    if not (colon and file and name):
-        raise ConfigError(f"{what}: expected FILE.py:NAME, got {text!r}")
-    path = Path(file)
-    if not os.path.isfile(path):  # where it may not be read either
-        raise ConfigError(f"{path}: expected a file of Python, got none")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise ConfigError(f"{path}: expected a file of Python, whose name ends in .py")
-    module, digest = importlib.util.module_from_spec(spec), scenario_files.digest(path)
-    sys.path.insert(0, str(path.absolute().parent))  # for what the file itself imports, as python FILE does
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else ""
-        raise ConfigError(f"{path}: {type(error).__name__}: {reason}") from None
-    finally:
-        sys.path.pop(0)
-    _RUN.append((module, digest))
-    if (found := getattr(module, name, None)) is None:
-        raise ConfigError(f"{file}: expected a {what} named {name}, got none")
-    return found, file, name
 
 
 def load_law(text: str) -> mc.Law:
@@ -161,7 +127,7 @@ def taken(
         return scenario, law, metrics
     if law is None and own.law is not None:
         by_name = own.law.file is None and is_shipped(own.law.name)
-        law = load_law(own.law.name if by_name else _text(own.law, "law", source))
+        law = load_law(own.law.name if by_name else reference_to(own.law, "law", source))
         try:
             law = of_one(law, dict(own.law.gains.items()))
             if unknown := [key for key, _ in own.law.limits.items() if key not in limits_of(law)]:
@@ -170,7 +136,7 @@ def taken(
         except (TypeError, ValueError) as error:
             raise ConfigError(f"{source}: own.law: {error}") from None
     if metrics == mc.METRICS:
-        metrics = load_metrics(_text(each, f"metrics.{n}", source) for n, each in enumerate(own.metrics))
+        metrics = load_metrics(reference_to(each, f"metrics.{n}", source) for n, each in enumerate(own.metrics))
     return without(scenario), law, metrics
 
 
@@ -184,36 +150,21 @@ def of_one(law: mc.Law, values: Mapping[str, Any]) -> mc.Law:
 
 
 def without(scenario: mc.Scenario) -> mc.Scenario:
-    """Return a scenario that names no law and metrics; an objective stays, which a search needs from its caller."""
-    if scenario.own is None:
-        return scenario
-    objective = scenario.own.objective
-    kept = None if objective is None else {"objective": objective.model_dump()}
-    return scenario.with_overrides({"own": None}).with_overrides({"own": kept})
-
-
-def _text(named: OwnObject, key: str, source: str) -> str:
-    """Return FILE.py:NAME of an object whose file is as it was."""
-    if named.file is None:
-        got = f"got none, as {named.name} was defined in a session"
-        raise ConfigError(f"{source}: own.{key}.file: expected a file of Python, {got}")
-    if named.digest not in (None, found := scenario_files.digest(Path(named.file))):
-        expected = f"expected {named.file} as it was, {str(named.digest)[:12]}"
-        raise ConfigError(f"{source}: own.{key}.digest: {expected}, got {found[:12]}")
-    return f"{named.file}:{named.name}"
+    """Return a scenario that names no law and metrics; the rest stays: what walks, and an objective of its caller."""
+    return scenario if scenario.own is None else scenario.with_own(law=None, metrics=[])
 
 
 def _named(value: Any, name: str) -> dict[str, Any]:
     """Return file, name and digest of an object that a module of the user's holds; else its name alone."""
-    for module, digest in [*reversed(_RUN), *((module, None) for module in list(sys.modules.values()))]:
+    for module, of_files in [*reversed(RUN), *((module, None) for module in list(sys.modules.values()))]:
         file, title = getattr(module, "__file__", None), getattr(module, "__name__", "__main__")
         if file is None or not file.endswith(".py") or title == "__main__":  # which would do all its work again
             continue
-        if digest is None and in_library(title):
+        if of_files is None and in_library(title):
             continue
         for key, found in list(vars(module).items()):
             if found is value or (isinstance(value, mc.Law) and _makes(found, value)):
-                return {"file": file, "name": key, "digest": digest or scenario_files.digest(Path(file))}
+                return {"file": file, "name": key, "digest": of_files or digest(Path(file))}
     return {"name": name}
 
 

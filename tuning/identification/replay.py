@@ -117,6 +117,9 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None, mass: flo
     targets = _targets(log, robot, scenario, on_a_stand=chosen == "held")
     if len(sent) < (joints := targets[0].size):
         said.append(f"{len(sent)} joints of {joints} have commands, the others are sent where they began")
+    if chosen == "held" and scenario.own is not None and (components := scenario.own.components):
+        place, named = next(iter(components.items()))  # a stand knows the scenario's servos alone
+        raise ConfigError(f"scenario: own.{place}: expected none with the base held, got {named.name}")
     if chosen == "free" and schedule_of(signals, scenario.control.kp) is not None:
         said.append(f"{KP} and {OFF} of the log have no part in it: the base is free")
     if mass:

@@ -12,6 +12,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files import dataset, scenario_files
+from mjx_climb.inputs.own_objects import with_digests
 from tuning.background import Stage, silent
 from tuning.gains import gains_file
 from tuning.gains.own_section import section
@@ -148,10 +149,10 @@ def write_config(
 
     `law`, `metrics` and `objective` are the user's own, where there are any: config.yaml names them.
     """
-    own = section(law, metrics, objective)
-    written = scenario_files.copied(scenario if own is None else scenario.with_overrides({"own": own}), folder)
+    own, scenario = section(law, metrics, objective), with_digests(scenario)
+    written = scenario_files.copied(scenario if own is None else scenario.with_own(**own), folder)
     dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(written, folder))
-    return written if own is None else written.with_overrides({"own": None})
+    return written if own is None else written.with_own(law=None, metrics=[], objective=None)
 
 
 def without_folders(text: str) -> str:

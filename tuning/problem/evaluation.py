@@ -130,7 +130,8 @@ def _scored_tangents(
 
 def under_pd(scenario: mc.Scenario) -> mc.Scenario:
     """Return the scenario with pd in place of its law."""
-    return scenario.with_overrides({"control.controller": "pd", "control.reading": "virtual_model", "own": None})
+    changes = {"control.controller": "pd", "control.reading": "virtual_model"}
+    return scenario.with_own(law=None, metrics=[], objective=None).with_overrides(changes)
 
 
 @functools.lru_cache(maxsize=8)

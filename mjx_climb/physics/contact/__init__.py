@@ -1,1 +1,7 @@
 """What holds a foot to the ground, and when it lets go (paper Eq. 5)."""
+
+from mjx_climb.physics.contact.contact import Contact
+from mjx_climb.physics.contact.polyhedron import PolyhedralGripper
+
+# by the names that --contact and `own.contact.name` take
+SHIPPED: dict[str, type[Contact]] = {"PolyhedralGripper": PolyhedralGripper}

@@ -74,9 +74,12 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "changes": "--set control.kd=0.1",
     "compare": "--compare pd",
     "ceiling": "--ceiling",
+    "contact": "--contact {folder}/mine.py:Sticky",
     "controller": "--controller end_effector_admittance",
     "deviation_factor": "--deviation-factor 2",
+    "disturbances": "--disturbance LinkWrench",
     "dpi": "--dpi 100",
+    "drive": "--drive VelocityCommanded",
     "drop": "--drop",
     "engine": "--engine mjx",
     "ensemble": "--ensemble {folder}/ensemble.yaml",
@@ -219,7 +222,9 @@ def folder(tmp_path_factory):
     (folder / "mine.py").write_text(
         "from mjx_climb.control import VirtualModelAdmittance\n"
         "from mjx_climb.walk.metrics import largest\n"
+        "from mjx_climb.physics.contact.gripper import Gripper\n"
         "class Mine(VirtualModelAdmittance): pass\n"
+        "class Sticky(Gripper): pass\n"
         'highest = largest("highest_base", "m", "highest base", lambda s, _: s.base_position[2])\n'
     )
     law = own_section.load_law(f"{folder}/mine.py:Mine")
@@ -245,16 +250,16 @@ def traced(monkeypatch, tmp_path, folder):
     returned = {
         "write": SimpleNamespace(summed=1, outcome=(), files="files", summary="{}"),
         "mjx_climb_metrics": dict.fromkeys(mc.METRICS.names, 1.0) | {"detached_limb": None, "diverged": False},
-        "mjx_climb_checks_time_step_largest_time_step": 0.001,
-        "mjx_climb_rendering_save_image": "picture",
-        "mjx_climb_files_recording_save_mcap": SimpleNamespace(name="walk.mcap"),
-        "mjx_climb_robot_proposal_propose": SimpleNamespace(
+        "mjx_climb_inputs_time_step_largest_time_step": 0.001,
+        "mjx_climb_viz_rendering_save_image": "picture",
+        "mjx_climb_viz_recording_save_mcap": SimpleNamespace(name="walk.mcap"),
+        "mjx_climb_robot_import_proposal_propose": SimpleNamespace(
             sections=scenario.model_dump(exclude={"time_step"}), notes=[("a", "b", "c")]
         ),
-        "mjx_climb_rollouts_first_walks_heavy_load": "",
-        "mjx_climb_rollouts_first_walks_on_ceiling": None,
-        "mjx_climb_rollouts_first_walks_slow_enough": (scenario, True, "as it is", 0.5),
-        "mjx_climb_rollouts_first_walks_with_joint_gains": (scenario, "as they are"),
+        "tuning_evaluation_first_walks_heavy_load": "",
+        "tuning_evaluation_first_walks_on_ceiling": None,
+        "tuning_evaluation_first_walks_slow_enough": (scenario, True, "as it is", 0.5),
+        "tuning_evaluation_first_walks_with_joint_gains": (scenario, "as they are"),
         "tuning_benchmarks_measure_measure": defaultdict(float, devices=["cpu"]),
         "tuning_command_line_machine_cache": [SimpleNamespace(text="")],
         "tuning_command_line_machine_examine": [],
@@ -280,9 +285,15 @@ def traced(monkeypatch, tmp_path, folder):
         getattr(calls, name).return_value = value
     calls.tuning_identification_identify_identify.return_value.as_json.return_value = {}
     calls.tuning_identification_replay_simulate.return_value.scenario = scenario
-    loaded = functools.cache(lambda source, changes: load_scenario(source, dict(changes)))
-    load_scenario = mc.load_scenario
-    monkeypatch.setattr(mc, "load_scenario", lambda source, changes=(): loaded(source, tuple(dict(changes).items())))
+    loaded, load_scenario = {}, mc.load_scenario
+
+    def load_once(source, changes=()):
+        key = repr((source, dict(changes)))
+        if key not in loaded:
+            loaded[key] = load_scenario(source, changes)
+        return loaded[key]
+
+    monkeypatch.setattr(mc, "load_scenario", load_once)
 
     def run(line):
         calls.reset_mock()

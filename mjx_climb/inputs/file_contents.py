@@ -1,0 +1,58 @@
+"""What a file that a scenario names takes in, and a digest of it all."""
+
+import ast
+import hashlib
+import os
+from pathlib import Path
+
+from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot_import.description import bare
+from mjx_climb.scenario.messages import ConfigError
+
+
+def digest(file: Path) -> str:
+    """Return a digest of a file and of what it takes in.
+
+    Raises:
+        ConfigError: a file cannot be read.
+    """
+    contents = sorted((other.name, content(other)) for other in needed(file))
+    return hashlib.sha256(repr(contents).encode()).hexdigest()
+
+
+def needed(file: Path) -> list[Path]:
+    """Return a file and what it takes in, as absolute paths, without what are only looks."""
+    found = {file}
+    if file.suffix.lower() == ".xml":
+        taken = [Path(other) for other in mujoco.mju_getXMLDependencies(str(file))]
+        try:
+            shapes = {Path(mesh.file).name for mesh in bare(str(file)).meshes}
+        except ValueError:  # an MJCF that is not read: all may be needed
+            shapes = {other.name for other in taken}
+        found |= {other for other in taken if other.suffix.lower() == ".xml" or other.name in shapes}
+    if file.suffix.lower() == ".py":
+        _add_imported(file, file.parent, found)
+    return sorted({Path(os.path.abspath(file.parent / other)) for other in found})
+
+
+def _add_imported(file: Path, folder: Path, seen: set[Path]) -> None:
+    """Add the modules and packages in a folder that a file of Python imports, and those that they import."""
+    try:
+        tree = ast.parse(content(file))
+    except (SyntaxError, ValueError):  # running it says more
+        return
+    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    for top in sorted({name.partition(".")[0] for name in names} - {""}):
+        for other in [folder / f"{top}.py", *sorted((folder / top).rglob("*.py"))]:
+            if other.is_file() and other not in seen:
+                seen.add(other)
+                _add_imported(other, folder, seen)
+
+
+def content(file: Path) -> bytes:
+    """Return what a file holds; ConfigError where it cannot be read."""
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{file}: expected a readable file, got {(error.strerror or str(error)).lower()}") from None

@@ -1,0 +1,179 @@
+"""Objects of the user's: FILE.py:NAME, and contact, drive and disturbances that the section `own` names."""
+
+import dataclasses
+import importlib.util
+import os
+import sys
+import types
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjx_climb import disturbances, hardware
+from mjx_climb.component import Component, with_values
+from mjx_climb.disturbances.disturbance import Disturbance
+from mjx_climb.hardware.actuator import Actuator
+from mjx_climb.inputs.file_contents import digest
+from mjx_climb.parameter_types import Parameters
+from mjx_climb.physics import contact
+from mjx_climb.physics.contact.contact import Contact
+from mjx_climb.physics.contact.gripper import Gripper
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import OwnComponent, OwnObject, Scenario
+
+RUN: list[tuple[types.ModuleType, str]] = []  # what was run here, and the digest of its files then
+# by the place in the section
+KINDS: dict[str, tuple[type[Component], Mapping[str, type[Component]]]] = {
+    "contact": (Contact, contact.SHIPPED),
+    "drive": (Actuator, hardware.SHIPPED),
+    "disturbances": (Disturbance, disturbances.SHIPPED),
+}
+_OF_CONTACT = {"stiffness": "contact_stiffness", "damping": "contact_damping"}  # values of a gripper among parameters
+_FOUND: dict[tuple[str, str], Any] = {}  # by digest and name: a copy of a file is the same class, compiled once
+
+
+def load(text: str, what: str) -> tuple[Any, str, str]:
+    """Return the object that FILE.py:NAME names, and both names; the file is run.
+
+    Raises:
+        ConfigError: in one line, no such file or name, or a file that fails; `what` was wanted, as "law".
+    """
+    file, colon, name = text.rpartition(":")
+    if not (colon and file and name):
+        raise ConfigError(f"{what}: expected FILE.py:NAME, got {text!r}")
+    path = Path(file)
+    if not os.path.isfile(path):  # where it may not be read either
+        raise ConfigError(f"{path}: expected a file of Python, got none")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{path}: expected a file of Python, whose name ends in .py")
+    module, of_files = importlib.util.module_from_spec(spec), digest(path)
+    sys.path.insert(0, str(path.absolute().parent))  # for what the file itself imports, as python FILE does
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else ""
+        raise ConfigError(f"{path}: {type(error).__name__}: {reason}") from None
+    finally:
+        sys.path.pop(0)
+    RUN.append((module, of_files))
+    if (found := getattr(module, name, None)) is None:
+        raise ConfigError(f"{file}: expected a {what} named {name}, got none")
+    return found, file, name
+
+
+def reference_to(named: OwnObject, key: str, source: str) -> str:
+    """Return FILE.py:NAME of an object whose file is as it was.
+
+    Raises:
+        ConfigError: in one line, it has no file, or another than when its digest was made.
+    """
+    if named.file is None:
+        got = f"got none, as {named.name} was defined in a session"
+        raise ConfigError(f"{source}: own.{key}.file: expected a file of Python, {got}")
+    if named.digest not in (None, found := digest(Path(named.file))):
+        expected = f"expected {named.file} as it was, {str(named.digest)[:12]}"
+        raise ConfigError(f"{source}: own.{key}.digest: {expected}, got {found[:12]}")
+    return f"{named.file}:{named.name}"
+
+
+def named_by(text: str, place: str, option: str) -> dict[str, Any]:
+    """Return what the section says of a shipped class, or of FILE.py:NAME; `option` is where it was typed.
+
+    Raises:
+        ConfigError: in one line, neither of them.
+    """
+    known = KINDS[place][1]
+    file, colon, name = text.rpartition(":")
+    if text not in known and not (colon and file and name):
+        raise ConfigError(f"{option}: expected FILE.py:NAME, or one of {', '.join(known)}, got {text!r}")
+    if text in known:
+        return {"file": None, "name": text, "digest": None}
+    return {"file": os.path.abspath(file), "name": name, "digest": digest(Path(file))}
+
+
+def with_digests(scenario: Scenario) -> Scenario:
+    """Return a scenario that says how the files of contact, drive and disturbances are now."""
+    own = scenario.own
+    open_ends = {} if own is None else own.components
+    files = {place: each.file for place, each in open_ends.items() if each.file is not None}
+    return scenario.with_overrides({f"own.{place}.digest": digest(Path(file)) for place, file in files.items()})
+
+
+def components_of(scenario: Scenario, numbers: Parameters, source: str = "scenario") -> dict[str, Any]:
+    """Return contact, drive and disturbances that a scenario names, as fields of `Parameters`; files are run.
+
+    Arguments:
+        numbers: parameters of the scenario: a contact around a gripper is made with that of the contact section.
+
+    Raises:
+        ConfigError: in one line, a file that is gone or has changed, no such thing in it, or values that it has not.
+    """
+    if scenario.own is None:
+        return {}
+    made = {place: _made(each, place, numbers, source) for place, each in scenario.own.components.items()}
+    return {
+        "contact": made.get("contact"),
+        "drive": made.get("drive"),
+        "disturbances": tuple(each for place, each in made.items() if place.startswith("disturbances")),
+    }
+
+
+def _made(named: OwnComponent, place: str, numbers: Parameters, source: str) -> Component:
+    section = place.partition(".")[0]
+    what, (kind, known) = section.removesuffix("s"), KINDS[section]
+    if named.file is None and named.name in known:
+        found: Any = known[named.name]
+    else:
+        text = reference_to(named, place, source)
+        key = digest(Path(str(named.file))), named.name
+        if key not in _FOUND:
+            _FOUND[key] = load(text, what)[0]
+        found = _FOUND[key]
+    values, options = (dict(part.items()) for part in (named.values, named.options))
+    try:
+        if not issubclass(found if isinstance(found, type) else type(found), kind):
+            raise ValueError(f"expected a {what} that inherits from mjx_climb.{kind.__name__}, got {found!r}")
+        return _with(found, values, options, numbers)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{source}: own.{place}: {str(error).splitlines()[0]}") from None
+
+
+def _with(found: Any, values: dict[str, Any], options: dict[str, Any], numbers: Parameters) -> Component:
+    """Return an instance with some values and options; TypeError, ValueError: it has none of these names or shapes."""
+    made: type[Component] = found if isinstance(found, type) else type(found)
+    fields = {field.name: field for field in dataclasses.fields(made)}  # type: ignore[arg-type]  # of every component
+    others = [name for name, field in fields.items() if name not in made.VALUES and "tree" not in field.metadata]
+    for given, section, names in ((values, "values", list(made.VALUES)), (options, "options", others)):
+        if unknown := [name for name in given if name not in names]:
+            raise ValueError(f"{section}.{unknown[0]}: expected one of {', '.join(names) or 'none'}")
+    for name, value in options.items():
+        if (before := fields[name].default) is not dataclasses.MISSING and type(value) is not type(before):
+            raise ValueError(f"options.{name}: expected one like {before!r}, got {value!r}")
+    arrays = {name: np.asarray(value, float) for name, value in values.items()}
+    if isinstance(found, type):
+        inner = {"gripper": _gripper(numbers)} if "tree" in getattr(fields.get("gripper"), "metadata", ()) else {}
+        if lacking := [
+            name for name in made.VALUES if name not in values and fields[name].default is dataclasses.MISSING
+        ]:
+            raise ValueError(f"values.{lacking[0]}: expected a value, got none")
+        component: Component = found(**inner, **arrays, **options)
+    else:
+        component = dataclasses.replace(found, **arrays, **options)
+    component = with_values(component, {}, name="values")
+    for name, field in made.VALUES.items():
+        if np.ndim(getattr(component, name)) > len(field.shape):
+            raise ValueError(f"values.{name}: expected that of one robot, got shape {np.shape(arrays[name])}")
+    return component
+
+
+def _gripper(numbers: Parameters) -> Gripper:
+    """Return the gripper of a scenario's contact section, in double precision."""
+    values = {name: getattr(numbers, _OF_CONTACT.get(name, name)) for name in Gripper.VALUES}
+    return Gripper(
+        **values,
+        limited_reach=bool(np.isfinite(numbers.capture_distance)),
+        rotational=bool(numbers.rotational_stiffness > 0),
+    )
