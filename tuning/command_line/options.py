@@ -193,7 +193,7 @@ class Walk(Options):
 def fitted(walk: Walk, command: str) -> "Problem":
     """Return what `Walk.load` does, for a command that models grippers and servos alone.
 
-    Raises InputError for another contact or drive. A disturbance is refused too: what acted on the robot stands in its log.
+    Raises InputError for another contact, drive or disturbance: what acted on the robot stands in its log.
     """
     loaded = walk.load()
     for place, named in (loaded.scenario.own.components if loaded.scenario.own else {}).items():
