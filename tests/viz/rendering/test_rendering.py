@@ -24,7 +24,7 @@ from tests.robot import climbers
 from tests.trajectories import still
 from tuning.command_line import main
 
-CONFIG = Path(__file__).parents[2] / "configs" / "case_1_2.yaml"
+CONFIG = Path(__file__).parents[3] / "configs" / "case_1_2.yaml"
 SMALL = (320, 240)
 FEET = np.array([[0.14, 0.14, 0], [-0.14, 0.14, 0], [-0.14, -0.14, 0], [0.14, -0.14, 0]])
 PRESSED, PULLED, UNLOADED = (0.0, 0.0, 4.0), (0.0, 0.0, -14.9), (0.0, 0.0, 0.0)
