@@ -6,6 +6,9 @@
 
 from mjx_climb.lazy import lazy_names
 
+# what is here is known by its name, as all of a library is: see `mjx_climb.execution.contents`
+__part_of__ = "mjx_climb"
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tuning.identification.excitation import excite as excite

@@ -190,9 +190,9 @@ def _members(module: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
 
 @functools.cache
 def in_library(module: str) -> bool:
-    """Return whether a module comes with Python, with this package, or from an installed one."""
+    """Return whether a module comes with Python, with this package or a part of it, or from an installed one."""
     top = module.partition(".")[0]
-    if top in sys.stdlib_module_names or top == _PACKAGE:
+    if top in sys.stdlib_module_names or _PACKAGE in (top, getattr(sys.modules.get(top), "__part_of__", "")):
         return True
     file = getattr(sys.modules.get(module), "__file__", None) or getattr(sys.modules.get(top), "__file__", None)
     return file is not None and any(folder in file for folder in ("site-packages", "dist-packages"))
