@@ -48,6 +48,7 @@ def plain(case):
     return mc.rollout(case("case_1_2", "pd", {"duration": 0.3}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_the_page_walks_its_example_alone_and_in_a_batch(page, own, plain, monkeypatch):
     """By the page's own lines: in float64 alone, in float32 in a batch. Warnings, as of a fall back, are errors."""

@@ -180,7 +180,7 @@ def claimed(monkeypatch, tmp_path):
     return run
 
 
-QUICK = ("run", "sweep", "margins")
+QUICK = ("run",)
 COMMANDS = [
     pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow)
     for name in dict.fromkeys(line.split()[0] for line in ASKED)

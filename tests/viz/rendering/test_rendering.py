@@ -236,12 +236,12 @@ def standing(robot, gravity=EARTH, at=0.0, falls=0.0):
     [
         (1.0, {}),
         (1.0, {"gravity": (0.0, 0.0, 9.81)}),
-        (1.0, {"gravity": (-1.62, 0.0, 0.0)}),
-        (10.0, {"gravity": (0.0, 0.0, 0.0)}),
-        (0.1, {}),
+        pytest.param(1.0, {"gravity": (-1.62, 0.0, 0.0)}, marks=pytest.mark.slow),
+        pytest.param(10.0, {"gravity": (0.0, 0.0, 0.0)}, marks=pytest.mark.slow),
+        pytest.param(0.1, {}, marks=pytest.mark.slow),
         (1.0, {"at": 3.0}),
         (1.0, {"gravity": (0.0, 0.0, 9.81), "falls": 12.0}),
-        (1.0, {"falls": -1e9}),
+        pytest.param(1.0, {"falls": -1e9}, marks=pytest.mark.slow),
     ],
     ids=["on the ground", "ceiling", "cliff", "large", "small", "high up", "falls off", "diverges"],
 )
