@@ -86,7 +86,7 @@ def plot(asked: Plot) -> None:
     \b
     Examples:
       mjx-climb plot results/case_1_2-sweep --metric peak_pull_force --metric min_tsm
-      mjx-climb plot results/case_1_2-tune --figures svg,pdf --out paper
+      mjx-climb plot results/case_1_2-tune-gradient-isotropic --figures svg,pdf --out paper
       mjx-climb plot results/case_2-pd --size 180x200 --style journal.mplstyle
     """
     from mjx_climb.viz import plots
