@@ -66,7 +66,9 @@ def tumble_stability_margin(
     # Only the gripper with the longest arm counts. F_hold acts along its triangle's normal, so its arm is its
     # distance from the axis; one across the axis (concave polygon, n_z < 0) could only tip and does not pull.
     pulls = axes.held & (axes.normal[..., 2] > 0.0)
-    longest = jnp.where(pulls, norm(axes.normal), 0.0).max(1, initial=0.0) / length
+    arms = jnp.where(pulls, norm(axes.normal), 0.0)
+    # of two feet none is off the axis, and JAX has no tangent of a maximum over nothing
+    longest = (arms.max(1, initial=0.0) if arms.shape[1] else jnp.zeros_like(length)) / length
     # ClimbLab's M_ab = tumbling / length - holding is negative while the axis is stable.
     smallest = _smallest_over_axes(holding_force * longest - tumbling / length, axes)
     weight = mass * gravity

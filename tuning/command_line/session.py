@@ -220,9 +220,9 @@ class Session:
         process that walked beside this one, for example, was stopped as well and may be gone first.
         """
         self.done = done
-        if self.settings is not None:
-            from tuning.output import record
+        from tuning.output import record
 
+        if self.settings is not None:
             record.begin(self.out, self.settings)
         try:
             yield
@@ -230,6 +230,8 @@ class Session:
             raise
         except (KeyboardInterrupt, Exception) as error:
             if not (isinstance(error, KeyboardInterrupt) or interruption.requested()):
+                if self.settings is not None:
+                    record.give_up(self.out)
                 raise
             kept = f"{self.done} {what} are kept in {folder or self.out}"
             raise Interrupted(f"{kept}; the same command goes on from there") from None

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.linalg import norm
 from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
 from tuning.identification.iterates import Iterate, Iterates
@@ -27,6 +28,7 @@ from tuning.identification.windows import KINDS, SHORTEST, Windows
 _STATE = (0.2, 3.0)  # prior sd of a start from its guess: rad, rad/s
 _TIGHT = 0.05  # of the noise, what a window's end may miss
 _ENOUGH = 0.02  # decrease of the cost, half a chi^2, at which the search ends
+_SOLVED = 1e-6  # relative residual of the states' equations
 DIVERGED = 1e20  # SI units: squares of larger values and derivatives tell nothing, or overflow
 _DAMPING, _SOFTER, _HARDER, _MOST = 1e-4, 0.1, 10.0, 1e3
 
@@ -514,7 +516,25 @@ def _solved(band: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return the solution for a banded matrix, raised as that of `_factor`: states may hardly move what is measured."""
     diagonal = np.zeros_like(band)
     diagonal[0] = np.maximum(band[0], 1e-300)
-    return np.asarray(_raised(lambda share: solveh_banded(band + share * diagonal, right, lower=True)))
+
+    def solution(share: float) -> np.ndarray:
+        raised = band + share * diagonal
+        found = solveh_banded(raised, right, lower=True)
+        # a matrix that is singular to rounding may have a factor all the same
+        if (norm(_times(raised, found) - right, axis=0) > _SOLVED * norm(right, axis=0)).any():
+            raise np.linalg.LinAlgError
+        return np.asarray(found)
+
+    return np.asarray(_raised(solution))
+
+
+def _times(band: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the product of a symmetric matrix in SciPy's lower banded form with columns (n, k)."""
+    product, size = band[0][:, None] * values, len(values)
+    for below, row in enumerate(band[1:], start=1):
+        product[below:] += row[: size - below, None] * values[: size - below]
+        product[: size - below] += row[: size - below, None] * values[below:]
+    return product
 
 
 def _raised(solve: Callable[[float], Any]) -> Any:

@@ -84,6 +84,13 @@ def begin(folder: Path, settings: Settings) -> None:
         _write(folder, Record(settings))
 
 
+def give_up(folder: Path) -> None:
+    """Remove what `begin` wrote where nothing else is in the folder: the command was refused before it did any work."""
+    if folder.is_dir() and [path.name for path in folder.iterdir()] == [FILE]:
+        (folder / FILE).unlink()
+        folder.rmdir()
+
+
 def another(folder: Path, settings: Settings | None) -> str:
     """Return in words whose result, or unfinished work, a folder holds; nothing where it is free or these settings'."""
     record, there = read(folder), [name for name in RESULTS if (folder / name).exists()]

@@ -307,7 +307,7 @@ def same_grids(*folders):
 
 _FROM_PYTHON = f"""
 import sys, numpy as np, mjx_climb as mc, tuning
-from mjx_climb import plots
+from mjx_climb.viz import plots
 plots.save_figure = lambda figure, stem, _: stem.with_suffix(".png").write_bytes(b"")
 axes = {{"stiffness": np.geomspace(1e3, 1e5, 3), "damping": np.geomspace(1e2, 1e3, 2)}}
 found = tuning.sweep(mc.load_scenario({CONFIG!r}, ["duration=0.3"]), axes, batch_size=4, out=sys.argv[1])

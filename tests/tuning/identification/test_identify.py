@@ -92,7 +92,9 @@ def test_truths_are_inside_their_intervals_with_noise_delay_and_jitter():
         half = (estimate.high - estimate.low) / 2
         assert abs(estimate.value - truth) < 1.5 * half, (key, estimate)  # of one draw: see the nightly coverage
         assert half < 0.1 * truth
-    assert found.beside["hardware.servo.presliding"].high < 3e-4  # MuJoCo's friction gives less than the nominal 5e-4
+    # MuJoCo's friction gives less than the nominal 5e-4; the log does not tell how much less, and the prior stays
+    presliding = found.beside["hardware.servo.presliding"]
+    assert presliding.value < 3e-4 and not presliding.seen
     assert found.held_out["error_over_noise"] < 1.2
     for signal, noise in zip(found.model.windows.names, found.fitted.noise, strict=True):
         assert noise == pytest.approx(NOISE[signal.rpartition(".")[2]], rel=0.2)

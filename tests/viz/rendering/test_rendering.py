@@ -423,7 +423,7 @@ WATCH = """
 import time
 import test_rendering as tests
 from scipy.stats import theilslopes
-from mjx_climb import rendering
+from mjx_climb.viz import rendering
 from mjx_climb.viz.rendering import marks
 
 shown, forces = [], marks.forces
