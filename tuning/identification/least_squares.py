@@ -530,7 +530,8 @@ def _solved(band: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def _times(band: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the product of a symmetric matrix in SciPy's lower banded form with columns (n, k)."""
-    product, size = band[0][:, None] * values, len(values)
+    product: np.ndarray = band[0][:, None] * values
+    size = len(values)
     for below, row in enumerate(band[1:], start=1):
         product[below:] += row[: size - below, None] * values[: size - below]
         product[: size - below] += row[: size - below, None] * values[below:]
