@@ -431,7 +431,7 @@ def judge(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> No
 
     \b
     Examples:
-      mjx-climb judge case_1_2 --gains results/case_1_2-tune-gradient-isotropic/gains.yaml --members 512
+      mjx-climb judge case_1_2 --gains results/case_1_2-tune-gradient-isotropic/gains.yaml
       mjx-climb judge case_2 --gains gains.yaml --ensemble mine.yaml --members 100000 --shard 3/16
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"
