@@ -67,6 +67,7 @@ def test_shifts_add_up_and_turns_follow_each_other(scene):
     np.testing.assert_allclose(command.base_position - reference.base_position, total, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_tangents_by_gains_of_both_are_those_of_central_differences(scene):
     reference, measured = scene
 

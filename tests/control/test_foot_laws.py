@@ -195,6 +195,7 @@ def test_internal_forces_have_no_net_wrench():
         np.testing.assert_allclose(law.stiffness * shift.ravel(), null @ own, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_climb_sdk_counts_twenty_times_a_second():
     """In 0.1 s it moves twice; a base that is too low makes it push the feet down, all of them alike."""
     reference, measured = scene()

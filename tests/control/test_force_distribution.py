@@ -102,6 +102,7 @@ def margins(wrench, lever, cost):
     return solution, best
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limbs", "count"), [pytest.param(4, 10_000, marks=pytest.mark.slow), (3, 2000)])
 def test_forces_of_the_largest_margin_are_those_of_the_exact_program(limbs, count):
     wrench, lever, *_ = scenes(count, limbs)
@@ -118,6 +119,7 @@ def test_forces_of_the_largest_margin_are_those_of_the_exact_program(limbs, coun
     np.testing.assert_array_less(np.percentile(missing, [50, 99]), [1e-6, 1e-2])  # N; few sweeps are made
 
 
+@pytest.mark.slow
 def test_a_rigid_motion_is_all_rigid_and_the_rest_has_none():
     """Against least squares; what is left over has neither a mean nor a turn."""
     _, lever, weight, _ = scenes(50, 4, seed=1)

@@ -167,7 +167,14 @@ def test_joint_gains_are_multiplied_by_the_phase_of_the_limb(scene):
     assert law.search_bounds(STEP)["kp_in_swing"] == (0.1, 10.0) and "kp_standing" not in law.GAINS
 
 
-@pytest.mark.parametrize("name", ["damping_before_lift_off", "damping_in_swing", "phase_time", "phase_ramp"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "damping_in_swing",
+        "phase_ramp",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("damping_before_lift_off", "phase_time")),
+    ],
+)
 def test_tangents_are_those_of_central_differences(scene, name):
     reference, measured = scene
     law = phased(EndEffectorAdmittance(1.5, 50.0, 900.0), ["damping"], phase_time=TIME, phase_ramp=RAMP)

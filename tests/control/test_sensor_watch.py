@@ -102,7 +102,8 @@ LAWS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "own")) for name in LAWS])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LAWS)
 def test_every_law_that_reads_forces_is_looked_after(name):
     """Once lost, said by the walk, no force moves base or feet, and the joints hold as those of the safe kp."""
     changes, law = LAWS[name]

@@ -173,6 +173,7 @@ def test_substeps_are_of_2_ms_at_most_and_the_period_is_cut(period, substeps, le
     np.testing.assert_allclose(once.displacement, many.displacement, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_small_steps_approach_the_exact_motion():
     exact = pushed(EXACT, [1.0, 0.0, 0.0], steps=200).displacement[0]
     errors = [abs(pushed(ROBOT, [1.0, 0, 0], STEP / n, 200 * n).displacement[0] - exact) for n in (1, 2)]

@@ -95,6 +95,7 @@ DAMAGE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage", [pytest.param(d, id=n, marks=[pytest.mark.slow] * (n != "changed")) for n, d in DAMAGE.items()]
 )
@@ -144,6 +145,7 @@ def test_a_folder_in_which_another_user_may_have_put_a_file_is_not_used(folder, 
     assert next(machine.cache()).findings == [cache.doubt(folder)]
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_made_here_lets_nobody_else_in(run, tmp_path, monkeypatch):
     """Whatever the user's umask."""
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "cache"))

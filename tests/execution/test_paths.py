@@ -33,6 +33,7 @@ def trial(monkeypatch):
     return put
 
 
+@pytest.mark.slow
 def test_a_path_that_works_is_tried_once(fresh, trial):
     assert paths.verdict("regions") == (True, "tried, and compared with XLA's own")
     trial("1 / 0")

@@ -128,6 +128,7 @@ def test_the_nominal_posture_is_the_one_a_walk_settles_at(robots):
     assert np.abs(pulled - walked.joints).max() > 1e-4  # another posture with the feet there does not stay
 
 
+@pytest.mark.slow
 def test_swings_stay_above_uneven_ground(robots):
     """On steps up and down the added path comes on top: nowhere below the terrace under the foot.
 

@@ -91,6 +91,7 @@ class Softening(PD):
         return share * less, super().step((), measured, reference)[1]._replace(joint_gains=factors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "hardware",
     [

@@ -83,6 +83,7 @@ def test_tangents_are_those_of_the_equations(name):
     assert_equal(*both)
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_at_the_accelerations_of_the_equations():
     """The inverse dynamics at what the forward dynamics give: no forces are left over, where those of 1 N act."""
     robot = read(QUICK)

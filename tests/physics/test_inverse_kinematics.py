@@ -91,7 +91,7 @@ HARD = {  # target, geometry, whether no posture puts the foot there
 }
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", HARD)
 def test_no_target_gives_nan(name, dtype):
     """Out of reach, on the axes, stretched or folded: value and derivative in every direction are finite."""

@@ -100,7 +100,10 @@ def static_shift(gravity, stiffness=None):
 GRAVITY = np.array([0.02, -0.01, -0.1])
 
 
-@pytest.mark.parametrize(("law", "stiffness", "tilt"), [("pd", None, 2.5e-4), ("virtual_model", 500.0, 4e-3)])
+@pytest.mark.parametrize(
+    ("law", "stiffness", "tilt"),
+    [pytest.param("pd", None, 2.5e-4, marks=pytest.mark.slow), ("virtual_model", 500.0, 4e-3)],
+)
 def test_sag_is_that_of_the_springs_in_series(standing, walk, law, stiffness, tilt):
     """The settled sag on a slope is that of joints, contacts (and admittance) in series, to 1.2e-4, so is the tilt."""
     changes = {"gravity": list(GRAVITY), "control__damping": 50.0, "control__stiffness": stiffness or 1.0}

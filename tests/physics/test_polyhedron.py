@@ -39,6 +39,7 @@ def test_a_force_in_the_axes_of_a_grip():
     np.testing.assert_allclose(in_grip(force, outward), [[2.0, -1.0, 3.0], [-1.0, -2.0, 3.0]])
 
 
+@pytest.mark.slow
 def test_the_scalar_limit_is_one_of_them(case):
     """Fine facets around the ball hold up to 0.2 % more: grips are lost in the same step or the next."""
     scenario = case("case_1_2", "pd", {"duration": 0.3, "contact.holding_limit": 1.0, "gravity": [0.1, 0.0, 2.0]})

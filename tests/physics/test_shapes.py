@@ -27,7 +27,7 @@ SHAPES = {
     "four of seven, armature, two slide": (4, 7, (0, 4), 0.01),
     "eight of three": (8, 3, (), 0.0),
 }
-QUICK = ("three of four, one slides", "four of three with armature")
+QUICK = ("four of three with armature",)
 NIGHTLY = ("four of four", "four of six", "six of three")  # between others, for the limb engine
 OF_MJX = ("three of four, one slides",)  # MuJoCo's own: slow to compile
 LONG = (pytest.mark.slow, pytest.mark.nightly)
@@ -97,6 +97,7 @@ def test_accelerations_are_those_of_mujoco(engine, name):
     assert relative_error(stacked(ours), mujoco_acceleration(model, given[0], given[1:])) < 1e-9
 
 
+@pytest.mark.slow
 def test_the_model_of_mjx_has_a_robots_armature_once_and_its_cargo():
     """Whatever armature the file has: that of the robot, of which a walk makes more, takes its place."""
     model = mujoco.MjModel.from_xml_string(mjcf(*SHAPES["four of three with armature"]))

@@ -39,6 +39,7 @@ def case(*values, name="", marks=pytest.mark.nightly):
     return pytest.param(*values, id=name, marks=marks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joints", "slides", "stance"),
     [

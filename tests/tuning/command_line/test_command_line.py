@@ -122,7 +122,7 @@ SURROUNDINGS = {  # a line for the shell, and what is said
 }
 
 
-SLOW_TO_END = ("no tpu", "no truth", "no nan")  # those like them stay
+SLOW_TO_END = ("no cuda", "no tpu", "no truth", "no nan", "full")  # those like them stay
 
 
 def in_bash(line, folder):
@@ -140,6 +140,7 @@ def test_surroundings_that_a_command_cannot_work_in_get_one_line(case, tmp_path)
     assert done.stderr.splitlines()[-1].startswith(f"mjx-climb: error: {expected}"), done.stderr
 
 
+@pytest.mark.slow
 def test_a_closed_standard_error_leaves_standard_output_alone(tmp_path):
     done = in_bash("{program} run nowhere 2>&-", tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
@@ -206,6 +207,7 @@ def test_run_takes_metrics_of_ones_own_and_a_gains_file_in_place_of_the_configs_
     assert (control.inertia, control.damping, control.stiffness, control.kp) == (2.0, 30.0, 500.0, 45.0)
 
 
+@pytest.mark.slow
 def test_run_says_who_let_go(call, tmp_path):
     code, out, _ = call("run", CONFIG, *SHORT, *WEAK, "--controller", "pd", "--out", tmp_path, "--json")
     metrics = strict_json(out)

@@ -64,6 +64,7 @@ def interrupted_in(module, folder):
     return subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "module",
     [

@@ -129,6 +129,7 @@ def test_a_bad_name_at_the_shell_is_one_line(file, call, tmp_path, option, text,
     assert code == 2 and said in line and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_run_with_a_contact_of_ones_own_is_repeated_from_its_folder(file, call, tmp_path, monkeypatch):
     monkeypatch.setattr("tuning.evaluation.remedies.remedies", lambda *_: "")  # which walks many times
     typed = [word for change in SHORT for word in ("--set", change)]

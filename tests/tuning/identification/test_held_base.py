@@ -26,6 +26,7 @@ def state_at(angles, rates):
     return State(jnp.asarray(ROBOT.stance_position), jnp.array([1.0, 0, 0, 0]), still, still, angles, rates)
 
 
+@pytest.mark.slow
 def test_accelerations_are_those_of_mujoco_with_the_base_welded():
     rng = np.random.default_rng(0)
     model = welded("hubrobo_v3_2", dataclasses.replace(TRUTH, gravity=(1.0, -2.0, -9.0)))

@@ -440,6 +440,7 @@ def test_a_fit_that_is_interrupted_goes_on_where_it_stopped_and_ends_alike(tmp_p
     assert not (tmp_path / "parts").exists()
 
 
+@pytest.mark.slow
 def test_any_point_is_a_body_that_can_exist_and_its_mjcf_moves_alike(tmp_path):
     chosen = variables(SCENARIO, ["robot.LF.femur", "robot.RH.tibia", "robot.*.armature", "robot.base"], held=False)
     rng = np.random.default_rng(3)

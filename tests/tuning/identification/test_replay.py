@@ -73,7 +73,7 @@ def test_a_log_of_another_start_and_gait_says_so(log):
     assert gait.startswith("grippers shut and open as the config's gait has it, other than in the log for 100 %")
 
 
-@pytest.mark.parametrize("mass", [0.0, 0.1])
+@pytest.mark.parametrize("mass", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
 def test_without_base_and_forces_the_robot_is_on_a_stand_as_in_mujoco(tmp_path, mass):
     """Of a mass on the feet too, which no config says."""
     time, targets = sines(1.0, 0.001)
@@ -144,6 +144,7 @@ def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path):
         replay(read_log(tmp_path / "log.csv", ROBOT), SCENARIO)
 
 
+@pytest.mark.slow
 def test_the_picture_shows_what_was_commanded_logged_and_simulated(log):
     found = replay(log, SCENARIO)
     figure = plot_replay(found)

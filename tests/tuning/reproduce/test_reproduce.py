@@ -200,6 +200,7 @@ def test_the_verdict_on_the_paper_counts_claims():
     assert text.count("3 hold wherever they can be judged and 1 in some cases only") == 2
 
 
+@pytest.mark.slow
 def test_a_torn_gripper_asks_for_a_second_walk():
     scenario = mc.Scenario().with_overrides({"duration": 0.5, "contact.holding_limit": 0.5, "control.controller": "pd"})
     scenario = scenario.with_overrides({"gravity": [0.0, 0.0, -9.81e-6], "gait.cycle": 0.5})

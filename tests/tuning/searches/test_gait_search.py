@@ -121,6 +121,7 @@ def test_pd_with_its_gait_retuned_is_better_and_walks_again_from_its_file(found,
     assert jax.tree.map(np.array_equal, load(found.save(tmp_path / "s.nc")).gains, found.gains)["gait.cycle"]
 
 
+@pytest.mark.slow
 def test_the_rival_of_a_law_has_the_same_freedom(monkeypatch):
     """pd is searched over the same gait, in the same way."""
     problem, asked = problem_of(SHORT, ASKED), []

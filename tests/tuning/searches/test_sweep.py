@@ -56,6 +56,7 @@ def test_a_small_grid_keeps_histories_with_the_peaks_of_its_walks(whole):
         np.testing.assert_allclose(whole[name].sel(extreme="largest").max("stretch"), whole[metric], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_progress_counts_walks_not_padding(scenario):
     seen = []
     sweep(scenario, AXES, batch_size=SIZE, progress=lambda *done: seen.append(done))

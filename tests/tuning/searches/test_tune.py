@@ -322,6 +322,7 @@ def judging(weight, metrics):
     return weight * metrics["peak_joint_torque"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "judge",
     [lambda weight: functools.partial(judging, weight), lambda weight: lambda metrics: judging(weight, metrics)],

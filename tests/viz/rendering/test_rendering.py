@@ -66,6 +66,7 @@ def amount(image, rgb):
 # What is on the pictures
 
 
+@pytest.mark.slow
 def test_frames_and_snapshots_cover_the_walks_in_their_order(gl, monkeypatch):
     """A row of snapshots per walk and a column per instant."""
     asked, pictures = [], rendering.pictures
