@@ -74,7 +74,13 @@ def test_measured_pose_saturates_at_half_a_turn():
     np.testing.assert_allclose(command.base_orientation, [0.0, 0.0, 0.6, 0.8], atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", dict.fromkeys(LAWS.values()), ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, id=kind.__name__, marks=[pytest.mark.slow] * (kind.__name__ != "VirtualModelAdmittance"))
+        for kind in dict.fromkeys(LAWS.values())
+    ],
+)
 def test_a_law_of_one_robot_is_mapped_and_differentiated(kind):
     """Under vmap each robot has what it has alone; tangents by a gain are those of central differences."""
     reference = reference_of(turn=(0.1, 0.2, 0.3))

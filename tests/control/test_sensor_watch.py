@@ -121,6 +121,7 @@ def test_every_law_that_reads_forces_is_looked_after(name):
     assert 0 < sag[0] < 0.8 * sag[1]
 
 
+@pytest.mark.slow
 def test_pd_needs_no_sensor():
     walk = mc.rollout(mc.load_scenario("case_1_1", WALK | {"control.controller": "pd", "duration": 0.4}))
     assert walk.lost_sensors == {}

@@ -77,6 +77,7 @@ def tangents(values):
     return jax.vmap(lambda way: jax.jvp(lambda g: step_matrix(mc.Gains(*g)), (values,), (way,))[1])(jnp.diag(values))
 
 
+@pytest.mark.slow
 @examples
 @given(inertias, dampings, stiffnesses)
 def test_tangents_are_those_of_the_matrix_exponential(inertia, damping, stiffness):

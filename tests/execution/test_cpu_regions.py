@@ -104,7 +104,7 @@ def test_tangents_by_a_rule_of_ones_own():
     np.testing.assert_allclose(tangent, 2 * waves(2 * angle) * 3 * 2 * angle, rtol=1e-12)
 
 
-@pytest.mark.parametrize("moving", [(0, 1), (0,), (1,)])
+@pytest.mark.parametrize("moving", [(0, 1), *(pytest.param(m, marks=pytest.mark.slow) for m in ((0,), (1,)))])
 def test_a_loop_has_lax_scans_derivatives(moving):
     """By what it starts with and what it reads, forward and in reverse, of a batch and of one robot."""
     given = np.linspace(0.1, 1, 5), np.linspace(2, 3, 5)

@@ -51,7 +51,16 @@ def test_every_array_of_a_walk_is_a_variable_with_units_found_by_label(trajector
     assert float(dataset["push"].sel(six="x").sel(time=1.2, method="nearest")) == -5.0
 
 
-@pytest.mark.parametrize(("kp", "dtype"), [(None, np.float64), (40.0, np.float64), (None, np.float32)])
+@pytest.mark.parametrize(
+    ("kp", "dtype"),
+    [
+        (40.0, np.float32),
+        *(
+            pytest.param(*a, marks=pytest.mark.slow)
+            for a in ((None, np.float64), (40.0, np.float64), (None, np.float32))
+        ),
+    ],
+)
 def test_walk_survives_a_file(trajectory, tmp_path, kp, dtype):
     arrays = {name: getattr(trajectory, name) for name in ("time", *ds.VARIABLES)}
     arrays = {name: array.astype(dtype) for name, array in arrays.items() if array.dtype == np.float64}

@@ -92,6 +92,7 @@ def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
             np.testing.assert_array_equal(found, (half_steps + 1) // 2)
 
 
+@pytest.mark.slow
 def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
     """Towards longer delays: their derivative moves weight from the sample to the next older one."""
     scenario, number = mc.Scenario(), np.arange(1, 200)

@@ -177,7 +177,7 @@ def test_a_motor_on_a_voltage_reaches_its_speed_as_the_first_order_system_that_i
     np.testing.assert_allclose(rate, 0.7 * 6.0 * -np.expm1(-time * 8.0 / 6.0 / 0.05), atol=2e-3)
 
 
-@pytest.mark.parametrize("supply", [None, 9.0])
+@pytest.mark.parametrize("supply", [9.0, pytest.param(None, marks=pytest.mark.slow)])
 def test_a_motor_on_a_voltage_is_mujocos_general_actuator(supply):
     """`gain = kp`, `bias = -kp, -(kd + tau0 / w0)`: the gains grow with the supply voltage, the back EMF does not."""
     share, kp, kd = 1.0 if supply is None else 9.0 / 12.0, 12.0, 0.3

@@ -147,6 +147,7 @@ def test_torque_speed_line(name):
     assert float(servo.limited(*map(jnp.asarray, at))) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_torque_speed_line():
     """By torque, rate, limit and no-load speed."""
     at, width = jnp.array([9.0, 2.0, 4.0, 5.0]), 1e-6

@@ -180,6 +180,7 @@ def test_derivatives_for_every_support_pattern():
     np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("collapse", ["feet", "center_of_mass", "everything"])
 def test_degenerate_geometry_stays_finite(collapse):
     """Two feet in one place, the centre of mass on an axis, all in one point; both derivatives."""

@@ -121,6 +121,7 @@ def test_the_end_of_a_link_that_the_file_does_not_have(saved):
     assert limb["at"][2] == 0.0  # the knee's axis
 
 
+@pytest.mark.slow
 def test_a_urdf_with_odd_numbers(saved):
     """Inertias that no body can have are mended and named; limits beyond a turn are none."""
     text, _ = urdf(1)
@@ -650,6 +651,7 @@ def test_a_root_that_weighs_nothing_changes_no_stance(saved, height):
     np.testing.assert_allclose(load_robot(loaded).stance_joints, load_robot(expected).stance_joints, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_what_a_urdf_limits_is_said(saved):
     """Speeds, which nothing limits here, and torques of 0, which MuJoCo takes for none."""
     text = urdf(1)[0].replace('effort="9" velocity="9"', 'effort="0" velocity="4"', 3)

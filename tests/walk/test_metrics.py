@@ -126,6 +126,7 @@ def test_companions_are_means_over_instants_and_feet_or_joints():
     assert {f"smooth_{name}" for name in peaks | least} == set(EVERY.names) - set(OWN.names)
 
 
+@pytest.mark.slow
 def test_tangents_are_those_of_finite_differences():
     """The first sample stays: the unit of a companion's exponentials is taken from it, and counts as a constant."""
     samples, along = samples_of(1), jax.tree.map(lambda value: np.append(0 * value[:1], value[1:], 0), samples_of(2))

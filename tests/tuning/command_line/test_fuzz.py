@@ -12,7 +12,7 @@ from mjx_climb.viz.rendering import backend
 from tests.fuzz import COMMANDS, case
 from tuning.command_line import main, program
 
-CASES, CHUNK, QUICK = 1000, 50, 150
+CASES, CHUNK, QUICK = 1000, 50, 50
 PATIENCE = 1000  # times the processor's time for a call that is valid; the longest takes a hundred
 
 

@@ -114,7 +114,7 @@ def completion(*arguments, **variables):
     ).stdout
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+@pytest.mark.parametrize("shell", ["bash", *(pytest.param(s, marks=pytest.mark.slow) for s in ("zsh", "fish"))])
 def test_completion_installs_in_a_home_and_sources(shell, tmp_path):
     shown = completion("--show-completion", shell, HOME=str(tmp_path))
     completion("--install-completion", shell, HOME=str(tmp_path))
@@ -123,6 +123,7 @@ def test_completion_installs_in_a_home_and_sources(shell, tmp_path):
     assert [file.read_text().strip() for file in scripts] == [shown.strip()]
 
 
+@pytest.mark.slow
 def test_bash_asks_the_program(tmp_path):
     """The script, sourced in a real bash, fills in what the program answers."""
     program = tmp_path / "mjx-climb"

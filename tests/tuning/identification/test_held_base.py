@@ -43,6 +43,7 @@ def test_accelerations_are_those_of_mujoco_with_the_base_welded():
         np.testing.assert_allclose(ours.ravel(), data.qacc, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_tangents_are_finite_differences():
     rng = np.random.default_rng(1)
     point = [jnp.asarray(rng.normal(0, s, (4, 3))) for s in (0.5, 2.0, 1.0)] + [jnp.asarray(ROBOT.link_mass)]

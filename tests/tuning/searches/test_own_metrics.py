@@ -70,6 +70,7 @@ def test_the_example_is_resumed_bit_for_bit_and_seen_everywhere(example, stop):
     assert shown["metrics"]["peak_base_speed"] == expected
 
 
+@pytest.mark.slow
 def test_a_walk_that_diverged_is_worth_nothing_and_has_no_gradient():
     """Its metrics are finite, those until it diverged."""
     terms = (Term("travel", 1.0, 0.1, 0.1, larger_is_better=True),)

@@ -102,6 +102,7 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
     assert np.median(rate) == pytest.approx(np.sqrt(100.0 * 500.0), rel=0.15)
 
 
+@pytest.mark.slow
 def test_all_friction_of_a_servo_is_scaled_alike():
     """That of an MX-64 is nearly all Stribeck's and the load's; what it can bear is linear in its coefficients."""
     scenario = with_hardware(mc.load_scenario(config_path("case_2.yaml")), load_hardware("mx_64"))

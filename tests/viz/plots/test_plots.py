@@ -303,6 +303,7 @@ def test_the_limit_of_stability_runs_between_the_cells_on_both_sides_of_it():
     assert plots.stability_lines(grid().assign(spectral_radius=0 * log)) == plots.stability_lines(grid()) == []
 
 
+@pytest.mark.slow
 def test_files_are_small(walk, tmp_path):
     png, svg, pdf = plots.save_figure(plots.plot_walk(walk), tmp_path / "one", plots.FORMATS, dpi=100)
     assert png.stat().st_size < 300_000 and svg.stat().st_size < 600_000 and pdf.stat().st_size < 300_000

@@ -273,6 +273,7 @@ def test_the_camera_finds_the_robot(gl, monkeypatch, tmp_path, size, how):
 # Files
 
 
+@pytest.mark.slow
 def test_a_video_decodes_with_the_right_frames_and_duration(gl, tmp_path):
     import av
 
