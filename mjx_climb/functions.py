@@ -28,7 +28,7 @@ from mjx_climb.simulation import Simulation, SimulationState
 from mjx_climb.trajectory import Trajectory, named
 from mjx_climb.walk.control_loop import Action, JointTargets, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric
-from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.sample import DIMS, Sample
 from mjx_climb.walk.structure import structure
 from mjx_climb.walks import Metrics, metrics_of_samples
 
@@ -130,7 +130,7 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
     Raises:
         ValueError: two metrics of one name, or one that does not keep its shapes.
     """
-    samples = Sample(**{name: getattr(trajectory, name) for name in Sample._fields})
+    samples = Sample(**{name: getattr(trajectory, name) for name in DIMS})
     shape = structure(trajectory.scenario, DEFAULT_ENGINE, trajectory.parameters, metrics=metrics)
     found = execution.run_one(metrics_of_samples, shape, samples, trajectory.parameters)
     return named({name: found[name].item() for name in shape.metrics.names}, trajectory.limbs)

@@ -220,7 +220,7 @@ class Simulation:
             parameters=jax.tree.map(functools.partial(np.asarray, dtype=dtype), resolved.own),
             limbs=load_robot(self.scenario.robot).limbs,
             law=self.law_name if targets is None else "JointTargets",
-            **{name: np.asarray(value) for name, value in samples._asdict().items()},
+            **{name: np.asarray(value) for name, value in vars(samples).items()},
         )
 
     def metrics(

@@ -45,13 +45,15 @@ def _kind(annotation: str) -> str:
 def _help(code: str) -> str:
     """Return what `setting(default, "help")`, `Field(..., description="help")`, `parameter` or `_of` say."""
     call = getattr(ast.parse(textwrap.dedent(code)).body[0], "value", None)
-    if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "_of":  # a gain or parameter
-        _, unit, name, *_ = [*(getattr(each, "value", None) for each in call.args), None, None]
+    called = getattr(getattr(call, "func", None), "id", "")
+    if isinstance(call, ast.Call) and called in ("_of", "quantity"):  # the first has a key before the unit
+        values = [getattr(each, "value", None) for each in call.args[called == "_of" :]]
+        unit, name = [*values, None, None][:2]
         return f"{name[:1].upper()}{name[1:]}, {unit}" if name and unit else name or ""
-    if not isinstance(call, ast.Call) or getattr(call.func, "id", "") not in ("setting", "Field", "parameter"):
+    if not isinstance(call, ast.Call) or called not in ("setting", "Field", "parameter"):
         return ""
     named = {keyword.arg: keyword.value for keyword in call.keywords}
-    if getattr(call.func, "id", "") == "parameter":  # of a contact, an actuator or a disturbance
+    if called == "parameter":  # of a contact, an actuator or a disturbance
         unit, name = (getattr(each, "value", "") for each in (call.args[0], named.get("long_name")))
         text: ast.expr | None = ast.Constant(f"{name}, {unit}" if name else f"in {unit}")
         default = named.get("default")

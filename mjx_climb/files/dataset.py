@@ -24,11 +24,13 @@ from mjx_climb.files.writing import write_text_atomically as write_text_atomical
 from mjx_climb.inputs.from_scenario import parameters
 from mjx_climb.parameter_types import COORDINATES as COORDINATES
 from mjx_climb.parameter_types import Gains, Parameters
+from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
+from mjx_climb.walk.sample import DIMS, Sample, unknown
 
 _PACKAGE = Path(__file__).parents[1]
 _TIMES = 16  # more than one damaged block of a disk takes away
@@ -46,12 +48,17 @@ QUATERNION = ["w", "x", "y", "z"]
 SIX = ["x", "y", "z", "rx", "ry", "rz"]
 
 _COMPONENTS = {"3": "axis", "4": "quaternion", "6": "six"}  # the dimension of so many
-# name: dimensions, units, long name; one entry for every array of a trajectory but its times
+# name: dimensions, units, long name
 VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
-    field.name: (tuple(_COMPONENTS.get(axis, axis) for axis in field.type.dim_str.split()), *field.metadata["about"])  # type: ignore[union-attr]
-    for field in dataclasses.fields(Trajectory)
-    if "about" in field.metadata
+    field.name: (
+        ("time", *(_COMPONENTS.get(dim, dim) for dim in DIMS[field.name])),
+        field.metadata["unit"],
+        field.metadata["long_name"],
+    )
+    for field in dataclasses.fields(Sample)
 }
+# without which there is no walk: the state, and what tells whether it diverged
+_NEEDED = {"time", "limb", "joint", *(field.name for field in dataclasses.fields(State)), "joint_torque", "foot_force"}
 
 
 def to_dataset(trajectory: Trajectory) -> xr.Dataset:
@@ -70,7 +77,6 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     coords: dict[str, Any] = {
         name: (name, values, {"units": "1", "long_name": text}) for name, (values, text) in labels.items()
     }
-    coords["time"] = ("time", trajectory.time, {"units": "s", "long_name": "time"})
     data = {
         name: (dims, getattr(trajectory, name), {"units": units, "long_name": text})
         for name, (dims, units, text) in VARIABLES.items()
@@ -245,14 +251,18 @@ def _try_to_read(path: str | os.PathLike[str], limit: float) -> None:
 def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     """Read the walk that `save(to_dataset(trajectory), path)` wrote.
 
+    Quantities that the file lacks, of an older version, are NaN, or False where they are flags.
+
     Raises:
-        ConfigError: no netCDF4 file, or one without a whole walk.
+        ConfigError: no netCDF4 file, or one without a walk.
     """
     dataset = load(path)
-    if missing := sorted({"time", "limb", *VARIABLES} - set(dataset.variables)):
+    if missing := sorted(_NEEDED - set(dataset.variables)):
         raise ConfigError(f"{os.fspath(path)}: expected a walk, got a dataset without {missing[0]}")
-    arrays = {name: dataset[name].values for name in ("time", *VARIABLES)}
     dtype = dataset["base_position"].dtype
+    # a file of an older version lacks what was not known then
+    arrays = unknown(dataset.sizes["time"], {str(dim): size for dim, size in dataset.sizes.items()}, dtype)
+    arrays |= {name: dataset[name].values for name in arrays if name in dataset.variables}
     by_name = _from_json(dataset.attrs["gains"], dtype)
     of_the_paper = {field.name for field in dataclasses.fields(Gains)} >= set(by_name)
     gains = Gains(**by_name) if of_the_paper else by_name
@@ -264,4 +274,5 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     limbs = tuple(str(limb) for limb in dataset["limb"].values)
     given = Parameters(**numbers | pushes)
-    return Trajectory(scenario_of(dataset), gains, given, limbs, law=dataset.attrs.get("law", ""), **arrays)
+    law = dataset.attrs.get("law", "")
+    return Trajectory(scenario=scenario_of(dataset), gains=gains, parameters=given, limbs=limbs, law=law, **arrays)

@@ -1,43 +1,153 @@
-"""Everything that can be known about one step of a walk."""
+"""The quantities of a walk: what each of them is, declared once, and its value in a step, worked out once.
 
-from typing import NamedTuple
+Trajectories, files, their units and the API reference follow from `Quantities`. A new quantity is a field there and its
+value in `sample_of`.
+"""
+# ruff: noqa: RUF009 (fields carry their units and names)
 
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jaxtyping import Bool, Float
+from numpy.typing import DTypeLike
+
+from mjx_climb.control import Command, Reference
+from mjx_climb.disturbances.disturbance import External
+from mjx_climb.hardware.actuator import Drive
+from mjx_climb.parameter_types import Parameters
+from mjx_climb.physics.inverse_kinematics import JointSolution
+from mjx_climb.physics.kinematics import LimbFrames, center_of_mass
+from mjx_climb.physics.margins import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
+from mjx_climb.physics.spatial import norm
+from mjx_climb.physics.state import Acceleration
+from mjx_climb.robot.constants import Robot
+from mjx_climb.shapes import dims_of
+from mjx_climb.walk.control_loop import Actual
+
+_Array = TypeVar("_Array")
 
 
-class Sample(NamedTuple):
-    """One step of one robot: state, forces and accelerations at its start; SI units, world axes."""
+def quantity(unit: str, long_name: str) -> Any:
+    """Return the field of a quantity, whose annotation has its shape behind any batch axes."""
+    return dataclasses.field(metadata={"unit": unit, "long_name": long_name})
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Quantities(Generic[_Array]):
+    """All that is known of a step; SI units, world axes, limbs in the order of the robot.
+
+    The state is that at `time`; forces and accelerations are those that act in the step from there. Sliding joints have
+    m and N in place of rad and N m.
+    """
+
+    time: Float[_Array, "*batch"] = quantity("s", "time")
+    base_position: Float[_Array, "*batch 3"] = quantity("m", "position of the base's centre of mass")
+    base_orientation: Float[_Array, "*batch 4"] = quantity("1", "orientation of the base, unit quaternion")
+    base_linear_velocity: Float[_Array, "*batch 3"] = quantity("m/s", "linear velocity of the base")
+    base_angular_velocity: Float[_Array, "*batch 3"] = quantity("rad/s", "angular velocity of the base")
+    base_linear_acceleration: Float[_Array, "*batch 3"] = quantity("m/s^2", "linear acceleration of the base")
+    base_angular_acceleration: Float[_Array, "*batch 3"] = quantity("rad/s^2", "angular acceleration of the base")
+    joint_angles: Float[_Array, "*batch limb joint"] = quantity("rad", "joint angle")
+    joint_rates: Float[_Array, "*batch limb joint"] = quantity("rad/s", "joint rate")
+    joint_accelerations: Float[_Array, "*batch limb joint"] = quantity("rad/s^2", "joint acceleration")
+    joint_targets: Float[_Array, "*batch limb joint"] = quantity("rad", "commanded joint angle")
+    joint_torque: Float[_Array, "*batch limb joint"] = quantity("N m", "joint torque")
+    foot_position: Float[_Array, "*batch limb 3"] = quantity("m", "position of the foot")
+    foot_velocity: Float[_Array, "*batch limb 3"] = quantity("m/s", "velocity of the foot")
+    foot_target: Float[_Array, "*batch limb 3"] = quantity("m", "commanded position of the foot")
+    foot_force: Float[_Array, "*batch limb 3"] = quantity("N", "force of the ground on the foot")
+    foot_moment: Float[_Array, "*batch limb 3"] = quantity("N m", "moment of the ground on the foot")
+    grip_point: Float[_Array, "*batch limb 3"] = quantity("m", "point where the foot grips or last gripped")
+    support: Bool[_Array, "*batch limb"] = quantity("1", "the gripper is shut and holds")
+    contact: Bool[_Array, "*batch limb"] = quantity("1", "the ground acts on the foot")
+    detached: Bool[_Array, "*batch limb"] = quantity("1", "the gripper was torn off before")
+    torn_off: Bool[_Array, "*batch limb"] = quantity("1", "the gripper is torn off in this step")
+    missed: Bool[_Array, "*batch limb"] = quantity("1", "the gripper shuts out of reach in this step")
+    reachable: Bool[_Array, "*batch limb"] = quantity("1", "the foot target is within reach")
+    sensor_lost: Bool[_Array, "*batch limb"] = quantity("1", "the law does without the foot's force sensor")
+    base_reference: Float[_Array, "*batch 3"] = quantity("m", "base position that the gait asks for")
+    base_displacement: Float[_Array, "*batch 6"] = quantity(
+        "m (x, y, z), rad (rx, ry, rz)", "shift of the base by the control law, along the axes of the reference"
+    )
+    base_wrench: Float[_Array, "*batch 6"] = quantity(
+        "N (x, y, z), N m (rx, ry, rz)", "wrench of the foot forces on the base"
+    )
+    push: Float[_Array, "*batch 6"] = quantity("N (x, y, z), N m (rx, ry, rz)", "wrench on the base from outside")
+    cargo_mass: Float[_Array, "*batch"] = quantity("kg", "mass of the cargo")
+    center_of_mass: Float[_Array, "*batch 3"] = quantity("m", "centre of mass of robot and cargo")
+    tsm: Float[_Array, "*batch"] = quantity("m", "tumble stability margin")
+    gia_margin: Float[_Array, "*batch"] = quantity("m/s^2", "gravito-inertial acceleration margin")
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sample(Quantities[Array]):
+    """All that is known of one step of one robot; of a batch, with its axes in front."""
+
+
+DIMS = {field.name: tuple(dims_of(field.type).split()[1:]) for field in dataclasses.fields(Sample)}  # of one step
+
+
+def unknown(steps: int, sizes: Mapping[str, int], dtype: DTypeLike = float) -> dict[str, np.ndarray]:
+    """Return all quantities over time without a value: NaN, and False of flags.
+
+    Arguments:
+        sizes: how many there are of "limb" and "joint".
+    """
+    flags = {field.name for field in dataclasses.fields(Sample) if field.type.dtype is Bool}  # type: ignore[union-attr]
+    shapes = {name: [sizes.get(dim) or int(dim) for dim in dims] for name, dims in DIMS.items()}
+    return {
+        name: np.full((steps, *shape), name not in flags and np.nan, bool if name in flags else dtype)
+        for name, shape in shapes.items()
+    }
+
+
+class Step(NamedTuple):
+    """What happens in a step."""
 
     time: Array  # () s
-    base_position: Array  # (3,) m, of the base's centre of mass
-    base_orientation: Array  # (4,) wxyz
-    base_linear_velocity: Array  # (3,) m/s
-    base_angular_velocity: Array  # (3,) rad/s
-    base_linear_acceleration: Array  # (3,) m/s^2
-    base_angular_acceleration: Array  # (3,) rad/s^2
-    joint_angles: Array  # (limb, joint) rad, of sliding joints m
-    joint_rates: Array  # (limb, joint) rad/s, m/s
-    joint_accelerations: Array  # (limb, joint) rad/s^2, m/s^2
-    joint_targets: Array  # (limb, joint) rad, m
-    joint_torque: Array  # (limb, joint) N m, N
-    foot_position: Array  # (limb, 3) m
-    foot_velocity: Array  # (limb, 3) m/s
-    foot_target: Array  # (limb, 3) m
-    foot_force: Array  # (limb, 3) N, of the ground on the foot
-    foot_moment: Array  # (limb, 3) N m, of the ground on the foot
-    grip_point: Array  # (limb, 3) m
-    support: Array  # (limb,) bool: the gripper is shut and holds
-    contact: Array  # (limb,) bool: the ground acts on the foot
-    detached: Array  # (limb,) bool: the gripper was torn off before this step
-    torn_off: Array  # (limb,) bool: it is torn off in this step
-    missed: Array  # (limb,) bool: it shuts out of reach in this step
-    reachable: Array  # (limb,) bool: the target was within the limb's reach
-    sensor_lost: Array  # (limb,) bool: the law does without the foot's force sensor
-    base_reference: Array  # (3,) m
-    base_displacement: Array  # (6,) m, rad: shift of the base by the control law, reference axes
-    base_wrench: Array  # (6,) N, N m: `J_b^T F_e`
-    push: Array  # (6,) N, N m, on the base from outside
-    cargo_mass: Array  # () kg
-    center_of_mass: Array  # (3,) m, of robot and cargo
-    tsm: Array  # () m
-    gia_margin: Array  # () m/s^2
+    robot: Robot
+    parameters: Parameters
+    frames: LimbFrames  # of the links, in the base's axes
+    actual: Actual
+    reference: Reference
+    command: Command
+    joints: JointSolution  # targets as the actuators get them
+    drive: Drive
+    external: External
+    acceleration: Acceleration
+    sensor_lost: Array  # (limb,) bool
+    holding_force: Array  # () N, the pull that margins may count on
+
+
+def sample_of(step: Step) -> Sample:
+    """Return the value of each quantity in a step."""
+    actual, acceleration = step.actual, step.acceleration
+    push, cargo = step.external.base_wrench, step.external.cargo_mass
+    com = center_of_mass(step.robot, step.frames, actual.state, cargo / step.parameters.mass_scale)
+    tsm, gia = _stability_margins(step, com)
+    return Sample(
+        time=step.time, **vars(actual.state), **actual.grip._asdict(),
+        base_linear_acceleration=acceleration.base_linear, base_angular_acceleration=acceleration.base_angular,
+        joint_accelerations=acceleration.joints, joint_torque=step.drive.motor_torque,
+        joint_targets=step.joints.joint_angles, reachable=step.joints.reachable,
+        foot_position=actual.feet.position, foot_velocity=actual.feet.velocity, foot_target=step.command.foot_position,
+        sensor_lost=step.sensor_lost,
+        base_reference=step.reference.base_position, base_displacement=step.command.base_displacement,
+        base_wrench=actual.wrench, push=push, cargo_mass=cargo, center_of_mass=com, tsm=tsm, gia_margin=gia,
+    )  # fmt: skip
+
+
+def _stability_margins(step: Step, com: Array) -> tuple[Array, Array]:
+    """Return TSM, m, and GIA margin, m/s^2."""
+    actual, parameters, cargo = step.actual, step.parameters, step.external.cargo_mass
+    net_wrench = net_external_wrench(actual.wrench + step.external.base_wrench, actual.state.base_position)
+    axes = support_axes(actual.feet.position, actual.grip.support)
+    mass, gravity = cargo + parameters.mass_scale * step.robot.total_mass, norm(jnp.asarray(parameters.gravity))
+    tsm = tumble_stability_margin(axes, net_wrench, mass, gravity, step.holding_force)
+    return tsm, gia_margin(axes, com, net_wrench[0], mass, step.holding_force)

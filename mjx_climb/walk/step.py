@@ -31,18 +31,16 @@ from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geomet
 from mjx_climb.physics.kinematics import (
     LimbFrames,
     base_wrench_of_foot_force,
-    center_of_mass,
     foot_kinematics,
     foot_turning,
     limb_frames,
 )
-from mjx_climb.physics.margins import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
-from mjx_climb.physics.spatial import norm, quaternion_to_matrix
+from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.physics.state import Acceleration, Loads, State, integrate
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk import control_loop
-from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.sample import Sample, Step, sample_of
 from mjx_climb.walk.structure import Structure
 
 
@@ -149,7 +147,6 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         cycle_start = start = jnp.where(now.cycle_phase == 0, here, carry.cycle_start)
     reference = gait.reference(walk.plan, now, start, actual.grip.grip_point, walk.structure.time_step)
     external = _external(walk, Body(walk.robot, frames, state), step)
-    push, cargo = external.base_wrench, external.cargo_mass
     load = None
     if walk.controller.actuator.feels_load:  # of all but the actuators: what their gears carry
         loads = _loads(walk, actual, jnp.zeros_like(state.joint_angles), external)
@@ -158,18 +155,15 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     memory, command, joints, drive = loop
 
     acceleration = _accelerations(walk, actual, drive, external)
-    com = center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale)
-    tsm, gia = _stability_margins(walk, actual, push, com, cargo)
     watch, no_sensor = memory.sensor_watch, jnp.zeros_like(actual.grip.support)
-    sample = Sample(
-        time=step * jnp.asarray(walk.structure.time_step, com.dtype), **vars(state), **actual.grip._asdict(),
-        base_linear_acceleration=acceleration.base_linear, base_angular_acceleration=acceleration.base_angular,
-        joint_accelerations=acceleration.joints, joint_torque=drive.motor_torque,
-        joint_targets=joints.joint_angles, reachable=joints.reachable,
-        foot_position=actual.feet.position, foot_velocity=actual.feet.velocity, foot_target=command.foot_position,
-        sensor_lost=watch.lost if watch else no_sensor,
-        base_reference=reference.base_position, base_displacement=command.base_displacement,
-        base_wrench=actual.wrench, push=push, cargo_mass=cargo, center_of_mass=com, tsm=tsm, gia_margin=gia,
+    sample = sample_of(
+        Step(
+            time=step * jnp.asarray(walk.structure.time_step, state.base_position.dtype),
+            robot=walk.robot, parameters=parameters, frames=frames, actual=actual, reference=reference,
+            command=command, joints=joints, drive=drive, external=external, acceleration=acceleration,
+            sensor_lost=watch.lost if watch else no_sensor,
+            holding_force=jnp.asarray(walk.contact.holding_force()),
+        )
     )  # fmt: skip
     return Carry(integrate(state, acceleration, walk.structure.time_step), actual.contact, cycle_start, memory), sample
 
@@ -228,15 +222,3 @@ def driven_robot(robot: Robot, drive: Drive, joint_angles: Array, hardware: Hard
     if robot.spring is not None and robot.spring_rest is not None:
         torque = torque - robot.spring * (joint_angles - robot.spring_rest)
     return robot, torque
-
-
-def _stability_margins(
-    walk: Walk, actual: control_loop.Actual, push: Array, com: Array, cargo: Array
-) -> tuple[Array, Array]:
-    """Return TSM, m, and GIA margin, m/s^2."""
-    net_wrench = net_external_wrench(actual.wrench + push, actual.state.base_position)
-    parameters, axes = walk.parameters, support_axes(actual.feet.position, actual.grip.support)
-    mass = cargo + parameters.mass_scale * walk.robot.total_mass
-    holding = jnp.asarray(walk.contact.holding_force())
-    tsm = tumble_stability_margin(axes, net_wrench, mass, norm(jnp.asarray(parameters.gravity)), holding)
-    return tsm, gia_margin(axes, com, net_wrench[0], mass, holding)

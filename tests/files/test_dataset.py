@@ -40,7 +40,7 @@ def sweep(scenario=SCENARIO):
 
 def test_every_array_of_a_walk_is_a_variable_with_units_found_by_label(trajectory):
     arrays = {f.name for f in dataclasses.fields(trajectory)} - {"scenario", "gains", "parameters", "limbs", "law"}
-    assert arrays == {"time", *ds.VARIABLES}
+    assert arrays == set(ds.VARIABLES)
     dataset = ds.to_dataset(trajectory)
     for name, variable in [*dataset.variables.items(), *sweep().variables.items()]:
         assert variable.attrs["units"] and variable.attrs["long_name"], name
@@ -62,7 +62,7 @@ def test_every_array_of_a_walk_is_a_variable_with_units_found_by_label(trajector
     ],
 )
 def test_walk_survives_a_file(trajectory, tmp_path, kp, dtype):
-    arrays = {name: getattr(trajectory, name) for name in ("time", *ds.VARIABLES)}
+    arrays = {name: getattr(trajectory, name) for name in ds.VARIABLES}
     arrays = {name: array.astype(dtype) for name, array in arrays.items() if array.dtype == np.float64}
     gains = jax.tree.map(dtype, dataclasses.replace(trajectory.gains, kp=kp and np.asarray(kp)))
     walk = dataclasses.replace(trajectory, gains=gains, **arrays)
@@ -84,6 +84,16 @@ def test_walk_survives_a_file(trajectory, tmp_path, kp, dtype):
     assert json.loads(dataset.attrs["gains"])["stiffness"] == [1e3, 2e3, 3e3, 4e1, 5e1, 6e1]
     assert dataset.attrs["numpy_version"] == np.__version__
     assert dataset.attrs["jax_version"] == jax.__version__
+
+
+def test_a_walk_of_an_older_version_lacks_some_quantities(trajectory, tmp_path):
+    older = ds.to_dataset(trajectory).drop_vars(["missed", "gia_margin"])
+    loaded = ds.load_trajectory(ds.save(older, tmp_path / "walk.nc"))
+    assert np.isnan(loaded.gia_margin).all() and loaded.gia_margin.shape == trajectory.time.shape
+    assert not loaded.missed.any() and loaded.missed.dtype == bool
+    found, expected = mc.metrics(loaded), mc.metrics(trajectory)
+    assert {name for name in found if found[name] != expected[name]} == {"min_gia_margin"}
+    assert found["min_gia_margin"] is None
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import mjx_climb as mc
 from mjx_climb.physics.spatial import norm
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk.metrics import FAILURES, Context, Metric, accumulate, finish, largest, peak, smallest, start, total
-from mjx_climb.walk.sample import Sample
+from mjx_climb.walk.sample import DIMS, Sample, unknown
 
 SPEED = peak("peak_base_speed", "m/s", "largest speed of the base", lambda s, _: norm(s.base_linear_velocity))
 ALONG = largest("largest_forward_speed", "m/s", "largest speed forward", lambda s, _: s.base_linear_velocity[0])
@@ -32,19 +32,14 @@ STIFFNESS = np.array([[1e3], [1e5]])
 
 STEP, STEPS, GRAVITY, HEADING = 1e-3, 60, np.array([0.3, -0.2, -1.6]), 0.4
 ROBOT = load_robot("hubrobo_v3_2")
-MASKS = ("support", "contact", "detached", "torn_off", "missed", "reachable")
-SHAPES = dict.fromkeys((*MASKS, "base_orientation"), (4,)) | dict.fromkeys(
-    ("time", "cargo_mass", "tsm", "gia_margin"), ()
-)
-SHAPES |= dict.fromkeys(("base_displacement", "base_wrench", "push"), (6,))
+MASKS = [name for name, values in unknown(1, {"limb": 4, "joint": 3}).items() if values.dtype == bool]
 
 
 def samples_of(seed):
     """Return made-up samples over time: a foot that is pulled while open, and three grippers torn off in two steps."""
     rng, made = np.random.default_rng(seed), {}
-    for name in Sample._fields:
-        feet = name.startswith(("joint", "foot", "grip"))
-        made[name] = rng.normal(size=(STEPS, *SHAPES.get(name, (4, 3) if feet else (3,))))
+    for name, values in unknown(STEPS, {"limb": 4, "joint": 3}).items():
+        made[name] = rng.normal(size=values.shape)
     made |= {name: rng.random((STEPS, 4)) < 0.5 for name in MASKS}
     made |= {"time": STEP * np.arange(STEPS), "cargo_mass": np.where(np.arange(STEPS) < 30, 1.0 + seed, 0.0)}
     made["torn_off"] = np.zeros((STEPS, 4), bool)
@@ -129,12 +124,13 @@ def test_companions_are_means_over_instants_and_feet_or_joints():
 @pytest.mark.slow
 def test_tangents_are_those_of_finite_differences():
     """The first sample stays: the unit of a companion's exponentials is taken from it, and counts as a constant."""
-    samples, along = samples_of(1), jax.tree.map(lambda value: np.append(0 * value[:1], value[1:], 0), samples_of(2))
-    real = [name for name in Sample._fields if name not in (*MASKS, "time", "cargo_mass")]
+    samples = samples_of(1)
+    along = jax.tree.map(lambda value: np.append(np.zeros_like(value[:1]), value[1:], 0), samples_of(2))
+    real = [name for name in DIMS if name not in (*MASKS, "time", "cargo_mass")]
 
     def moved(share):
         changes = {name: getattr(samples, name) + share * getattr(along, name) for name in real}
-        return {n: v for n, v in evaluated(samples._replace(**changes)).items() if n not in FAILURES}
+        return {n: v for n, v in evaluated(dataclasses.replace(samples, **changes)).items() if n not in FAILURES}
 
     tangents, width = jax.jvp(moved, (0.0,), (1.0,))[1], 1e-6
     above, below = moved(width), moved(-width)
@@ -150,7 +146,7 @@ OF_THE_STATE = ("base_position", "base_linear_velocity", "base_angular_velocity"
 def test_a_diverged_walk_has_the_metrics_of_its_finite_part(name):
     """From the first sample on that is not finite nothing counts, be they finite again; a gripper lost before does."""
     samples, cut = samples_of(0), 45
-    broken = {name: value.copy() for name, value in samples._asdict().items()}
+    broken = {name: value.copy() for name, value in vars(samples).items()}
     broken[name][cut : cut + 5, -1] = np.nan
     broken["foot_force"][cut + 5 :] *= 100
     diverged = evaluated(Sample(**broken))
@@ -163,7 +159,7 @@ def test_a_diverged_walk_has_the_metrics_of_its_finite_part(name):
 
 def test_without_a_finite_sample_there_are_no_metrics():
     samples = samples_of(0)
-    found = evaluated(samples._replace(base_position=np.full_like(samples.base_position, np.nan)))
+    found = evaluated(dataclasses.replace(samples, base_position=np.full_like(samples.base_position, np.nan)))
     assert (found.pop("diverged"), found.pop("missed_grips"), found.pop("detached_limb")) == (True, 0, -1)
     assert np.isnan(list(found.values())).all()
 

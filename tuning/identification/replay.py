@@ -19,6 +19,7 @@ from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_STEPS
+from mjx_climb.walk.sample import unknown
 from tuning.identification import held_base as stand
 from tuning.identification.commanded import Carried, Commands, held
 from tuning.identification.foot_mass import with_foot_mass
@@ -242,29 +243,29 @@ def _on_a_stand(prepared: Prepared, robot: Robot) -> mc.Trajectory:
 
 
 def _as_walk(
-    scenario: mc.Scenario, robot: Robot, own: Parameters, targets: np.ndarray, carried: Carried
+    scenario: mc.Scenario, robot: Robot, parameters: Parameters, targets: np.ndarray, carried: Carried
 ) -> mc.Trajectory:
     """Return what moves on a stand as a walk: what is not defined there is NaN, and what does not act is 0."""
     angles, rates, torque, of_feet = carried
     steps, limbs = targets.shape[:2]
-    time, none = scenario.time_step * np.arange(steps), np.zeros((steps, limbs), bool)
     position = np.broadcast_to(robot.stance_position, (steps, 3))
     turned = np.broadcast_to(robot.stance_orientation, (steps, 4))
     feet = _feet(robot, position, turned, angles)
     speed, later = (np.gradient(values, scenario.time_step, axis=0) for values in (feet, rates))
     still, wrench = np.zeros((steps, 3)), np.zeros((steps, 6))
-    undefined = np.full(steps, np.nan)
-    return mc.Trajectory(
-        scenario=scenario, gains={}, parameters=own, limbs=robot.limbs, law="JointTargets", time=time,
+    known = dict(
+        time=scenario.time_step * np.arange(steps),
         base_position=position, base_orientation=turned, base_linear_velocity=still, base_angular_velocity=still,
         base_linear_acceleration=still, base_angular_acceleration=still, joint_angles=angles,
         joint_rates=rates, joint_accelerations=later, joint_targets=targets,
         joint_torque=torque, foot_position=feet, foot_velocity=speed, foot_target=feet, foot_force=of_feet,
-        foot_moment=of_feet, grip_point=feet, support=none, contact=none, detached=none, torn_off=none, missed=none,
-        reachable=~none, sensor_lost=none, base_reference=position, base_displacement=wrench, base_wrench=wrench,
-        push=wrench, cargo_mass=np.zeros(steps), center_of_mass=np.full((steps, 3), np.nan),
-        tsm=undefined, gia_margin=undefined,
+        foot_moment=of_feet, grip_point=feet, reachable=np.ones((steps, limbs), bool), base_reference=position,
+        base_displacement=wrench, base_wrench=wrench, push=wrench, cargo_mass=np.zeros(steps),
     )  # fmt: skip
+    quantities = unknown(steps, {"limb": limbs, "joint": robot.joints}) | known
+    return mc.Trajectory(
+        scenario=scenario, gains={}, parameters=parameters, limbs=robot.limbs, law="JointTargets", **quantities
+    )
 
 
 def _feet(
