@@ -298,6 +298,31 @@ class Servos:
         return torque, torque - bears * np.clip(ahead, -1, 1), armature
 
 
+class VelocityCommanded:
+    """Motors that follow the rates of a manager, by the equations of docs/actuators.md."""
+
+    def __init__(self, drive, scenario, joints):
+        self.drive, self.step = drive, scenario.time_step
+        self.every = max(round(float(drive.manager_period) / self.step), 1)
+        self.error, self.rate = np.zeros_like(joints), np.zeros_like(joints)
+
+    def stiffen(self, share):
+        """These have no gains of a joint loop."""
+
+    def turn(self, step, target, angles, rates, load):
+        """Return the motors' torques twice, as there is no friction, and the armature h G of those below their limit.
+
+        With it the rate that a motor resists is that after the step: G (command - rate - h acceleration).
+        """
+        if step % self.every == 0:
+            before, self.error = self.error, target - angles
+            wanted = self.drive.p * self.error + self.drive.d * (self.error - before) / (self.every * self.step)
+            self.rate = np.clip(wanted, *(self.drive.largest_rate * PLUS_MINUS))
+        asked = self.drive.velocity_gain * (self.rate - rates)
+        torque = np.clip(asked, *(self.drive.torque_limit * PLUS_MINUS))
+        return torque, torque, np.where(torque == asked, self.step * self.drive.velocity_gain, 0.0)
+
+
 def margins(feet, support, com, force, moment, mass, gravity, hold):
     """Return TSM (m) and GIA margin (m/s^2) of one instant."""
     feet = feet[support]
@@ -349,22 +374,35 @@ class Body:
             angles = angles + np.array([np.linalg.solve(j, e) for j, e in zip(own, errors, strict=True)])
         return angles
 
-    def loads(self, held):
-        """Return what all but the servos does at the joints: the bias, and the forces of the grips."""
+    def touched(self, touch, time):
+        """Return the generalised forces (nv,) of a wrench on a link, and force and moment about the base's centre."""
+        model, data, found = self.model, self.data, np.zeros(self.model.nv)
+        if not touch.start <= time < touch.stop:
+            return found, np.zeros(6)
+        link = 2 + int(touch.limb) * self.model.njnt // self.limbs + int(touch.link)
+        turned = data.xmat[link].reshape(3, 3)
+        point, force, moment = data.xpos[link] + turned @ touch.at, touch.force, touch.moment
+        if touch.frame == "link":
+            force, moment = turned @ force, turned @ moment
+        mujoco.mj_applyFT(model, data, force, moment, point, link, found)
+        return found, np.concatenate([force, np.cross(point - data.xpos[1], force) + moment])
+
+    def loads(self, held, touch):
+        """Return what all but the servos does at the joints: the bias, the forces of the grips, and a touch."""
         mujoco.mj_fwdVelocity(self.model, self.data)
-        acting = -self.data.qfrc_bias
+        acting = touch - self.data.qfrc_bias
         for columns, force, moment in zip(
             self.jacobians(self.data), held["foot_force"], held["foot_moment"], strict=True
         ):
             acting = acting + force @ columns[0] + moment @ columns[1]
         return acting[6:].reshape(self.shape)
 
-    def accelerations(self, rotation, torque, held, push, cargo, armature):
+    def accelerations(self, rotation, torque, held, push, touch, cargo, armature):
         model, data = self.model, self.data
         model.body_mass[1] = self.mass[1] + cargo
         model.dof_armature[6:] = self.armature + armature.ravel()
         data.xfrc_applied[1] = push
-        data.qfrc_applied[:] = np.concatenate([np.zeros(6), torque.ravel()])
+        data.qfrc_applied[:] = touch + np.concatenate([np.zeros(6), torque.ravel()])
         for columns, force, moment in zip(self.jacobians(data), held["foot_force"], held["foot_moment"], strict=True):
             data.qfrc_applied += force @ columns[0] + moment @ columns[1]
         mujoco.mj_forward(model, data)
@@ -407,7 +445,8 @@ def again(walk, law=None):
     body.place(body.data, *after[:2], angles)
     grips = Grips(scenario.contact, feet, body.data.site_xmat.reshape(-1, 3, 3))
     law = Law(scenario, reference, body.limbs) if law is None else law(scenario, reference, body.limbs)
-    servos = Servos(scenario, body.model, angles)
+    drive = walk.parameters.drive
+    servos = Servos(scenario, body.model, angles) if drive is None else VelocityCommanded(drive, scenario, angles)
     forces, bases, commands, shares, filtered = [np.zeros_like(feet)], [], [angles], [0.0], np.zeros_like(feet)
     reads = not isinstance(law, Law) or scenario.control.controller != "pd"
     watch = Watch(law.period, body.limbs) if reads and (sensor.resolution or sensor.dead is not None) else None
@@ -472,17 +511,21 @@ def again(walk, law=None):
         goal = late(commands, hardware.command_delay / h)
         shares.append(0.0 if watch is None else watch.share)
         servos.stiffen(late(shares, hardware.command_delay / h))
-        torque, turning, armature = servos.turn(step, goal, angles, rates, body.loads(held))
+        touch, by_touch = np.zeros(body.model.nv), np.zeros(6)
+        for each in walk.parameters.disturbances:
+            more = body.touched(each, (step + 0.5) * h)
+            touch, by_touch = touch + more[0], by_touch + more[1]
+        torque, turning, armature = servos.turn(step, goal, angles, rates, body.loads(held, touch))
         cargo, push = windows(scenario, step)
         body.model.body_mass[1] = body.mass[1] + cargo
         mass = body.model.body_mass.sum()
         com = body.model.body_mass @ body.data.xipos / mass
         wrench = wrench_of(held["foot_force"])
-        net = wrench + push
+        net = wrench + push + by_touch
         limit = number(scenario.contact.holding_limit, 0.0)
         pull, moment = np.linalg.norm(scenario.gravity), net[3:] + np.cross(position, net[:3])
         tsm, gia = margins(feet, held["support"], com, net[:3], moment, mass, pull, limit)
-        found = body.accelerations(rotation, turning, held, push, cargo, armature)
+        found = body.accelerations(rotation, turning, held, push, touch, cargo, armature)
         linear, angular, rates = (v + h * a for v, a in zip((linear, angular, rates), found, strict=True))
         quaternion = (Rotation.from_rotvec(h * angular) * rotation).as_quat(scalar_first=True)
         quaternion *= np.sign(quaternion @ state[1])
@@ -492,7 +535,7 @@ def again(walk, law=None):
             "joint_accelerations": found[2], "joint_targets": goal, "joint_torque": torque, "foot_target": command[2],
             "sensor_lost": np.zeros(body.limbs, bool) if watch is None else watch.lost,
             "base_reference": wanted, "base_displacement": command[3],
-            "base_wrench": wrench, "push": push, "cargo_mass": cargo, "center_of_mass": com, "tsm": tsm,
+            "base_wrench": wrench, "push": push + by_touch, "cargo_mass": cargo, "center_of_mass": com, "tsm": tsm,
             "gia_margin": gia,
         })  # fmt: skip
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}

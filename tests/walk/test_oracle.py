@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.disturbances.link_wrench import LinkWrench
+from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.walks import histories
 from tests import oracle
@@ -103,6 +105,10 @@ WALKS = {  # changes, and what is to happen
         },
         lambda walk: np.isinf(walk.tsm).any(),
     ),
+    "motors that follow rates, limbs that are touched": (
+        {},
+        lambda walk: np.ptp(walk.push[:, :3]) > 4.0 and (np.abs(walk.joint_torque) == 1.2).any(),
+    ),
     "a robot of its own": (
         {
             "time_step": 0.0005, "duration": 0.15, "contact.stiffness": 2e3, "contact.rotational_stiffness": 5.0,
@@ -113,12 +119,14 @@ WALKS = {  # changes, and what is to happen
         lambda walk: np.ptp(walk.foot_moment) and (np.abs(walk.joint_torque) == 0.7).any(),
     ),
 }  # fmt: skip
+FORCE, MOMENT, AT = np.array([3.0, -2.0, 1.0]), np.array([0.2, 0.1, -0.3]), np.array([0.03, -0.01, 0.02])
 OF_THE_JOINTS = 'damping="0.03" armature="0.002" frictionloss="0.015" actuatorfrcrange="-0.7 0.7"'
 
 
 LONG = (
     "hardware on uneven ground", "servos on a voltage", "servos of limited current", "end effector",
     "a base that sways, low over feet that land fast", "a robot of its own",
+    "motors that follow rates, limbs that are touched",
 )  # fmt: skip
 
 
@@ -136,6 +144,14 @@ def walk(request, tmp_path_factory):
         changes |= {f"gait.{name}": value for name, value in changes.pop("gait").items() if name != "phases"} | own
     if request.param == "measured pose":
         added["swing_path"] = np.random.default_rng(0).uniform(-0.3, 0.3, (4, 3, 6))
+    if "motors" in request.param:
+        added |= {
+            "drive": VelocityCommanded(p=12.0, d=0.15, manager_period=0.003, largest_rate=1.5, torque_limit=1.2),
+            "disturbances": (
+                LinkWrench(limb=1.0, link=2.0, force=FORCE, moment=MOMENT, at=AT, start=0.05, stop=0.15),
+                LinkWrench(limb=3.0, link=1.0, force=-FORCE, moment=MOMENT, at=AT, start=0.1, frame="link"),
+            ),
+        }
     scenario = scenario.with_overrides(changes)
     made = mc.rollout(scenario, six_gains(scenario), dataclasses.replace(own_parameters(scenario), **added))
     assert happens(made)
