@@ -5,6 +5,7 @@ import importlib.util
 import os
 import sys
 import types
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,9 @@ from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import OwnComponent, OwnObject, Scenario
 
-RUN: list[tuple[types.ModuleType, str]] = []  # what was run here, and the digest of its files then
+# the modules run last, as `sys.modules` without their names, and the digests of their files: gains files say from which
+# file an object came, and a copy of a file gives the same class, which is compiled once
+RUN: deque[tuple[types.ModuleType, str]] = deque(maxlen=64)
 # by the place in the section
 KINDS: dict[str, tuple[type[Component], Mapping[str, type[Component]]]] = {
     "contact": (Contact, contact.SHIPPED),
@@ -31,7 +34,6 @@ KINDS: dict[str, tuple[type[Component], Mapping[str, type[Component]]]] = {
     "disturbances": (Disturbance, disturbances.SHIPPED),
 }
 _OF_CONTACT = {"stiffness": "contact_stiffness", "damping": "contact_damping"}  # values of a gripper among parameters
-_FOUND: dict[tuple[str, str], Any] = {}  # by digest and name: a copy of a file is the same class, compiled once
 
 
 def load(text: str, what: str) -> tuple[Any, str, str]:
@@ -128,10 +130,10 @@ def _made(named: OwnComponent, place: str, numbers: Parameters, source: str) -> 
         found: Any = known[named.name]
     else:
         text = reference_to(named, place, source)
-        key = digest(Path(str(named.file))), named.name
-        if key not in _FOUND:
-            _FOUND[key] = load(text, what)[0]
-        found = _FOUND[key]
+        of_files = digest(Path(str(named.file)))
+        same = (vars(module) for module, of_run in RUN if of_run == of_files)
+        found = next((names[named.name] for names in same if named.name in names), None)
+        found = load(text, what)[0] if found is None else found
     values, options = (dict(part.items()) for part in (named.values, named.options))
     try:
         if not issubclass(found if isinstance(found, type) else type(found), kind):

@@ -11,6 +11,7 @@ import mjx_climb as mc
 from mjx_climb.files import scenario_files
 from mjx_climb.files.writing import OutputError
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
+from mjx_climb.inputs import own_objects
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.messages import ConfigError
 from tuning.command_line import options
@@ -170,6 +171,20 @@ def test_config_yaml_keeps_the_digest_where_a_config_gave_none(file, tmp_path):
     own = {"contact": {"file": str(file), "name": "pole"}}
     written = write_config(mc.Scenario().with_overrides({"own": own}), tmp_path / "out")
     assert written.own.contact.digest == scenario_files.digest(file)
+
+
+def test_a_copy_of_a_file_is_the_same_class_and_old_files_are_forgotten(file, tmp_path):
+    copy = tmp_path / "copy.py"
+    copy.write_text(file.read_text())
+    made = [
+        own_parameters(mc.Scenario().with_overrides({"own": {"contact": {"file": str(each), "name": "pole"}}})).contact
+        for each in (file, copy)
+    ]
+    assert type(made[0]) is type(made[1])
+    for n in range(70):
+        copy.write_text(f"found = {n}")
+        assert own_objects.load(f"{copy}:found", "law")[0] == n
+    assert len(own_objects.RUN) == 64 and own_objects.RUN[-1][0].found == 69
 
 
 @pytest.mark.parametrize("command", ["excite", "identify"])
