@@ -74,11 +74,11 @@ def measure() -> dict[str, dict[str, Any]]:
 def deviations(
     measured: Mapping[str, Mapping[str, Any]], stored: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Deviation]:
-    """Return for each part of `measure` the value that is furthest from the stored one."""
+    """Return for each part of `measure` the value that is furthest from the stored one, of those that are stored."""
     found = {}
     for part, values in measured.items():
         kept = stored.get(part, stored["acceleration"])
-        pairs = {name: (values.get(name), kept.get(name)) for name in {**kept, **values}}
+        pairs = {name: (values.get(name), value) for name, value in kept.items()}
         each = [Deviation(_distance(*pair), name, *pair) for name, pair in pairs.items()]
         found[part] = max(each, key=lambda deviation: deviation.size)
     return found

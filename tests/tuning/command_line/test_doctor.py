@@ -150,9 +150,11 @@ def test_a_part_that_breaks_down_is_a_finding_beside_the_others(monkeypatch, doc
 
 
 def test_an_engine_that_has_no_value_is_seen(doctor, monkeypatch):
+    """And a walk that has none; a metric that is not stored, of a later version or the user's, is not compared."""
     measured = self_check.measure()
     measured["mjx"] = {key: value for key, value in measured["mjx"].items() if key != "LF tibia"}
-    measured["walk"] = measured["walk"] | {"jerk": 1.0}
+    measured["walk"] = measured["walk"] | {"travel": None}
+    measured["gradient"] = measured["gradient"] | {"jerk": 1.0}
     monkeypatch.setattr(self_check, "measure", lambda: measured)
     code, found = doctor()
     assert (code, list(wrong(found))) == (1, ["dynamics", "walk"])
