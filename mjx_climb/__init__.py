@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     from mjx_climb.hardware.actuator import Actuator as Actuator
     from mjx_climb.hardware.actuator import Drive as Drive
     from mjx_climb.hardware.actuator import Joints as Joints
+    from mjx_climb.hardware.actuator import JointSpring as JointSpring
     from mjx_climb.inputs.from_scenario import parameters as parameters
     from mjx_climb.parameter_types import Gains as Gains
     from mjx_climb.parameter_types import Parameters as Parameters
     from mjx_climb.physics.contact.contact import Contact as Contact
     from mjx_climb.physics.contact.contact import Grip as Grip
+    from mjx_climb.physics.contact.contact import Springs as Springs
     from mjx_climb.physics.equations_of_motion import ENGINES as ENGINES
     from mjx_climb.physics.state import Acceleration as Acceleration
     from mjx_climb.physics.state import State as State

@@ -31,6 +31,14 @@ class Drive(NamedTuple):
     armature: Any  # (limb, joint) kg m^2, what sticking joints have more of it in this step; () without
 
 
+class JointSpring(NamedTuple):
+    """How a joint is held at its target, as a linear spring and damper, for the check of the time step."""
+
+    stiffness: Array | float  # N m/rad
+    damping: Array | float  # N m s/rad
+    armature: Array | float = 0.0  # kg m^2, of `Drive`
+
+
 class Actuator(Component):
     """Base of actuators: a class that inherits from it becomes a frozen dataclass and a pytree.
 
@@ -41,6 +49,10 @@ class Actuator(Component):
     def feels_load(self) -> bool:
         """Whether `step` asks for the load on the joints."""
         return False
+
+    def spring(self, period: float) -> JointSpring | None:
+        """The spring that holds a joint, by which a time step, s, is checked; None: not known, and left out there."""
+        return None
 
     def init(self, angles: Array) -> Any:
         """The memory of actuators that have always rested at joint angles (limb, joint) rad, under no torque."""

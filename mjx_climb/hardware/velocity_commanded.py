@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.component import parameter
-from mjx_climb.hardware.actuator import Actuator, Drive, JointGains, Joints
+from mjx_climb.hardware.actuator import Actuator, Drive, JointGains, Joints, JointSpring
 
 
 class Commanded(NamedTuple):
@@ -35,6 +35,10 @@ class VelocityCommanded(Actuator):
     velocity_gain: Array = parameter("N m s/rad", bounds=(1e-3, 1e3), default=5.0, long_name="gain of the motor's loop")
     largest_rate: Array = parameter("rad/s", bounds=(1e-3, np.inf), default=np.inf, long_name="largest commanded rate")
     torque_limit: Array = parameter("N m", bounds=(1e-3, np.inf), default=np.inf, long_name="torque limit")
+
+    def spring(self, period: float) -> JointSpring:
+        """The manager's rate times the gain of the motor's loop, whose damping is taken after the step."""
+        return JointSpring(self.velocity_gain * self.p, self.velocity_gain * (1 + self.d), self.velocity_gain * period)
 
     def init(self, angles: Array) -> Commanded:
         """The memory of joints at rest."""

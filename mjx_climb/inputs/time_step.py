@@ -3,7 +3,8 @@
 Held by contact springs, joint loop, back EMF and the joints' friction alone (no admittance law, no gravity, no delays),
 the robot is a linear system near each posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K
 x - D v)`, then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. What a
-law adds is in `tuning.evaluation.stability_limit`.
+law adds is in `tuning.evaluation.stability_limit`. A contact or an actuator of the user's own says by which springs it
+holds feet or joints; where it does not, these are left out, and a refusal says so.
 """
 
 import functools
@@ -11,13 +12,18 @@ import itertools
 import math
 import operator
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from mjx_climb.execution.batch_axes import is_traced
+from mjx_climb.hardware.actuator import Actuator, JointSpring
 from mjx_climb.hardware.servo import RELAXATION
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import KEYS, Parameters
+from mjx_climb.physics.contact.contact import Contact, Springs
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.postures import MET, limb_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -36,13 +42,26 @@ _AT_ONCE = 1024  # robots
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
+class Own(NamedTuple):
+    """Springs of a contact and of an actuator in place of the config's, as numbers; None: there is none.
+
+    Springs that are not known have no stiffness.
+    """
+
+    contact: Springs | None = None
+    drive: JointSpring | None = None
+
+
+_CONFIG = Own()
+
+
 @functools.lru_cache(maxsize=256)
-def growth(scenario: Scenario, time_step: float | None = None) -> float:
+def growth(scenario: Scenario, time_step: float | None = None, own: Own = _CONFIG) -> float:
     """Return by how much a small disturbance grows in one step, at worst: 1 or less where the step is short enough."""
     h = scenario.time_step if time_step is None else time_step
     worst = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        for mass, stiffness, damping in _systems(scenario, h):
+        for mass, stiffness, damping in _systems(scenario, h, own):
             mobility, one = np.linalg.inv(mass), np.eye(len(mass))
             k, d = h * mobility @ stiffness, h * mobility @ damping
             step = np.block([[one - h * k, h * (one - d)], [-k, one - d]])
@@ -52,12 +71,12 @@ def growth(scenario: Scenario, time_step: float | None = None) -> float:
     return float(worst)
 
 
-def short_enough(scenario: Scenario) -> bool:
+def short_enough(scenario: Scenario, own: Own = _CONFIG) -> bool:
     """Return whether contacts and joints can follow the scenario's time step."""
-    return growth(scenario) <= 1 + _ROUNDING
+    return growth(scenario, None, own) <= 1 + _ROUNDING
 
 
-def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
+def largest_time_step(scenario: Scenario, source: str = "scenario", own: Own = _CONFIG) -> float:
     """Return the largest round time step, s, that is short enough and divides duration and gait cycle.
 
     Raises:
@@ -69,7 +88,7 @@ def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
     for step in _STEPS:
         whole = all(math.isclose(span / step, round(span / step), rel_tol=1e-9) and round(span / step) >= 1
                     for span in spans)  # fmt: skip
-        if whole and growth(scenario, step) <= 1 + _ROUNDING:
+        if whole and growth(scenario, step, own) <= 1 + _ROUNDING:
             return step
     raise ConfigError(
         f"{source}: time_step: expected contacts and joint gains that some step of 0.1 us or more can follow, got none"
@@ -85,23 +104,66 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     Raises:
         ConfigError: in one line, the time step that would do.
     """
-    scenario = scenario if parameters is None else _stiffest(scenario, parameters)
-    grows = growth(scenario)
-    if grows <= 1 + _ROUNDING:
+    if parameters is None and scenario.own is not None:
+        parameters = own_parameters(scenario, source)
+    largest, *each = [_CONFIG] if parameters is None else _own_springs(parameters, scenario.time_step)
+    unstable = _unstable(scenario, parameters, largest)
+    if unstable is not None and each:  # no robot of the batch may have all the largest values
+        found = (_unstable(scenario, parameters, own) for own in each)
+        unstable = next((one for one in found if one is not None), None)
+    if unstable is None:
         return
+    scenario, own = unstable
+    feet, joints = _words(scenario, own, parameters)
+    raise ConfigError(
+        f"{source}: time_step: expected one short enough for {load_robot(scenario.robot).name} with {feet}{joints}, "
+        f"got {scenario.time_step:g} (a disturbance grows {growth(scenario, None, own):.3g}-fold a step): "
+        f"{largest_time_step(scenario, source, own):g} would do"
+    )
+
+
+def _unstable(scenario: Scenario, parameters: Parameters | None, own: Own) -> tuple[Scenario, Own] | None:
+    """Return the scenario and springs of a robot that the time step is too long for, None where there is none."""
+    scenario = scenario if parameters is None else _stiffest(scenario, parameters, own)
+    return None if short_enough(scenario, own) else (scenario, own)
+
+
+def _own_springs(parameters: Parameters, h: float) -> list[Own]:
+    """Return the springs of contact and actuator: the largest values of a batch first, then those of each robot."""
+    contact = None if parameters.contact is None else parameters.contact.springs() or Springs(0.0, 0.0)
+    drive = None if parameters.drive is None else parameters.drive.spring(h) or JointSpring(0.0, 0.0)
+    leaves, tree = jax.tree.flatten(Own(contact, drive))
+    if not leaves:
+        return [_CONFIG]
+    values = [np.zeros(()) if is_traced(leaf) else np.asarray(leaf, float) for leaf in leaves]
+    rows = np.unique(np.stack(np.broadcast_arrays(*values), -1).reshape(-1, len(values)), axis=0)
+    rows = rows if len(rows) == 1 else np.vstack([rows.max(0), rows])
+    return [jax.tree.unflatten(tree, row.tolist()) for row in rows]
+
+
+def _words(scenario: Scenario, own: Own, parameters: Parameters | None) -> tuple[str, str]:
+    """Return what a refusal says of the springs of feet and of joints."""
     contact, control, friction = scenario.contact, scenario.control, scenario.hardware.servo.coulomb_friction
     emf = _of_loop(scenario)[1] - control.kd
     driven = f", a back EMF of {emf:.3g} N m s/rad" if emf else ""
     sticking = f", hardware.servo.coulomb_friction {friction:g}" if friction else ""
-    raise ConfigError(
-        f"{source}: time_step: expected one short enough for {load_robot(scenario.robot).name} with contact.stiffness "
-        f"{contact.stiffness:g}, contact.damping {contact.damping:g}{sticking}{driven}, control.kp {control.kp:g} and "
-        f"control.kd {control.kd:g}, got {scenario.time_step:g} (a disturbance grows {grows:.3g}-fold a step): "
-        f"{largest_time_step(scenario, source):g} would do"
-    )
+    feet = f"contact.stiffness {contact.stiffness:g}, contact.damping {contact.damping:g}"
+    joints = f"{sticking}{driven}, control.kp {control.kp:g} and control.kd {control.kd:g}"
+    if parameters is not None and own.contact is not None:
+        feet = _of_own(parameters.contact, own.contact, "N/m", "N s/m")
+    if parameters is not None and own.drive is not None:
+        joints = f" and {_of_own(parameters.drive, own.drive, 'N m/rad', 'N m s/rad')}"
+    return feet, joints
 
 
-def _stiffest(scenario: Scenario, parameters: Parameters) -> Scenario:
+def _of_own(component: Contact | Actuator | None, spring: Springs | JointSpring, of_angle: str, of_rate: str) -> str:
+    name = type(component).__name__
+    if not any(spring):
+        return f"{name}, whose springs are not known"
+    return f"{name} of {spring.stiffness:g} {of_angle} and {spring.damping:g} {of_rate}"
+
+
+def _stiffest(scenario: Scenario, parameters: Parameters, springs: Own) -> Scenario:
     """Return the scenario of a robot that the time step is too long for, of the stiffest where there is none.
 
     Where the step is short enough for the largest value of each parameter it is for all robots: a disturbance does not
@@ -116,52 +178,55 @@ def _stiffest(scenario: Scenario, parameters: Parameters) -> Scenario:
         return scenario.with_overrides(others) if others else scenario
 
     stiffest = of(largest)
-    if all(values.size == 1 for values in known.values()) or short_enough(stiffest):
+    if all(values.size == 1 for values in known.values()) or short_enough(stiffest, springs):
         return stiffest
     rows = np.unique(np.stack(np.broadcast_arrays(*known.values()), -1).reshape(-1, len(known)), axis=0)
-    least, change = _definite(stiffest), []
+    least, change = _definite(stiffest, springs), []
     for name, most in largest.items():
         half = of(largest | {name: most / 2}) if most else stiffest
-        change.append((least - _definite(half)) / (most / 2 if most else 1.0))
+        change.append((least - _definite(half, springs)) / (most / 2 if most else 1.0))
     for start in range(0, len(rows), _AT_ONCE):
         some = rows[start : start + _AT_ONCE]
         definite = least + np.tensordot(some - [*largest.values()], np.stack(change), 1)
         for row in some[(np.linalg.eigvalsh(definite)[..., 0] < 0).any(1)]:
-            if not short_enough(found := of(dict(zip(known, row.tolist(), strict=True)))):
+            if not short_enough(found := of(dict(zip(known, row.tolist(), strict=True))), springs):
                 return found
     return of(dict(zip(known, rows[0].tolist(), strict=True)))
 
 
-def _definite(scenario: Scenario) -> np.ndarray:
+def _definite(scenario: Scenario, own: Own) -> np.ndarray:
     """Return 4 M - 2 h D - h^2 K of each posture, (S, 18, 18)."""
     h = scenario.time_step
-    return np.stack([4 * m - 2 * h * d - h * h * k for m, k, d in _systems(scenario, h)])
+    return np.stack([4 * m - 2 * h * d - h * h * k for m, k, d in _systems(scenario, h, own)])
 
 
-def _systems(scenario: Scenario, h: float) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield mass, stiffness and damping matrix (18, 18) at stance and on the way of every swing, by steps of `h`."""
     model = load_model(scenario.robot)
     contact, walk, servo = scenario.contact, scenario.gait, scenario.hardware.servo
     feet, joint = np.arange(model.nsite), np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
     driven, spring = np.ones(model.nv), np.zeros(model.nv)
     driven[6:], spring[6:] = model.jnt_group[1:] != PASSIVE, model.jnt_stiffness[1:]
-    dry = servo.coulomb_friction + servo.stribeck_friction + model.dof_frictionloss
-    kp, kd = _of_loop(scenario)
+    dry, viscous = servo.coulomb_friction + servo.stribeck_friction + model.dof_frictionloss, servo.viscous_friction
+    loop = JointSpring(*_of_loop(scenario)) if own.drive is None else own.drive
+    if own.drive is not None:  # the friction is that of the config's servos
+        dry, viscous = 0 * dry, 0.0
+    springs = contact if own.contact is None else own.contact
     swings = itertools.product(feet, ((walk.stride / 2, walk.step_height), (walk.stride, 0.0), (-walk.stride, 0.0)))
     for limb, away in ((None, (0.0, 0.0)), *swings):
         mass, *jacobians = _at(scenario.robot, limb, *away)
         places, turns = (jacobian[feet != limb].reshape(-1, model.nv) for jacobian in jacobians)
-        held = contact.stiffness * places.T @ places + contact.rotational_stiffness * turns.T @ turns
-        resisted = contact.damping * places.T @ places
-        if contact.rotational_stiffness:
-            resisted += contact.rotational_damping * turns.T @ turns
+        held = springs.stiffness * places.T @ places + springs.rotational_stiffness * turns.T @ turns
+        resisted = springs.damping * places.T @ places
+        if springs.rotational_stiffness:
+            resisted += springs.rotational_damping * turns.T @ turns
         for bristle in (0 * dry, dry / servo.presliding) if dry.any() else (0 * dry,):  # slipping, sticking
             damping = bristle * (RELAXATION + h)
-            viscous = kd * driven + servo.viscous_friction + model.dof_damping + damping
+            of_rates = loop.damping * driven + viscous + model.dof_damping + damping
             yield (
-                mass + np.diag((servo.armature + h * damping) * joint),
-                np.diag((kp * driven + spring + bristle) * joint) + held,
-                np.diag(viscous * joint) + resisted,
+                mass + np.diag((servo.armature + loop.armature * driven + h * damping) * joint),
+                np.diag((loop.stiffness * driven + spring + bristle) * joint) + held,
+                np.diag(of_rates * joint) + resisted,
             )
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import json
+import re
 from pathlib import Path
 
 import jax
@@ -13,7 +14,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.inputs.time_step import check_time_step, growth, largest_time_step
+from mjx_climb.hardware.actuator import JointSpring
+from mjx_climb.hardware.velocity_commanded import VelocityCommanded
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.time_step import Own, check_time_step, growth, largest_time_step
+from mjx_climb.physics.contact.contact import Springs
+from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_model, load_robot, model_path
@@ -329,6 +335,30 @@ def test_a_step_too_long_for_the_contacts_is_known_before_the_walk():
     assert growth(light, 1e-4) < 1 < growth(light, 2e-4)
     softer = light.with_overrides({"contact.stiffness": 1e3, "contact.damping": 0.5, "control.kd": 0.01})
     assert largest_time_step(softer) > largest_time_step(light)
+
+
+class Bare(mc.Contact):
+    """It does not say by which springs it holds."""
+
+
+def test_a_contact_and_an_actuator_of_ones_own_are_checked_by_their_own_springs():
+    scenario = mc.Scenario()
+    contact, control, own = scenario.contact, scenario.control, own_parameters(scenario)
+    stiff = scenario.with_overrides({"contact.stiffness": 1e6, "control.kp": 2e3, "control.kd": 30.0})
+    alike = Own(Springs(contact.stiffness, contact.damping), JointSpring(control.kp, control.kd))
+    assert growth(scenario, None, alike) == growth(scenario)
+    assert growth(scenario, None, Own(drive=JointSpring(2e3, 30.0, 0.03))) < growth(stiff)
+    soft = {"contact": Gripper(), "drive": VelocityCommanded(velocity_gain=np.array([1.0, 5.0]))}
+    check_time_step(stiff, parameters=dataclasses.replace(own_parameters(stiff), **soft))
+    for changes, said in (
+        ({"contact": Gripper(stiffness=np.array([9e3, 1e6]))}, "with Gripper of 1e+06 N/m and 20 N s/m, control.kp"),
+        (
+            {"contact": Bare(), "kp": np.asarray(2e3), "kd": np.asarray(30.0)},
+            "with Bare, whose springs are not known, control.kp 2000 and",
+        ),
+    ):
+        with pytest.raises(mc.ConfigError, match=re.escape(said)):
+            check_time_step(scenario, parameters=dataclasses.replace(own, **changes))
 
 
 @pytest.mark.parametrize("given", ["gains", "numbers"])

@@ -23,6 +23,15 @@ class Grip(NamedTuple):
     missed: Array  # (limb,) bool: the gripper shut out of reach in this step
 
 
+class Springs(NamedTuple):
+    """How a foot is held, as linear springs and dampers, for the check of the time step."""
+
+    stiffness: Array | float  # N/m
+    damping: Array | float  # N s/m
+    rotational_stiffness: Array | float = 0.0  # N m/rad
+    rotational_damping: Array | float = 0.0  # N m s/rad
+
+
 class Contact(Component):
     """Base of contacts: a class that inherits from it becomes a frozen dataclass and a pytree.
 
@@ -58,6 +67,10 @@ class Contact(Component):
     def holding_force(self) -> Array | float:
         """The pull along the ground's normal that stability margins may count on, () N; 0: none."""
         return 0.0
+
+    def springs(self) -> Springs | None:
+        """The springs that hold a foot, by which the time step is checked; None: not known, and left out there."""
+        return None
 
     def unbreakable(self: AnyContact) -> AnyContact:
         """A contact that never lets go, for searches that need smooth walks; this one where it cannot break."""

@@ -12,7 +12,7 @@ from jax import Array
 
 from mjx_climb.component import parameter
 from mjx_climb.parameter_types import Parameters
-from mjx_climb.physics.contact.contact import Contact, Grip
+from mjx_climb.physics.contact.contact import Contact, Grip, Springs
 from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
 
@@ -128,6 +128,12 @@ class Gripper(Contact):
     def holding_force(self) -> Array:
         """The holding limit, () N; 0 where grippers are never torn off: margins are then those of bare feet."""
         return jnp.where(jnp.isfinite(self.holding_limit), self.holding_limit, 0.0)
+
+    def springs(self) -> Springs:
+        """Those of Eq. 5, and of grips that transmit moments."""
+        if not self.rotational:
+            return Springs(self.stiffness, self.damping)
+        return Springs(self.stiffness, self.damping, self.rotational_stiffness, self.rotational_damping)
 
     def unbreakable(self) -> "Gripper":
         """Grippers without a holding limit."""

@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.component import parameter
-from mjx_climb.physics.contact.contact import Contact, Grip
+from mjx_climb.physics.contact.contact import Contact, Grip, Springs
 from mjx_climb.physics.contact.gripper import Gripper, GripperMemory
 from mjx_climb.physics.kinematics import Feet, Turning
 
@@ -68,6 +68,10 @@ class PolyhedralGripper(Contact):
             jnp.where(self.normals[:, 2] < 0, self.limits / jnp.maximum(-self.normals[:, 2], _TINY), jnp.inf)
         )
         return jnp.where(jnp.isfinite(most), most, 0.0)
+
+    def springs(self) -> Springs:
+        """Those of the gripper."""
+        return self.gripper.springs()
 
     def unbreakable(self) -> "PolyhedralGripper":
         """Grippers that hold any force."""
