@@ -41,7 +41,6 @@ from mjx_climb.gait import schedule as gait
 from mjx_climb.hardware.bus import period_steps
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
-from mjx_climb.physics.contact.gripper import Attitude, GripperMemory
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics
 from mjx_climb.physics.kinematics import foot_kinematics, foot_turning, limb_frames
@@ -289,16 +288,10 @@ def _stance(walk: Walk, step: Array) -> Carry:
     target = (reference.foot_position - reference.base_position) @ rotation
     joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     state = dataclasses.replace(carry.state, base_position=reference.base_position, joint_angles=joints)
-    if not isinstance(carry.contact, GripperMemory):  # feet that swing let go in a step from where all grip
-        frames = limb_frames(walk.robot, None, joints)
-        begun = walk.contact.init(grip, rotation @ frames.rotation[:, -1])
-        feet = foot_kinematics(walk.robot, frames, state)
-        turning = foot_turning(walk.robot, frames, state) if walk.contact.transmits_moments else None
-        contact, _ = walk.contact.step(begun, feet, turning, now.closed, gait.foothold_height(plan, now.foothold))
-        memory = control_loop.begin(walk.controller, state, reference)
-        return carry._replace(state=state, contact=contact, memory=memory)
-    contact = carry.contact._replace(grip_point=grip, touching=now.closed)
-    if walk.structure.stages.rotational:  # grips hold the attitudes that feet have now
-        frames = limb_frames(walk.robot, rotation, joints)
-        contact = contact._replace(attitude=Attitude(frames.rotation[:, -1], now.closed))
-    return carry._replace(state=state, contact=contact, memory=control_loop.begin(walk.controller, state, reference))
+    frames, ground = limb_frames(walk.robot, None, joints), gait.foothold_height(plan, now.foothold)
+    begun = walk.contact.init(grip, rotation @ frames.rotation[:, -1])
+    feet = foot_kinematics(walk.robot, frames, state)
+    turning = foot_turning(walk.robot, frames, state) if walk.contact.transmits_moments else None
+    contact, _ = walk.contact.step(begun, feet, turning, now.closed, ground)  # in which feet that swing let go
+    memory = control_loop.begin(walk.controller, state, reference)
+    return carry._replace(state=state, contact=contact, memory=memory)
