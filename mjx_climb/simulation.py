@@ -25,6 +25,7 @@ from numpy.typing import DTypeLike
 
 from mjx_climb import execution
 from mjx_climb.control import Law, law_of
+from mjx_climb.control.law import Reference, constants, measurement_at
 from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, over_batch
 from mjx_climb.execution.batches import Progress
@@ -454,18 +455,14 @@ def _carried_out(function: Callable[..., Any], structure: Structure) -> Callable
 
 @functools.partial(jax.jit, static_argnums=0)
 def _with_law(structure: Structure, state: SimulationState, law: Law, parameters: Parameters) -> SimulationState:
-    """Return a state with another law; the law's state stays, but for what `law.step` hands on as it is: constants."""
-    setup, memory = set_up(structure, law, parameters), state.carry.memory
-    walk = walk_of(structure, setup)
-
-    def next_of_law(law_state: Any) -> Any:
-        carry = state.carry._replace(memory=memory._replace(law=law_state))
-        return advance(walk, carry, state.step)[0].memory.law
-
-    program = jax.make_jaxpr(next_of_law)(memory.law).jaxpr
-    before, tree = jax.tree.flatten(memory.law)
-    begun = jax.tree.leaves(begin(walk).memory.law)
-    pairs = zip(program.invars, program.outvars, begun, before, strict=True)
-    mixed = [new if out is into else old for into, out, new, old in pairs]
-    carry = state.carry._replace(memory=memory._replace(law=jax.tree.unflatten(tree, mixed)))
+    """Return a state with another law; the law's state stays, but for what its `init` made of the gains alone."""
+    setup, carry = set_up(structure, law, parameters), state.carry
+    begun, joints = begin(walk_of(structure, setup)).memory.law, carry.state.joint_angles
+    feet = jnp.zeros((len(joints), 3), joints.dtype)
+    reference = Reference(carry.state.base_position, carry.state.base_orientation, feet)
+    before, tree = jax.tree.flatten(carry.memory.law)
+    stays = constants(law, begun, measurement_at(reference, joints), reference)
+    pairs = zip(stays, jax.tree.leaves(begun), before, strict=True)
+    mixed = [jnp.where(constant, new, old) for constant, new, old in pairs]
+    carry = carry._replace(memory=carry.memory._replace(law=jax.tree.unflatten(tree, mixed)))
     return SimulationState(state.step, carry, setup)

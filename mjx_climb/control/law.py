@@ -10,6 +10,8 @@ class Damped(mjx_climb.Law):
 """
 
 import dataclasses
+import functools
+import operator
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, dataclass_transform
@@ -19,6 +21,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.component import Component, ValueField, value_field
+from mjx_climb.execution import reached
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
 
 LONG = 1e3  # s, the times of a reference whose limbs are not said to swing
@@ -203,25 +206,72 @@ def beginning(law: Law, start: Start) -> Beginning:
         return jnp.asarray(array, position.dtype if jnp.issubdtype(array.dtype, jnp.floating) else array.dtype)
 
     state = jax.tree.map(as_array, law.init(start))
-    six, support = jnp.zeros_like(position, shape=6), jnp.ones(len(feet), bool)
     joints = jnp.zeros_like(feet) if start.joint_angles is None else start.joint_angles
-    known = jnp.asarray(True)
-    measured = Measurement(*start.reference[:2], position, position, feet, six, support, joints, joints, joints, known)
+    measured = measurement_at(start.reference, joints)
     program, found = jax.make_jaxpr(law.step, return_shape=True)(state, measured, start.reference)
     one = jnp.ones_like(feet[:, 0])
     own = getattr(found[1], "joint_gains", ())
     gains = JointGains(**dict.fromkeys(own.moved, one)) if isinstance(own, JointGains) else ()
-    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], six, gains)}
+    wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], measured.wrench, gains)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
         # maps whole trees, so that the message shows the names of their fields
         own, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
         if jax.tree.flatten(own) != jax.tree.flatten(other):
             raise ValueError(f"{type(law).__name__}.step: expected {what}, {own}, got {other}")
-    first = len(jax.tree.leaves(state))
-    given = Measurement(*program.jaxpr.invars[first : first + len(measured)])
-    read = [*program.jaxpr.outvars, *(variable for equation in program.jaxpr.eqns for variable in equation.invars)]
 
     def reads(*names: str) -> bool:
-        return any(variable is getattr(given, name) for name in names for variable in read)
+        of_measured = Measurement(*(name in names for name in Measurement._fields))
+        none = jax.tree.map(lambda _: False, (state, start.reference))
+        return any(reached(program.jaxpr, jax.tree.leaves((none[0], of_measured, none[1]))))
 
     return Beginning(state, reads("foot_force", "wrench"), reads("joint_angles", "joint_rates", "joint_torque"), gains)
+
+
+def constants(law: Law, begun: Any, measured: Measurement, reference: Reference) -> list[bool | Array]:
+    """Return which leaves of a state stay as `init` made them, whatever is measured: what it makes of the gains alone.
+
+    By what depends on what, not by how a step is written: a leaf that follows from no measurement, no reference and no
+    leaf that changes, and that a step leaves at its value, never changes.
+
+    Arguments:
+        law: of one robot.
+        begun: its state at the start.
+        measured, reference: any, in the shapes and the precision of the walk.
+
+    Returns:
+        For each leaf a truth value: that of Python where it is known while tracing, else ().
+    """
+    given, leaves = (measured, reference), jax.tree.leaves(begun)
+    count, inputs = len(leaves), len(jax.tree.leaves(given))
+    program = jax.make_jaxpr(lambda state, given: law.step(state, *given)[0])(begun, given).jaxpr
+    steered = reached(program, [False] * count + [True] * inputs)
+    for _ in leaves:
+        through = reached(program, steered + [True] * inputs)
+        steered = [one or other for one, other in zip(steered, through, strict=True)]
+    # of a leaf that is handed on as it is, no value needs a comparison
+    stays: list[Any] = [into is out for into, out in zip(program.invars, program.outvars, strict=False)]
+    changing = [place for place in range(count) if not (stays[place] or steered[place])]
+    if not changing:
+        return stays
+    after = jax.tree.leaves(law.step(begun, *given)[0])
+    sources: dict[int, list[int]] = {place: [] for place in changing}
+    for source in changing:
+        through = reached(program, [place == source for place in range(count)] + [False] * inputs)
+        for place in changing:
+            sources[place] += [source] if through[place] else []
+    for place in changing:
+        new, old = after[place], leaves[place]
+        stays[place] = ((new == old) | (old != old)).all()
+    for _ in changing:  # what follows from a leaf that changes may change later
+        stays = [
+            functools.reduce(operator.and_, (stays[source] for source in sources.get(place, ())), own)
+            for place, own in enumerate(stays)
+        ]
+    return stays
+
+
+def measurement_at(reference: Reference, joints: Array) -> Measurement:
+    """Return a measurement of the shapes and types that a walk has, at the pose of the reference."""
+    position, orientation, feet = reference[:3]
+    six, support, known = jnp.zeros_like(position, shape=6), jnp.ones(len(feet), bool), jnp.asarray(True)
+    return Measurement(position, orientation, position, position, feet, six, support, joints, joints, joints, known)

@@ -17,7 +17,7 @@ from jax import Array
 
 from mjx_climb.component import ValueField
 from mjx_climb.control.combined import Made, Part, Sum, law_class, product
-from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start, constants, gain
 
 PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as they stand behind a gain's name
 
@@ -63,11 +63,14 @@ class Phased(Law, metaclass=Made):
         values = (self._values(phase) for phase in PHASES)
         law = self._law(jax.tree.map(now, *values))
         leaves, tree = jax.tree.flatten(states[-1])
-        kept = _handed_on(lambda state: law.step(state, measured, reference)[0], states[-1])
+        # what `init` made of the gains; the states of the other phases are as it returned them
+        made = constants(self._law(self._values(PHASES[0])), states[0], measured, reference)
+        kept = [stays if _is_real(leaf) else False for stays, leaf in zip(made, leaves, strict=True)]
         by_phase = zip(*map(jax.tree.leaves, states), strict=True)
-        mixed = [now(*each) if keeps else each[-1] for each, keeps in zip(by_phase, kept, strict=True)]
+        mixed = [_choice(keeps, now(*each), each[-1]) for each, keeps in zip(by_phase, kept, strict=True)]
         moved, command = law.step(jax.tree.unflatten(tree, mixed), measured, reference)
-        after = [old if keeps else new for old, new, keeps in zip(leaves, jax.tree.leaves(moved), kept, strict=True)]
+        each = zip(kept, leaves, jax.tree.leaves(moved), strict=True)
+        after = [_choice(keeps, old, new) for keeps, old, new in each]
         if self.OF_JOINTS:
             names = [name for name in JointGains._fields if name != "ki" or name in self.OF_JOINTS]
             own = {name: self._factors(name, limbs) for name in names}
@@ -182,8 +185,12 @@ def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
     return law_class(name, Phased, fields, **says)
 
 
-def _handed_on(step: Any, state: Any) -> list[bool]:
-    """Return which real values of a state a step returns as they are: what `init` made of the gains."""
-    program = jax.make_jaxpr(step)(state).jaxpr
-    pairs = zip(program.invars, program.outvars, jax.tree.leaves(state), strict=True)
-    return [into is out and jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for into, out, leaf in pairs]
+def _is_real(value: Any) -> bool:
+    return bool(jnp.issubdtype(jnp.result_type(value), jnp.floating))
+
+
+def _choice(which: bool | Array, one: Array, other: Array) -> Array:
+    """Return one of two values, without an operation where it is known which."""
+    if isinstance(which, bool):
+        return one if which else other
+    return jnp.where(which, one, other)

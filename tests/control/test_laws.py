@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.control import LAWS, PD, MeasuredPoseAdmittance, Start, VirtualModelAdmittance, begin
+from mjx_climb.control.law import beginning, constants
 from mjx_climb.execution.jax_internals import scan_sizes
 
 STEP = 1e-3
@@ -177,3 +178,54 @@ def test_a_loop_carries_what_changes_alone(kind, carried):
 
     program = jax.make_jaxpr(walked)(begin(law, Start(STEP, reference))).jaxpr
     assert [scan_sizes(e.params)[1] for e in program.eqns if e.primitive.name == "scan"] == [carried]
+
+
+class Remembering(PD):
+    """A state of which some stays as `init` made it, in one way of writing or another, and some does not."""
+
+    damping: jax.Array = mc.gain("N s/m", length=1, bounds=(1.0, 1e5), default=5e3)
+
+    def init(self, start):
+        made = {"handed": self.damping, "times_one": self.damping, "chosen": self.damping}
+        of_time = {"clock": -self.damping, "of_clock": self.damping, "decays": self.damping, "holds": self.damping}
+        return made | of_time | {"force": 0.0, "reference": start.reference.base_position, "of_force": self.damping}
+
+    def step(self, state, measured, reference):
+        unread = jnp.sum(measured.foot_force) + jnp.sum(measured.joint_rates)
+        jnp.sin(unread)
+        after = {
+            "handed": state["handed"],
+            "times_one": state["times_one"] * 1,
+            "chosen": jnp.where(state["handed"] > 1, state["chosen"], state["handed"]),
+            "clock": state["clock"] + 1,
+            "of_clock": jnp.where(state["clock"] > 9, state["decays"], state["of_clock"]),
+            "decays": state["decays"] * 0.9,
+            "holds": state["holds"] + 0 * state["clock"],
+            "force": 0.9 * state["force"] + measured.wrench.sum(),
+            "reference": reference.base_position,
+            "of_force": jnp.maximum(state["of_force"], state["force"]),
+        }
+        return after, super().step((), measured, reference)[1]
+
+
+def test_what_stays_as_it_began_is_known_by_what_it_depends_on():
+    """However a step is written; one compiled program tells."""
+    reference = reference_of()
+    law = Remembering(damping=jnp.asarray(7.0))
+
+    @jax.jit
+    def stays(law):
+        begun = begin(law, Start(STEP, reference))
+        names = [path[0].key for path, _ in jax.tree.leaves_with_path(begun)]
+        found = constants(law, begun, measured_of(reference), reference)
+        assert found[names.index("handed")] is True and found[names.index("force")] is False
+        return dict(zip(names, found, strict=True))
+
+    assert {name for name, found in stays(law).items() if found} == {"handed", "times_one", "chosen"}
+
+
+def test_what_a_step_looks_at_to_no_effect_is_not_read():
+    """A force or a servo's report that nothing is made of needs no sensor."""
+    found = beginning(Remembering(damping=jnp.asarray(7.0)), Start(STEP, reference_of()))
+    assert (found.reads_forces, found.reads_servos) == (True, False)
+    assert not beginning(PD(), Start(STEP, reference_of())).reads_forces

@@ -201,6 +201,24 @@ def test_a_loop_carries_what_moves_alone(scene):
     assert [scan_sizes(e.params)[1] for e in program.eqns if e.primitive.name == "scan"] == [2]
 
 
+class Rewritten(VirtualModelAdmittance):
+    """The same law, whose step hands on as a new value what it leaves as it is."""
+
+    def step(self, mass, measured, reference):
+        return super().step(jax.tree.map(lambda value: value * 1, mass), measured, reference)
+
+
+def test_a_value_times_one_is_the_same_value(scene):
+    """What `init` makes of the gains is known by what it depends on, however a step is written."""
+    reference, measured = scene
+    found = []
+    for kind in (VirtualModelAdmittance, Rewritten):
+        law = phased(kind(2.0, 30.0, 400.0), ["damping"], phase_time=TIME, phase_ramp=RAMP)
+        law = dataclasses.replace(law, **values_of("damping", (20.0, 80.0, 40.0, 30.0)))
+        found.append(walked(law, measured, reference).base_displacement)
+    np.testing.assert_allclose(*found, rtol=1e-12)
+
+
 def test_gains_have_the_names_and_bounds_of_their_phases():
     law = phased(VirtualModelAdmittance(damping=7.0), ["damping"], phase_time=0.3)
     assert [law.damping_in_swing, law.damping_standing, law.phase_time] == [7.0, 7.0, 0.3]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.control import VirtualModelAdmittance
 from mjx_climb.inputs.from_scenario import own_parameters
 
 
@@ -142,6 +143,25 @@ def test_an_integral_gain_is_not_taken_up_in_mid_walk(late):
     state = jax.eval_shape(simulation.reset)
     with pytest.raises(ValueError, match=r"^gains\.ki: expected 0, as the robot began without an integral gain"):
         jax.eval_shape(lambda state: simulation.with_gains(state, {"ki": 1.0}), state)
+
+
+class Rewritten(VirtualModelAdmittance):
+    """The same law, whose step hands on as a new value what it leaves as it is."""
+
+    def step(self, mass, measured, reference):
+        return super().step(jax.tree.map(lambda value: value * 1, mass), measured, reference)
+
+
+@pytest.mark.slow
+def test_other_gains_reach_what_a_step_hands_on_as_a_new_value(scenario):
+    simulation = mc.Simulation(scenario, law=Rewritten())
+    begun = simulation.reset({"damping": 1e3})
+    moving = begun.carry.memory.law._replace(displacement=jnp.full(6, 0.01))
+    memory = begun.carry.memory._replace(law=moving)
+    state = dataclasses.replace(begun, carry=begun.carry._replace(memory=memory))
+    found = simulation.with_gains(state, {"damping": 1e2}).carry.memory.law
+    expected = simulation.reset({"damping": 1e2}).carry.memory.law._replace(displacement=moving.displacement)
+    jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
 def test_equal_arguments_give_the_same_function(late):
