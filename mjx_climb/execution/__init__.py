@@ -4,10 +4,9 @@ What the rest of the program uses is named here; docs/execution.md explains the 
 """
 
 import contextlib
+import importlib
 import os
 import sys
-
-from mjx_climb.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -19,8 +18,22 @@ if TYPE_CHECKING:
     from mjx_climb.execution.limbs import of_limbs as of_limbs
     from mjx_climb.execution.one_robot import over_robots as over_robots
     from mjx_climb.execution.paths import many_at_once as many_at_once
-else:
-    __getattr__, __dir__, __all__ = lazy_names(__name__)
+
+# where each name above is defined: it is imported, and JAX with it, when it is first asked for
+_HOMES = {
+    **dict.fromkeys(("Robots", "run", "run_one", "walking_with"), "batches"),
+    "reached": "flat",
+    "of_limbs": "limbs",
+    "over_robots": "one_robot",
+    "many_at_once": "paths",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+
 
 # Processes forked from one in which JAX has begun: its threads are not there, and it would wait for them for ever.
 _too_late = False
@@ -28,8 +41,10 @@ _too_late = False
 
 def _after_fork() -> None:
     global _too_late
-    bridge = sys.modules.get("jax._src.xla_bridge")  # not public; None where JAX has another name for it
-    _too_late = bridge is not None and bridge.backends_are_initialized()
+    if "jax" in sys.modules:
+        from mjx_climb.execution.jax_internals import devices_have_begun
+
+        _too_late = devices_have_begun()
 
 
 with contextlib.suppress(AttributeError):  # a system that does not fork

@@ -31,7 +31,7 @@ from jax import monitoring
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
-from mjx_climb.execution.jax_internals import prepare_for
+from mjx_climb.execution.jax_internals import prepare_for, settings
 
 VARIABLE = "MJX_CLIMB_CACHE"
 _OFF = {"off", "0", "no", "none", "false"}
@@ -77,7 +77,7 @@ def may_be_anothers(path: Path, *, in_private: bool = False) -> bool:
 
 def cache_in_use() -> str | None:
     """Return the folder that rollouts use: JAX's where the user has set one there, else ours; None where it is off."""
-    of_jax: str | None = jax.config.values["jax_compilation_cache_dir"]
+    of_jax: str | None = settings()["jax_compilation_cache_dir"]
     own = cache_folder() if of_jax is None else None
     return of_jax if own is None else str(own)
 
@@ -85,7 +85,7 @@ def cache_in_use() -> str | None:
 def enable_cache() -> None:
     """Switch the cache on, unless the user has set one in JAX or switched ours off."""
     path = cache_folder()
-    if path is None or jax.config.values["jax_compilation_cache_dir"] is not None:
+    if path is None or settings()["jax_compilation_cache_dir"] is not None:
         return
     with contextlib.suppress(OSError):  # JAX says what is wrong with it
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def enable_cache() -> None:
 @contextlib.contextmanager
 def cache_in(folder: str) -> Iterator[None]:
     """Have JAX's cache in a folder for a while."""
-    before = jax.config.values["jax_compilation_cache_dir"]
+    before = settings()["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", folder)
     compilation_cache.reset_cache()
     try:
@@ -179,7 +179,7 @@ def _settings() -> Hashable:
 
 @functools.cache
 def _setting_names() -> list[str]:
-    return [name for name in sorted(jax.config.values) if not any(word in name for word in _OF_NO_EFFECT)]
+    return [name for name in sorted(settings()) if not any(word in name for word in _OF_NO_EFFECT)]
 
 
 def executable_file(function: Callable[..., Any], known: str, key: Hashable, options: Options) -> Path | None:
@@ -208,7 +208,7 @@ def _loaded(file: Path, leaves: list[Any]) -> Callable[..., Any] | None:
         digest, content = file.read_bytes().split(b"\n", 1)
         if _digest(file, content) != digest:
             return None
-        default: Any = jax.config.values["jax_default_device"]
+        default: Any = settings()["jax_default_device"]
         device = default if isinstance(default, jax.Device) else jax.devices(default)[0]
         if placed := [leaf for leaf in leaves if isinstance(leaf, jax.Array)]:
             [device] = placed[0].devices()

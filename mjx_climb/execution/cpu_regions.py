@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
 
 from mjx_climb.execution.array_writer import ArrayWriter
@@ -37,7 +36,7 @@ from mjx_climb.execution.flat import (
     runs,
     variables_of,
 )
-from mjx_climb.execution.jax_internals import carried_out, new_program, scan_sizes
+from mjx_climb.execution.jax_internals import as_one_kernel, carried_out, line_of, new_program, scan_sizes
 from mjx_climb.execution.limbs import LimbAxes
 
 EQUATIONS = 250  # in a region: with fewer the calls cost more, with more compiling takes longer
@@ -96,7 +95,10 @@ class _Program(NamedTuple):
         parts = runs(program.jaxpr, fits)
         between = [e for part, straight in parts if not straight for e in part.jaxpr.eqns if e.primitive.name != "scan"]
         if len(between) > MOST_BETWEEN:
-            raise Unsupported(f"{len(between)} operations as {between[0].primitive.name} in one step")
+            line = line_of(between[0])
+            raise Unsupported(
+                f"{len(between)} operations as {between[0].primitive.name} in one step, the first: {line}"
+            )
         for part, straight in parts:
             if straight:
                 given = [known[variable] for variable in part.jaxpr.invars]
@@ -313,15 +315,8 @@ _FREE = {"slice", "reshape", "broadcast_in_dim", "concatenate"}  # no arithmetic
 
 def _one_kernel(region: core.ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
     """Return the results of a region, by a call that XLA:CPU compiles as a kernel."""
-    carry_out: Callable[..., list[Any]] = core.jaxpr_as_fun(region)
     joined = [e.outvars[0].aval for e in region.jaxpr.eqns if e.primitive.name == "concatenate"]
     if any(made.size * made.dtype.itemsize >= MOST_OF_A_CALL for made in joined):
-        return carry_out(*arguments)
-
-    def kernel(*arguments: Any) -> list[Any]:
-        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within
-            return carry_out(*arguments)
-
-    with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-        results: list[Any] = jax.jit(kernel)(*arguments)
-        return results
+        whole: list[Any] = core.jaxpr_as_fun(region)(*arguments)
+        return whole
+    return as_one_kernel(region)(*arguments)

@@ -62,6 +62,10 @@ __device__ __forceinline__ float arctangent(float y, float x) {
   r = __float_as_int(x) < 0 ? 3.14159265359f - r : r;
   return (x != x || y != y) ? x + y : copysignf(r, y);
 }
+__device__ __forceinline__ int ordered(float x) {
+  int word = __float_as_int(x);
+  return word ^ ((word >> 31) & 0x7fffffff);
+}
 __device__ __forceinline__ float larger(float a, float b) { return (a >= b || a != a) ? a : b; }
 __device__ __forceinline__ float smaller(float a, float b) { return (a <= b || a != a) ? a : b; }
 template <int N> __device__ __forceinline__ float to_power(float x) {
@@ -82,7 +86,8 @@ _REAL = {
     "atan": "arctangent({0}, 1.0f)", "atan2": "arctangent({0}, {1})", "atanh": "atanhf({0})", "cbrt": "cbrtf({0})",
     "ceil": "ceilf({0})", "clamp": "smaller(larger({0}, {1}), {2})", "cos": "cosine({0})", "cosh": "coshf({0})",
     "div": "{0} / {1}", "erf_inv": "erfinvf({0})", "exp": "expf({0})", "exp2": "exp2f({0})", "expm1": "expm1f({0})",
-    "floor": "floorf({0})", "is_finite": "fabsf({0}) <= 3.40282347e38f", "log": "logf({0})", "log1p": "log1pf({0})",
+    "floor": "floorf({0})", "le_to": "ordered({0}) <= ordered({1})", "lt_to": "ordered({0}) < ordered({1})",
+    "is_finite": "fabsf({0}) <= 3.40282347e38f", "log": "logf({0})", "log1p": "log1pf({0})",
     "log2": "log2f({0})", "one_minus_square": "(1.0f - {0}) * (1.0f + {0})",
     "logistic": "1.0f / (1.0f + expf(-{0}))", "max": "larger({0}, {1})", "min": "smaller({0}, {1})",
     "nextafter": "nextafterf({0}, {1})", "pow": "powf({0}, {1})", "rem": "fmodf({0}, {1})",
@@ -92,7 +97,8 @@ _REAL = {
 }  # fmt: skip
 _WHOLE = {
     "abs": "({0} < 0) ? -{0} : {0}", "clamp": "({1} < {0}) ? {0} : (({1} > {2}) ? {2} : {1})",
-    "div": "({1} == 0) ? -1 : {0} / {1}", "max": "({0} >= {1}) ? {0} : {1}",
+    "div": "({1} == 0) ? -1 : {0} / {1}", "le_to": "{0} <= {1}", "lt_to": "{0} < {1}",
+    "max": "({0} >= {1}) ? {0} : {1}",
     "min": "({0} <= {1}) ? {0} : {1}", "not": "~{0}",
     "rem": "({1} == 0) ? {0} : {0} % {1}", "sign": "({0} > 0) - ({0} < 0)",
     "shift_left": "((unsigned){1} < 32u) ? {0} << {1} : 0",
@@ -100,7 +106,7 @@ _WHOLE = {
     "shift_right_logical": "((unsigned){1} < 32u) ? (unsigned){0} >> {1} : 0u",
 }  # fmt: skip
 _ONE_WORD = frozenset({"shift_left", "shift_right_arithmetic", "shift_right_logical"})
-_COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge", "is_finite"})
+_COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge", "le_to", "lt_to", "is_finite"})
 
 
 def typed(dtype: Any) -> str:

@@ -184,6 +184,20 @@ class Operations:
         made = self._once(name, operands, lambda: self.writer.operation(primitive, parameters, operands))
         return cast(Value, made)
 
+    def choice(self, which: Elements, cases: Sequence[Elements], shape: Sequence[int]) -> Elements:
+        """Return arrays of a shape chosen by whole numbers `which`, that of the nearest where there is none for one."""
+        if len(cases) == 1:
+            return cases[0]
+        if which.dtype != bool:
+            ends = [self.typed_like(which, end) for end in (0, len(cases) - 1)]
+            within = self.each(lax.clamp_p, {}, ends[0], which, ends[1])
+            which = self.converted(within, np.int32)
+        return self.each(lax.select_n_p, {}, np.broadcast_to(which, shape), *cases)
+
+    def typed_like(self, array: Elements, number: int) -> np.ndarray:
+        """Return a whole number in the type of an array that has elements."""
+        return np.asarray(number, array.reshape(-1)[0].dtype)
+
     def typed(self, number: Shared, dtype: Any) -> Shared:
         """Return a number in a precision, as it is where it has that."""
         return cast(Shared, self.converted(as_array([number], ()), dtype)[()])

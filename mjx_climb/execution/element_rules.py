@@ -17,17 +17,19 @@ from jax.extend import core
 
 from mjx_climb.execution.element_operations import Operations, computed_now, neutral
 from mjx_climb.execution.elements import MOVES, Elements, Shared, Unsupported, Value, along, as_array, known, objects
-from mjx_climb.execution.jax_internals import inner_program, scan_sizes
+from mjx_climb.execution.jax_internals import inner_program, line_of, scan_sizes
 
 MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array to XLA as well
 MOST_PRODUCTS = 4096  # of a product of matrices
-MOST_STEPS = 64  # of a loop that reads or writes something at each
+MOST_STEPS = 64  # of a loop that is written out step by step
+MOST_OF_BRANCHES = 100  # equations of a condition in a region, which works out all of its branches
+MOST_CHOICES = 64  # places of a table at which an operation may read or write
 
 # each result element depends on one element of each operand
 ELEMENTWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type cos cosh div eq "
-    "erf_inv exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p log2 logistic lt max min mul ne neg "
-    "nextafter not one_minus_square or pow rem round rsqrt select_n shift_left shift_right_arithmetic "
+    "erf_inv exp exp2 expm1 floor ge gt integer_pow is_finite le le_to log log1p log2 logistic lt lt_to max min mul ne "
+    "neg nextafter not one_minus_square or pow rem round rsqrt select_n shift_left shift_right_arithmetic "
     "shift_right_logical sign sin sinh sqrt square sub tan tanh xor".split()
 )
 # Moves that JAX carries out on the elements' numbers, and how many operands are moved: the rest must be known.
@@ -37,8 +39,8 @@ _BY_NUMBER = {"dynamic_update_slice": 2, "pad": 2} | dict.fromkeys(
 # Parameters that an operation above, a move or a rule looks at; a product of matrices has the precision of its
 # elements, which is no less than any that is asked for.
 _UNDERSTOOD = frozenset(
-    "axes axis broadcast_dimensions dimension dimension_numbers dimensions ft_in ft_out jaxpr length limit_indices "
-    "name new_dtype new_sizes num_carry num_consts permutation precision preferred_element_type reverse "
+    "axes axis branches broadcast_dimensions dimension dimension_numbers dimensions ft_in ft_out jaxpr length "
+    "limit_indices name new_dtype new_sizes num_carry num_consts permutation precision preferred_element_type reverse "
     "rounding_method shape start_indices strides unroll weak_type y".split()
 )
 
@@ -46,8 +48,13 @@ _UNDERSTOOD = frozenset(
 def can_write(equation: core.JaxprEqn) -> bool:
     """Return whether a region writes an equation as elements: nothing that loops, is large, or calls a library."""
     name, avals = equation.primitive.name, [cast(Any, atom.aval) for atom in (*equation.invars, *equation.outvars)]
-    if equation.effects or name == "scan" or any(_is_strange(aval.dtype) for aval in avals):
+    if equation.effects or any(_is_strange(aval.dtype) for aval in avals):
         return False
+    if name in ("scan", "cond"):
+        inner = [equation.params["jaxpr"]] if name == "scan" else equation.params["branches"]
+        every = [each for program in inner for each in program.jaxpr.eqns]
+        short = _searches(equation) if name == "scan" else len(every) <= MOST_OF_BRANCHES
+        return short and all(map(can_write, every))
     if not (_is_listed(name) or name in _BY_NUMBER or name == "iota"):
         return False
     products = 0
@@ -79,7 +86,9 @@ def results(do: Operations, program: core.ClosedJaxpr, given: Sequence[Elements]
         try:
             results = _equation(do, equation, [read(atom) for atom in equation.invars])
         except Unsupported as error:
-            error.equation = error.equation or equation
+            if error.equation is None and (line := line_of(equation)):
+                error.args = (f"{error} ({line})",)
+            error.equation = equation  # in the end the one of the whole program
             raise
         values.update(zip(equation.outvars, results, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
@@ -96,7 +105,7 @@ def _equation(do: Operations, equation: core.JaxprEqn, given: list[Elements]) ->
     if name not in MOVES and all(map(known, given)):
         return computed_now(primitive, parameters, given)
     if name in _BY_NUMBER:
-        return _moved_by_number(equation, given)
+        return _moved_by_number(do, equation, given)
     if not _is_listed(name):
         raise Unsupported(f"the operation {name}")
     for parameter, value in parameters.items():  # those left empty are fine
@@ -109,11 +118,11 @@ def _equation(do: Operations, equation: core.JaxprEqn, given: list[Elements]) ->
     return [do.each(primitive, parameters, *given)]
 
 
-def _moved_by_number(equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
+def _moved_by_number(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
     name, parameters = equation.primitive.name, equation.params
     tables, places = given[: _BY_NUMBER[name]], given[_BY_NUMBER[name] :]
     if not all(map(known, places)):
-        raise Unsupported(f"the operation {name} at places that are known only in the walk")
+        return [_chosen_in_walk(do, equation, tables, places)]
     elements = [objects(table).reshape(-1) for table in tables]
     flat = np.split(np.arange(sum(map(len, elements)), dtype=np.int32), np.cumsum([*map(len, elements)])[:-1])
     numbers = [number.reshape(table.shape) for number, table in zip(flat, tables, strict=True)]
@@ -122,6 +131,46 @@ def _moved_by_number(equation: core.JaxprEqn, given: list[Elements]) -> list[Ele
     if any((found < 0).any() for found in moved):
         raise Unsupported(f"the operation {name} beyond the ends of a table")
     return [np.concatenate(elements)[found, ...] for found in moved]  # arrays, of single elements too
+
+
+def _chosen_in_walk(
+    do: Operations, equation: core.JaxprEqn, tables: list[Elements], places: list[Elements]
+) -> Elements:
+    """Return the result of an operation at places that are known only in the walk, chosen among all there may be."""
+    name, parameters, shape = equation.primitive.name, equation.params, cast(Any, equation.outvars[0].aval).shape
+    if name not in ("gather", "dynamic_slice", "dynamic_update_slice"):
+        raise Unsupported(f"the operation {name} at places that are known only in the walk")
+    if name == "gather":
+        [rows], numbers = places, parameters["dimension_numbers"]
+        axes, sizes = numbers.start_index_map, parameters["slice_sizes"]
+        inside = [1 if axis in numbers.offset_dims else size for axis, size in enumerate(shape)]
+        starts = [rows[..., component].reshape(inside) for component in range(len(axes))]
+    else:
+        axes, starts = range(len(places)), places
+        sizes = parameters.get("slice_sizes") or tables[1].shape
+    counts = [tables[0].shape[axis] - sizes[axis] + 1 for axis in axes]
+    if math.prod(counts) > MOST_CHOICES:
+        raise Unsupported(f"the operation {name} at one of more than {MOST_CHOICES} places")
+
+    def at(*places: int) -> list[Elements]:
+        given = np.array(places, np.int32)
+        return [np.broadcast_to(given, rows.shape)] if name == "gather" else list(given)
+
+    def chosen(*fixed: int) -> Elements:
+        if (component := len(fixed)) == len(counts):
+            return _moved_by_number(do, equation, [*tables, *at(*fixed)])[0]
+        return do.choice(starts[component], [chosen(*fixed, place) for place in range(counts[component])], shape)
+
+    result = chosen()
+    if parameters.get("mode") != lax.GatherScatterMode.FILL_OR_DROP:
+        return result
+    nothing = np.zeros(tables[0].shape, cast(Any, equation.invars[0].aval).dtype)
+    [filled] = computed_now(equation.primitive, parameters, [nothing, *at(*[-1] * len(counts))])
+    for start, count in zip(starts, counts, strict=True):
+        for compare, end in ((lax.ge_p, 0), (lax.lt_p, count)):
+            within = np.broadcast_to(do.each(compare, {}, start, do.typed_like(start, end)), shape)
+            result = do.each(lax.select_n_p, {}, within, filled, result)
+    return result
 
 
 # --- rules
@@ -175,7 +224,7 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
     constants, carry = scan_sizes(equation.params)
     common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
     body = equation.params["jaxpr"]
-    if read or len(body.jaxpr.outvars) > carry:
+    if read or len(body.jaxpr.outvars) > carry or _searches(equation):
         return _written_out(do, equation.params, common, start, read)
     carried = [cast(Any, variable.aval) for variable in body.jaxpr.outvars]
     axes = [do.limbs.of(variable) if do.writer.lanes > 1 else None for variable in body.jaxpr.invars[constants:]]
@@ -196,6 +245,20 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
         return numbers(inside, results(inside, body, [*common, *arrays(inside, before)]))
 
     return arrays(do, do.writer.loop(equation.params["length"], numbers(do, start), step))
+
+
+def _searches(loop: core.JaxprEqn) -> bool:
+    """Return whether a loop is like a search in a table: of few steps, it carries places alone."""
+    avals = [cast(Any, variable.aval) for variable in loop.outvars]
+    return bool(avals) and loop.params["length"] <= MOST_STEPS and all(aval.dtype.kind in "iub" for aval in avals)
+
+
+def _condition(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
+    """Return the results of the branch that is taken; all are worked out, as under `jax.vmap`."""
+    which, *operands = given
+    branches = [results(do, branch, operands) for branch in equation.params["branches"]]
+    shapes = [cast(Any, variable.aval).shape for variable in equation.outvars]
+    return [do.choice(which, cases, shape) for *cases, shape in zip(*branches, shapes, strict=True)]
 
 
 def _written_out(
@@ -223,6 +286,7 @@ RULES: dict[str, Rule] = {
     "reduce_and": _reduction(lax.and_p),
     "reduce_or": _reduction(lax.or_p),
     "dot_general": _product_of_matrices,
+    "cond": _condition,
     "name": _named,
     "scan": _loop,
 }

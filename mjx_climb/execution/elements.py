@@ -19,7 +19,7 @@ from jax.extend import core
 class Unsupported(NotImplementedError):
     """An operation, or a use of it, that a fast path does not know: raised while tracing, for the plain path."""
 
-    equation: Any = None  # which one, where that is known
+    equation: core.JaxprEqn | None = None  # which one of the program, where that is known
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -16,7 +16,15 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.extend import core
 
-from mjx_climb.execution.jax_internals import carried_out, inner_program, jvp_jaxpr, new_program, scan_sizes
+from mjx_climb.execution.jax_internals import (
+    carried_out,
+    from_line_of,
+    inner_program,
+    jvp_jaxpr,
+    new_program,
+    scan_sizes,
+    with_inner,
+)
 
 Atom = core.Var | core.Literal
 
@@ -39,9 +47,7 @@ def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
             if inner is not None:
                 atoms |= zip(equation.outvars, written_out(inner, given), strict=True)
                 continue
-            parameters = equation.params
-            if equation.primitive.name == "scan":
-                parameters = parameters | {"jaxpr": flat(parameters["jaxpr"])}
+            parameters = with_inner(flat, equation)
             made = [core.Var(variable.aval) for variable in equation.outvars]
             atoms |= zip(equation.outvars, made, strict=True)
             equations.append(equation.replace(invars=given, outvars=made, params=parameters))
@@ -198,6 +204,16 @@ def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
     if not _has_maxima(program.jaxpr):
         return program
 
+    def results_of(equation: core.JaxprEqn, values: list[Any]) -> list[Any]:
+        primitive, inner = equation.primitive, inner_program(equation)
+        if (compare := _COMPARISONS.get(primitive.name)) is not None:
+            axes = equation.params.get("axes")
+            return [_better(compare, *values) if axes is None else _best(compare, values[0], axes)]
+        if inner is not None and not primitive.name.startswith("custom"):
+            results: list[Any] = core.jaxpr_as_fun(with_stable_maxima(inner))(*values)
+            return results
+        return carried_out(primitive, with_inner(with_stable_maxima, equation), values)
+
     def evaluated(*arguments: Any) -> list[Any]:
         known = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
         known |= dict(zip(program.jaxpr.invars, arguments, strict=True))
@@ -206,17 +222,8 @@ def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
             return atom.val if isinstance(atom, core.Literal) else known[atom]
 
         for equation in program.jaxpr.eqns:
-            values = [read(atom) for atom in equation.invars]
-            primitive, parameters, inner = equation.primitive, equation.params, inner_program(equation)
-            if (compare := _COMPARISONS.get(primitive.name)) is not None:
-                axes = parameters.get("axes")
-                results = [_better(compare, *values) if axes is None else _best(compare, values[0], axes)]
-            elif inner is not None and not primitive.name.startswith("custom"):
-                results = core.jaxpr_as_fun(with_stable_maxima(inner))(*values)
-            else:
-                if primitive.name == "scan":
-                    parameters = parameters | {"jaxpr": with_stable_maxima(parameters["jaxpr"])}
-                results = carried_out(primitive, parameters, values)
+            with from_line_of(equation):
+                results = results_of(equation, [read(atom) for atom in equation.invars])
             known.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in program.jaxpr.outvars]
 

@@ -1,8 +1,8 @@
 """A function of one robot as one GPU kernel for a batch of them, with a thread for each limb (docs/execution.md).
 
 The kernel is written in CUDA C (`cuda_writer`), compiled by NVRTC, a library that every installation of JAX for
-NVIDIA's GPUs brings, and launched by the custom call `__gpu$xla.gpu.ptx` of XLA's. Tangents are asked for beforehand:
-each direction has threads of its own, which work out the values beside it.
+NVIDIA's GPUs brings, and launched by a custom call of XLA's. Tangents are asked for beforehand: each direction has
+threads of its own, which work out the values beside it.
 """
 
 import contextlib
@@ -26,10 +26,10 @@ from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import results
 from mjx_climb.execution.elements import Elements, Shared, Unsupported, Writer, as_array
 from mjx_climb.execution.flat import flat, tangents_of
+from mjx_climb.execution.jax_internals import launched
 from mjx_climb.execution.limbs import LimbAxes
 
 _Result = TypeVar("_Result")
-_TARGET = "__gpu$xla.gpu.ptx"
 
 
 class Body(NamedTuple):
@@ -139,16 +139,9 @@ def _launched(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> lis
         words[own].append(whole.reshape(robots, -1).T if own else whole.reshape(-1))
     source = ptx(written(body, batched))
     threads, outputs = robots * CudaWriter(body.limbs.count).width, body.program.out_avals
-    launch = {"grid_x": -(-threads // THREADS), "block_x": THREADS, "shared_mem_bytes": 0}
-    launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
-    made = jax.ffi.ffi_call(_TARGET, jax.ShapeDtypeStruct((sum(aval.size for aval in outputs), robots), np.int32))(
-        jnp.concatenate(words[True]),
-        jnp.concatenate(words[False]),
-        name=NAME,
-        kernel_type="ptx",
-        kernel_data=source,
-        **{name: np.int32(number) for name, number in launch.items()},
-    )
+    shape = jax.ShapeDtypeStruct((sum(aval.size for aval in outputs), robots), np.int32)
+    given = jnp.concatenate(words[True]), jnp.concatenate(words[False])
+    made = launched(source, NAME, -(-threads // THREADS), THREADS, shape, *given)
     parts, found = jnp.split(made, list(itertools.accumulate(aval.size for aval in outputs))[:-1]), []
     for part, aval in zip(parts, outputs, strict=True):
         if aval.dtype.kind != "b" and aval.dtype.itemsize != 4:

@@ -1,13 +1,27 @@
-"""What compiled walks need of JAX that JAX does not promise, and what differs between 0.10 and 0.11."""
+"""All that this package needs of JAX and XLA and that they do not document, and what differs between JAX 0.10 and 0.11.
+
+That is: names of JAX's modules that begin with an underscore, the parameters of equations, settings that are found by
+their name, and what XLA understands by a name alone. Elsewhere in this package `jax.extend` and `jax.interpreters` are
+used, which are documented, for packages as this one. `tests/execution/test_jax_internals.py` has a test of the name of
+each function here, which fails first when JAX changes; CI runs it with the oldest JAX and with the newest one that
+`pyproject.toml` lets in.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 import jax
 import numpy as np
+from jax._src import source_info_util, xla_bridge
 from jax._src.interpreters import ad, partial_eval
 from jax._src.interpreters.ad import jvp_jaxpr as jvp_jaxpr  # forward derivatives of a jaxpr, by some of its arguments
+from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
+
+# XLA's options by path and purpose, see `paths.compiler_options`
+LEVEL, WIDTH, LEFT_OUT = "xla_backend_optimization_level", "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
+LAUNCH = "__gpu$xla.gpu.ptx"  # the custom call by which XLA launches a kernel in PTX
 
 
 def inner_program(equation: core.JaxprEqn) -> core.ClosedJaxpr | None:
@@ -19,6 +33,24 @@ def inner_program(equation: core.JaxprEqn) -> core.ClosedJaxpr | None:
         return None
     inner = equation.params[CALLS[equation.primitive.name]]
     return inner if isinstance(inner, core.ClosedJaxpr) else core.ClosedJaxpr(inner, ())  # checkpoint has an open one
+
+
+def with_inner(change: Callable[[core.ClosedJaxpr], core.ClosedJaxpr], equation: core.JaxprEqn) -> dict[str, Any]:
+    """Return the parameters of an equation, with the body of a loop and the branches of a condition changed."""
+    parameters, name = equation.params, equation.primitive.name
+    if name == "scan":
+        return parameters | {"jaxpr": change(parameters["jaxpr"])}
+    return parameters | {"branches": tuple(map(change, parameters["branches"]))} if name == "cond" else parameters
+
+
+def line_of(equation: core.JaxprEqn) -> str:
+    """Return where an equation comes from, file and line outside of JAX; empty where that is not known."""
+    return source_info_util.summarize(equation.source_info)
+
+
+def from_line_of(equation: core.JaxprEqn) -> AbstractContextManager[None]:
+    """Have the equations that are made now come from where another one does."""
+    return source_info_util.user_context(equation.source_info.traceback)
 
 
 OVER_ROBOTS = "over_robots"  # the name of this package's own operation
@@ -103,3 +135,42 @@ def new_program(
     about = like.debug_info.with_unknown_names()  # JAX warns of programs without
     jaxpr = core.Jaxpr(known, list(inputs), list(outputs), list(equations), debug_info=about)
     return core.ClosedJaxpr(jaxpr, [value for _, value in constants])
+
+
+def devices_have_begun() -> bool:
+    """Return whether JAX has started its devices in this process."""
+    return xla_bridge.backends_are_initialized()
+
+
+def settings() -> Mapping[str, Any]:
+    """Return all of JAX's settings by name, as they hold for the whole process."""
+    return jax.config.values
+
+
+def as_one_kernel(program: core.ClosedJaxpr) -> Callable[..., list[Any]]:
+    """Return a program as a function that XLA:CPU compiles as a single kernel."""
+    carry_out: Callable[..., list[Any]] = core.jaxpr_as_fun(program)
+
+    def kernel(*arguments: Any) -> list[Any]:
+        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within
+            return carry_out(*arguments)
+
+    def call(*arguments: Any) -> list[Any]:
+        with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
+            results: list[Any] = jax.jit(kernel)(*arguments)
+            return results
+
+    return call
+
+
+def launched(
+    ptx: str, name: str, blocks: int, threads: int, made: jax.ShapeDtypeStruct, *arguments: jax.Array
+) -> jax.Array:
+    """Return what a kernel in PTX makes of its arguments on a GPU, in so many blocks of so many threads."""
+    launch = {"grid_x": blocks, "block_x": threads, "shared_mem_bytes": 0}
+    launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
+    numbers = {name: np.int32(number) for name, number in launch.items()}
+    found: jax.Array = jax.ffi.ffi_call(LAUNCH, made)(
+        *arguments, name=name, kernel_type="ptx", kernel_data=ptx, **numbers
+    )
+    return found

@@ -6,9 +6,8 @@ for the axis by name. It is never guessed from a shape: a quaternion has four co
 
 import dataclasses
 import math
-import typing
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
@@ -16,21 +15,34 @@ from jax.extend import core
 
 from mjx_climb.execution.jax_internals import inner_program, scan_sizes
 
-Tree = TypeVar("Tree")
 Axis = int | None
 _NAME = "limbs"
 
 
+@runtime_checkable
+class HasLimbs(Protocol):
+    """A dataclass that names its fields whose first axis runs over the limbs; None in place of one is passed over."""
+
+    OF_LIMBS: ClassVar[tuple[str, ...]]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
+
+
+Tree = TypeVar("Tree", bound=HasLimbs)
+
+
 def of_limbs(tree: Tree) -> Tree:
-    """Return a dataclass as it is, its arrays marked whose declared shape (jaxtyping) begins with the limbs."""
-    marked = {}
-    for name, hint in typing.get_type_hints(type(tree)).items():
-        shapes = [getattr(kind, "dim_str", "") for kind in typing.get_args(hint) or [hint]]  # of a union any
-        marks = any(shape.removeprefix("*batch ").split(" ")[0] == "limb" for shape in shapes)
-        if marks and getattr(tree, name) is not None:
-            marked[name] = checkpoint_name(jnp.asarray(getattr(tree, name)), _NAME)
-    result: Tree = dataclasses.replace(cast(Any, tree), **marked)
-    return result
+    """Return a dataclass as it is, the arrays marked whose first axis runs over the limbs: its class names them.
+
+    Raises:
+        TypeError: a class without `OF_LIMBS`, the names of such fields.
+    """
+    if not isinstance(tree, HasLimbs):
+        raise TypeError(
+            f"{type(tree).__name__}: expected a class with OF_LIMBS, the fields whose first axis is the limbs"
+        )
+    values = {name: getattr(tree, name) for name in tree.OF_LIMBS}
+    marked = {name: checkpoint_name(jnp.asarray(v), _NAME) for name, v in values.items() if v is not None}
+    return dataclasses.replace(tree, **marked)
 
 
 class LimbAxes:
@@ -64,6 +76,8 @@ class LimbAxes:
             return [0]
         if name == "scan":
             return self._scan(equation, given)
+        if name == "cond":
+            return next(iter([self.follow(branch.jaxpr, given[1:]) for branch in equation.params["branches"]]))
         if (inner := inner_program(equation)) is not None:
             return self.follow(inner.jaxpr, given)
         moves = [(axis, atom) for axis, atom in zip(given, equation.invars, strict=True) if axis is not None]

@@ -32,6 +32,7 @@ from mjx_climb.execution import gpu_kernel
 from mjx_climb.execution.cache import cache_folder, machine, source_digest, write_whole
 from mjx_climb.execution.devices import on_host
 from mjx_climb.execution.elements import Unsupported
+from mjx_climb.execution.jax_internals import LEFT_OUT, LEVEL, WIDTH
 from mjx_climb.execution.one_robot import over_robots
 from mjx_climb.execution.refused import Refused
 
@@ -99,12 +100,12 @@ def compiler_options(robots: int, path: str, device: str | None, *, briefly: boo
     """
     if (device or jax.default_backend()) != "cpu":
         return {}
-    options: dict[str, str | int] = {"xla_backend_optimization_level": 0} if briefly else {}
+    options: dict[str, str | int] = {LEVEL: 0} if briefly else {}
     if path == "regions":
-        if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
-            options.setdefault("xla_backend_optimization_level", 1)  # above: half as long again, and no faster
-        return options | {"xla_cpu_prefer_vector_width": 512}
-    return options | ({"xla_disable_hlo_passes": "fusion"} if robots >= _FUSION_PAYS_BELOW else {})
+        if LEVEL not in os.environ.get("XLA_FLAGS", ""):
+            options.setdefault(LEVEL, 1)  # above: half as long again, and no faster
+        return options | {WIDTH: 512}
+    return options | ({LEFT_OUT: "fusion"} if robots >= _FUSION_PAYS_BELOW else {})
 
 
 # --- where a fast path cannot

@@ -1,7 +1,7 @@
 """The mechanical state, its accelerations, and a step of time."""
 
 import dataclasses
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 from jax import Array
@@ -18,6 +18,8 @@ _Joints = Float[Array, "*batch limb joint"] | Float[Array, "*batch joints"]
 @dataclasses.dataclass(frozen=True)
 class State:
     """Configuration and velocity of the robot."""
+
+    OF_LIMBS: ClassVar[tuple[str, ...]] = ("joint_angles", "joint_rates")  # whose first axis runs over the limbs
 
     base_position: _Vector  # m, world, of the base's centre of mass
     base_orientation: Float[Array, "*batch 4"]  # unit quaternion wxyz, base to world

@@ -1,7 +1,7 @@
 """The robot as constants: what the equations need of an MJCF."""
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
@@ -31,6 +31,12 @@ class Robot:
     (from the base outwards), components. SI units; a prismatic joint's values are in m where a revolute one's are
     in rad.
     """
+
+    # whose first axis runs over the limbs
+    OF_LIMBS: ClassVar[tuple[str, ...]] = (
+        "link_mass", "link_center", "link_inertia", "frame_position", "frame_rotation", "foot_center", "joint_lower",
+        "joint_upper", "stance_joints", "armature", "damping", "friction", "spring", "spring_rest", "torque_limit",
+    )  # fmt: skip
 
     name: str = dataclasses.field(metadata=_STATIC)
     limbs: tuple[str, ...] = dataclasses.field(metadata=_STATIC)

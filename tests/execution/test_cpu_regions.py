@@ -209,6 +209,7 @@ def test_limbs_that_are_marked_on_the_way_are_worked_out_together():
 
     @dataclasses.dataclass(frozen=True)
     class Limbs:
+        OF_LIMBS = ("angle",)
         angle: Float[Array, "limb joint"]
 
     def motion(row: Array, marked: bool) -> Array:

@@ -105,6 +105,7 @@ def doubled(value):
 class Limbs:
     """Values of four limbs."""
 
+    OF_LIMBS = ("values",)
     values: Float[jax.Array, "limb n"]
 
 
