@@ -25,7 +25,6 @@ from numpy.typing import DTypeLike
 
 from mjx_climb import execution
 from mjx_climb.control import Law, law_of
-from mjx_climb.control.law import Reference, constants, measurement_at
 from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, over_batch
 from mjx_climb.execution.batches import Progress
@@ -56,7 +55,7 @@ from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.control_loop import Action, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
-from mjx_climb.walk.step import Carry, Setup, advance, begin, set_up, walk_of
+from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
 from mjx_climb.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of, samples_under, together
 
@@ -457,12 +456,9 @@ def _carried_out(function: Callable[..., Any], structure: Structure) -> Callable
 def _with_law(structure: Structure, state: SimulationState, law: Law, parameters: Parameters) -> SimulationState:
     """Return a state with another law; the law's state stays, but for what its `init` made of the gains alone."""
     setup, carry = set_up(structure, law, parameters), state.carry
-    begun, joints = begin(walk_of(structure, setup)).memory.law, carry.state.joint_angles
-    feet = jnp.zeros((len(joints), 3), joints.dtype)
-    reference = Reference(carry.state.base_position, carry.state.base_orientation, feet)
-    before, tree = jax.tree.flatten(carry.memory.law)
-    stays = constants(law, begun, measurement_at(reference, joints), reference)
-    pairs = zip(stays, jax.tree.leaves(begun), before, strict=True)
+    walk, (before, tree) = walk_of(structure, setup), jax.tree.flatten(carry.memory.law)
+    begun = begin(walk)
+    pairs = zip(constants_of_law(walk, begun), jax.tree.leaves(begun.memory.law), before, strict=True)
     mixed = [jnp.where(constant, new, old) for constant, new, old in pairs]
     carry = carry._replace(memory=carry.memory._replace(law=jax.tree.unflatten(tree, mixed)))
     return SimulationState(state.step, carry, setup)

@@ -11,8 +11,8 @@ References:
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Callable, Sequence
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,7 @@ from jax.interpreters import ad, batching, mlir
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.elements import Elements, Number, Value, Writer, known
 from mjx_climb.execution.jax_internals import carried_out
+from mjx_climb.execution.jax_types import Parameters
 
 
 class ArrayWriter(Writer):
@@ -50,7 +51,7 @@ class ArrayWriter(Writer):
             self._widened[key] = number, lax.broadcast_in_dim(content, shape, tuple(range(len(shape))))
         return self._widened[key][1]
 
-    def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Number]) -> Value:
+    def operation(self, primitive: core.Primitive, parameters: Parameters, operands: Sequence[Number]) -> Value:
         shape = _common_shape(operands)
         # places of operands that must have the shape of the result; others may be single numbers
         whole = {"select_n": range(1, len(operands)), "clamp": [1], "add_any": [0, 1]}.get(primitive.name, ())
@@ -58,7 +59,9 @@ class ArrayWriter(Writer):
             self.rows(number, shape) if isinstance(number, Value) or place in whole else number
             for place, number in enumerate(operands)
         ]
-        single = in_single(primitive.name, rows) if all(isinstance(o, Value) for o in operands) else None
+        single = (
+            in_single(primitive.name, cast(list[Array], rows)) if all(isinstance(o, Value) for o in operands) else None
+        )
         return self.value(carried_out(primitive, parameters, rows)[0] if single is None else single)
 
     def each_its_own(self, numbers: Sequence[Number]) -> Value:
@@ -95,7 +98,7 @@ class ArrayWriter(Writer):
     # --- from arrays and to arrays
 
     def elements(
-        self, do: Operations, array: Any, own: Sequence[int], axis: int | None, has: Sequence[bool]
+        self, do: Operations, array: Array, own: Sequence[int], axis: int | None, has: Sequence[bool]
     ) -> Elements:
         """Return an array (*own, *batch) as elements; `axis` runs over the lanes, `has` are its batch axes."""
         if not isinstance(array, jax.core.Tracer):
@@ -111,7 +114,9 @@ class ArrayWriter(Writer):
         places = np.ndindex(*(1 if a == axis else size for a, size in enumerate(own)))
         return do.taken_apart(map(row, places), own, axis)
 
-    def array(self, do: Operations, elements: Elements, aval: Any, axis: int | None, has: Sequence[bool]) -> Array:
+    def array(
+        self, do: Operations, elements: Elements, aval: jax.ShapeDtypeStruct, axis: int | None, has: Sequence[bool]
+    ) -> Array:
         """Return elements as an array (*own, *batch) of the batch axes that it `has`."""
         own = tuple(aval.shape)
         batch = tuple(size if h else 1 for size, h in zip(self.batch, has, strict=True))
@@ -143,7 +148,7 @@ _STEEP = math.tan(math.pi / 8)
 _LARGEST = np.float32(0.8)  # above pi / 4: of angles so large that nothing is left of them the sine is still one
 
 
-def in_single(name: str, operands: Sequence[Any]) -> Array | None:
+def in_single(name: str, operands: Sequence[Array]) -> Array | None:
     """Return what a primitive of JAX's gives, by operations on vectors; None where there are none for it."""
     if name not in _SINGLE or any(operand.dtype != np.float32 for operand in operands):
         return None

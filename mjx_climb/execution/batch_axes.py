@@ -5,19 +5,21 @@ no scalar.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from mjx_climb.execution.batches import flattened
+from mjx_climb.execution.jax_types import Function, PyTree
 
 Tree = TypeVar("Tree")
 
 
-def is_traced(tree: Any) -> bool:
+def is_traced(tree: PyTree) -> bool:
     """Return whether JAX traces any value of a tree, so that it is not known."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
@@ -25,8 +27,8 @@ def is_traced(tree: Any) -> bool:
 def own_axes(tree: Tree) -> Tree:
     """Return in place of each value how many axes one robot's value has."""
 
-    def of(path: Sequence[Any], _: Any) -> int:
-        owner: Any = tree  # the dataclass that has the value
+    def of(path: Sequence[PyTree], _: PyTree) -> int:
+        owner: PyTree = tree  # the dataclass that has the value
         for key in path[:-1]:
             owner = owner[key.idx] if hasattr(key, "idx") else getattr(owner, key.name)
         return int(owner.AXES.get(path[-1].name, 0))
@@ -41,7 +43,7 @@ def axes_behind(tree: Tree, shape: Sequence[int]) -> Tree:
     return own
 
 
-def batch_shape(*trees: Any, others: Mapping[str, tuple[int, ...]] = MappingProxyType({})) -> tuple[int, ...]:
+def batch_shape(*trees: PyTree, others: Mapping[str, tuple[int, ...]] = MappingProxyType({})) -> tuple[int, ...]:
     """Return the batch shape that the values of trees, and other batch axes by name, broadcast to.
 
     Raises:
@@ -61,7 +63,7 @@ def batch_shape(*trees: Any, others: Mapping[str, tuple[int, ...]] = MappingProx
         raise ValueError(f"batch axes of gains and parameters: expected some that broadcast, got {got}") from None
 
 
-def over_batch(function: Callable[..., Any], trees: Sequence[Any], axes: Sequence[Any], shape: Sequence[int]) -> Any:
+def over_batch(function: Function, trees: Sequence[PyTree], axes: Sequence[PyTree], shape: Sequence[int]) -> PyTree:
     """Return what a function of one robot gives for all robots of a batch, with the batch axes in front.
 
     What does not vary over the batch is passed as it is, so that it is worked out once; of a batch of one what has
@@ -74,7 +76,7 @@ def over_batch(function: Callable[..., Any], trees: Sequence[Any], axes: Sequenc
     leaves = [flattened(value, own, shape) for value, own in zip(leaves, owns, strict=True)]
     mapped = [0 if value.ndim > own else None for value, own in zip(leaves, owns, strict=True)]
 
-    def of_leaves(*leaves: Any) -> Any:
+    def of_leaves(*leaves: Array) -> PyTree:
         return function(*jax.tree.unflatten(tree, leaves))
 
     found = jax.vmap(of_leaves, in_axes=mapped, axis_size=math.prod(shape))(*leaves)

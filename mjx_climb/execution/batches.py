@@ -8,9 +8,9 @@ asks for, the plain one is taken, and a warning says so once.
 import functools
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,18 +21,20 @@ from jax.sharding import Sharding
 from mjx_climb.execution import devices, gpu_kernel, paths
 from mjx_climb.execution.cache import cached_jit, enable_cache, source_digest
 from mjx_climb.execution.contents import Unidentifiable, identity
+from mjx_climb.execution.jax_types import Function, PyTree
 from mjx_climb.execution.one_robot import over_robots
 from mjx_climb.execution.paths import first_possible
 
 Progress = Callable[[int, int], None]
+_Values = TypeVar("_Values", np.ndarray, Array)
 _TANGENT = "tangent of "  # before the name of a result
 
 
 class _Call(NamedTuple):
     """What is static of a program: a function of one robot, which arguments have a batch axis, and the way to go."""
 
-    function: Callable[..., Any]
-    structure: Any
+    function: Function
+    structure: Hashable
     batched: tuple[bool, ...]  # of each leaf of the arguments
     path: str = ""
     tangents: bool = False
@@ -41,22 +43,24 @@ class _Call(NamedTuple):
 class Robots(NamedTuple):
     """The arguments of a batch of robots."""
 
-    arguments: Sequence[Any]  # trees of numpy arrays, whose leading axes broadcast to `shape`
-    axes: Sequence[Any]  # the same trees; in place of each array the number of axes that the value of one robot has
+    arguments: Sequence[PyTree]  # trees of numpy arrays, whose leading axes broadcast to `shape`
+    axes: Sequence[PyTree]  # the same trees; in place of each array the number of axes that the value of one robot has
     shape: tuple[int, ...]  # the batch axes
-    directions: Any = None  # a tree like `arguments[0]` of arrays (*shape, k, ...) along which tangents are asked for
+    directions: PyTree = (
+        None  # a tree like `arguments[0]` of arrays (*shape, k, ...) along which tangents are asked for
+    )
 
 
 def run(
     function: Callable[..., dict[str, Array]],
-    structure: Any,
+    structure: Hashable,
     robots: Robots,
     *,
     batch_size: int | None = None,
     progress: Progress | None = None,
     compile_briefly: bool = False,
     over_time: bool = False,
-) -> Any:
+) -> PyTree:
     """Carry out a function of one robot for a batch of them, on all devices: where there is a GPU, few on the CPU.
 
     Arguments:
@@ -123,7 +127,7 @@ def run(
     return values, {n.removeprefix(_TANGENT): value for n, value in found.items() if n.startswith(_TANGENT)}
 
 
-def run_one(function: Callable[..., Any], structure: Any, *arguments: Any) -> Any:
+def run_one(function: Function, structure: Hashable, *arguments: PyTree) -> PyTree:
     """Carry out a function of one robot on the CPU, in the precision of the arrays; see `run`.
 
     Returns:
@@ -133,7 +137,7 @@ def run_one(function: Callable[..., Any], structure: Any, *arguments: Any) -> An
     call = _Call(function, structure, ())
     enable_cache()
 
-    def by(path: str) -> Any:
+    def by(path: str) -> PyTree:
         with devices.on_host(), jax.enable_x64(double):
             return jax.tree.map(np.asarray, _program(path, 1, "cpu", False)(call._replace(path=path), *arguments))
 
@@ -145,7 +149,7 @@ def walking_with(robots: range, whole: int) -> range:
     return devices.walking_with(robots, whole, in_regions=paths.path_for(None, kernel=True) == "regions")
 
 
-def flattened(value: Any, own: int, shape: Sequence[int]) -> Any:
+def flattened(value: _Values, own: int, shape: Sequence[int]) -> _Values:
     """Return an array of NumPy or JAX with one batch axis where it varies, before its `own` axes.
 
     Of a single robot those vary that have batch axes, so that it goes by the executable of several.
@@ -155,7 +159,8 @@ def flattened(value: Any, own: int, shape: Sequence[int]) -> Any:
     if math.prod(lead) == 1 and not (count == 1 and lead):
         return value.reshape(tail)
     xp = np if isinstance(value, np.ndarray) else jnp
-    return xp.broadcast_to(value, (*shape, *tail)).reshape(count, *tail)
+    whole: _Values = xp.broadcast_to(value, (*shape, *tail)).reshape(count, *tail)
+    return whole
 
 
 @functools.cache
@@ -164,7 +169,7 @@ def _program(path: str, share: int, device: str | None, briefly: bool) -> Callab
     return cached_jit(_carried_out, _identity, paths.compiler_options(share, path, device, briefly=briefly))
 
 
-def _identity(call: _Call, *trees: Any) -> str | None:
+def _identity(call: _Call, *trees: PyTree) -> str | None:
     """Return what an executable depends on, None where it cannot be told."""
     package = sys.modules[call.function.__module__.partition(".")[0]]
     try:
@@ -174,7 +179,7 @@ def _identity(call: _Call, *trees: Any) -> str | None:
         return None
 
 
-def _carried_out(call: _Call, *trees: Any) -> Any:
+def _carried_out(call: _Call, *trees: PyTree) -> PyTree:
     """Return the results of a batch, and tangents (B, k, ...) by their names after `_TANGENT`.
 
     The directions of tangents are the last tree.
@@ -191,13 +196,13 @@ def _carried_out(call: _Call, *trees: Any) -> Any:
     if not call.batched:
         return one(*trees)
 
-    def with_tangents(moving: Any, *trees: Any) -> dict[str, Array]:
-        def real_ones(moving: Any) -> tuple[Any, Any]:
+    def with_tangents(moving: PyTree, *trees: PyTree) -> dict[str, Array]:
+        def real_ones(moving: PyTree) -> tuple[dict[str, Array], dict[str, Array]]:
             found = one(moving, *trees[:-1])
             real = {name: value for name, value in found.items() if jnp.issubdtype(value.dtype, jnp.floating)}
             return real, {name: value for name, value in found.items() if name not in real}
 
-        def along(direction: Any) -> Any:
+        def along(direction: PyTree) -> PyTree:
             return jax.jvp(real_ones, (moving,), (direction,), has_aux=True)
 
         real, tangents, rest = jax.vmap(along, out_axes=(None, 0, None))(trees[-1])

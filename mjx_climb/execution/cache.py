@@ -23,15 +23,17 @@ import uuid
 import warnings
 from collections.abc import Callable, Hashable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar, cast
 
 import jax
+import numpy as np
 import platformdirs
-from jax import monitoring
+from jax import Array, monitoring
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
 from mjx_climb.execution.jax_internals import prepare_for, settings
+from mjx_climb.execution.jax_types import Function, PyTree
 
 VARIABLE = "MJX_CLIMB_CACHE"
 _OFF = {"off", "0", "no", "none", "false"}
@@ -146,7 +148,7 @@ def cached_jit(
     executables: dict[Hashable, Callable[..., _Result]] = {}
     locks: dict[Hashable, threading.Lock] = {}  # shares of a batch come from several threads
 
-    def call(structure: Hashable, *trees: Any) -> _Result:
+    def call(structure: Hashable, *trees: PyTree) -> _Result:
         leaves, tree = jax.tree.flatten(trees)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             traced: _Result = jitted(structure, *trees)
@@ -167,7 +169,7 @@ def cached_jit(
     return call
 
 
-def _kind(leaf: Any) -> tuple[Hashable, ...]:
+def _kind(leaf: Array | np.ndarray) -> tuple[Hashable, ...]:
     """Return what executables depend on of an argument: shape, type and devices."""
     return leaf.shape, leaf.dtype, getattr(leaf, "sharding", None)
 
@@ -182,7 +184,7 @@ def _setting_names() -> list[str]:
     return [name for name in sorted(settings()) if not any(word in name for word in _OF_NO_EFFECT)]
 
 
-def executable_file(function: Callable[..., Any], known: str, key: Hashable, options: Options) -> Path | None:
+def executable_file(function: Function, known: str, key: Hashable, options: Options) -> Path | None:
     """Return where an executable is stored, None where none are."""
     folder = cache_folder()
     if folder is None or cache_in_use() != str(folder) or jax.process_count() > 1:
@@ -199,7 +201,7 @@ def _digest(file: Path, content: bytes) -> bytes:
     return hashlib.sha256(file.name.encode() + content).hexdigest().encode()
 
 
-def _loaded(file: Path, leaves: list[Any]) -> Callable[..., Any] | None:
+def _loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
     """Return a stored executable, None where there is none."""
     begin = time.perf_counter()
     try:
@@ -208,13 +210,13 @@ def _loaded(file: Path, leaves: list[Any]) -> Callable[..., Any] | None:
         digest, content = file.read_bytes().split(b"\n", 1)
         if _digest(file, content) != digest:
             return None
-        default: Any = settings()["jax_default_device"]
-        device = default if isinstance(default, jax.Device) else jax.devices(default)[0]
+        default: object = settings()["jax_default_device"]
+        device = default if isinstance(default, jax.Device) else jax.devices(cast(str | None, default))[0]
         if placed := [leaf for leaf in leaves if isinstance(leaf, jax.Array)]:
             [device] = placed[0].devices()
         serialized, inputs, outputs = pickle.loads(content)
         prepare_for(content)
-        executable: Callable[..., Any] = serialize_executable.deserialize_and_load(
+        executable: Function = serialize_executable.deserialize_and_load(
             serialized, inputs, outputs, device.client, [device]
         )
     except Exception:  # whatever is wrong with a file, the executable can be made
@@ -225,11 +227,11 @@ def _loaded(file: Path, leaves: list[Any]) -> Callable[..., Any] | None:
 
 
 def _stored(
-    file: Path, function: Callable[..., Any], options: Options, structure: Hashable, trees: tuple[Any, ...]
-) -> Callable[..., Any]:
+    file: Path, function: Function, options: Options, structure: Hashable, trees: tuple[PyTree, ...]
+) -> Function:
     """Return an executable that is compiled now and stored."""
 
-    def named(structure: Hashable, *trees: Any) -> Any:
+    def named(structure: Hashable, *trees: PyTree) -> PyTree:
         return function(structure, *trees)
 
     # What XLA's cache returns cannot be serialized, as it lacks parts (jaxlib 0.10). Under a name that nothing else has

@@ -14,7 +14,7 @@ import itertools
 import sys
 import types
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -34,7 +34,7 @@ class Unidentifiable(Refused):
     """A value that has no digest; in one line: where it was found, and what it is."""
 
 
-def identity(value: Any, name: str = "value") -> str:
+def identity(value: object, name: str = "value") -> str:
     """Return a digest that differs wherever two values may return different results; the same in another process.
 
     Arguments:
@@ -52,9 +52,9 @@ class _Digests:
 
     def __init__(self, name: str) -> None:
         self._path = [name]  # from the value to the one at hand
-        self._known: dict[int, tuple[str, Any]] = {}  # by id, with the object, so that its id stays its own
+        self._known: dict[int, tuple[str, object]] = {}  # by id, with the object, so that its id stays its own
 
-    def of(self, value: Any, step: str = "") -> str:
+    def of(self, value: object, step: str = "") -> str:
         """Return the digest of a value, which stands a step further on the path."""
         if type(value) in _PLAIN:
             return _hash(type(value).__name__, repr(value))
@@ -65,7 +65,7 @@ class _Digests:
             self._path.pop()
         return self._known[id(value)][0]
 
-    def _parts(self, value: Any) -> Iterable[Any]:
+    def _parts(self, value: object) -> Iterable[object]:
         """Return what a value is known by."""
         if name := _name_in_library(value):
             return "library", name, _version(name)
@@ -106,7 +106,7 @@ class _Digests:
         items = [None if part is None else list(part) for part in items]  # iterators over a list or mapping
         return "instance", self.of(type(value)), *map(self.of, (constructor, arguments, state, *items))
 
-    def _function(self, function: types.FunctionType) -> Iterator[Any]:
+    def _function(self, function: types.FunctionType) -> Iterator[object]:
         yield from ("function", self.of(function.__defaults__), self.of(function.__kwdefaults__))
         for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
             try:
@@ -120,7 +120,7 @@ class _Digests:
         # what a library made, as jax.vmap does, takes from its module what the version tells
         yield from self._code(function.__code__, {} if in_library(home) else function.__globals__)
 
-    def _code(self, code: types.CodeType, space: dict[str, Any]) -> Iterator[Any]:
+    def _code(self, code: types.CodeType, space: dict[str, object]) -> Iterator[object]:
         """Return what code says of itself, and what it takes from its module and by imports."""
         for said in _said(code):
             if isinstance(said, _Taken):
@@ -128,7 +128,7 @@ class _Digests:
             else:
                 yield said
 
-    def _taken(self, taken: "_Taken", space: dict[str, Any]) -> Iterator[Any]:
+    def _taken(self, taken: "_Taken", space: dict[str, object]) -> Iterator[object]:
         name, code = taken.name, taken.by
         if taken.loaded and name in space:
             used = space[name]
@@ -161,7 +161,7 @@ class _Taken(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4096)
-def _said(code: types.CodeType) -> tuple[Any, ...]:
+def _said(code: types.CodeType) -> tuple[object, ...]:
     """Return byte code, the digests of its constants, the same of the functions in it, and the names that it takes.
 
     These never change. What is behind the names may, and is looked up each time.
@@ -175,11 +175,11 @@ def _said(code: types.CodeType) -> tuple[Any, ...]:
     return tuple(said)
 
 
-def _hash(*parts: Any) -> str:
+def _hash(*parts: object) -> str:
     return hashlib.sha256("\0".join(map(str, parts)).encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def _members(module: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+def _members(module: object, names: tuple[str, ...]) -> Iterator[tuple[str, object]]:
     """Return what a module of the user's own holds under some names; nothing of any other value."""
     if isinstance(module, types.ModuleType) and not in_library(module.__name__):
         for name in names:
@@ -202,7 +202,7 @@ def _version(name: str) -> str:
     return str(getattr(sys.modules.get(name.partition(".")[0]), "__version__", ""))
 
 
-def _name_in_library(value: Any) -> str:
+def _name_in_library(value: object) -> str:
     """Return the full name of what a library gives under a name, empty for anything else."""
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
     if not isinstance(module, str) or not isinstance(name, str) or not in_library(module):

@@ -9,12 +9,12 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Container, Hashable, Sequence
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 from jax.extend import core
 
 from mjx_climb.execution.array_writer import ArrayWriter
@@ -37,6 +37,7 @@ from mjx_climb.execution.flat import (
     variables_of,
 )
 from mjx_climb.execution.jax_internals import as_one_kernel, carried_out, line_of, new_program, scan_sizes
+from mjx_climb.execution.jax_types import aval_of
 from mjx_climb.execution.limbs import LimbAxes
 
 EQUATIONS = 250  # in a region: with fewer the calls cost more, with more compiling takes longer
@@ -53,15 +54,15 @@ MOST_BETWEEN = 40
 
 
 def in_regions(
-    program: core.ClosedJaxpr, arguments: Sequence[Any], varies: Sequence[Has], batch: tuple[int, ...]
-) -> list[Any]:
+    program: core.ClosedJaxpr, arguments: Sequence[Array], varies: Sequence[Has], batch: tuple[int, ...]
+) -> list[Array]:
     """Return the results of a program of one robot for a batch, whose axes are behind the arguments' own."""
     whole = flat(program)
     given = zip(_unseen(arguments), varies, strict=True)
     return [value for value, _ in _Program(LimbAxes(whole), batch, set()).results(whole, list(given))]
 
 
-def _unseen(values: Sequence[Any]) -> list[Any]:
+def _unseen(values: Sequence[Array]) -> list[Array]:
     """Return values of which XLA does not see that they are constant, where they are.
 
     It would put the constant in the place of a kernel's parameter, and stop the process at a parameter that nothing
@@ -70,7 +71,7 @@ def _unseen(values: Sequence[Any]) -> list[Any]:
     return list(lax.optimization_barrier(tuple(values)))
 
 
-Array = tuple[Any, Has]  # and which batch axes it has
+Varying = tuple[Array, Has]  # and which batch axes it has
 
 
 class _Program(NamedTuple):
@@ -80,13 +81,13 @@ class _Program(NamedTuple):
     batch: tuple[int, ...]
     refused: set[int]  # ids of equations that turned out to be none for a region
 
-    def results(self, program: core.ClosedJaxpr, arguments: Sequence[Array]) -> list[Array]:
+    def results(self, program: core.ClosedJaxpr, arguments: Sequence[Varying]) -> list[Varying]:
         """Return the results of a flat program."""
         same = (False,) * len(self.batch)
         known = dict(zip(program.jaxpr.constvars, ((value, same) for value in program.consts), strict=True))
         known |= zip(program.jaxpr.invars, arguments, strict=True)
 
-        def read(atom: core.Var | core.Literal) -> Array:
+        def read(atom: core.Var | core.Literal) -> Varying:
             return (atom.val, same) if isinstance(atom, core.Literal) else known[atom]
 
         def fits(equation: core.JaxprEqn) -> bool:
@@ -116,21 +117,21 @@ class _Program(NamedTuple):
                 known |= zip(equation.outvars, carry_out(equation, [*map(read, equation.invars)]), strict=True)
         return [read(atom) for atom in program.jaxpr.outvars]
 
-    def _straight(self, part: core.ClosedJaxpr, given: Sequence[Array]) -> list[Array]:
+    def _straight(self, part: core.ClosedJaxpr, given: Sequence[Varying]) -> list[Varying]:
         """Return the results of equations that are all written as elements."""
         jaxpr, writer = part.jaxpr, ArrayWriter(self.limbs.count, self.batch)
         traced = [isinstance(value, jax.core.Tracer) for value, _ in given]
         depends = functools.partial(reached, jaxpr)
         varies = by_axis(depends, [has for _, has in given], len(self.batch), len(jaxpr.outvars))
 
-        def written(*arguments: Any) -> list[Any]:
+        def written(*arguments: Array) -> list[Array]:
             do, some = Operations(writer, self.limbs), iter(arguments)
             elements = [
-                writer.elements(do, next(some) if t else value, cast(Any, v.aval).shape, self.limbs.of(v), has)
+                writer.elements(do, next(some) if t else value, aval_of(v).shape, self.limbs.of(v), has)
                 for v, (value, has), t in zip(jaxpr.invars, given, traced, strict=True)
             ]
             return [
-                writer.array(do, found, v.aval, self.limbs.of(v), has)
+                writer.array(do, found, aval_of(v), self.limbs.of(v), has)
                 for v, found, has in zip(jaxpr.outvars, results(do, part, elements), varies, strict=True)
             ]
 
@@ -138,7 +139,7 @@ class _Program(NamedTuple):
         made = _in_kernels(written, [value for value, _ in itertools.compress(given, traced)], most)
         return list(zip(made, varies, strict=True))
 
-    def _scan(self, equation: core.JaxprEqn, given: Sequence[Array]) -> list[Array]:
+    def _scan(self, equation: core.JaxprEqn, given: Sequence[Varying]) -> list[Varying]:
         """Return the results of a loop, its steps in regions."""
         parameters, has = equation.params, [has for _, has in given]
         written_has: list[Has] = []
@@ -149,7 +150,7 @@ class _Program(NamedTuple):
         stacks, body = self._stacked(parameters["jaxpr"], constants, moving)
         carried_has = stacks.stacked(moving, lambda some: some[0])
 
-        def step(carried: list[Any], now: list[Any]) -> tuple[list[Any], list[Any]]:
+        def step(carried: list[Array], now: list[Array]) -> tuple[list[Array], list[Array]]:
             values = zip([*carried, *now], [*carried_has, *has[constants + carry :]], strict=True)
             made = self.results(body, [*given[:constants], *values])
             written_has[:] = [has for _, has in made[len(carried) :]]
@@ -170,7 +171,7 @@ class _Program(NamedTuple):
         carried = slice(constants, constants + len(moving))
         groups: dict[Hashable, list[int]] = {}
         for place, (variable, has) in enumerate(zip(body.jaxpr.invars[carried], moving, strict=True)):
-            aval, axis = cast(Any, variable.aval), self.limbs.of(variable)
+            aval, axis = aval_of(variable), self.limbs.of(variable)
             if aval.size == (1 if axis is None else self.limbs.count):
                 groups.setdefault((aval.shape, aval.dtype, axis, has), []).append(place)
         split = [g[n : n + MOST_ROWS] for g in groups.values() for n in range(0, len(g), MOST_ROWS)]
@@ -181,7 +182,7 @@ class _Program(NamedTuple):
         self.limbs.follow(stacked.jaxpr, axes)
         return stacks, stacked
 
-    def _wide(self, array: Array, wanted: Has) -> Any:
+    def _wide(self, array: Varying, wanted: Has) -> Array:
         """Return an array with more of the batch axes."""
         value, has = array
         if has == wanted:
@@ -192,7 +193,7 @@ class _Program(NamedTuple):
         shape = (*value.shape[:own], *itertools.compress(self.batch, wanted))
         return lax.broadcast_in_dim(value, shape, (*range(own), *there))
 
-    def _as_it_is(self, equation: core.JaxprEqn, given: Sequence[Array]) -> list[Array]:
+    def _as_it_is(self, equation: core.JaxprEqn, given: Sequence[Varying]) -> list[Varying]:
         """Return the results of an equation that stands between the regions."""
         has = [has for _, has in given]
         together = tuple(map(any, zip(*has, strict=True))) or (False,) * len(self.batch)
@@ -204,7 +205,7 @@ class _Program(NamedTuple):
 # --- cutting
 
 
-def _in_kernels(function: Callable[..., list[Any]], arguments: Sequence[Any], most: int) -> list[Any]:
+def _in_kernels(function: Callable[..., list[Array]], arguments: Sequence[Array], most: int) -> list[Array]:
     """Return the results of a function with its equations in regions of at most so many, each a kernel of its own."""
     closed = jax.make_jaxpr(function)(*arguments)
     constants = dict(zip(closed.jaxpr.constvars, closed.consts, strict=True))
@@ -313,10 +314,10 @@ def _stored(equations: Sequence[core.JaxprEqn]) -> list[core.Var]:
 _FREE = {"slice", "reshape", "broadcast_in_dim", "concatenate"}  # no arithmetic
 
 
-def _one_kernel(region: core.ClosedJaxpr, arguments: Sequence[Any]) -> list[Any]:
+def _one_kernel(region: core.ClosedJaxpr, arguments: Sequence[Array]) -> list[Array]:
     """Return the results of a region, by a call that XLA:CPU compiles as a kernel."""
     joined = [e.outvars[0].aval for e in region.jaxpr.eqns if e.primitive.name == "concatenate"]
     if any(made.size * made.dtype.itemsize >= MOST_OF_A_CALL for made in joined):
-        whole: list[Any] = core.jaxpr_as_fun(region)(*arguments)
+        whole: list[Array] = core.jaxpr_as_fun(region)(*arguments)
         return whole
     return as_one_kernel(region)(*arguments)

@@ -5,14 +5,15 @@ arctangent are written out here: CUDA's own carry code for arguments beyond 1e5,
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jax import lax
 from jax.extend import core
+from numpy.typing import DTypeLike
 
 from mjx_climb.execution.elements import Number, OfLane, Unsupported, Value, Writer
+from mjx_climb.execution.jax_types import Parameters
 
 TYPES = {
     "bool": "bool", "int32": "int", "uint32": "unsigned", "int64": "long long", "uint64": "unsigned long long",
@@ -109,7 +110,7 @@ _ONE_WORD = frozenset({"shift_left", "shift_right_arithmetic", "shift_right_logi
 _COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge", "le_to", "lt_to", "is_finite"})
 
 
-def typed(dtype: Any) -> str:
+def typed(dtype: DTypeLike) -> str:
     """Return the name of a type in CUDA C."""
     if (name := TYPES.get(np.dtype(dtype).name)) is None:
         raise Unsupported(f"numbers of type {dtype}")
@@ -131,7 +132,7 @@ def literal(number: np.generic) -> str:
     return f"({value!r}f)"
 
 
-def expression(name: str, parameters: Mapping[str, Any], operands: Sequence[Number], names: Sequence[str]) -> str:
+def expression(name: str, parameters: Parameters, operands: Sequence[Number], names: Sequence[str]) -> str:
     """Return an elementwise operation of JAX's on operands of these names as an expression in CUDA C.
 
     Raises:
@@ -201,7 +202,7 @@ class CudaWriter(Writer):
         self._table: list[int] = []  # words of constants that differ from lane to lane
         self._read = {"own": 0, "common": 1}
 
-    def read(self, of: str, dtype: Any) -> Value:
+    def read(self, of: str, dtype: DTypeLike) -> Value:
         """Return the next number of the robot's `own`, or of the `common` ones."""
         row = self._read[of]
         self._read[of] += 1
@@ -227,7 +228,7 @@ class CudaWriter(Writer):
         table = _TABLE.format(size=size) if size else ""
         return "\n".join([FUNCTIONS + constants + head + table, *lines[::-1], "}\n"])
 
-    def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Number]) -> Value:
+    def operation(self, primitive: core.Primitive, parameters: Parameters, operands: Sequence[Number]) -> Value:
         name = primitive.name
         text = expression(name, parameters, operands, [_text(operand) for operand in operands])
         dtype = operands[int(name in ("select_n", "clamp"))].dtype
@@ -280,7 +281,7 @@ class CudaWriter(Writer):
         self._lines += [f"{value.content} = next_{value.content};" for value in carried] + ["}"]
         return carried
 
-    def _value(self, dtype: Any, text: str) -> Value:
+    def _value(self, dtype: DTypeLike, text: str) -> Value:
         self._count += 1
         self._lines.append(f"const {typed(dtype)} v{self._count} = {text};")
         return Value(f"v{self._count}", np.dtype(dtype))
@@ -291,6 +292,6 @@ def _text(number: Number) -> str:
     return str(number.content) if isinstance(number, Value) else literal(number)
 
 
-def _from_word(word: str, dtype: Any) -> str:
+def _from_word(word: str, dtype: DTypeLike) -> str:
     kind = typed(dtype)
     return f"__int_as_float({word})" if kind == "float" else f"{word} != 0" if kind == "bool" else f"({kind}){word}"

@@ -8,12 +8,13 @@ import functools
 import itertools
 import operator
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from typing import Any, cast
+from typing import cast
 
 import jax
 import numpy as np
 from jax import lax
 from jax.extend import core
+from numpy.typing import DTypeLike
 
 from mjx_climb.execution.devices import host
 from mjx_climb.execution.elements import (
@@ -29,6 +30,7 @@ from mjx_climb.execution.elements import (
     objects,
 )
 from mjx_climb.execution.jax_internals import carried_out
+from mjx_climb.execution.jax_types import Parameters
 from mjx_climb.execution.limbs import Axis, LimbAxes
 
 MOST_OPERATIONS = 100_000  # a walk has some 4,000, or 9,000 without lanes; compilers take minutes for more than this
@@ -39,13 +41,13 @@ class Operations:
     """Operations on elements, each of which is written once: asked for again, it gives the same result."""
 
     def __init__(
-        self, writer: Writer, limbs: LimbAxes, before: Mapping[Hashable, tuple[Any, Number]] | None = None
+        self, writer: Writer, limbs: LimbAxes, before: Mapping[Hashable, tuple[object, Number]] | None = None
     ) -> None:
         self.writer, self.limbs = writer, limbs
         # an operation and its operands: these, so that their ids stay their own, and the result
-        self.done: dict[Hashable, tuple[Any, Number]] = dict(before or {})
+        self.done: dict[Hashable, tuple[object, Number]] = dict(before or {})
 
-    def each(self, primitive: core.Primitive, parameters: Mapping[str, Any], *arrays: Elements) -> Elements:
+    def each(self, primitive: core.Primitive, parameters: Parameters, *arrays: Elements) -> Elements:
         """Return an elementwise operation on arrays that broadcast to each other.
 
         Where an axis of one of them runs over the lanes, the operation is written once for all its elements.
@@ -95,7 +97,7 @@ class Operations:
         each = ([self.of_lane(value, lane) for lane in range(self.writer.lanes)] for value in values)
         return self._of_rows(each, shape, axis)
 
-    def put_together(self, array: Elements, dtype: Any, axis: Axis) -> list[Shared]:
+    def put_together(self, array: Elements, dtype: DTypeLike, axis: Axis) -> list[Shared]:
         """Return the elements of an array as numbers of all lanes in a precision; see `taken_apart`."""
         if axis is None:
             return [self.typed(self.same_for_all(element), dtype) for element in objects(array).reshape(-1)]
@@ -109,7 +111,7 @@ class Operations:
         others = [size for number, size in enumerate(shape) if number != axis]
         return np.moveaxis(as_array(itertools.chain.from_iterable(rows), (*others, self.writer.lanes)), -1, axis)
 
-    def packed(self, elements: Sequence[Any] | np.ndarray) -> Shared:
+    def packed(self, elements: Sequence[Number] | np.ndarray) -> Shared:
         """Return a value of which each lane has the element of its place; elements that are all one stay that."""
         first = elements[0]
         if all(element is first for element in elements) and not isinstance(first, OfLane):
@@ -149,8 +151,9 @@ class Operations:
         return functools.reduce(functools.partial(self.each, combine, {}), parts)
 
     def _total(self, combine: core.Primitive, value: Value) -> Value:
-        writer, over_lanes = self.writer, cast(Callable[..., Any], self.writer.over_lanes)
-        total: Any = self._once((combine.name, "over lanes", id(value)), value, lambda: over_lanes(combine, value))
+        writer, over_lanes = self.writer, self.writer.over_lanes
+        name = combine.name, "over lanes", id(value)
+        total = cast(Value | None, self._once(name, value, lambda: cast(Value, over_lanes(combine, value))))
 
         def with_partners(value: Value, distance: int) -> Value:
             partners, name = [n ^ distance for n in range(writer.lanes)], (combine.name, id(value), distance)
@@ -160,9 +163,9 @@ class Operations:
             return cast(Value, both)
 
         distances = (1 << n for n in range((writer.lanes - 1).bit_length()))
-        return functools.reduce(with_partners, distances, value) if total is None else cast(Value, total)
+        return functools.reduce(with_partners, distances, value) if total is None else total
 
-    def element(self, primitive: core.Primitive, parameters: Mapping[str, Any], *operands: Number) -> Number:
+    def element(self, primitive: core.Primitive, parameters: Parameters, *operands: Number) -> Number:
         """Return an elementwise operation on single elements."""
         if primitive.name in SHORTCUTS and (result := SHORTCUTS[primitive.name](*operands)) is not None:
             return result
@@ -173,7 +176,7 @@ class Operations:
             return self.of_lane(made, *lanes)
         return self._alike(primitive, parameters, *map(self.same_for_all, operands))
 
-    def _alike(self, primitive: core.Primitive, parameters: Mapping[str, Any], *operands: Shared) -> Shared:
+    def _alike(self, primitive: core.Primitive, parameters: Parameters, *operands: Shared) -> Shared:
         """Return an elementwise operation that all lanes do with what they have."""
         if primitive.name in SHORTCUTS and (result := SHORTCUTS[primitive.name](*operands)) is not None:
             return cast(Shared, result)
@@ -198,11 +201,11 @@ class Operations:
         """Return a whole number in the type of an array that has elements."""
         return np.asarray(number, array.reshape(-1)[0].dtype)
 
-    def typed(self, number: Shared, dtype: Any) -> Shared:
+    def typed(self, number: Shared, dtype: DTypeLike) -> Shared:
         """Return a number in a precision, as it is where it has that."""
         return cast(Shared, self.converted(as_array([number], ()), dtype)[()])
 
-    def converted(self, array: Elements, dtype: Any) -> Elements:
+    def converted(self, array: Elements, dtype: DTypeLike) -> Elements:
         """Return an array in a precision, as it is where it has that."""
         if known(array):
             return array.astype(dtype)
@@ -210,7 +213,7 @@ class Operations:
         types = {element.dtype for element in array.reshape(-1)}
         return array if types == {np.dtype(dtype)} else self.each(lax.convert_element_type_p, parameters, array)
 
-    def _once(self, name: Hashable, operands: Any, make: Callable[[], Number]) -> Number:
+    def _once(self, name: Hashable, operands: object, make: Callable[[], Number]) -> Number:
         if name not in self.done:
             if len(self.done) >= MOST_OPERATIONS:
                 raise Unsupported(f"a program of more than {MOST_OPERATIONS} operations on single numbers")
@@ -218,7 +221,7 @@ class Operations:
         return self.done[name][1]
 
 
-def _in_order(elements: Sequence[Any] | np.ndarray) -> Value | None:
+def _in_order(elements: Sequence[Number] | np.ndarray) -> Value | None:
     """Return the value of which elements are what the lanes have, in their order; None where they are not that."""
     first = elements[0]
     if not isinstance(first, OfLane):
@@ -228,7 +231,9 @@ def _in_order(elements: Sequence[Any] | np.ndarray) -> Value | None:
     return value if whole else None
 
 
-def computed_now(primitive: core.Primitive, parameters: Mapping[str, Any], given: Sequence[Any]) -> list[np.ndarray]:
+def computed_now(
+    primitive: core.Primitive, parameters: Parameters, given: Sequence[Elements | np.generic]
+) -> list[np.ndarray]:
     """Return the results of an operation on numbers alone: by NumPy where its bits are XLA's, else on the CPU.
 
     XLA would compile a program for each operation and shape.
@@ -239,7 +244,7 @@ def computed_now(primitive: core.Primitive, parameters: Mapping[str, Any], given
         return [*map(np.asarray, carried_out(primitive, parameters, given))]
 
 
-_EXACT: dict[str, Callable[..., Any]] = {
+_EXACT: dict[str, Callable[..., object]] = {
     "add": np.add, "and": np.bitwise_and, "eq": np.equal, "ge": np.greater_equal, "gt": np.greater,
     "le": np.less_equal, "lt": np.less, "max": np.maximum, "min": np.minimum, "mul": np.multiply, "ne": np.not_equal,
     "neg": np.negative, "not": np.bitwise_not, "or": np.bitwise_or, "sub": np.subtract,
@@ -256,14 +261,14 @@ def _name_of(element: Number) -> Hashable:
     return (element.dtype, element.tobytes()) if isinstance(element, np.generic) else id(element)
 
 
-def _range(dtype: np.dtype) -> tuple[Any, Any]:
+def _range(dtype: np.dtype) -> tuple[object, object]:
     """Return the least and the largest number of a type."""
     if dtype.kind == "f":
         return -np.inf, np.inf
     return (0, 1) if dtype.kind == "b" else (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max))
 
 
-def _with(ends: Callable[[np.dtype], tuple[Any, Any]], *, itself: bool = True) -> Shortcut:
+def _with(ends: Callable[[np.dtype], tuple[object, object]], *, itself: bool = True) -> Shortcut:
     """Return the shortcut of an operation by its neutral and its absorbing number; `itself`: of two equal ones too."""
 
     def shortcut(a: Number, b: Number) -> Number | None:
@@ -281,7 +286,7 @@ def _with(ends: Callable[[np.dtype], tuple[Any, Any]], *, itself: bool = True) -
     return shortcut
 
 
-def _compared(compare: Callable[[Any, Any], Any]) -> Shortcut:
+def _compared(compare: Callable[[int, int], object]) -> Shortcut:
     """Return the shortcut of a comparison whose result is known: of equals, or from the range of whole numbers."""
 
     def shortcut(a: Number, b: Number) -> Number | None:
@@ -323,7 +328,7 @@ def _choice(which: Number, *cases: Number) -> Number | None:
 
 
 # of an operation on numbers of a type: the neutral and the absorbing number
-_ENDS: dict[str, Callable[[np.dtype], tuple[Any, Any]]] = {
+_ENDS: dict[str, Callable[[np.dtype], tuple[object, object]]] = {
     "add": lambda dtype: (0, None),
     "mul": lambda dtype: (1, 0),
     "and": lambda dtype: (~np.zeros((), dtype), 0),
@@ -333,7 +338,7 @@ _ENDS: dict[str, Callable[[np.dtype], tuple[Any, Any]]] = {
 }
 
 
-def neutral(combine: core.Primitive, dtype: np.dtype) -> Any:
+def neutral(combine: core.Primitive, dtype: np.dtype) -> object:
     """Return the number that an operation does nothing with: what it makes of no numbers at all."""
     return _ENDS[combine.name](dtype)[0]
 

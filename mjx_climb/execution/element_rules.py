@@ -6,18 +6,19 @@ thought of, raises `Unsupported`. A rule is a function of the operations, the eq
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.extend import core
+from numpy.typing import DTypeLike
 
 from mjx_climb.execution.element_operations import Operations, computed_now, neutral
 from mjx_climb.execution.elements import MOVES, Elements, Shared, Unsupported, Value, along, as_array, known, objects
 from mjx_climb.execution.jax_internals import inner_program, line_of, scan_sizes
+from mjx_climb.execution.jax_types import Parameters, aval_of
 
 MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array to XLA as well
 MOST_PRODUCTS = 4096  # of a product of matrices
@@ -47,7 +48,7 @@ _UNDERSTOOD = frozenset(
 
 def can_write(equation: core.JaxprEqn) -> bool:
     """Return whether a region writes an equation as elements: nothing that loops, is large, or calls a library."""
-    name, avals = equation.primitive.name, [cast(Any, atom.aval) for atom in (*equation.invars, *equation.outvars)]
+    name, avals = equation.primitive.name, [aval_of(atom) for atom in (*equation.invars, *equation.outvars)]
     if equation.effects or any(_is_strange(aval.dtype) for aval in avals):
         return False
     if name in ("scan", "cond"):
@@ -68,7 +69,7 @@ def _is_listed(name: str) -> bool:
     return name in MOVES or name in RULES or name in ELEMENTWISE
 
 
-def _is_strange(dtype: Any) -> bool:
+def _is_strange(dtype: DTypeLike) -> bool:
     return bool(jnp.issubdtype(dtype, jax.dtypes.extended) or jnp.issubdtype(dtype, jnp.complexfloating))
 
 
@@ -79,8 +80,7 @@ def results(do: Operations, program: core.ClosedJaxpr, given: Sequence[Elements]
     values |= dict(zip(jaxpr.invars, given, strict=True))
 
     def read(atom: core.Var | core.Literal) -> Elements:
-        aval: Any = atom.aval
-        return np.asarray(atom.val, aval.dtype) if isinstance(atom, core.Literal) else values[atom]
+        return np.asarray(atom.val, aval_of(atom).dtype) if isinstance(atom, core.Literal) else values[atom]
 
     for equation in jaxpr.eqns:
         try:
@@ -98,7 +98,7 @@ def _equation(do: Operations, equation: core.JaxprEqn, given: list[Elements]) ->
     primitive, parameters, name = equation.primitive, equation.params, equation.primitive.name
     if equation.effects:
         raise Unsupported(f"the operation {name}, which has effects,")
-    if any(_is_strange(cast(Any, variable.aval).dtype) for variable in equation.outvars):
+    if any(_is_strange(aval_of(variable).dtype) for variable in equation.outvars):
         raise Unsupported(f"the operation {name} on complex numbers or random keys")
     if (inner := inner_program(equation)) is not None:
         return results(do, inner, given)
@@ -137,7 +137,7 @@ def _chosen_in_walk(
     do: Operations, equation: core.JaxprEqn, tables: list[Elements], places: list[Elements]
 ) -> Elements:
     """Return the result of an operation at places that are known only in the walk, chosen among all there may be."""
-    name, parameters, shape = equation.primitive.name, equation.params, cast(Any, equation.outvars[0].aval).shape
+    name, parameters, shape = equation.primitive.name, equation.params, aval_of(equation.outvars[0]).shape
     if name not in ("gather", "dynamic_slice", "dynamic_update_slice"):
         raise Unsupported(f"the operation {name} at places that are known only in the walk")
     if name == "gather":
@@ -164,7 +164,7 @@ def _chosen_in_walk(
     result = chosen()
     if parameters.get("mode") != lax.GatherScatterMode.FILL_OR_DROP:
         return result
-    nothing = np.zeros(tables[0].shape, cast(Any, equation.invars[0].aval).dtype)
+    nothing = np.zeros(tables[0].shape, aval_of(equation.invars[0]).dtype)
     [filled] = computed_now(equation.primitive, parameters, [nothing, *at(*[-1] * len(counts))])
     for start, count in zip(starts, counts, strict=True):
         for compare, end in ((lax.ge_p, 0), (lax.lt_p, count)):
@@ -185,7 +185,7 @@ def _reduction(combine: core.Primitive) -> Rule:
         while axes:
             gone = axes.pop(0)
             if array.shape[gone] == 0:  # a table of no pushes, the third feet of two limbs
-                dtype = cast(Any, equation.outvars[0].aval).dtype
+                dtype = aval_of(equation.outvars[0]).dtype
                 array = np.full(np.delete(array.shape, gone), neutral(combine, dtype), dtype)
             else:
                 array = do.together(combine, along(array, gone))
@@ -196,7 +196,7 @@ def _reduction(combine: core.Primitive) -> Rule:
 
 
 def _product_of_matrices(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
-    result, matrices = cast(Any, equation.outvars[0].aval), []
+    result, matrices = aval_of(equation.outvars[0]), []
     for array, summed, batched in zip(given, *equation.params["dimension_numbers"], strict=True):
         free = [axis for axis in range(array.ndim) if axis not in (*batched, *summed)]
         sizes = [math.prod(array.shape[axis] for axis in axes) for axes in (batched, free, summed)]
@@ -216,7 +216,7 @@ def _named(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> li
     axis = do.limbs.of(variable) if do.writer.lanes > 1 else None
     if axis is None or known(array) or do.runs_over_lanes(array, axis):
         return given
-    aval: Any = variable.aval
+    aval = aval_of(variable)
     return [do.taken_apart(do.put_together(array, aval.dtype, axis), aval.shape, axis)]
 
 
@@ -226,7 +226,7 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
     body = equation.params["jaxpr"]
     if read or len(body.jaxpr.outvars) > carry or _searches(equation):
         return _written_out(do, equation.params, common, start, read)
-    carried = [cast(Any, variable.aval) for variable in body.jaxpr.outvars]
+    carried = [aval_of(variable) for variable in body.jaxpr.outvars]
     axes = [do.limbs.of(variable) if do.writer.lanes > 1 else None for variable in body.jaxpr.invars[constants:]]
 
     def numbers(inside: Operations, arrays: Sequence[Elements]) -> list[Shared]:
@@ -249,7 +249,7 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
 
 def _searches(loop: core.JaxprEqn) -> bool:
     """Return whether a loop is like a search in a table: of few steps, it carries places alone."""
-    avals = [cast(Any, variable.aval) for variable in loop.outvars]
+    avals = [aval_of(variable) for variable in loop.outvars]
     return bool(avals) and loop.params["length"] <= MOST_STEPS and all(aval.dtype.kind in "iub" for aval in avals)
 
 
@@ -257,12 +257,12 @@ def _condition(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -
     """Return the results of the branch that is taken; all are worked out, as under `jax.vmap`."""
     which, *operands = given
     branches = [results(do, branch, operands) for branch in equation.params["branches"]]
-    shapes = [cast(Any, variable.aval).shape for variable in equation.outvars]
+    shapes = [aval_of(variable).shape for variable in equation.outvars]
     return [do.choice(which, cases, shape) for *cases, shape in zip(*branches, shapes, strict=True)]
 
 
 def _written_out(
-    do: Operations, loop: Mapping[str, Any], common: list[Elements], carried: list[Elements], read: list[Elements]
+    do: Operations, loop: Parameters, common: list[Elements], carried: list[Elements], read: list[Elements]
 ) -> list[Elements]:
     """Return what a loop of a few steps carries in the end and what it writes at each step."""
     steps = loop["length"]

@@ -9,11 +9,13 @@ worked out once, by all lanes side by side.
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from jax.extend import core
+
+from mjx_climb.execution.jax_types import Parameters
 
 
 class Unsupported(NotImplementedError):
@@ -52,7 +54,7 @@ class Writer(Protocol):
 
     lanes: int  # that share a robot, one for each limb; 1: a robot has one of its own
 
-    def operation(self, primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Shared]) -> Value:
+    def operation(self, primitive: core.Primitive, parameters: Parameters, operands: Sequence[Shared]) -> Value:
         """Return an elementwise operation of JAX's; each lane does it with what it has."""
 
     def each_its_own(self, numbers: Sequence[Shared]) -> Value:
@@ -70,7 +72,7 @@ class Writer(Protocol):
         raise Unsupported("a loop")
 
 
-def as_array(elements: Iterable[Any], shape: Sequence[int]) -> Elements:
+def as_array(elements: Iterable[object], shape: Sequence[int]) -> Elements:
     """Return elements as an array, of plain numbers where all are known."""
     flat = list(elements)
     if flat and all(isinstance(element, np.generic) for element in flat):
@@ -99,21 +101,21 @@ def known(array: Elements) -> bool:
 
 # --- operations that move elements without a look at them, of the operands and the operation's parameters
 
-Move = Callable[[list[Elements], Mapping[str, Any]], list[Elements]]
+Move = Callable[[list[Elements], Parameters], list[Elements]]
 
 
-def _broadcast(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
+def _broadcast(given: list[Elements], p: Parameters) -> list[Elements]:
     [array], shape = given, p["shape"]
     sizes = dict(zip(p["broadcast_dimensions"], array.shape, strict=True))
     return [np.broadcast_to(array.reshape([sizes.get(axis, 1) for axis in range(len(shape))]), shape)]
 
 
-def _reshaped(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
+def _reshaped(given: list[Elements], p: Parameters) -> list[Elements]:
     [array], order = given, p["dimensions"]
     return [(array if order is None else array.transpose(order)).reshape(p["new_sizes"])]
 
 
-def _slice(given: list[Elements], p: Mapping[str, Any]) -> list[Elements]:
+def _slice(given: list[Elements], p: Parameters) -> list[Elements]:
     steps = p["strides"] or itertools.repeat(1)
     return [given[0][tuple(map(slice, p["start_indices"], p["limit_indices"], steps))]]
 

@@ -9,7 +9,7 @@ where JAX takes the mean; what is not a number stays, as in JAX's own.
 import functools
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,13 +25,14 @@ from mjx_climb.execution.jax_internals import (
     scan_sizes,
     with_inner,
 )
+from mjx_climb.execution.jax_types import Atom, Function, Parameters
 
-Atom = core.Var | core.Literal
+Item = TypeVar("Item")
 
 
 def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
     """Return a program without calls, and the bodies of its loops without calls; no two equations share a variable."""
-    constants: dict[int, tuple[core.Var, Any]] = {}  # by id
+    constants: dict[int, tuple[core.Var, Array]] = {}  # by id
     equations: list[core.JaxprEqn] = []
 
     def written_out(program: core.ClosedJaxpr, arguments: Sequence[Atom]) -> list[Atom]:
@@ -95,13 +96,13 @@ class Stacks(NamedTuple):
 
     groups: tuple[tuple[int, ...], ...]
 
-    def stacked(self, values: Sequence[Any], stack: Callable[[list[Any]], Any]) -> list[Any]:
+    def stacked(self, values: Sequence[Item], stack: Callable[[list[Item]], Item]) -> list[Item]:
         """Return what `stack` makes of each group, and then the values that are in none."""
         within = set(itertools.chain.from_iterable(self.groups))
         made = [stack([values[place] for place in group]) for group in self.groups]
         return made + [value for place, value in enumerate(values) if place not in within]
 
-    def apart(self, arrays: Sequence[Any]) -> list[Any]:
+    def apart(self, arrays: Sequence[Array]) -> list[Array]:
         """Return the values of which `stacked` made arrays by `rows_of`."""
         rest = iter(arrays[len(self.groups) :])
         rows: dict[int, Array] = {}
@@ -111,7 +112,7 @@ class Stacks(NamedTuple):
         return [rows[place] if place in rows else next(rest) for place in range(count)]
 
 
-def rows_of(values: Sequence[Any]) -> Array:
+def rows_of(values: Sequence[Array]) -> Array:
     """Return values of one shape and type as one array, along a first axis."""
     return lax.concatenate([lax.expand_dims(jnp.asarray(value), (0,)) for value in values], 0)
 
@@ -121,7 +122,7 @@ def carrying(stacks: Stacks, body: core.ClosedJaxpr, constants: int, carry: int)
     avals = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in body.in_avals]
     common, carried, read = avals[:constants], avals[constants : constants + carry], avals[constants + carry :]
 
-    def step(common: list[Any], carried: list[Any], read: list[Any]) -> list[Any]:
+    def step(common: list[Array], carried: list[Array], read: list[Array]) -> list[Array]:
         made = core.jaxpr_as_fun(body)(*common, *stacks.apart(carried), *read)
         return [*stacks.stacked(made[:carry], rows_of), *made[carry:]]
 
@@ -137,7 +138,7 @@ def reached(jaxpr: core.Jaxpr, moving: Sequence[bool]) -> list[bool]:
     """Return which results depend on the arguments that are `moving`."""
     known = {variable for variable, moves in zip(jaxpr.invars, moving, strict=True) if moves}
 
-    def moves(atom: core.Var | core.Literal) -> bool:
+    def moves(atom: Atom) -> bool:
         return not isinstance(atom, core.Literal) and atom in known
 
     for equation in jaxpr.eqns:
@@ -147,7 +148,7 @@ def reached(jaxpr: core.Jaxpr, moving: Sequence[bool]) -> list[bool]:
     return [moves(atom) for atom in jaxpr.outvars]
 
 
-def carried_on(parameters: dict[str, Any], given: Sequence[bool]) -> list[bool]:
+def carried_on(parameters: Parameters, given: Sequence[bool]) -> list[bool]:
     """Return which of the values that a loop carries depend, after some steps, on what is moving of its operands."""
     constants, carry = scan_sizes(parameters)
     common, moving, read = given[:constants], list(given[constants : constants + carry]), given[constants + carry :]
@@ -177,7 +178,7 @@ def by_axis(of_axis: Callable[[list[bool]], Sequence[bool]], varies: Sequence[Ha
     return list(zip(*each, strict=True)) if each else [()] * count
 
 
-def mapped(function: Callable[..., Sequence[Any]], varies: Sequence[Has], results: Sequence[Has]) -> Callable[..., Any]:
+def mapped(function: Function, varies: Sequence[Has], results: Sequence[Has]) -> Function:
     """Return `jax.vmap` of a function of one robot over the batch axes that arguments and results have."""
     for axis in range(len(results[0]) if results else 0):
         if any(has[axis] for has in varies):
@@ -204,21 +205,21 @@ def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
     if not _has_maxima(program.jaxpr):
         return program
 
-    def results_of(equation: core.JaxprEqn, values: list[Any]) -> list[Any]:
+    def results_of(equation: core.JaxprEqn, values: list[Array]) -> list[Array]:
         primitive, inner = equation.primitive, inner_program(equation)
         if (compare := _COMPARISONS.get(primitive.name)) is not None:
             axes = equation.params.get("axes")
             return [_better(compare, *values) if axes is None else _best(compare, values[0], axes)]
         if inner is not None and not primitive.name.startswith("custom"):
-            results: list[Any] = core.jaxpr_as_fun(with_stable_maxima(inner))(*values)
+            results: list[Array] = core.jaxpr_as_fun(with_stable_maxima(inner))(*values)
             return results
         return carried_out(primitive, with_inner(with_stable_maxima, equation), values)
 
-    def evaluated(*arguments: Any) -> list[Any]:
+    def evaluated(*arguments: Array) -> list[Array]:
         known = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
         known |= dict(zip(program.jaxpr.invars, arguments, strict=True))
 
-        def read(atom: core.Var | core.Literal) -> Any:
+        def read(atom: Atom) -> Array:
             return atom.val if isinstance(atom, core.Literal) else known[atom]
 
         for equation in program.jaxpr.eqns:
@@ -237,7 +238,7 @@ def _has_maxima(jaxpr: core.Jaxpr) -> bool:
     )
 
 
-def _better(compare: Callable[[Array, Array], Array], one: Any, other: Any) -> Array:
+def _better(compare: Callable[[Array, Array], Array], one: Array, other: Array) -> Array:
     """Return the better of two values, element by element: the first of equal ones, and what is not a number."""
     one, other = jnp.broadcast_arrays(one, other)
     return lax.select(compare(one, other) | (one != one), one, other)

@@ -13,7 +13,7 @@ import importlib.util
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from mjx_climb.execution.element_rules import results
 from mjx_climb.execution.elements import Elements, Shared, Unsupported, Writer, as_array
 from mjx_climb.execution.flat import flat, tangents_of
 from mjx_climb.execution.jax_internals import launched
+from mjx_climb.execution.jax_types import Function, PyTree
 from mjx_climb.execution.limbs import LimbAxes
 
 _Result = TypeVar("_Result")
@@ -58,7 +59,7 @@ def over_robots(function: Callable[..., _Result], batched: Sequence[bool]) -> Ca
         raises `Unsupported` while it is traced where the function holds what a kernel cannot do.
     """
 
-    def mapped(*arguments: Any) -> _Result:
+    def mapped(*arguments: PyTree) -> _Result:
         program, shape = _of_one(function, arguments, batched)
         results: _Result = jax.tree.unflatten(shape, _launched(body_of(program), jax.tree.leaves(arguments), batched))
         return results
@@ -68,7 +69,7 @@ def over_robots(function: Callable[..., _Result], batched: Sequence[bool]) -> Ca
 
 def tangents_over_robots(
     function: Callable[..., _Result], batched: Sequence[bool]
-) -> Callable[..., tuple[_Result, Any]]:
+) -> Callable[..., tuple[_Result, PyTree]]:
     """Return the function with its tangents, like `jax.jvp` by its first argument, along several directions.
 
     Arguments:
@@ -79,7 +80,7 @@ def tangents_over_robots(
         the results, and in place of each its tangents (B, k, ...), None where it is no real number.
     """
 
-    def mapped(directions: Any, *arguments: Any) -> tuple[_Result, Any]:
+    def mapped(directions: PyTree, *arguments: PyTree) -> tuple[_Result, PyTree]:
         program, shape = _of_one(function, arguments, batched)
         along = [jnp.asarray(direction) for direction in jax.tree.leaves(directions)]
         robots, count = along[0].shape[:2]
@@ -105,8 +106,8 @@ def tangents_over_robots(
 
 
 def _of_one(
-    function: Callable[..., Any], arguments: Sequence[Any], batched: Sequence[bool]
-) -> tuple[core.ClosedJaxpr, Any]:
+    function: Function, arguments: Sequence[PyTree], batched: Sequence[bool]
+) -> tuple[core.ClosedJaxpr, jax.tree_util.PyTreeDef]:
     """Return a function of one robot, traced, and the tree of its results."""
     values, tree = jax.tree.flatten(tuple(arguments))
     one = [jax.ShapeDtypeStruct(value.shape[own:], value.dtype) for value, own in zip(values, batched, strict=True)]
@@ -129,7 +130,7 @@ def written(body: Body, batched: Sequence[bool]) -> str:
     return writer.source([number for result in body.results(writer, given) for number in result])
 
 
-def _launched(body: Body, arrays: Sequence[Any], batched: Sequence[bool]) -> list[Array]:
+def _launched(body: Body, arrays: Sequence[Array], batched: Sequence[bool]) -> list[Array]:
     robots = next(len(array) for array, own in zip(arrays, batched, strict=True) if own)
     words: dict[bool, list[Array]] = {True: [], False: [jnp.full(1, robots, np.int32)]}  # of each robot, of all
     for array, own in zip(map(jnp.asarray, arrays), batched, strict=True):

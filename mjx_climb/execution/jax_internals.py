@@ -9,15 +9,17 @@ each function here, which fails first when JAX changes; CI runs it with the olde
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any
 
 import jax
 import numpy as np
+from jax import Array
 from jax._src import source_info_util, xla_bridge
 from jax._src.interpreters import ad, partial_eval
 from jax._src.interpreters.ad import jvp_jaxpr as jvp_jaxpr  # forward derivatives of a jaxpr, by some of its arguments
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
+
+from mjx_climb.execution.jax_types import Function, Parameters, PyTree
 
 # XLA's options by path and purpose, see `paths.compiler_options`
 LEVEL, WIDTH, LEFT_OUT = "xla_backend_optimization_level", "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
@@ -35,7 +37,7 @@ def inner_program(equation: core.JaxprEqn) -> core.ClosedJaxpr | None:
     return inner if isinstance(inner, core.ClosedJaxpr) else core.ClosedJaxpr(inner, ())  # checkpoint has an open one
 
 
-def with_inner(change: Callable[[core.ClosedJaxpr], core.ClosedJaxpr], equation: core.JaxprEqn) -> dict[str, Any]:
+def with_inner(change: Callable[[core.ClosedJaxpr], core.ClosedJaxpr], equation: core.JaxprEqn) -> Parameters:
     """Return the parameters of an equation, with the body of a loop and the branches of a condition changed."""
     parameters, name = equation.params, equation.primitive.name
     if name == "scan":
@@ -64,7 +66,7 @@ CALLS = {
 }
 
 
-def carried_out(primitive: core.Primitive, parameters: Mapping[str, Any], operands: Sequence[Any]) -> list[Any]:
+def carried_out(primitive: core.Primitive, parameters: Parameters, operands: Sequence[object]) -> list[Array]:
     """Return the results of an operation, one or several."""
     made = primitive.bind(*operands, **primitive.get_bind_params(dict(parameters)))
     return list(made) if primitive.multiple_results else [made]
@@ -75,11 +77,10 @@ def prepare_for(executable: bytes) -> None:
     if b"lapack_" in executable:
         from jaxlib import lapack  # imports SciPy
 
-        find: Any = lapack.prepare_lapack_call
-        find("potrf_ffi", np.float32)  # any of its functions
+        lapack.prepare_lapack_call("potrf_ffi", np.float32)  # any of its functions
 
 
-def scan_sizes(parameters: dict[str, Any]) -> tuple[int, int]:
+def scan_sizes(parameters: Parameters) -> tuple[int, int]:
     """Return how many constants a scan has and how many values it carries.
 
     JAX 0.10 has two numbers among the equation's parameters; 0.11 has flat trees of the operands in their place.
@@ -92,9 +93,9 @@ def scan_sizes(parameters: dict[str, Any]) -> tuple[int, int]:
 
 def register_reverse_mode(
     primitive: core.Primitive,
-    linearized: Callable[..., Any],
-    plain: Callable[..., list[Any]],
-    as_call: Callable[..., dict[str, Any]],
+    linearized: Function,
+    plain: Function,
+    as_call: Callable[..., Parameters],
 ) -> None:
     """Give an operation its reverse mode, under `jax.checkpoint` too.
 
@@ -102,17 +103,17 @@ def register_reverse_mode(
     JAX's own operations where the tangents are on their way back.
     """
 
-    def known_in_part(trace: Any, *values: Any, **parameters: Any) -> list[Any]:
+    def known_in_part(trace: PyTree, *values: Array, **parameters: PyTree) -> PyTree:
         with core.set_current_trace(trace):
             return plain(*values, **parameters)
 
-    def split(saveable: Any, unknown: Any, instantiate: Any, equation: core.JaxprEqn) -> Any:
+    def split(saveable: PyTree, unknown: PyTree, instantiate: PyTree, equation: core.JaxprEqn) -> PyTree:
         call = equation.replace(params=as_call(**equation.params))
         return partial_eval.closed_call_partial_eval_custom_rule(
             "program", lambda *of: tuple(as_call(**part) for part in of[-2:]), saveable, unknown, instantiate, call
         )
 
-    def rule(_: bool, moving: Sequence[bool], *values: Any, **parameters: Any) -> Any:
+    def rule(_: bool, moving: Sequence[bool], *values: Array, **parameters: PyTree) -> PyTree:
         results, moved, tangents = linearized(moving, *values, **parameters)
         if jax.__version_info__ < (0, 11):
             return results, moved, None, lambda _, *along: tangents(*along)
@@ -128,7 +129,7 @@ def new_program(
     equations: Sequence[core.JaxprEqn],
     inputs: Sequence[core.Var],
     outputs: Sequence[core.Var | core.Literal],
-    constants: Sequence[tuple[core.Var, Any]] = (),
+    constants: Sequence[tuple[core.Var, Array]] = (),
 ) -> core.ClosedJaxpr:
     """Return equations as a program, whose `constants` are variables and their values; `like` says where it is from."""
     known = [variable for variable, _ in constants]
@@ -142,35 +143,31 @@ def devices_have_begun() -> bool:
     return xla_bridge.backends_are_initialized()
 
 
-def settings() -> Mapping[str, Any]:
+def settings() -> Mapping[str, object]:
     """Return all of JAX's settings by name, as they hold for the whole process."""
     return jax.config.values
 
 
-def as_one_kernel(program: core.ClosedJaxpr) -> Callable[..., list[Any]]:
+def as_one_kernel(program: core.ClosedJaxpr) -> Callable[..., list[Array]]:
     """Return a program as a function that XLA:CPU compiles as a single kernel."""
-    carry_out: Callable[..., list[Any]] = core.jaxpr_as_fun(program)
+    carry_out: Callable[..., list[Array]] = core.jaxpr_as_fun(program)
 
-    def kernel(*arguments: Any) -> list[Any]:
+    def kernel(*arguments: Array) -> list[Array]:
         with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within
             return carry_out(*arguments)
 
-    def call(*arguments: Any) -> list[Any]:
+    def call(*arguments: Array) -> list[Array]:
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            results: list[Any] = jax.jit(kernel)(*arguments)
+            results: list[Array] = jax.jit(kernel)(*arguments)
             return results
 
     return call
 
 
-def launched(
-    ptx: str, name: str, blocks: int, threads: int, made: jax.ShapeDtypeStruct, *arguments: jax.Array
-) -> jax.Array:
+def launched(ptx: str, name: str, blocks: int, threads: int, made: jax.ShapeDtypeStruct, *arguments: Array) -> Array:
     """Return what a kernel in PTX makes of its arguments on a GPU, in so many blocks of so many threads."""
     launch = {"grid_x": blocks, "block_x": threads, "shared_mem_bytes": 0}
     launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
     numbers = {name: np.int32(number) for name, number in launch.items()}
-    found: jax.Array = jax.ffi.ffi_call(LAUNCH, made)(
-        *arguments, name=name, kernel_type="ptx", kernel_data=ptx, **numbers
-    )
+    found: Array = jax.ffi.ffi_call(LAUNCH, made)(*arguments, name=name, kernel_type="ptx", kernel_data=ptx, **numbers)
     return found

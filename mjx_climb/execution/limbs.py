@@ -7,13 +7,14 @@ for the axis by name. It is never guessed from a shape: a quaternion has four co
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import ClassVar, Protocol, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jax.extend import core
 
 from mjx_climb.execution.jax_internals import inner_program, scan_sizes
+from mjx_climb.execution.jax_types import Atom, Parameters, aval_of
 
 Axis = int | None
 _NAME = "limbs"
@@ -24,7 +25,7 @@ class HasLimbs(Protocol):
     """A dataclass that names its fields whose first axis runs over the limbs; None in place of one is passed over."""
 
     OF_LIMBS: ClassVar[tuple[str, ...]]
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[object]]]
 
 
 Tree = TypeVar("Tree", bound=HasLimbs)
@@ -53,7 +54,7 @@ class LimbAxes:
         self._axes: dict[core.Var, int] = {}
         self.follow(program.jaxpr, [None] * len(program.jaxpr.invars))
 
-    def of(self, atom: core.Var | core.Literal) -> Axis:
+    def of(self, atom: Atom) -> Axis:
         """Return the axis of a value, None where it has none."""
         return None if isinstance(atom, core.Literal) else self._axes.get(atom)
 
@@ -107,8 +108,8 @@ class LimbAxes:
             carried = after
 
 
-def _shape(atom: Any) -> tuple[int, ...]:
-    return tuple(atom.aval.shape)
+def _shape(atom: Atom) -> tuple[int, ...]:
+    return aval_of(atom).shape
 
 
 def _of_product(equation: core.JaxprEqn, given: list[Axis]) -> Axis:
@@ -137,7 +138,7 @@ def _among(axis: int, new: Sequence[int]) -> int:
     return axis
 
 
-def _reshaped(p: dict[str, Any], axis: int, before: Sequence[int], after: Sequence[int]) -> Axis:
+def _reshaped(p: Parameters, axis: int, before: Sequence[int], after: Sequence[int]) -> Axis:
     """Return where an axis is after a reshape that keeps it and all that is before it."""
     count = math.prod(before[:axis])
     places = (n for n, size in enumerate(after) if math.prod(after[:n]) == count and size == before[axis])
@@ -146,7 +147,7 @@ def _reshaped(p: dict[str, Any], axis: int, before: Sequence[int], after: Sequen
 
 # Where the operation's first operand with an axis of the limbs has it in the result, by parameters, axis and shapes,
 # None where it is none any more. What is not here keeps it together with the shape.
-_Move = Callable[[dict[str, Any], int, tuple[int, ...], tuple[int, ...]], Axis]
+_Move = Callable[[Parameters, int, tuple[int, ...], tuple[int, ...]], Axis]
 _MOVES: dict[str, _Move] = {
     **dict.fromkeys(
         "reduce_sum reduce_max reduce_min reduce_prod reduce_and reduce_or reduce_xor argmax argmin".split(),

@@ -8,7 +8,7 @@ import functools
 import itertools
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import TypedDict, TypeVar, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +20,26 @@ from mjx_climb.execution.cpu_regions import in_regions
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import Has, by_axis, mapped, reached, tangents_of
 from mjx_climb.execution.jax_internals import OVER_ROBOTS, new_program, register_reverse_mode
+from mjx_climb.execution.jax_types import PyTree
 
 _Result = TypeVar("_Result")
 
-_program = core.Primitive(OVER_ROBOTS)  # of one robot; see `_batched` for its parameters
+_program = core.Primitive(OVER_ROBOTS)  # of one robot
 _program.multiple_results = True
+
+
+class _Batch(TypedDict):
+    """The operation's parameters beside the program."""
+
+    batch: tuple[int, ...]  # sizes of the batch axes, behind an array's own
+    varies: tuple[Has, ...]  # of each argument
+    regions: bool | None
+
+
+class _Whole(_Batch):
+    """All of them."""
+
+    program: core.ClosedJaxpr
 
 
 def over_robots(function: Callable[..., _Result], *, regions: bool | None = None) -> Callable[..., _Result]:
@@ -40,7 +55,7 @@ def over_robots(function: Callable[..., _Result], *, regions: bool | None = None
         Unsupported: when it is compiled, what regions cannot do.
     """
 
-    def call(*arguments: Any) -> _Result:
+    def call(*arguments: PyTree) -> _Result:
         traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         constants = list(zip(traced.jaxpr.constvars, traced.consts, strict=True))
         # traced values that the program closes over become its first arguments
@@ -56,7 +71,7 @@ def over_robots(function: Callable[..., _Result], *, regions: bool | None = None
     return jax.jit(functools.wraps(function)(call))
 
 
-def _abstract(*avals: Any, program: core.ClosedJaxpr, **how: Any) -> list[Any]:
+def _abstract(*avals: PyTree, program: core.ClosedJaxpr, **how: Unpack[_Batch]) -> list[PyTree]:
     sizes = how["batch"]
     return [
         aval.update(shape=(*aval.shape, *itertools.compress(sizes, has)))
@@ -71,7 +86,7 @@ def _results_vary(program: core.ClosedJaxpr, varies: Sequence[Has], axes: int) -
 
 
 def _batched(
-    values: Sequence[Any], axes: Sequence[int | None], program: core.ClosedJaxpr, **how: Any
+    values: Sequence[Array], axes: Sequence[int | None], program: core.ClosedJaxpr, **how: Unpack[_Batch]
 ) -> tuple[list[Array], list[int | None]]:
     """Add a batch axis, as the last."""
     size = next(value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
@@ -84,8 +99,8 @@ def _batched(
 
 
 def _differentiated(
-    values: Sequence[Any], tangents: Sequence[Any], program: core.ClosedJaxpr, **how: Any
-) -> tuple[list[Array], list[Any]]:
+    values: Sequence[Array], tangents: Sequence[Array | ad.Zero], program: core.ClosedJaxpr, **how: Unpack[_Batch]
+) -> tuple[list[Array], list[Array | ad.Zero]]:
     moving = [type(tangent) is not ad.Zero and tangent.dtype != jax.dtypes.float0 for tangent in tangents]
     both, moved = tangents_of(program, moving)
     varies = (*how["varies"], *itertools.compress(how["varies"], moving))
@@ -95,19 +110,21 @@ def _differentiated(
     return results, [next(found) if moves else zero for moves, zero in zip(moved, zeros, strict=True)]
 
 
-def _linearized(moving: Sequence[bool], *values: Any, **parameters: Any) -> Any:
+def _linearized(moving: Sequence[bool], *values: Array, **parameters: Unpack[_Whole]) -> PyTree:
     """Reverse mode goes by JAX's own operations, uncut: a region can be neither transposed nor split in time."""
     moving = [m and _is_real(value) for m, value in zip(moving, values, strict=True)]
 
-    def plain(*some: Any) -> list[Any]:
+    def plain(*some: Array) -> list[Array]:
         given = iter(some)
-        found: list[Any] = _whole(*(next(given) if m else v for m, v in zip(moving, values, strict=True)), **parameters)
+        found: list[Array] = _whole(
+            *(next(given) if m else v for m, v in zip(moving, values, strict=True)), **parameters
+        )
         return found
 
     results, along = jax.linearize(plain, *itertools.compress(values, moving))
     real = [_is_real(value) for value in results]
 
-    def tangents(*given: Any) -> list[Any]:
+    def tangents(*given: Array) -> list[Array | ad.Zero]:
         found = along(*itertools.compress(given, moving))
         zeros = (ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results)
         return [rate if is_real else zero for rate, is_real, zero in zip(found, real, zeros, strict=True)]
@@ -115,34 +132,36 @@ def _linearized(moving: Sequence[bool], *values: Any, **parameters: Any) -> Any:
     return results, real, tangents
 
 
-def _is_real(value: Any) -> bool:
+def _is_real(value: Array) -> bool:
     return bool(jnp.issubdtype(value.dtype, jnp.inexact))
 
 
-def _whole(*values: Any, program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence[Has], **_: Any) -> Any:
+def _whole(
+    *values: Array, program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence[Has], **_: object
+) -> PyTree:
     """Return the results by JAX's own operations."""
     having = _results_vary(program, varies, len(batch))
     return mapped(core.jaxpr_as_fun(program), varies, having)(*values)
 
 
-def _as_call(program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence[Has], **_: Any) -> dict[str, Any]:
+def _as_call(program: core.ClosedJaxpr, **how: Unpack[_Batch]) -> _Whole:
     """Return the parameters of an operation whose program takes the values with their batch axes."""
-    if batch:
-        varies = varies[: len(program.in_avals)]
+    if how["batch"]:
+        how["varies"] = how["varies"][: len(program.in_avals)]
         shapes = [
-            jax.ShapeDtypeStruct((*aval.shape, *itertools.compress(batch, has)), aval.dtype)
-            for aval, has in zip(program.in_avals, varies, strict=True)
+            jax.ShapeDtypeStruct((*aval.shape, *itertools.compress(how["batch"], has)), aval.dtype)
+            for aval, has in zip(program.in_avals, how["varies"], strict=True)
         ]
-        program = jax.make_jaxpr(functools.partial(_whole, program=program, batch=batch, varies=varies))(*shapes)
+        program = jax.make_jaxpr(functools.partial(_whole, program=program, **how))(*shapes)
     return {"program": program, "batch": (), "varies": ((),) * len(program.in_avals), "regions": False}
 
 
-def _for_cpu(*values: Any, program: core.ClosedJaxpr, regions: bool | None, **how: Any) -> Any:
-    if regions is not False:
+def _for_cpu(*values: Array, program: core.ClosedJaxpr, **how: Unpack[_Batch]) -> list[Array]:
+    if how["regions"] is not False:
         try:
             return in_regions(program, values, how["varies"], how["batch"])
         except Unsupported as error:
-            if regions:
+            if how["regions"]:
                 raise
             warnings.warn(f"the CPU's regions cannot do {error}: by XLA's own way, slower", stacklevel=2)
     return _whole(*values, program=program, **how)

@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -273,10 +273,10 @@ def take(path: str) -> None:
     print(SAME)
 
 
-def _by_vmap(motion: Callable[[Array], Any], start: np.ndarray, directions: np.ndarray) -> Any:
+def _by_vmap(motion: Callable[[Array], Array], start: np.ndarray, directions: np.ndarray) -> tuple[Array, ...]:
     """Return the ends of a batch's motions, with their tangents and without; on a CPU, as regions are."""
 
-    def along(start: Array, directions: Array) -> list[Any]:
+    def along(start: Array, directions: Array) -> list[tuple[Array, Array]]:
         return [jax.jvp(jax.vmap(motion), (start,), (along,)) for along in jnp.moveaxis(directions, 1, 0)]
 
     with on_host():
@@ -284,7 +284,7 @@ def _by_vmap(motion: Callable[[Array], Any], start: np.ndarray, directions: np.n
         return ends, jnp.stack(tangents, 1), ends
 
 
-def _by_kernel(start: np.ndarray, directions: np.ndarray) -> Any:
+def _by_kernel(start: np.ndarray, directions: np.ndarray) -> tuple[Array, ...]:
     with_tangents = jax.jit(gpu_kernel.tangents_over_robots(_motion, [True]))(directions, start)
     return *with_tangents, jax.jit(gpu_kernel.over_robots(_motion, [True]))(start)
 

@@ -16,6 +16,7 @@ from jax import Array
 
 from mjx_climb import execution
 from mjx_climb.control import Law
+from mjx_climb.control.law import Reference, constants, measurement_at
 from mjx_climb.disturbances import on_base
 from mjx_climb.disturbances.disturbance import Body, External
 from mjx_climb.gait import schedule as gait
@@ -130,6 +131,15 @@ def begin(walk: Walk) -> Carry:
     contact = walk.contact.init(reference.foot_position, attitudes)
     memory = control_loop.begin(walk.controller, state, reference)
     return Carry(state, contact, gait.unswayed(plan, now, reference.base_position), memory)
+
+
+def constants_of_law(walk: Walk, begun: Carry) -> list[bool | Array]:
+    """Return which leaves of the law's state stay as they begin: see `mjx_climb.control.law.constants`."""
+    state = begun.state
+    feet = jnp.zeros_like(state.base_position, shape=(len(state.joint_angles), 3))
+    reference = Reference(state.base_position, state.base_orientation, feet)
+    measured = measurement_at(reference, state.joint_angles)
+    return constants(walk.controller.law, begun.memory.law, measured, reference)
 
 
 def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action = None) -> tuple[Carry, Sample]:

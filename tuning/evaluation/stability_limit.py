@@ -46,7 +46,7 @@ from mjx_climb.physics.inverse_kinematics import inverse_kinematics
 from mjx_climb.physics.kinematics import foot_kinematics, foot_turning, limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.walk import control_loop
-from mjx_climb.walk.step import Carry, Walk, advance, begin, prepare
+from mjx_climb.walk.step import Carry, Walk, advance, begin, constants_of_law, prepare
 from mjx_climb.walk.structure import Structure, structure
 
 ROUNDING = 1e-9  # a radius above 1 by less is 1
@@ -250,11 +250,14 @@ def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, st
     """Return the values (s,) of a robot after a step before which they were `off` (s,) from those of its stance.
 
     Whole numbers and truth values cannot be off by a little; what a step hands on unchanged, as a law's discretised
-    gains, is no state.
+    gains, is no state: it stays 0.
     """
     walk = prepare(shape, law, parameters)
     carry = _stance(walk, step)
     leaves, tree = jax.tree.flatten((carry.state, carry.memory))
+    of_law = jax.tree.unflatten(jax.tree.structure(carry.memory.law), constants_of_law(walk, carry))
+    none = jax.tree.map(lambda _: False, (carry.state, carry.memory))
+    constant = jax.tree.leaves((none[0], none[1]._replace(law=of_law)))
 
     def advanced(leaves: list[Array]) -> list[Array]:
         state, memory = jax.tree.unflatten(tree, leaves)
@@ -267,10 +270,15 @@ def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, st
         jnp.issubdtype(leaf.dtype, jnp.floating) and after is not before
         for leaf, before, after in zip(leaves, program.jaxpr.invars, program.jaxpr.outvars, strict=True)
     ]
+
+    def of_states(leaves: list[Array]) -> list[Array]:
+        each = itertools.compress(zip(constant, leaves, strict=True), varied)
+        return [leaf if stays is False else jnp.where(stays, 0.0, leaf) for stays, leaf in each]
+
     values, unravel = ravel_pytree(list(itertools.compress(leaves, varied)))
     changes = iter(unravel(jnp.broadcast_to(off, values.shape)))
     moved = [leaf + next(changes) if varies else leaf for leaf, varies in zip(leaves, varied, strict=True)]
-    return {"after": ravel_pytree(list(itertools.compress(jaxpr_as_fun(program)(*moved), varied)))[0]}
+    return {"after": ravel_pytree(of_states(jaxpr_as_fun(program)(*moved)))[0]}
 
 
 _traced_once = jax.jit(_moved, static_argnums=0)

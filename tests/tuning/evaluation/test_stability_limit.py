@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.control import LoadTransfer
+from mjx_climb.control import LoadTransfer, VirtualModelAdmittance
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import growth
 from mjx_climb.viz import plots
@@ -157,6 +157,23 @@ def test_a_law_whose_sensors_may_die_is_in_the_loop(case):
     gains = {name: np.array([200.0, 1.0]) for name in ("normal_damping", "tangential_damping")}
     radius = stability_limit.by_stance(scenario, gains, only=0, law=LoadTransfer())[:, 0]
     assert radius[0] < 1 < 1.01 < radius[1]
+
+
+class Rewritten(VirtualModelAdmittance):
+    """The same law, whose step hands on as a new value what it leaves as it is."""
+
+    def step(self, mass, measured, reference):
+        return super().step(jax.tree.map(lambda value: value * 1, mass), measured, reference)
+
+
+@pytest.mark.slow
+def test_what_a_law_hands_on_as_a_new_value_is_no_state(case):
+    """As a state it had an eigenvalue of one, which is no growth of the walk."""
+    scenario, gains = case("case_1_1", "pd"), {"damping": 150.0, "stiffness": 3e3}
+    laws = VirtualModelAdmittance(), Rewritten()
+    found = [stability_limit.by_stance(scenario, gains, only=0, law=law) for law in laws]
+    np.testing.assert_allclose(*found, rtol=1e-6)
+    assert (found[0] < 0.9999).all()
 
 
 def made(radius):
