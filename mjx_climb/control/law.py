@@ -220,7 +220,7 @@ def beginning(law: Law, start: Start) -> Beginning:
             raise ValueError(f"{type(law).__name__}.step: expected {what}, {own}, got {other}")
 
     def reads(*names: str) -> bool:
-        of_measured = Measurement(*(name in names for name in Measurement._fields))
+        of_measured = [name in names for name in Measurement._fields]
         none = jax.tree.map(lambda _: False, (state, start.reference))
         return any(reached(program.jaxpr, jax.tree.leaves((none[0], of_measured, none[1]))))
 

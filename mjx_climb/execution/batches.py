@@ -107,7 +107,7 @@ def run(
 
     def by(path: str) -> dict[str, np.ndarray]:
         share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and directions is None)
-        program = _program(path, share, on, compile_briefly)
+        program = _program(path, on, compile_briefly)
 
         def of_rows(rows: np.ndarray, sharding: Sharding) -> dict[str, Array]:
             with devices.on_host(), jax.enable_x64(double):  # holds for one thread
@@ -139,7 +139,7 @@ def run_one(function: Function, structure: Hashable, *arguments: PyTree) -> PyTr
 
     def by(path: str) -> PyTree:
         with devices.on_host(), jax.enable_x64(double):
-            return jax.tree.map(np.asarray, _program(path, 1, "cpu", False)(call._replace(path=path), *arguments))
+            return jax.tree.map(np.asarray, _program(path, "cpu", False)(call._replace(path=path), *arguments))
 
     return first_possible(by, paths.path_for("cpu", kernel=False), (call, jax.tree.structure(arguments)))
 
@@ -154,7 +154,8 @@ def flattened(value: _Values, own: int, shape: Sequence[int]) -> _Values:
 
     Of a single robot those vary that have batch axes, so that it goes by the executable of several.
     """
-    lead, tail = value.shape[: value.ndim - own], value.shape[value.ndim - own :]
+    shared = value.ndim - own
+    lead, tail = tuple(value.shape[:shared]), tuple(value.shape[shared:])
     count = math.prod(shape)
     if math.prod(lead) == 1 and not (count == 1 and lead):
         return value.reshape(tail)
@@ -164,9 +165,9 @@ def flattened(value: _Values, own: int, shape: Sequence[int]) -> _Values:
 
 
 @functools.cache
-def _program(path: str, share: int, device: str | None, briefly: bool) -> Callable[..., dict[str, Array]]:
-    """Return the program of a path, for so many robots at a time."""
-    return cached_jit(_carried_out, _identity, paths.compiler_options(share, path, device, briefly=briefly))
+def _program(path: str, device: str | None, briefly: bool) -> Callable[..., dict[str, Array]]:
+    """Return the program of a path."""
+    return cached_jit(_carried_out, _identity, paths.compiler_options(path, device, briefly=briefly))
 
 
 def _identity(call: _Call, *trees: PyTree) -> str | None:

@@ -21,8 +21,8 @@ from jax.extend import core
 
 from mjx_climb.execution.jax_types import Function, Parameters, PyTree
 
-# XLA's options by path and purpose, see `paths.compiler_options`
-LEVEL, WIDTH, LEFT_OUT = "xla_backend_optimization_level", "xla_cpu_prefer_vector_width", "xla_disable_hlo_passes"
+# XLA's options, see `paths.compiler_options`
+LEVEL, WIDTH = "xla_backend_optimization_level", "xla_cpu_prefer_vector_width"
 LAUNCH = "__gpu$xla.gpu.ptx"  # the custom call by which XLA launches a kernel in PTX
 
 

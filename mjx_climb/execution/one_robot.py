@@ -101,7 +101,7 @@ def _batched(
 def _differentiated(
     values: Sequence[Array], tangents: Sequence[Array | ad.Zero], program: core.ClosedJaxpr, **how: Unpack[_Batch]
 ) -> tuple[list[Array], list[Array | ad.Zero]]:
-    moving = [type(tangent) is not ad.Zero and tangent.dtype != jax.dtypes.float0 for tangent in tangents]
+    moving = [not isinstance(tangent, ad.Zero) and tangent.dtype != jax.dtypes.float0 for tangent in tangents]
     both, moved = tangents_of(program, moving)
     varies = (*how["varies"], *itertools.compress(how["varies"], moving))
     made = _program.bind(*values, *itertools.compress(tangents, moving), program=both, **how | {"varies": varies})

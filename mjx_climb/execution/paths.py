@@ -32,13 +32,12 @@ from mjx_climb.execution import gpu_kernel
 from mjx_climb.execution.cache import cache_folder, machine, source_digest, write_whole
 from mjx_climb.execution.devices import on_host
 from mjx_climb.execution.elements import Unsupported
-from mjx_climb.execution.jax_internals import LEFT_OUT, LEVEL, WIDTH
+from mjx_climb.execution.jax_internals import LEVEL, WIDTH
 from mjx_climb.execution.one_robot import over_robots
 from mjx_climb.execution.refused import Refused
 
 PATHS = {"regions": "the CPU's regions", "kernel": "the GPU kernel"}
 ON_CPU = "MJX_CLIMB_ON_CPU"  # the variable that says up to how many robots go to the CPU although there is a GPU
-_FUSION_PAYS_BELOW = 48  # robots
 # Robots, times one and the tangents of each, that a few CPU cores simulate as soon as an H200: 8 s of any few take it
 # 0.04 s by the kernel, and 1.4 s by XLA's own.
 _AS_THE_KERNEL, _AS_LAUNCHES = 8, 64
@@ -90,22 +89,16 @@ def device_for(robots: int, tangents: int, *, kernel: bool) -> str | None:
     return "cpu" if few else None
 
 
-def compiler_options(robots: int, path: str, device: str | None, *, briefly: bool = False) -> dict[str, str | int]:
-    """Return the options with which XLA compiles so many robots.
-
-    Wide vectors for regions. Where a step is whole, XLA:CPU fuses elementwise operations by computing shared ones again
-    wherever they are used: six times the arithmetic of the equations. Each operation on its own is faster once its
-    arrays fill the vector units, and compiles sooner; with a few robots the calls would cost more than the
-    arithmetic. Other devices are left alone.
-    """
+def compiler_options(path: str, device: str | None, *, briefly: bool = False) -> dict[str, str | int]:
+    """Return the options with which XLA compiles a path: wide vectors for regions; other devices are left alone."""
     if (device or jax.default_backend()) != "cpu":
         return {}
     options: dict[str, str | int] = {LEVEL: 0} if briefly else {}
-    if path == "regions":
-        if LEVEL not in os.environ.get("XLA_FLAGS", ""):
-            options.setdefault(LEVEL, 1)  # above: half as long again, and no faster
-        return options | {WIDTH: 512}
-    return options | ({LEFT_OUT: "fusion"} if robots >= _FUSION_PAYS_BELOW else {})
+    if path != "regions":
+        return options
+    if LEVEL not in os.environ.get("XLA_FLAGS", ""):
+        options.setdefault(LEVEL, 1)  # above: half as long again, and no faster
+    return options | {WIDTH: 512}
 
 
 # --- where a fast path cannot

@@ -156,9 +156,7 @@ def test_launched():
     assert jax_internals.LAUNCH in text and "grid_x = 2 : i32" in text and 'kernel_data = "PTX"' in text
 
 
-@pytest.mark.parametrize(
-    ("option", "value"), [(jax_internals.LEVEL, 1), (jax_internals.WIDTH, 512), (jax_internals.LEFT_OUT, "fusion")]
-)
+@pytest.mark.parametrize(("option", "value"), [(jax_internals.LEVEL, 1), (jax_internals.WIDTH, 512)])
 def test_options_of_the_compiler_are_known(option, value):
     """XLA refuses an option that it does not know."""
     jax.jit(lambda x: x + 1, compiler_options={option: value}).lower(1.0).compile()
