@@ -155,7 +155,8 @@ def flattened(value: _Values, own: int, shape: Sequence[int]) -> _Values:
     Of a single robot those vary that have batch axes, so that it goes by the executable of several.
     """
     shared = value.ndim - own
-    lead, tail = tuple(value.shape[:shared]), tuple(value.shape[shared:])
+    lead: tuple[int, ...] = value.shape[:shared]
+    tail: tuple[int, ...] = value.shape[shared:]
     count = math.prod(shape)
     if math.prod(lead) == 1 and not (count == 1 and lead):
         return value.reshape(tail)

@@ -79,7 +79,7 @@ def may_be_anothers(path: Path, *, in_private: bool = False) -> bool:
 
 def cache_in_use() -> str | None:
     """Return the folder that rollouts use: JAX's where the user has set one there, else ours; None where it is off."""
-    of_jax: str | None = settings()["jax_compilation_cache_dir"]
+    of_jax = cast(str | None, settings()["jax_compilation_cache_dir"])
     own = cache_folder() if of_jax is None else None
     return of_jax if own is None else str(own)
 

@@ -75,11 +75,11 @@ class _Digests:
             array = np.asarray(value)
             if not array.dtype.hasobject:
                 return "array", array.dtype.str, array.shape, array.tobytes().hex()
-        if type(value) in (list, tuple):
+        if isinstance(value, list | tuple) and type(value) in (list, tuple):
             return type(value).__name__, *(self.of(item, f"[{index}]") for index, item in enumerate(value))
-        if type(value) in (set, frozenset):
+        if isinstance(value, set | frozenset) and type(value) in (set, frozenset):
             return type(value).__name__, *sorted(map(self.of, value))
-        if type(value) in (dict, types.MappingProxyType):
+        if type(value) is dict or isinstance(value, types.MappingProxyType):
             pairs = ((self.of(key), self.of(held, f".{key}")) for key, held in value.items())
             return "mapping", *itertools.chain.from_iterable(pairs)
         if isinstance(value, types.FunctionType):

@@ -124,8 +124,9 @@ class Operations:
 
         def made() -> Value:
             sources = {id(element.value): element.value for element in elements if isinstance(element, OfLane)}
-            if len(sources) == 1 and all(isinstance(element, OfLane) for element in elements):
-                return self.writer.of_lanes(first.value, [element.lane for element in elements])
+            lanes = [element.lane for element in elements if isinstance(element, OfLane)]
+            if len(sources) == 1 and len(lanes) == len(elements):
+                return self.writer.of_lanes(*sources.values(), lanes)
             own = [
                 e.value if isinstance(e, OfLane) and e.lane == lane else self.same_for_all(e)
                 for lane, e in enumerate(elements)
@@ -181,7 +182,7 @@ class Operations:
         if primitive.name in SHORTCUTS and (result := SHORTCUTS[primitive.name](*operands)) is not None:
             return cast(Shared, result)
         if all(isinstance(operand, np.generic) for operand in operands):
-            [number] = computed_now(primitive, parameters, operands)[0].reshape(1)
+            [number] = computed_now(primitive, parameters, cast(Sequence[np.generic], operands))[0].reshape(1)
             return cast(np.generic, number)
         name = (primitive.name, str(parameters), *map(_name_of, operands))
         made = self._once(name, operands, lambda: self.writer.operation(primitive, parameters, operands))
@@ -261,7 +262,7 @@ def _name_of(element: Number) -> Hashable:
     return (element.dtype, element.tobytes()) if isinstance(element, np.generic) else id(element)
 
 
-def _range(dtype: np.dtype) -> tuple[object, object]:
+def _range(dtype: np.dtype) -> tuple[float, float]:
     """Return the least and the largest number of a type."""
     if dtype.kind == "f":
         return -np.inf, np.inf
@@ -286,7 +287,7 @@ def _with(ends: Callable[[np.dtype], tuple[object, object]], *, itself: bool = T
     return shortcut
 
 
-def _compared(compare: Callable[[int, int], object]) -> Shortcut:
+def _compared(compare: Callable[[float, float], object]) -> Shortcut:
     """Return the shortcut of a comparison whose result is known: of equals, or from the range of whole numbers."""
 
     def shortcut(a: Number, b: Number) -> Number | None:

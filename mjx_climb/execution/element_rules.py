@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.extend import core
-from numpy.typing import DTypeLike
 
 from mjx_climb.execution.element_operations import Operations, computed_now, neutral
 from mjx_climb.execution.elements import MOVES, Elements, Shared, Unsupported, Value, along, as_array, known, objects
@@ -69,7 +68,7 @@ def _is_listed(name: str) -> bool:
     return name in MOVES or name in RULES or name in ELEMENTWISE
 
 
-def _is_strange(dtype: DTypeLike) -> bool:
+def _is_strange(dtype: np.dtype) -> bool:
     return bool(jnp.issubdtype(dtype, jax.dtypes.extended) or jnp.issubdtype(dtype, jnp.complexfloating))
 
 

@@ -220,7 +220,8 @@ def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
         known |= dict(zip(program.jaxpr.invars, arguments, strict=True))
 
         def read(atom: Atom) -> Array:
-            return atom.val if isinstance(atom, core.Literal) else known[atom]
+            value: Array = atom.val if isinstance(atom, core.Literal) else known[atom]
+            return value
 
         for equation in program.jaxpr.eqns:
             with from_line_of(equation):

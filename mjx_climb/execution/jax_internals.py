@@ -77,7 +77,8 @@ def prepare_for(executable: bytes) -> None:
     if b"lapack_" in executable:
         from jaxlib import lapack  # imports SciPy
 
-        lapack.prepare_lapack_call("potrf_ffi", np.float32)  # any of its functions
+        find: Function = lapack.prepare_lapack_call
+        find("potrf_ffi", np.float32)  # any of its functions
 
 
 def scan_sizes(parameters: Parameters) -> tuple[int, int]:
@@ -108,7 +109,7 @@ def register_reverse_mode(
             return plain(*values, **parameters)
 
     def split(saveable: PyTree, unknown: PyTree, instantiate: PyTree, equation: core.JaxprEqn) -> PyTree:
-        call = equation.replace(params=as_call(**equation.params))
+        call = equation.replace(params=dict(as_call(**equation.params)))
         return partial_eval.closed_call_partial_eval_custom_rule(
             "program", lambda *of: tuple(as_call(**part) for part in of[-2:]), saveable, unknown, instantiate, call
         )
@@ -145,7 +146,8 @@ def devices_have_begun() -> bool:
 
 def settings() -> Mapping[str, object]:
     """Return all of JAX's settings by name, as they hold for the whole process."""
-    return jax.config.values
+    values: Mapping[str, object] = jax.config.values
+    return values
 
 
 def as_one_kernel(program: core.ClosedJaxpr) -> Callable[..., list[Array]]:

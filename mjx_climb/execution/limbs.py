@@ -109,7 +109,8 @@ class LimbAxes:
 
 
 def _shape(atom: Atom) -> tuple[int, ...]:
-    return aval_of(atom).shape
+    shape: tuple[int, ...] = aval_of(atom).shape
+    return shape
 
 
 def _of_product(equation: core.JaxprEqn, given: list[Axis]) -> Axis:

@@ -116,10 +116,7 @@ def _linearized(moving: Sequence[bool], *values: Array, **parameters: Unpack[_Wh
 
     def plain(*some: Array) -> list[Array]:
         given = iter(some)
-        found: list[Array] = _whole(
-            *(next(given) if m else v for m, v in zip(moving, values, strict=True)), **parameters
-        )
-        return found
+        return _whole(*(next(given) if m else v for m, v in zip(moving, values, strict=True)), **parameters)
 
     results, along = jax.linearize(plain, *itertools.compress(values, moving))
     real = [_is_real(value) for value in results]
@@ -136,12 +133,11 @@ def _is_real(value: Array) -> bool:
     return bool(jnp.issubdtype(value.dtype, jnp.inexact))
 
 
-def _whole(
-    *values: Array, program: core.ClosedJaxpr, batch: tuple[int, ...], varies: Sequence[Has], **_: object
-) -> PyTree:
+def _whole(*values: Array, program: core.ClosedJaxpr, **how: Unpack[_Batch]) -> list[Array]:
     """Return the results by JAX's own operations."""
-    having = _results_vary(program, varies, len(batch))
-    return mapped(core.jaxpr_as_fun(program), varies, having)(*values)
+    having = _results_vary(program, how["varies"], len(how["batch"]))
+    results: list[Array] = mapped(core.jaxpr_as_fun(program), how["varies"], having)(*values)
+    return results
 
 
 def _as_call(program: core.ClosedJaxpr, **how: Unpack[_Batch]) -> _Whole:

@@ -166,6 +166,7 @@ class Rewritten(VirtualModelAdmittance):
         return super().step(jax.tree.map(lambda value: value * 1, mass), measured, reference)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_what_a_law_hands_on_as_a_new_value_is_no_state(case):
     """As a state it had an eigenvalue of one, which is no growth of the walk."""
