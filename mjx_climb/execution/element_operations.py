@@ -126,7 +126,7 @@ class Operations:
             sources = {id(element.value): element.value for element in elements if isinstance(element, OfLane)}
             lanes = [element.lane for element in elements if isinstance(element, OfLane)]
             if len(sources) == 1 and len(lanes) == len(elements):
-                return self.writer.of_lanes(*sources.values(), lanes)
+                return self.writer.of_lanes(next(iter(sources.values())), lanes)
             own = [
                 e.value if isinstance(e, OfLane) and e.lane == lane else self.same_for_all(e)
                 for lane, e in enumerate(elements)

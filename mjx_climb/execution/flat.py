@@ -21,6 +21,7 @@ from mjx_climb.execution.jax_internals import (
     from_line_of,
     inner_program,
     jvp_jaxpr,
+    line_of,
     new_program,
     scan_sizes,
     with_inner,
@@ -35,7 +36,9 @@ def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
     constants: dict[int, tuple[core.Var, Array]] = {}  # by id
     equations: list[core.JaxprEqn] = []
 
-    def written_out(program: core.ClosedJaxpr, arguments: Sequence[Atom]) -> list[Atom]:
+    def written_out(
+        program: core.ClosedJaxpr, arguments: Sequence[Atom], called_at: core.JaxprEqn | None = None
+    ) -> list[Atom]:
         atoms: dict[core.Var, Atom] = dict(zip(program.jaxpr.invars, arguments, strict=True))
         for variable, value in zip(program.jaxpr.constvars, program.consts, strict=True):
             atoms[variable] = constants.setdefault(id(value), (core.Var(variable.aval), value))[0]
@@ -45,8 +48,10 @@ def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
 
         for equation in program.jaxpr.eqns:
             given, inner = [read(atom) for atom in equation.invars], inner_program(equation)
+            if called_at is not None and not line_of(equation):  # of a function of JAX's: the line that calls it
+                equation = equation.replace(source_info=called_at.source_info)
             if inner is not None:
-                atoms |= zip(equation.outvars, written_out(inner, given), strict=True)
+                atoms |= zip(equation.outvars, written_out(inner, given, equation), strict=True)
                 continue
             parameters = with_inner(flat, equation)
             made = [core.Var(variable.aval) for variable in equation.outvars]
@@ -207,7 +212,10 @@ def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
 
     def results_of(equation: core.JaxprEqn, values: list[Array]) -> list[Array]:
         primitive, inner = equation.primitive, inner_program(equation)
-        if (compare := _COMPARISONS.get(primitive.name)) is not None:
+        compare = _COMPARISONS.get(primitive.name)
+        if compare is not None and not values[0].size:  # of nothing: a constant
+            return [lax.stop_gradient(carried_out(primitive, equation.params, values)[0])]
+        if compare is not None:
             axes = equation.params.get("axes")
             return [_better(compare, *values) if axes is None else _best(compare, values[0], axes)]
         if inner is not None and not primitive.name.startswith("custom"):

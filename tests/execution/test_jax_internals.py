@@ -94,17 +94,17 @@ def test_carried_out():
 
 
 def test_line_of():
-    assert HERE in jax_internals.line_of(only(lax.sin, 0.5))
+    assert HERE in jax_internals.line_of(only(lambda x: lax.sin(x), 0.5))
 
 
 def test_from_line_of():
-    known = only(lax.sin, 0.5)
+    known = only(lambda x: lax.sin(x), 0.5)
 
     def again(x):
         with jax_internals.from_line_of(known):
             return lax.cos(x)
 
-    assert jax_internals.line_of(only(again, 0.5)) == jax_internals.line_of(known)
+    assert jax_internals.line_of(only(again, 0.5)) == jax_internals.line_of(known) != ""
 
 
 def test_prepare_for():
