@@ -10,9 +10,12 @@ from mjx_climb.execution.gpu_kernel import over_robots
 from tests.execution import primitives
 
 ROBOTS = 9
+LONG = {"interp", "searchsorted", "gather that fills", "dynamic_update_slice"}  # others have their rules too
 
 
-@pytest.mark.parametrize("name", primitives.EVERY)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in primitives.EVERY]
+)
 def test_the_kernel_does_as_xla_or_refuses(name, interpreted):
     """In float64 to 1e-12; whole numbers, truth values and random bits the same."""
 
