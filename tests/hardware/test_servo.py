@@ -416,7 +416,7 @@ def test_robots_of_a_batch_walk_with_servos_as_they_do_alone():
     assert len(np.unique(together["peak_joint_torque"])) == 6
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_linear_limit_has_back_emf_and_integral_term_in_the_loop():
     """Of motors on a voltage it is that of torques with as much more damping; an integral term changes it."""
     base = mc.load_scenario("case_1_2", {"control.kp": 40.0, "control.kd": 0.1, "hardware.servo.armature": 0.01})

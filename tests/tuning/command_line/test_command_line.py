@@ -317,7 +317,7 @@ print(found.write(sys.argv[1]).summary)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sweep_from_python_writes_what_the_command_writes(swept, tmp_path):
     command = [sys.executable, "-c", _FROM_PYTHON, str(tmp_path)]
     summary = subprocess.run(command, cwd=ROOT, env=environment(), check=True, stdout=subprocess.PIPE, text=True).stdout
@@ -354,7 +354,7 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     same_grids(tmp_path, swept[0])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sweep_in_which_all_fail(call, tmp_path):
     code, out, _ = call("sweep", CONFIG, *SHORT, *GRID, *WEAK, "--out", tmp_path, "--json")
     found = strict_json(out)

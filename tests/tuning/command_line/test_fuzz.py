@@ -86,7 +86,10 @@ def check_refusal(code, out: str, err: str, arguments: list[str]) -> None:
     assert re.search(r"--[a-z]|'", err) or any(words in err for words in named if len(words) > 1)
 
 
-STARTS = [pytest.param(start, marks=[pytest.mark.slow] * (start >= QUICK)) for start in range(0, CASES, CHUNK)]
+STARTS = [
+    pytest.param(start, marks=() if start < QUICK else pytest.mark.slow if start < CASES / 2 else pytest.mark.nightly)
+    for start in range(0, CASES, CHUNK)
+]
 
 
 @pytest.mark.parametrize("start", STARTS)

@@ -277,7 +277,7 @@ def test_a_deviation_is_relative_to_the_value_or_to_the_prior_of_one_that_is_zer
     assert [" of 0.02" in row[4] for row in rows] == [True, False]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sway_keeps_all_feet_where_they_grip_and_pulls_less_than_they_hold():
     fit = ("contact.stiffness", "log.LF.force.gain", "log.LF.force.zero.z", "hardware.force_sensor.bias")
     found = tuning.excite(scenario(**{"contact.holding_limit": 8.0}), fit, base="free", duration=2, candidates=1)

@@ -53,7 +53,7 @@ def problem(fit, duration=2.0, kinds=("position", "velocity", "effort")):
     return least_squares.Problem(model, np.arange(len(windows.begin)), noise)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gradient_is_that_of_the_cost_by_finite_differences():
     keys = ("hardware.servo.armature", "hardware.servo.delay", "hardware.servo.backlash", "control.kp", "gravity",
             "hardware.command_delay", "robot.LF.femur", "robot.*.tibia.friction")  # fmt: skip
@@ -193,7 +193,7 @@ def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_p
 SCHEDULE = ((0.0, 50.0), (1.5, 25.0), (3.0, 50.0), (3.6, 0.0), (3.8, 50.0))  # s, N m/rad; 0: torque off
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("schedule", "duration"),
     [(SCHEDULE[:3], 4.0), pytest.param(SCHEDULE, 6.0, marks=pytest.mark.nightly)],
