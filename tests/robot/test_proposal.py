@@ -609,7 +609,8 @@ def test_every_shape_walks_alone_in_a_batch_and_with_tangents(saved, limbs, join
     """As proposed, for some steps: a batch walks as the rollout does, tangents are central differences."""
     scenario = scenario_of(propose(saved(climbers.mjcf(limbs, joints))))
     scenario = scenario.with_overrides({"duration": 12 * scenario.time_step})
-    damping, step = np.array([1e2, 2e2]), 1e-4
+    # with a tenth of it the rounding of two arms of seven is 0.3 % of a difference, with thrice it 0.001 % are left
+    damping, step = np.array([1e2, 2e2]), 1e-3
     measured = mc.metrics(mc.rollout(scenario, {"damping": damping[1]}))
     ends = np.append(damping, damping[1] * (1 + np.array([step, -step])))[:, None]
     walked = mc.rollout_metrics(scenario, {"damping": ends}, dtype=np.float64)
