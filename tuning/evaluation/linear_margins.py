@@ -66,12 +66,11 @@ def find(
             values = np.linspace(grid[0], worst, POINTS)
             values = whole_steps(values, step) if step else values
 
-        def radii(some: np.ndarray, only: int | None = None, name: str = name, last: float = values[-1]) -> np.ndarray:
-            batch = np.unique([*some, last])  # with the worst value: buffers as long, and so the same program
-            of = stability_limit.by_stance(
-                scenario, without_joint(gains), changes(own, name, batch, joint), only=only, law=law, engine=engine
-            )
-            return of[np.searchsorted(batch, some)]
+        def radii(some: np.ndarray, only: int | None = None, name: str = name) -> np.ndarray:
+            return stability_limit.by_stance(
+                scenario, without_joint(gains), changes(own, name, some, joint),
+                only=only, hardware=stability_limit.HARDWARE, law=law, engine=engine,
+            )  # fmt: skip
 
         found[name] = Stable(crossing(values, radii, step), float(values[-1]))
         if progress is not None:

@@ -13,12 +13,15 @@ What has no linear part is left out: noise, bias, resolution, a sensor that dies
 the profile of the servos' goals. The servos' own loop runs every time step here, whatever its rate. Left out are also
 dry friction, backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of
 larger motions, which slip.
+
+Delays are linear already. So JAX differentiates a loop whose signals are all one time step late, and `_with_delays`
+puts the buffers of any delays around it: one compiled program serves all delays, and it is small.
 """
 
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -30,6 +33,7 @@ from jax import Array
 from jax.extend.core import jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from threadpoolctl import threadpool_limits
@@ -38,7 +42,7 @@ import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import Law, law_of
 from mjx_climb.gait import schedule as gait
-from mjx_climb.hardware.bus import period_steps
+from mjx_climb.hardware import bus
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
@@ -52,6 +56,8 @@ from mjx_climb.walk.structure import Structure, structure
 ROUNDING = 1e-9  # a radius above 1 by less is 1
 _ENTRIES = 512 * 50**2  # of the matrices that are made at once, about: 10 MB
 _MOST_MATRICES = 512
+_ROBOTS_OF_A_CALL = 16
+_FEWEST_MATRICES = 9  # with fewer, calls hold fewer robots, by another program; see `execution.devices`
 # Of the matrices that one call makes, 160 kB: XLA:CPU works out arrays of some 256 kB and more by several threads, and
 # makes invalid code of a region that holds one ("Incorrect number of arguments passed to called function", jaxlib 0.10)
 _ENTRIES_OF_A_CALL = 20_000
@@ -61,6 +67,10 @@ _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the g
 _NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "force_dead", "base_noise", "torque_limit",
                "current_limit", "dry_friction", "stribeck", "load_torque", "profile", "servo_rate", "backlash",
                "capture")  # fmt: skip
+_LATE = ("base", "command", "force")  # the signals whose delays are put around the compiled program
+_REST = "rest"  # of the states, by name behind the signals
+_ONE_STEP = 2  # samples of a buffer whose signal is one time step late: the newest, and the one before
+HARDWARE = (*(f"{part}_delay" for part in _LATE), "control_period")  # what a loop may have whatever its values
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
 _Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, parameters where they vary
 
@@ -94,12 +104,18 @@ def by_stance(
     parameters: mc.Parameters | None = None,
     *,
     only: int | None = None,
+    hardware: Collection[str] = (),
     law: mc.Law | None = None,
     engine: str = DEFAULT_ENGINE,
 ) -> np.ndarray:
     """Return the radii of `spectral_radius` in each stance, the last axis: of robots without cargo, then with it.
 
-    The other arguments are those of `spectral_radius`; `only` is the number of one stance, which is then the only one.
+    The other arguments are those of `spectral_radius`.
+
+    Arguments:
+        only: the number of one stance, which is then the only one.
+        hardware: those of `HARDWARE` that the loop has whatever their values, so that calls in which one or the other
+            of them varies share a compiled program.
     """
     if law is None:
         law = law_of(scenario.with_overrides(_UNBOUNDED))
@@ -108,10 +124,15 @@ def by_stance(
     calm = dataclasses.replace(calm, **none, cargo_start=np.zeros(()), cargo_stop=np.full((), np.inf))
     found = resolve_in(scenario, law, gains, calm, np.float64)
     walk = structure(scenario, engine, found.parameters, law=law, smooth=True)
-    walk = walk._replace(stages=walk.stages._replace(**dict.fromkeys(_NOT_LINEAR, False)))
+    stages = walk.stages._replace(**dict.fromkeys(_NOT_LINEAR, False))
+    stages = stages._replace(control_period=stages.control_period or "control_period" in hardware)
+    linear = stages.control_period and scenario.hardware.interpolation == "linear"
+    late = [part for part in _LATE if getattr(stages, f"{part}_delay") or f"{part}_delay" in hardware]
+    buffers: dict[str, Any] = {f"{part}_delay": _ONE_STEP for part in late}
+    walk = walk._replace(stages=stages._replace(linear=linear, **buffers))
     periods = np.ones(found.shape, int)
     if walk.stages.control_period:
-        periods[...] = np.asarray(period_steps(jnp.asarray(found.parameters.control_period), scenario.time_step))
+        periods[...] = np.asarray(bus.period_steps(jnp.asarray(found.parameters.control_period), scenario.time_step))
     stances = linearised_at(scenario, periods.ravel(), uneven=bool(calm.foothold_height.size))
     loads = 2 if calm.cargo_mass.any() else 1
     which = np.arange(loads * stances.shape[1]) if only is None else np.array([only])
@@ -119,54 +140,110 @@ def by_stance(
     loaded, stance = np.divmod(which[places], stances.shape[1])
 
     def of_rows(value: np.ndarray, own: int) -> np.ndarray:
-        """Return the values of robots by their rows; one that all share stays."""
+        """Return the values of robots by their rows."""
         tail = value.shape[value.ndim - own :]
-        return value if value.ndim == own else np.broadcast_to(value, (*found.shape, *tail)).reshape(-1, *tail)[rows]
+        return np.broadcast_to(value, (*found.shape, *tail)).reshape(periods.size, *tail)[rows]
 
-    robots = jax.tree.map(of_rows, (found.law, found.parameters), found.axes)
-    cargo = np.broadcast_to(robots[1].cargo_mass, rows.shape) * loaded.astype(float)
-    robots = robots[0], dataclasses.replace(robots[1], cargo_mass=cargo)
-    radii = _radii_of(walk, robots, found.axes, periods.ravel()[rows], stances[rows, stance])
+    law, parameters = jax.tree.map(of_rows, (found.law, found.parameters), found.axes)
+    delays = {part: getattr(parameters, f"{part}_delay") / scenario.time_step for part in late}
+    one_step = {f"{part}_delay": np.full(rows.size, scenario.time_step) for part in late}
+    parameters = dataclasses.replace(parameters, **one_step, cargo_mass=parameters.cargo_mass * loaded.astype(float))
+    radii = _radii_of(walk, (law, parameters), delays, periods.ravel()[rows], stances[rows, stance])
     return np.asarray(radii.reshape(*found.shape, which.size))
 
 
-def _radii_of(walk: Structure, robots: _Robots, axes: Any, periods: np.ndarray, first: np.ndarray) -> np.ndarray:
+def _radii_of(
+    walk: Structure, robots: _Robots, delays: Mapping[str, np.ndarray], periods: np.ndarray, first: np.ndarray
+) -> np.ndarray:
     """Return the radii (N,) of robots, linearised over their control periods (N,), which begin at a `first` step.
 
-    `axes`, in place of each value, are how many the value of one robot has.
+    `delays` are those of signals, in time steps, (N,) each.
     """
-
-    def one(value: np.ndarray, own: int) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct(value.shape[value.ndim - own :], value.dtype)
-
+    single = jax.tree.map(lambda value: jax.ShapeDtypeStruct(value.shape[1:], value.dtype), robots)
     with jax.enable_x64(True):
         off, step = jax.ShapeDtypeStruct((), float), jax.ShapeDtypeStruct((), np.int32)
-        single = jax.tree.map(one, robots, axes)
-        states = _traced_once.eval_shape(walk, off, *single, step)["after"].size
-    # held: all steps after the first of a period are alike; on a line to the next target each is another
-    kinds = int(periods.max() if walk.stages.linear else min(periods.max(), 2))
-    count, matrices = len(periods), max(1, min(_MOST_MATRICES, _ENTRIES // states**2))
-    still, columns = np.zeros((matrices, states)), np.broadcast_to(np.eye(states), (matrices, states, states))
+        sizes = {name: value.size for name, value in _traced_once.eval_shape(walk, off, *single, step).items()}
+    states = sum(sizes.values())
+    # robots that differ in their delays alone are linearised once
+    known = [np.reshape(value, (len(periods), -1)) for value in (*jax.tree.leaves(robots), first)]
+    _, own, of = np.unique(np.concatenate(known, axis=1), axis=0, return_index=True, return_inverse=True)
+    of = of.ravel()
+    late = np.stack([delays[name] for name in sizes if name != _REST], axis=1) if delays else np.zeros((len(of), 0))
+    call = min(_ROBOTS_OF_A_CALL, max(1, _ENTRIES_OF_A_CALL // states**2))
+    most = max(call, _FEWEST_MATRICES, min(_MOST_MATRICES, _ENTRIES // states**2))
 
-    def jacobians(start: int) -> list[np.ndarray]:
-        """Return the transposed Jacobians (matrices, states, states) of the steps of a period, the last repeated."""
-        rows, found = np.minimum(np.arange(start, start + matrices), count - 1), []
-        some = jax.tree.map(lambda value, own: value[rows] if value.ndim > own else value, robots, axes)
-        for kind in range(kinds):
-            step = (first[rows] + kind).astype(np.int32)
-            linearised = execution.Robots((still, *some, step), (1, *axes, 0), (matrices,), columns)
-            size = max(1, _ENTRIES_OF_A_CALL // states**2)
-            _, tangents = execution.run(_moved, walk, linearised, batch_size=size, compile_briefly=True)
-            found.append(np.asarray(tangents["after"]))
+    def jacobians(rows: np.ndarray) -> list[np.ndarray]:
+        """Return the transposed Jacobians (R, states, states) of the steps of a period, the last repeated."""
+        # held: all steps after the first of a period are alike; on a line to the next target each is another
+        longest, found = int(periods[rows].max()), []
+        padded = np.resize(rows, max(len(rows), _FEWEST_MATRICES))
+        some = jax.tree.map(lambda value: value[padded], robots)
+        still, columns = np.zeros((len(padded), states)), np.broadcast_to(np.eye(states), (len(padded), states, states))
+        for kind in range(longest if walk.stages.linear else min(longest, 2)):
+            step = (first[padded] + kind).astype(np.int32)
+            axes = jax.tree.map(lambda value: value.ndim - 1, some)
+            linearised = execution.Robots((still, *some, step), (1, *axes, 0), (len(padded),), columns)
+            _, tangents = execution.run(_moved, walk, linearised, batch_size=call, compile_briefly=True)
+            found.append(np.concatenate([tangents[name] for name in sizes], axis=-1)[: len(rows)])
         return found
 
+    def with_delays(steps: list[np.ndarray], cores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return which robots have some Jacobians, and their radii."""
+        mine = np.flatnonzero(np.isin(of, cores))
+        radii = np.empty(len(mine))
+        for each in np.unique(late[mine], axis=0):
+            alike = (late[mine] == each).all(1)
+            rows = mine[alike]
+            buffers = [_weights(steps_late) for steps_late in each]
+            whole = [_with_delays(step[of[rows] - cores[0]], list(sizes.values()), buffers) for step in steps]
+            radii[alike] = _radii(whole, periods[rows])
+        return mine, radii
+
+    radii = np.empty(len(periods))
     # eigenvalues of these while the next are made; threads of BLAS would only wait for a core
     with ThreadPoolExecutor(1) as beside, threadpool_limits(1, "blas"):
-        parts = [
-            beside.submit(_radii, jacobians(start), periods[start : start + matrices])
-            for start in range(0, count, matrices)
-        ]
-        return np.concatenate([part.result() for part in parts])
+        chunks = [np.arange(start, min(start + most, len(own))) for start in range(0, len(own), most)]
+        for part in [beside.submit(with_delays, jacobians(own[cores]), cores) for cores in chunks]:
+            mine, found = part.result()
+            radii[mine] = found
+    return radii
+
+
+def _weights(steps: float) -> np.ndarray:
+    """Return how much of the samples (L,) of a signal, the newest first, makes it up as it was some steps ago.
+
+    It is linear between samples, as `mjx_climb.hardware.bus.weights` has it.
+    """
+    return np.asarray(np.maximum(1 - np.abs(np.arange(math.ceil(steps) + 1) - steps), 0))
+
+
+def _with_delays(core: np.ndarray, sizes: Sequence[int], weights: Sequence[np.ndarray]) -> np.ndarray:
+    """Return transposed Jacobians (R, n, n) of a loop with the buffers of delayed signals behind its other states.
+
+    Arguments:
+        core: transposed Jacobians (R, s, s) of a loop in which each signal is one step late: of the signals as they
+            were measured or sent in the step before, and of all other states, to the same after the step.
+        sizes: of the signals in their order, and of the rest.
+        weights: of each signal, see `_weights`.
+    """
+    *signals, rest = sizes
+    if not signals:
+        return core
+    late, newest = sum(signals), np.repeat([weight[0] for weight in weights], signals)
+    each = [(weight, len(weight) - 1, np.eye(size)) for weight, size in zip(weights, signals, strict=True)]
+    read = block_diag(*(np.kron(weight[1:, None], one) for weight, _, one in each))
+    entered = block_diag(*(np.kron(np.eye(1, kept), one) for _, kept, one in each))
+    shifted = block_diag(*(np.kron(np.eye(kept, k=1), one) for _, kept, one in each))
+    with np.errstate(invalid="ignore"):  # a robot that has no finite Jacobian has no finite radius
+        # the late signals by the states: by the rest within the step where a delay is below a step, and by the buffers
+        signal = np.concatenate([core[:, late:, :late] * newest, np.broadcast_to(read, (len(core), *read.shape))], 1)
+        if newest.any():  # a signal may act on another one within the step
+            signal = signal @ np.linalg.inv(np.eye(late) - core[:, :late, :late] * newest)
+        after = signal @ core[:, :late]
+        after[:, :rest] += core[:, late:]
+        whole = np.concatenate([after[:, :, late:], after[:, :, :late] @ entered], 2)
+        whole[:, rest:, rest:] += shifted
+    return whole
 
 
 def linearised_at(scenario: mc.Scenario, periods: np.ndarray, *, uneven: bool) -> np.ndarray:
@@ -247,38 +324,80 @@ def on_map(radius: xr.DataArray, walks: xr.Dataset) -> xr.DataArray:
 
 
 def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, step: Array) -> dict[str, Array]:
-    """Return the values (s,) of a robot after a step before which they were `off` (s,) from those of its stance.
+    """Return the values of a robot after a step before which they were `off` (s,) from those of its stance.
 
-    Whole numbers and truth values cannot be off by a little; what a step hands on unchanged, as a law's discretised
-    gains, is no state: it stays 0.
+    They are the newest samples of the delayed signals, by name, and the `_REST`, in the order of `off`. Whole numbers
+    and truth values cannot be off by a little; what a step hands on unchanged, as a law's discretised gains, is no
+    state: it stays 0.
     """
     walk = prepare(shape, law, parameters)
     carry = _stance(walk, step)
-    leaves, tree = jax.tree.flatten((carry.state, carry.memory))
-    of_law = jax.tree.unflatten(jax.tree.structure(carry.memory.law), constants_of_law(walk, carry))
-    none = jax.tree.map(lambda _: False, (carry.state, carry.memory))
+    samples, memory = _taken(carry.memory, walk.structure)
+    leaves, tree = jax.tree.flatten((carry.state, memory))
+    of_law = jax.tree.unflatten(jax.tree.structure(memory.law), constants_of_law(walk, carry))
+    none = jax.tree.map(lambda _: False, (carry.state, memory))
     constant = jax.tree.leaves((none[0], none[1]._replace(law=of_law)))
 
-    def advanced(leaves: list[Array]) -> list[Array]:
+    def advanced(samples: dict[str, Any], leaves: list[Array]) -> tuple[dict[str, Any], list[Array]]:
         state, memory = jax.tree.unflatten(tree, leaves)
         state = execution.of_limbs(state)  # a row of single numbers until now
-        after, _ = advance(walk, carry._replace(state=state, memory=memory), step)
-        return jax.tree.leaves((after.state, after.memory))
+        before = carry._replace(state=state, memory=_put(memory, samples))
+        after, _ = advance(walk, before, step)
+        samples, memory = _taken(after.memory, walk.structure)
+        return samples, jax.tree.leaves((after.state, memory))
 
-    program = jax.make_jaxpr(advanced)(leaves)
+    program = jax.make_jaxpr(advanced)(samples, leaves)
+    count = len(jax.tree.leaves(samples))
+    befores, afters = program.jaxpr.invars[count:], program.jaxpr.outvars[count:]
     varied = [
         jnp.issubdtype(leaf.dtype, jnp.floating) and after is not before
-        for leaf, before, after in zip(leaves, program.jaxpr.invars, program.jaxpr.outvars, strict=True)
+        for leaf, before, after in zip(leaves, befores, afters, strict=True)
     ]
 
     def of_states(leaves: list[Array]) -> list[Array]:
         each = itertools.compress(zip(constant, leaves, strict=True), varied)
         return [leaf if stays is False else jnp.where(stays, 0.0, leaf) for stays, leaf in each]
 
-    values, unravel = ravel_pytree(list(itertools.compress(leaves, varied)))
-    changes = iter(unravel(jnp.broadcast_to(off, values.shape)))
-    moved = [leaf + next(changes) if varies else leaf for leaf, varies in zip(leaves, varied, strict=True)]
-    return {"after": ravel_pytree(of_states(jaxpr_as_fun(program)(*moved)))[0]}
+    values, unravel = ravel_pytree(samples | {_REST: list(itertools.compress(leaves, varied))})
+    moved = unravel(values + jnp.broadcast_to(off, values.shape))
+    changed = iter(moved.pop(_REST))
+    given = [next(changed) if varies else leaf for leaf, varies in zip(leaves, varied, strict=True)]
+    found = jaxpr_as_fun(program)(*jax.tree.leaves(moved), *given)
+    after = jax.tree.unflatten(jax.tree.structure(samples), found[:count])
+    after[_REST] = of_states(found[count:])
+    return {name: ravel_pytree(value)[0] for name, value in after.items()}
+
+
+def _taken(memory: control_loop.Memory, walk: Structure) -> tuple[dict[str, Any], control_loop.Memory]:
+    """Return the newest samples of the delayed signals by name, and the memory without them."""
+    found: dict[str, Any] = {}
+    if walk.stages.force_delay:
+        found["force"] = memory.force_sensor.buffer[0]
+        memory = memory._replace(force_sensor=memory.force_sensor._replace(buffer=()))
+    if walk.stages.base_delay:
+        found["base"] = tuple(buffer[0] for buffer in memory.base_estimate)
+        memory = memory._replace(base_estimate=())
+    if walk.stages.command_delay:
+        reports = memory.reports.buffers if memory.reports else ()
+        gains = tuple(buffer[0] for buffer in memory.joint_gains)
+        found["command"] = memory.targets[0], gains, tuple(buffer[0] for buffer in reports)
+        memory = memory._replace(targets=(), joint_gains=())
+        memory = memory._replace(reports=memory.reports._replace(buffers=()) if memory.reports else ())
+    return found, memory
+
+
+def _put(memory: control_loop.Memory, samples: Mapping[str, Any]) -> control_loop.Memory:
+    """Return a memory with buffers of `_ONE_STEP` that hold samples: the older ones are never read."""
+    buffers = jax.tree.map(lambda sample: (sample,) * _ONE_STEP, dict(samples))
+    if "force" in buffers:
+        memory = memory._replace(force_sensor=memory.force_sensor._replace(buffer=buffers["force"]))
+    if "base" in buffers:
+        memory = memory._replace(base_estimate=buffers["base"])
+    if "command" in buffers:
+        targets, gains, reported = buffers["command"]
+        memory = memory._replace(targets=targets, joint_gains=gains)
+        memory = memory._replace(reports=memory.reports._replace(buffers=reported) if memory.reports else ())
+    return memory
 
 
 _traced_once = jax.jit(_moved, static_argnums=0)

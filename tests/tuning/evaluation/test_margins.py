@@ -196,7 +196,7 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call)
     """JSON alone on standard output; the linearised loop's margins stand beside those of walks."""
     gains = gains_file.save(GAINS, tmp_path / "soft.yaml")
 
-    def radii(scenario, gains, parameters, *, only, law, engine):
+    def radii(scenario, gains, parameters, *, only, hardware, law, engine):
         varied = (parameters.force_delay, parameters.command_delay, parameters.control_period, parameters.kp)
         return 0.991 + np.broadcast_arrays(*varied)[0][:, None]
 

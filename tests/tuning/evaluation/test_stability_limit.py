@@ -3,12 +3,15 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb import execution
 from mjx_climb.control import LoadTransfer, VirtualModelAdmittance
+from mjx_climb.hardware import bus
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import growth
 from mjx_climb.viz import plots
@@ -116,6 +119,51 @@ def test_the_radius_is_that_of_one_step_whatever_the_period():
     np.testing.assert_allclose(stability_limit._radii(steps, periods)[:2], np.maximum(expected[:2], [0.5, 0.45**0.5]))
     steps[1][1, 0, 0] = np.nan
     assert np.isinf(stability_limit._radii(steps, periods)).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("delays", [(0.0, 2.6), (0.3, 1.0), (0.0, 0.0)])
+def test_delays_are_put_around_a_loop_that_is_one_step_late(delays):
+    """Two signals, the first made of the second within the step: as if samples were kept and read one by one."""
+    rng, sizes = np.random.default_rng(0), (2, 3, 4)
+    core = rng.normal(size=(9, 9))
+    core[:2, :5] = core[2:5, 2:5] = 0.0  # transposed: the first acts on no signal, the second on the first alone
+    weights = [stability_limit._weights(delay) for delay in delays]
+    for delay, found in zip(delays, weights, strict=True):
+        np.testing.assert_allclose(found, bus.weights(jnp.asarray(delay), len(found)), atol=1e-12)
+    (found,) = stability_limit._with_delays(core[None], sizes, weights)
+    rest, kept = rng.normal(size=4), [rng.normal(size=(len(w) - 1, m)) for w, m in zip(weights, sizes, strict=False)]
+    late = [weight[1:] @ samples for weight, samples in zip(weights, kept, strict=True)]
+    second = late[1] + weights[1][0] * (rest @ core[5:, 2:5])
+    first = late[0] + weights[0][0] * (second @ core[2:5, :2] + rest @ core[5:, :2])
+    new = np.concatenate([first, second, rest]) @ core
+    after = [np.concatenate([each[None], old])[: len(old)] for each, old in zip((new[:2], new[2:5]), kept, strict=True)]
+    expected = np.concatenate([new[5:], *(each.ravel() for each in after)])
+    np.testing.assert_allclose(np.concatenate([rest, *(each.ravel() for each in kept)]) @ found, expected, atol=1e-12)
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_one_program_serves_whatever_part_of_the_hardware_gets_worse(case, monkeypatch):
+    scenario, gains, run, programs = case("case_1_2", "virtual_model"), mc.Gains(1.0, 150.0, 3e3), execution.run, set()
+
+    def recorded(function, structure, robots, **how):
+        kinds = [(value.shape[1:], value.dtype) for value in jax.tree.leaves(robots.arguments)]
+        programs.add((function, structure, tuple(kinds), tuple(how.items())))
+        return run(function, structure, robots, **how)
+
+    def radius(**changed):
+        parameters = dataclasses.replace(own_parameters(scenario), **changed)
+        return stability_limit.by_stance(scenario, gains, parameters, only=0, hardware=hardware)
+
+    monkeypatch.setattr(stability_limit.execution, "run", recorded)
+    hardware = stability_limit.HARDWARE
+    late = np.array([0.0, 3.4e-3])
+    by_delay = radius(force_delay=late, base_delay=late)
+    others = [radius(command_delay=late), radius(control_period=np.array([1e-3, 8e-3])), radius(kp=np.array(50.0))]
+    assert len(programs) == 1
+    hardware = ()  # what there is not is not in the loop
+    np.testing.assert_allclose([each.ravel()[0] for each in (by_delay, *others)], radius().item(), rtol=1e-9)
+    assert len(programs) == 2 and abs(by_delay[1, 0] / by_delay[0, 0] - 1) > 1e-4
 
 
 @pytest.mark.parametrize("shape", [(), (2,)])
