@@ -20,6 +20,7 @@ from nbformat.v4 import new_code_cell
 
 import mjx_climb as mc
 from mjx_climb.control import LAWS
+from tests.pages import FENCE, commands, fences
 from tuning.command_line import options
 from tuning.command_line.program import program
 from tuning.problem import search
@@ -31,13 +32,8 @@ README = (ROOT / "README.md").read_text("utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PROGRAM = typer.main.get_command(program())
 LINK = re.compile(r"\]\(([^)\s]+)\)")
-FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`\n]+(?:\n[^`\n]+)?)`")
 PATH = re.compile(r"(?:\.ci|configs|docs|mjx_climb|notebooks|tests|tuning)/[\w./-]*")
-
-
-def fences(text: str, *languages: str) -> list[str]:
-    return [body for language, body in FENCE.findall(text) if language in languages]
 
 
 def inline(text: str) -> list[str]:
@@ -48,12 +44,6 @@ def anchors(text: str) -> set[str]:
     """Return the anchors of a page's headings, as GitHub and Python-Markdown make them."""
     headings = re.findall(r"^#+ (.*)$", FENCE.sub("", text), re.MULTILINE)
     return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
-
-
-def commands(text: str) -> list[list[str]]:
-    """Return the arguments of the lines that call the program."""
-    lines = (line.strip() for line in text.replace("\\\n", " ").splitlines())
-    return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("mjx-climb ")]
 
 
 def parsed(arguments: list[str]) -> dict:

@@ -1,7 +1,6 @@
 """The contact, the actuator and the disturbance that pages show: alone and in a batch, without a fall back."""
 
 import importlib.util
-import re
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import mjx_climb as mc
 from mjx_climb.physics.kinematics import Feet, limb_frames
 from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
+from tests.pages import fences
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {"contacts": "Magnet", "actuators": "SeriesElastic", "disturbances": "ThermalBending"}
@@ -22,7 +22,7 @@ OPEN = jnp.zeros(4, bool)
 
 def blocks(page):
     """The example of a page and how it is used."""
-    return re.findall(r"^```python\n(.*?)^```$", (DOCS / f"{page}.md").read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    return fences((DOCS / f"{page}.md").read_text("utf-8"), "python")
 
 
 @pytest.fixture(scope="module")
