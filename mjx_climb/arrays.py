@@ -1,12 +1,13 @@
-"""Arrays of JAX and of NumPy alike."""
+"""Arrays of JAX and of NumPy alike, and trees of them."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 AnyArray = Any  # an array of JAX or of NumPy
+Tree = TypeVar("Tree")  # of a pytree that a function returns with the same structure
 
 
 def namespace(*arrays: object) -> Any:

@@ -15,6 +15,9 @@ from typing import Any, ClassVar, NamedTuple, TypeVar, dataclass_transform
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
+
+from mjx_climb.arrays import AnyArray
 
 _NUMBERS = {3: "three", 6: "six"}
 
@@ -45,7 +48,7 @@ def parameter(
     *,
     shape: tuple[int | None, ...] = (),
     bounds: tuple[float, float],
-    default: Any = dataclasses.MISSING,
+    default: object = dataclasses.MISSING,
     long_name: str = "",
 ) -> Any:
     """Return the field of a contact, an actuator or a disturbance that is one of its values.
@@ -64,7 +67,7 @@ def parameter(
     return value_field(ValueField(unit, tuple(shape), bounds, None, long_name), default)
 
 
-def value_field(field: ValueField, default: Any) -> Any:
+def value_field(field: ValueField, default: object) -> Any:
     """Return a field of a dataclass that is a value, as declared.
 
     Raises:
@@ -88,7 +91,7 @@ class Component:
     VALUES: ClassVar[Mapping[str, ValueField]] = MappingProxyType({})  # by name, in the order of the fields
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType({})  # number of axes of one robot's value
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         dataclasses.dataclass(frozen=True, eq=False)(cls)
         fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # a dataclass from here on
@@ -105,8 +108,8 @@ AnyComponent = TypeVar("AnyComponent", bound=Component)
 
 def with_values(
     component: AnyComponent,
-    values: Mapping[str, Any],
-    array: Callable[[Any], Any] = np.asarray,
+    values: Mapping[str, ArrayLike],
+    array: Callable[[AnyArray], AnyArray] = np.asarray,
     name: str = "gains",
     zero: tuple[str, ...] = (),
 ) -> AnyComponent:
@@ -134,12 +137,12 @@ def with_values(
 
 def checked_value(
     name: str,
-    value: Any,
+    value: ArrayLike,
     shape: tuple[int | None, ...],
     low: float = math.nan,
     high: float = math.nan,
     zero: bool = False,
-) -> Any:
+) -> AnyArray:
     """Return a value as an array, of whatever precision it has.
 
     A value of one axis may be a scalar, or have a last axis of one; of more axes a scalar or all of them.

@@ -9,10 +9,9 @@ import sys
 TYPE_CHECKING = False  # `typing` takes longest of all that is imported before the command line watches signals
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from typing import Any
 
 
-def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package whose names stand below its `if TYPE_CHECKING:`.
 
     Type checkers and editors read the imports there as they are; at run time each is carried out on first use.
@@ -22,7 +21,7 @@ def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[st
     [imports] = (node.body for node in ast.parse(source).body if isinstance(node, ast.If))
     homes = {alias.name: node.module for node in imports if isinstance(node, ast.ImportFrom) for alias in node.names}
 
-    def get(name: str) -> Any:
+    def get(name: str) -> object:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(importlib.import_module(str(homes[name])), name)

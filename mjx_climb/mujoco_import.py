@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
+# values of MUJOCO_GL that load no library of OpenGL
 _OTHERS = ("", "glfw", "glx", *"enable enabled on true 1 disable disabled off false 0".split())
 
 

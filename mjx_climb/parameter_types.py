@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 from jax import Array
-from jaxtyping import Real
+from jaxtyping import PyTree, Real
 
-from mjx_climb.arrays import namespace
+from mjx_climb.arrays import AnyArray, namespace
 from mjx_climb.component import Component
 
 # batch axes of one gain need not be those of another: they broadcast
@@ -25,9 +25,9 @@ ROUNDING = 2.0**-21  # of a number of steps: what single precision may be off
 _TIMES = ("cycle", "cargo_start", "cargo_stop", "push_start", "push_stop", "control_period", "force_dead")
 
 
-def _of(key: str | None, unit: str = "", long_name: str = "", **default: Any) -> Any:
+def _of(key: str | None, unit: str = "", long_name: str = "", default: object = dataclasses.MISSING) -> Any:
     """Return a field with the key of a scenario that it comes from; with a unit a sweep may run over it."""
-    return dataclasses.field(metadata={"key": key, "unit": unit, "long_name": long_name}, **default)
+    return dataclasses.field(metadata={"key": key, "unit": unit, "long_name": long_name}, default=default)
 
 
 @jax.tree_util.register_dataclass
@@ -138,12 +138,12 @@ class Parameters:
     backlash: _Scalar = _of("hardware.servo.backlash", "rad", "backlash")
     servo_delay: _Scalar = _of("hardware.servo.delay", "s", "delay of the servos")
     seed: _Scalar = _of("hardware.seed")  # whole, below 2^24 so that single precision holds it
-    contact: Any = None  # a `Contact` in place of the gripper that the values above describe
-    drive: Any = None  # an `Actuator` in place of the servos that the values above describe
-    disturbances: Any = ()  # a tuple of `Disturbance`, beside cargo and pushes
+    contact: PyTree = None  # a `Contact` in place of the gripper that the values above describe
+    drive: PyTree = None  # an `Actuator` in place of the servos that the values above describe
+    disturbances: PyTree = ()  # a tuple of `Disturbance`, beside cargo and pushes
 
     @property
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> dict[str, AnyArray]:
         """The values by name, without contact, drive and disturbances, which have values of their own."""
         return {name: value for name, value in vars(self).items() if name not in COMPONENTS}
 
@@ -174,7 +174,7 @@ COORDINATES: dict[str, tuple[str, str]] = {
 }
 
 
-def whole_steps(seconds: Any, time_step: float) -> Any:
+def whole_steps(seconds: AnyArray, time_step: float) -> AnyArray:
     """Return the whole number of time steps nearest to each time in s, of two the larger; arrays of JAX or of NumPy.
 
     What lies below half a step by no more than the rounding of single precision counts as half a step.
@@ -183,13 +183,14 @@ def whole_steps(seconds: Any, time_step: float) -> Any:
     return namespace(steps).floor(steps + _slack(steps))
 
 
-def stance_steps(duty: Any, cycle_steps: Any) -> Any:
+def stance_steps(duty: AnyArray, cycle_steps: AnyArray) -> AnyArray:
     """Return for how many steps of a cycle a limb stands: rounded up, so that limbs in turn never swing together."""
     steps = duty * cycle_steps
     return namespace(steps).ceil(steps - _slack(steps))
 
 
-def _slack(steps: Any) -> Any:
+def _slack(steps: AnyArray) -> AnyArray:
+    # rounding grows with the number of steps, and is never as much as an eighth of one
     return namespace(steps).minimum(steps * ROUNDING, 0.125)
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,16 +47,19 @@ SCENARIO = Scenario().with_overrides(
 )
 
 
+Value = float | str | bool | None
+
+
 class Deviation(NamedTuple):
     """The value furthest from the stored one: by how much, relative (infinite where either is no number), and which."""
 
     size: float
     name: str
-    value: Any
-    stored: Any
+    value: Value
+    stored: Value
 
 
-def measure() -> dict[str, dict[str, Any]]:
+def measure() -> dict[str, dict[str, Value]]:
     """Return the values on this machine: `walk` and `gradient` by metric, and accelerations by engine.
 
     The gradient is the derivative by the logarithm of damping and stiffness together. Accelerations: base linear m/s^2,
@@ -72,7 +75,7 @@ def measure() -> dict[str, dict[str, Any]]:
 
 
 def deviations(
-    measured: Mapping[str, Mapping[str, Any]], stored: Mapping[str, Mapping[str, Any]]
+    measured: Mapping[str, Mapping[str, Value]], stored: Mapping[str, Mapping[str, Value]]
 ) -> dict[str, Deviation]:
     """Return for each part of `measure` the value that is furthest from the stored one, of those that are stored."""
     found = {}
@@ -84,17 +87,16 @@ def deviations(
     return found
 
 
-def load() -> dict[str, dict[str, Any]]:
+def load() -> dict[str, dict[str, Value]]:
     """Return the stored values: `walk`, `gradient` and `acceleration`, which is MuJoCo's."""
-    values: dict[str, dict[str, Any]] = json.loads(STORED.read_text())
+    values: dict[str, dict[str, Value]] = json.loads(STORED.read_text())
     return values
 
 
-def _distance(value: Any, stored: Any) -> float:
-    numbers = [v for v in (value, stored) if isinstance(v, float) and math.isfinite(v)]
-    if len(numbers) < 2:
-        return 0.0 if type(value) is type(stored) and value == stored else math.inf
-    return float(abs(value - stored) / max(abs(stored), 1e-300))
+def _distance(value: Value, stored: Value) -> float:
+    if isinstance(value, float) and isinstance(stored, float) and math.isfinite(value) and math.isfinite(stored):
+        return abs(value - stored) / max(abs(stored), 1e-300)
+    return 0.0 if type(value) is type(stored) and value == stored else math.inf
 
 
 def _accelerations() -> dict[str, dict[str, float]]:

@@ -5,14 +5,17 @@ In `"... limbs 3 K"` the axes of one robot follow any batch axes; what a name st
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Sizes = Mapping[str, int | range]
 
 
-def check_fields(of: str, tree: Any, sizes: Sizes) -> None:
+def check_fields(of: str, tree: "DataclassInstance", sizes: Sizes) -> None:
     """Refuse a dataclass with an array of another shape than its field has; fields without a shape are any.
 
     Raises:
@@ -23,7 +26,7 @@ def check_fields(of: str, tree: Any, sizes: Sizes) -> None:
             check_shape(f"{of}.{field.name}", np.shape(getattr(tree, field.name)), dims, sizes)
 
 
-def dims_of(annotation: Any) -> str:
+def dims_of(annotation: object) -> str:
     """Return the shape in an annotation, or in the first member of a union of some, "" where there is none."""
     members = (annotation, *get_args(annotation))
     return next((member.dim_str for member in members if hasattr(member, "dim_str")), "")

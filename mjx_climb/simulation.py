@@ -14,7 +14,7 @@ The walk itself is `mjx_climb.walk.step`; how a function of one robot is carried
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypedDict, Unpack
+from typing import TypedDict, TypeVar, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -59,9 +59,11 @@ from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, 
 from mjx_climb.walk.structure import Structure, structure
 from mjx_climb.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of, samples_under, together
 
+Returned = TypeVar("Returned")
 
-class How(TypedDict, total=False):
-    """How a batch walks: see `Simulation.metrics`."""
+
+class BatchOptions(TypedDict, total=False):
+    """Precision, size of shares and progress of a batch: see `Simulation.metrics`."""
 
     dtype: DTypeLike
     batch_size: int | None
@@ -175,7 +177,7 @@ class Simulation:
         return dataclasses.replace(given, contact=contact, drive=drive, disturbances=disturbances)
 
     def _structure(self, parameters: Parameters, called: Mapping[str, str]) -> Structure:
-        """Return what a walk under these parameters is compiled for: they say which stages of hardware there are."""
+        """Return the structure of a walk under these parameters, which decide about the stages of hardware."""
         return structure(
             self.scenario, self.engine, parameters, law=self.law, metrics=self.table, smooth=self.smooth,
             called=lambda name: called.get(name, f"parameters.{name}"),
@@ -254,12 +256,11 @@ class Simulation:
             ValueError: shapes that do not broadcast, gains that the law does not have, or cannot have, parameters that
                 no scenario could have, no robots, or another precision than float32 and float64.
         """
-        how = How(dtype=dtype, batch_size=batch_size, progress=progress, unsteady=unsteady)
-        found: dict[str, np.ndarray] = self._run(metrics_of, gains, parameters, **how)
-        return found
+        how = BatchOptions(dtype=dtype, batch_size=batch_size, progress=progress, unsteady=unsteady)
+        return self._run(metrics_of, gains, parameters, **how)[0]
 
     def histories(
-        self, gains: AnyGains | None = None, parameters: Parameters | None = None, **how: Unpack[How]
+        self, gains: AnyGains | None = None, parameters: Parameters | None = None, **how: Unpack[BatchOptions]
     ) -> dict[str, np.ndarray]:
         """Walk a batch of robots and return metrics as `metrics` does, and some histories over time beside them.
 
@@ -268,10 +269,10 @@ class Simulation:
             These are the least and the largest value in each of `stretches(scenario.steps)`, not finite from where the
             state stopped being finite.
         """
-        return together(self._run(histories_of, gains, parameters, over_time=True, **how))
+        return together(self._run(histories_of, gains, parameters, over_time=True, **how)[0])
 
     def jvp(
-        self, gains: AnyGains, directions: AnyGains, parameters: Parameters | None = None, **how: Unpack[How]
+        self, gains: AnyGains, directions: AnyGains, parameters: Parameters | None = None, **how: Unpack[BatchOptions]
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Walk a batch of robots and return metrics, and their tangents along k directions in the gains.
 
@@ -289,8 +290,7 @@ class Simulation:
         Raises:
             ValueError: rates of a gain that the law does not have, or `kp`, `kd` or `ki` in one of two `Gains` alone.
         """
-        values, tangents = self._run(metrics_of_moved, gains, parameters, directions, **how)
-        return values, tangents
+        return self._run(metrics_of_moved, gains, parameters, directions, **how)
 
     def _run(
         self,
@@ -298,22 +298,27 @@ class Simulation:
         gains: AnyGains | None,
         parameters: Parameters | None,
         directions: AnyGains | None = None,
+        *,
         dtype: DTypeLike = np.float32,
+        batch_size: int | None = None,
+        progress: Progress | None = None,
         unsteady: bool = False,
-        **how: Any,
-    ) -> Any:
+        over_time: bool = False,
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return a function's results for all robots of a batch, and their tangents if there are directions."""
+        run = functools.partial(execution.run, batch_size=batch_size, progress=progress, over_time=over_time)
         resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
         check_time_step(self.scenario, parameters=None if unsteady else resolved.walked)
         law, own, batch = resolved[:3]
         shape, arguments, axes = self._structure(resolved.walked, resolved.called), (law, own), resolved.axes
         if directions is None:
-            return execution.run(function, shape, execution.Robots(arguments, axes, batch), **how)
+            return run(function, shape, execution.Robots(arguments, axes, batch)), {}
         along = resolved_directions(resolved, gains, directions)
         shape = shape._replace(stages=stages_of(self.scenario, resolved.walked, load_robot(shape.robot), along))
         moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in along}
         of_moving = {name: law.AXES.get(name, 0) for name in along}
         robots = execution.Robots((moving, *arguments), (of_moving, *axes), batch, along)
-        values, tangents = execution.run(function, shape, robots, **how)
+        values, tangents = run(function, shape, robots)
         return values, {name: np.moveaxis(value, len(batch), 0) for name, value in tangents.items()}
 
     def simulate(self, gains: AnyGains | None = None, parameters: Parameters | None = None) -> Metrics:
@@ -368,7 +373,7 @@ class Simulation:
         batch: tuple[int, ...] | None = None,
         stages: Stages | None = None,
     ) -> SimulationState:
-        """Return what `reset` does, of a batch of robots with further axes `batch` where this is not None.
+        """Return robots as `reset` does one, with further batch axes `batch` where this is not None.
 
         With the stages of hardware that are given, whatever the parameters, which JAX may trace then.
         """
@@ -408,7 +413,7 @@ class Simulation:
         return after
 
     def _structure_of(self, state: SimulationState) -> Structure:
-        """Return what the walk of a robot is compiled for: the hardware that it began with."""
+        """Return the structure of a robot's walk, with the stages of hardware that it began with."""
         return self.structure._replace(stages=state.setup.hardware.stages)
 
     def with_gains(self, state: SimulationState, gains: AnyGains) -> SimulationState:
@@ -447,7 +452,7 @@ def _step(structure: Structure, state: SimulationState, action: Action) -> tuple
 
 
 @functools.lru_cache(maxsize=128)
-def _carried_out(function: Callable[..., Any], structure: Structure) -> Callable[..., Any]:
+def _carried_out(function: Callable[..., Returned], structure: Structure) -> Callable[..., Returned]:
     """Return a function of one robot, for batches too: the same for equal arguments, so that it is compiled once."""
     return execution.over_robots(functools.partial(function, structure))
 

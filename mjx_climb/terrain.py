@@ -4,7 +4,6 @@ import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -55,6 +54,7 @@ def relief(ground: HeightMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _foothold_count(scenario: Scenario) -> int:
     """Return how many footholds a limb uses in a walk, at most, the first one included."""
+    # a walk of whole cycles has no further foothold by rounding
     return math.ceil(scenario.duration / scenario.gait.cycle - 1e-9) + 1
 
 
@@ -141,7 +141,7 @@ def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> n
 @functools.lru_cache(maxsize=8)
 def _grid(file: str) -> np.ndarray:
     """Return the samples of a map: rows along y, columns along x, both ascending."""
-    readers: dict[str, Callable[[str], Any]] = {".csv": _csv, ".npy": np.load, ".png": _png}
+    readers: dict[str, Callable[[str], np.ndarray]] = {".csv": _csv, ".npy": np.load, ".png": _png}
     suffix, key = Path(file).suffix.lower(), f"{file}: ground.map.file"
     if suffix not in readers:
         raise ConfigError(f"{key}: expected a .csv, .npy or .png, got {suffix or 'no suffix'}")

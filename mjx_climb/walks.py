@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from mjx_climb.arrays import AnyArray
 from mjx_climb.control import Law
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.spatial import norm
@@ -28,6 +29,7 @@ from mjx_climb.walk.step import Carry, advance, begin, prepare
 from mjx_climb.walk.structure import Structure
 
 Metrics = dict[str, Array]
+Record = TypeVar("Record")  # what is kept of each sample
 
 STRETCHES = 200
 _LEAST = "least of "  # before a line's name
@@ -79,13 +81,13 @@ def samples_under(
 
 
 def _walked(
-    structure: Structure, law: Law, parameters: Parameters, record: Callable[[Sample], Any]
-) -> tuple[Metrics, Any]:
+    structure: Structure, law: Law, parameters: Parameters, record: Callable[[Sample], Record]
+) -> tuple[Metrics, Record]:
     """Return the metrics of a walk, and what `record` keeps of each sample, stacked over time."""
     walk, table = prepare(structure, law, parameters), structure.metrics
     context = _context(structure, walk.robot, parameters)
 
-    def step(carry: tuple[Carry, Running], _: None) -> tuple[tuple[Carry, Running], Any]:
+    def step(carry: tuple[Carry, Running], _: None) -> tuple[tuple[Carry, Running], Record]:
         walked, running = carry
         walked, sample = advance(walk, walked, running.steps)
         return (walked, accumulate(table, running, sample, context)), record(sample)
@@ -108,7 +110,7 @@ def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parame
 
 
 def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Context:
-    """Return what metrics may know of a walk: the robot as heavy as it is in this walk."""
+    """Return the context of a walk's metrics, with the robot's masses scaled as in this walk."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
     scaled = {name: getattr(robot, name) * parameters.mass_scale for name in names}
     heavy = dataclasses.replace(robot, **scaled)
@@ -129,21 +131,22 @@ def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme st
     return together({name: np.asarray(value) for name, value in _extremes(_lines(trajectory)).items()})
 
 
-def _lines(sample: Any) -> dict[str, Any]:
+def _lines(sample: Sample | Trajectory) -> dict[str, AnyArray]:
     """Return `LINES` of a `Sample`, (), or of a `Trajectory`, (time,); by JAX or by NumPy, as its arrays are."""
+    torque: AnyArray = sample.joint_torque
     return {
         "foot_force_history": norm(sample.foot_force).max(-1),
         "base_deviation_history": norm(sample.base_position - sample.base_reference),
-        "joint_torque_history": abs(sample.joint_torque).max((-2, -1)),
+        "joint_torque_history": abs(torque).max((-2, -1)),
     }
 
 
-def _extremes(over_time: Mapping[str, Any]) -> dict[str, Any]:
+def _extremes(over_time: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     """Return the least and the largest value of lines (time,) in each stretch, (stretches,), for `together`.
 
     They are results of their own: put together within a compiled program each stretch would be an operation.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, AnyArray] = {}
     for name, line in over_time.items():
         xp, (steps,) = line.__array_namespace__(), line.shape
         number, length = stretches(steps)

@@ -47,6 +47,7 @@ class VirtualModelAdmittance(SixAxes):
     def step(self, mass: VirtualMass, measured: Measurement, reference: Reference) -> tuple[VirtualMass, Command]:
         """Let the mass move under the wrench for one period, and shift the base by where it is."""
         to_reference = quaternion_to_matrix(reference.base_orientation).T
+        # Eq. 3 driven by -w: driven by +w the base leans into a push (docs/physics.md, departure 1)
         mass = advance(mass, -_turned(to_reference, measured.wrench), self.motion)
         return mass, shifted(reference, mass.displacement)
 
@@ -74,6 +75,7 @@ class MeasuredPoseAdmittance(SixAxes):
         velocity = jnp.concatenate([measured.base_linear_velocity, measured.base_angular_velocity])
         rate, wrench = _turned(to_reference, velocity), _turned(to_reference, measured.wrench)
 
+        # Eq. 3, solved for the acceleration
         acceleration = (wrench - self.damping * rate - self.stiffness * offset) / self.inertia
         target = offset + horizon * rate + horizon**2 * acceleration
         # half of its last three values is the vector part of a unit quaternion; a demand beyond half a turn keeps its

@@ -9,11 +9,16 @@ import copyreg
 import dataclasses
 import functools
 import re
-from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple, TypeVar, cast
+
+from jax import Array
+from jaxtyping import PyTree
 
 from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start
 from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply
+
+AnyLaw = TypeVar("AnyLaw", bound=Law)
 
 
 class Part(NamedTuple):
@@ -22,9 +27,10 @@ class Part(NamedTuple):
     kind: type[Law]
     names: tuple[tuple[str, str], ...]  # of its fields: its own, and the one that the whole has for it
 
-    def of(self, whole: Law, **others: Any) -> Any:
+    def of(self, whole: Law, **others: object) -> Law:
         """Return the part of a law; `others` are fields of its own that the whole does not have."""
-        return self.kind(**{own: getattr(whole, name) for own, name in self.names}, **others)
+        fields = {own: getattr(whole, name) for own, name in self.names}
+        return self.kind(**fields, **others)
 
     def bounds(self, whole: Law, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches of a law look for the gains of its part."""
@@ -39,7 +45,7 @@ class Part(NamedTuple):
 class Made(type):
     """Type of the classes that are made of others: stored programs find one by the function that made it."""
 
-    MADE_BY: tuple[Any, ...] = ()  # the function and its arguments
+    MADE_BY: "tuple[Callable[..., Made], tuple[object, ...]] | None" = None  # the function and its arguments
 
 
 copyreg.pickle(Made, lambda kind: kind.MADE_BY or kind.__qualname__)
@@ -53,11 +59,11 @@ class Sum(Law, metaclass=Made):
 
     PARTS: ClassVar[tuple[Part, ...]] = ()
 
-    def init(self, start: Start) -> tuple[Any, ...]:
+    def init(self, start: Start) -> tuple[PyTree, ...]:
         """Return the states of both."""
         return tuple(part.of(self).init(start) for part in self.PARTS)
 
-    def step(self, state: Any, measured: Measurement, reference: Reference) -> tuple[tuple[Any, ...], Command]:
+    def step(self, state: PyTree, measured: Measurement, reference: Reference) -> tuple[tuple[PyTree, ...], Command]:
         """Let both take their step, and add up what they command."""
         steps = [part.of(self).step(own, measured, reference) for part, own in zip(self.PARTS, state, strict=True)]
         (one, first), (other, second) = steps
@@ -78,9 +84,9 @@ class Sum(Law, metaclass=Made):
         return {key: pair for part in self.PARTS for key, pair in part.bounds(self, period).items()}
 
 
-def product(first: Any, second: Any) -> Any:
-    """Return the factors of joint gains of two laws together; () is no factor."""
-    if not (first and second):
+def product(first: JointGains | None, second: JointGains | None) -> JointGains | None:
+    """Return the factors of joint gains of two laws together."""
+    if first is None or second is None:
         return first or second
     both = dict(first.moved)
     for name, factor in second.moved.items():
@@ -101,7 +107,7 @@ def combined(first: Law, second: Law) -> Law:
 
 
 @functools.cache
-def _sum_of(first: type[Any], second: type[Any]) -> type[Sum]:
+def _sum_of(first: type[Law], second: type[Law]) -> type[Sum]:
     owns = [{field.name: field for field in dataclasses.fields(kind)} for kind in (first, second)]
     places = [f"{_prefix(kind)}_" for kind in (first, second)]
     if places[0] == places[1]:
@@ -117,11 +123,10 @@ def _sum_of(first: type[Any], second: type[Any]) -> type[Sum]:
     limbwise = frozenset(name for part in parts for own, name in part.names if own in part.kind.LIMBWISE)
     name = f"{first.__qualname__}+{f'({second.__qualname__})' if issubclass(second, Sum) else second.__qualname__}"
     made_by = _sum_of, (first, second)
-    made: type[Sum] = law_class(name, Sum, fields, PARTS=tuple(parts), LIMBWISE=limbwise, MADE_BY=made_by)
-    return made
+    return law_class(name, Sum, fields, PARTS=tuple(parts), LIMBWISE=limbwise, MADE_BY=made_by)
 
 
-def law_class(name: str, base: type[Any], fields: Mapping[str, Any], **attributes: Any) -> Any:
+def law_class(name: str, base: type[AnyLaw], fields: Mapping[str, Any], **attributes: object) -> type[AnyLaw]:
     """Return a class of laws with a name, whose fields are copies of those of other laws, by keyword alone."""
     copies = {
         name: dataclasses.field(
@@ -129,8 +134,8 @@ def law_class(name: str, base: type[Any], fields: Mapping[str, Any], **attribute
         )
         for name, field in fields.items()
     }
-    body = {"__module__": base.__module__, "__annotations__": dict.fromkeys(copies, Any), **copies, **attributes}
-    return Made(name, (base,), body)
+    body = {"__module__": base.__module__, "__annotations__": dict.fromkeys(copies, Array), **copies, **attributes}
+    return cast(type[AnyLaw], Made(name, (base,), body))
 
 
 def _prefix(kind: type[Law]) -> str:

@@ -36,7 +36,8 @@ class EndEffectorAdmittance(Law):
     def step(self, masses: VirtualMass, measured: Measurement, reference: Reference) -> tuple[VirtualMass, Command]:
         """Let the masses move under the forces for one period, and shift the supporting feet by where they are."""
         rotation, support = quaternion_to_matrix(reference.base_orientation), measured.support[:, None]
-        moved = advance(masses, measured.foot_force @ rotation, self.motion)  # each row of F R is R^T times a force
+        # Eq. 2, along the axes of the reference: each row of F R is R^T times a force
+        moved = advance(masses, measured.foot_force @ rotation, self.motion)
         displacement, rate = jnp.where(support, moved.displacement, 0.0), jnp.where(support, moved.rate, 0.0)
         no_shift = jnp.zeros_like(reference.base_position, shape=6)
         target = reference.foot_position + displacement @ rotation.T

@@ -19,6 +19,8 @@ from typing import Any, ClassVar, NamedTuple, dataclass_transform
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import PyTree
 
 from mjx_climb.component import Component, ValueField, value_field
 from mjx_climb.execution import reached
@@ -54,16 +56,16 @@ class Reference(NamedTuple):
 
 
 class JointGains(NamedTuple):
-    """By how much a law multiplies the joint loop's gains, limb by limb."""
+    """By how much a law multiplies the joint loop's gains, limb by limb; None: not at all."""
 
     kp: Array  # (limb,) 1
-    kd: Any = ()  # (limb,) 1; (): as it is
-    ki: Any = ()  # (limb,) 1; (): as it is
+    kd: Array | None = None  # (limb,) 1
+    ki: Array | None = None  # (limb,) 1
 
     @property
     def moved(self) -> dict[str, Array]:
         """The factors by name, of the gains that are not left alone."""
-        return {name: factor for name, factor in self._asdict().items() if not isinstance(factor, tuple)}
+        return {name: factor for name, factor in self._asdict().items() if factor is not None}
 
 
 class Command(NamedTuple):
@@ -73,7 +75,7 @@ class Command(NamedTuple):
     base_orientation: Array  # (4,) wxyz, base to world
     foot_position: Array  # (limb, 3) m
     base_displacement: Array  # (6,) m, rad: the law's shift of the base, reference axes
-    joint_gains: JointGains | tuple[()] = ()  # (): the joint loop's own
+    joint_gains: JointGains | None = None  # None: the joint loop's own
 
 
 class Start(NamedTuple):
@@ -105,7 +107,7 @@ def gain(
     shape: tuple[int, ...] | None = None,
     bounds: tuple[float, float],
     rotation_bounds: tuple[float, float] | None = None,
-    default: Any = dataclasses.MISSING,
+    default: object = dataclasses.MISSING,
     long_name: str = "",
     searched: bool = True,
 ) -> Any:
@@ -145,17 +147,17 @@ class Law(Component):
     # gains that act on each limb for itself: (limb, length) works in their place, too
     LIMBWISE: ClassVar[frozenset[str]] = frozenset()
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         for name in {"kp", "kd", "ki", "safe_kp"} & cls.VALUES.keys():
             raise ValueError(f"{cls.__name__}.{name}: expected another name, this one is the joint loop's")
         cls.GAINS = cls.VALUES
 
-    def init(self, start: Start) -> Any:
+    def init(self, start: Start) -> PyTree:
         """Return the state at the start: a pytree. What depends on the gains alone belongs into it."""
         raise NotImplementedError(f"{type(self).__name__}.init")
 
-    def step(self, state: Any, measured: Measurement, reference: Reference) -> tuple[Any, Command]:
+    def step(self, state: PyTree, measured: Measurement, reference: Reference) -> tuple[PyTree, Command]:
         """Return the state after a step, of the same structure and shapes, and what the robot is to do."""
         raise NotImplementedError(f"{type(self).__name__}.step")
 
@@ -181,13 +183,13 @@ class PD(Law):
 class Beginning(NamedTuple):
     """What is known of a law before its first step."""
 
-    state: Any
+    state: PyTree
     reads_forces: bool  # whether its step looks at foot forces or their wrench
     reads_servos: bool  # whether it looks at what the joints' servos report
-    joint_gains: JointGains | tuple[()]  # of its first command: ones, () of a law that leaves them alone
+    joint_gains: JointGains | None  # of its first command: ones; None: the law leaves them alone
 
 
-def begin(law: Law, start: Start) -> Any:
+def begin(law: Law, start: Start) -> PyTree:
     """Return the state of a law at the start of a walk, see `beginning`."""
     return beginning(law, start).state
 
@@ -200,7 +202,7 @@ def beginning(law: Law, start: Start) -> Beginning:
     """
     position, _, feet = start.reference[:3]
 
-    def as_array(leaf: Any) -> Array:
+    def as_array(leaf: ArrayLike) -> Array:
         array = jnp.asarray(leaf)
         # the type is given even where it is the same: an array of a Python number would be weakly typed
         return jnp.asarray(array, position.dtype if jnp.issubdtype(array.dtype, jnp.floating) else array.dtype)
@@ -210,8 +212,8 @@ def beginning(law: Law, start: Start) -> Beginning:
     measured = measurement_at(start.reference, joints)
     program, found = jax.make_jaxpr(law.step, return_shape=True)(state, measured, start.reference)
     one = jnp.ones_like(feet[:, 0])
-    own = getattr(found[1], "joint_gains", ())
-    gains = JointGains(**dict.fromkeys(own.moved, one)) if isinstance(own, JointGains) else ()
+    own = getattr(found[1], "joint_gains", None)
+    gains = JointGains(**dict.fromkeys(own.moved, one)) if isinstance(own, JointGains) else None
     wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], measured.wrench, gains)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
         # maps whole trees, so that the message shows the names of their fields
@@ -227,7 +229,7 @@ def beginning(law: Law, start: Start) -> Beginning:
     return Beginning(state, reads("foot_force", "wrench"), reads("joint_angles", "joint_rates", "joint_torque"), gains)
 
 
-def constants(law: Law, begun: Any, measured: Measurement, reference: Reference) -> list[bool | Array]:
+def constants(law: Law, begun: PyTree, measured: Measurement, reference: Reference) -> list[bool | Array]:
     """Return which leaves of a state stay as `init` made them, whatever is measured: what it makes of the gains alone.
 
     By what depends on what, not by how a step is written: a leaf that follows from no measurement, no reference and no

@@ -14,6 +14,8 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import PyTree
 
 from mjx_climb.component import ValueField
 from mjx_climb.control.combined import Made, Part, Sum, law_class, product
@@ -41,13 +43,13 @@ class Phased(Law, metaclass=Made):
     BY_PHASE: ClassVar[tuple[str, ...]] = ()
     OF_JOINTS: ClassVar[tuple[str, ...]] = ()  # of kp, kd and ki
 
-    def init(self, start: Start) -> tuple[Any, ...]:
+    def init(self, start: Start) -> tuple[PyTree, ...]:
         """Return the law's state by the gains of each phase: the last is the one that moves."""
         return tuple(self._law(self._values(phase)).init(start) for phase in PHASES)
 
     def step(
-        self, states: tuple[Any, ...], measured: Measurement, reference: Reference
-    ) -> tuple[tuple[Any, ...], Command]:
+        self, states: tuple[PyTree, ...], measured: Measurement, reference: Reference
+    ) -> tuple[tuple[PyTree, ...], Command]:
         """Let the law take its step with the gains of the present phase."""
         limbs = limb_shares(reference, self.phase_time, self.phase_ramp)
         of_limbs = bool(self.BY_PHASE) and self.PART.kind.LIMBWISE.issuperset(self.BY_PHASE)
@@ -94,13 +96,12 @@ class Phased(Law, metaclass=Made):
             factor = factor + share * (getattr(self, f"{name}_{phase}") - 1)
         return factor
 
-    def _values(self, phase: str) -> dict[str, Any]:
+    def _values(self, phase: str) -> dict[str, Array]:
         """Return the gains of a phase, by the names that the law has for them."""
         return {name: jnp.asarray(getattr(self, f"{name}_{phase}")) for name in self.BY_PHASE}
 
-    def _law(self, values: dict[str, Any]) -> Law:
-        law: Law = self.PART.of(self, **values)
-        return law
+    def _law(self, values: dict[str, Array]) -> Law:
+        return self.PART.of(self, **values)
 
 
 def limb_shares(reference: Reference, phase_time: Array, phase_ramp: Array) -> tuple[Array, Array, Array]:
@@ -131,7 +132,7 @@ def robot_shares(limbs: tuple[Array, Array, Array]) -> tuple[Array, Array, Array
     return third - second, first, second - first
 
 
-def phased(law: Law, gains: Sequence[str], *, phase_time: Any = 0.2, phase_ramp: Any = 0.05) -> Law:
+def phased(law: Law, gains: Sequence[str], *, phase_time: ArrayLike = 0.2, phase_ramp: ArrayLike = 0.05) -> Law:
     """Return a law some of whose gains have a value for each phase, an instance of a class `LAW@GAIN,GAIN`.
 
     The gain `damping` becomes `damping_in_swing`, `damping_before_lift_off`, `damping_after_touchdown` and
@@ -152,12 +153,11 @@ def phased(law: Law, gains: Sequence[str], *, phase_time: Any = 0.2, phase_ramp:
     kind = _phased(*of)
     values = {f"{name}_{phase}": getattr(law, name) for name in kind.BY_PHASE for phase in PHASES}
     values |= {name: getattr(law, own) for own, name in kind.PART.names}
-    made: Law = kind(**{"phase_time": phase_time, "phase_ramp": phase_ramp} | values)
-    return made
+    return kind(**{"phase_time": phase_time, "phase_ramp": phase_ramp} | values)
 
 
 @functools.cache
-def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
+def _phased(kind: type[Law], gains: tuple[str, ...]) -> type[Phased]:
     known, of_joints = [*kind.GAINS, *JointGains._fields], tuple(name for name in gains if name in JointGains._fields)
     if not gains or not {*gains} <= {*known}:
         names, got = ", ".join(known), next((name for name in gains if name not in known), "none")
@@ -185,7 +185,7 @@ def _phased(kind: type[Any], gains: tuple[str, ...]) -> Any:
     return law_class(name, Phased, fields, **says)
 
 
-def _is_real(value: Any) -> bool:
+def _is_real(value: ArrayLike) -> bool:
     return bool(jnp.issubdtype(jnp.result_type(value), jnp.floating))
 
 

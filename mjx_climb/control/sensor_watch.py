@@ -1,9 +1,9 @@
 """Which force sensors are believed, and what a robot does without one: no law gets forces, and its joints are stiff.
 
-What three feet are measured to bear says nothing of how the fourth shares it. So a law that reads forces gets none at
-all once the sensor of a foot that stands is dead: what it made of them fades as its gains have it. Gains that were
-searched with forces may leave joints so soft that the gait alone tears grippers off. So once a sensor is said to be
-lost kp rises to what is safe without, slowly: a robot that sags is lifted by it; and falls as slowly once all read.
+The load of a foot without a sensor cannot be inferred from the others. So a law that reads forces gets none at all once
+the sensor of a foot that stands is dead, and its shifts fade as its gains have it. Gains that were searched with forces
+may leave joints so soft that the gait alone tears grippers off. So kp rises to the safe value once a sensor is lost,
+slowly, as a robot that sags is lifted by it, and falls as slowly once all sensors read.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ _LOADED = 1.0  # N in all, with which a robot stands so firmly that a foot has s
 
 
 class SensorWatch(NamedTuple):
-    """What the sensors said."""
+    """Last readings of the force sensors, and since when they are silent."""
 
     heard: Array  # (limb, 3) N, world axes: the last reading of a foot's sensor since it stands, 0 without one
     # (limb,) s, from -SILENCE, as a sensor reads something; 0: it has not read anything yet; beyond it is not believed
@@ -32,7 +32,7 @@ class SensorWatch(NamedTuple):
 
 
 def begin(feet: Array) -> SensorWatch:
-    """Return what is known of the sensors of feet (limb, 3) m before they read anything."""
+    """Return the watch of sensors of feet (limb, 3) m before their first reading."""
     none = jnp.zeros_like(feet)
     return SensorWatch(none, none[:, 0], none[0, 0])
 
@@ -45,7 +45,7 @@ def watched(
     A sensor reads nothing where it says exactly 0, or what is no number. Its last reading since the foot stands then
     takes the place, 0 where there is none: a sensor with a resolution reads 0 of a foot that bears next to nothing.
     Once a foot that stands among others that bear something has read nothing for `SILENCE`, its sensor is dead, also
-    in later stances, until it reads something. So it is at the start, until it first does.
+    in later stances, until it reads something. The same holds at the start, until its first reading.
     """
     size = jnp.abs(readings).sum(1)
     reads = (size > _NOTHING) & jnp.isfinite(size)

@@ -8,7 +8,7 @@ rate and displacement bounded in norm, and at the bound of the displacement no r
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,10 @@ from jax import Array
 
 from mjx_climb.physics.spatial import norm
 
+# of the library `admittance_control`, see above
 SUBSTEP = 2e-3  # s, at most
 LONGEST_PERIOD = 20e-3  # s
+# the error of the second-order step falls by four with each: by 2^-48 = 4e-15, near the rounding of double precision
 _DOUBLINGS = 24
 Pair = tuple[float, float]  # of translations, of rotations
 
@@ -26,11 +28,11 @@ class Impedance(Protocol):
     """Gains of a virtual mass, damper and spring, of any shape that broadcasts with the displacement."""
 
     @property
-    def inertia(self) -> Any: ...  # kg, kg m^2
+    def inertia(self) -> Array: ...  # kg, kg m^2
     @property
-    def damping(self) -> Any: ...  # N s/m, N m s/rad
+    def damping(self) -> Array: ...  # N s/m, N m s/rad
     @property
-    def stiffness(self) -> Any: ...  # N/m, N m/rad
+    def stiffness(self) -> Array: ...  # N/m, N m/rad
 
 
 class Motion(NamedTuple):
@@ -150,6 +152,7 @@ def inward(rate: Array, displacement: Array, largest: float) -> Array:
 
 def _semi_implicit(mass: VirtualMass, by: EulerSteps, force: Array, motion: Motion) -> VirtualMass:
     period = jnp.minimum(by.period, LONGEST_PERIOD)
+    # a period of whole substeps has no further one by rounding
     count = jnp.ceil(period / SUBSTEP - 1e-6)
     h = period / count
     for substep in range(round(LONGEST_PERIOD / SUBSTEP)):

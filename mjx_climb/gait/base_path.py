@@ -7,11 +7,11 @@ at rest in each. It is written with operators alone, so that arrays of JAX and o
 
 import functools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mjx_climb.arrays import namespace
+from mjx_climb.arrays import AnyArray, namespace
 from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.postures import MET, limb_joints
@@ -27,12 +27,14 @@ _SLACK = 1e-6  # of a cycle
 class Sway(NamedTuple):
     """Points through which the base sways; none where it does not."""
 
-    points: Any  # (K, 3) m, from where the base would be, in the order of the lift-offs
-    first: Any  # () cycles, when it passes through the first one
+    points: AnyArray  # (K, 3) m, from where the base would be, in the order of the lift-offs
+    first: AnyArray  # () cycles, when it passes through the first one
     spans: tuple[float, ...]  # (K,) cycles, from each point to the next, the last to the first
 
 
-def sway_of(feet: Any, lift_off: Sequence[float] | np.ndarray, duty: Any, share: Any) -> Sway:
+def sway_of(
+    feet: AnyArray, lift_off: Sequence[float] | np.ndarray, duty: float | AnyArray, share: float | AnyArray
+) -> Sway:
     """Return the sway of a base whose feet stand at `feet` (limb, 3) m from it, in axes whose z is up.
 
     `lift_off` are the shares of the cycle at which the limbs lift off, `share` is that of the way to the centroid.
@@ -48,7 +50,7 @@ def sway_of(feet: Any, lift_off: Sequence[float] | np.ndarray, duty: Any, share:
     return Sway(xp.stack(points), times[0] + swing / 2, tuple(spans.tolist()))
 
 
-def swayed(sway: Sway, phase: Any) -> Any:
+def swayed(sway: Sway, phase: float | AnyArray) -> AnyArray:
     """Return how far the base has swayed at a phase () of its cycle, (3,) m."""
     xp = namespace(sway.points)
     at, begin, found = xp.mod(phase - sway.first, 1.0), 0.0, sway.points[0]

@@ -1,6 +1,6 @@
 """Periodic gait: which gripper is open, where the base and the feet should be (ClimbLab's default gait)."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -28,8 +28,8 @@ class Plan(NamedTuple):
     cycle_steps: Array  # () steps
     swing_steps: Array  # () steps
     swing_offset: Array  # (limb,) steps after the start of a cycle at which a limb lifts off
-    sway: Sway | tuple[()] = ()
-    landing: Array | tuple[()] = ()  # () m, speed of landing times the time that a foot moves in a swing
+    sway: Sway | None = None
+    landing: Array | None = None  # () m, speed of landing times the time that a foot moves in a swing
 
 
 class Schedule(NamedTuple):
@@ -64,10 +64,9 @@ def plan(
     lifts = [dict(lift_off)[limb] for limb in robot.limbs]
     shares, start = jnp.asarray(lifts, cycle_steps.dtype), jnp.asarray(robot.stance_position)
     swing_steps = cycle_steps - stance_steps(parameters.duty, cycle_steps)
-    sway: Any = ()
+    sway = landing = None
     if stages.sway:
         sway = sway_of((stance_feet - start) @ turned.T, lifts, parameters.duty, parameters.sway)
-    landing: Any = ()
     if stages.landing_speed:
         landing = parameters.landing_speed * (1 - parameters.settling) * swing_steps * time_step
     if stages.height:
@@ -139,7 +138,7 @@ def planned_start(plan: Plan, cycle: Array) -> Array:
 
 
 def reference(plan: Plan, now: Schedule, start: Array, grip_point: Array, time_step: float) -> Reference:
-    """Return what the gait asks for: a base that began its cycle at `start` (3,) m, shut grippers where they grip.
+    """Return the reference of a base that began its cycle at `start` (3,) m; shut grippers stay where they grip.
 
     `grip_point` is (limb, 3) m, in world axes.
     """
@@ -160,12 +159,12 @@ def base_reference(plan: Plan, now: Schedule, start: Array) -> Array:
     old, new = (foothold_height(plan, cycle).mean() for cycle in (now.cycle, now.cycle + 1))
     way = _raised(plan.advance, new - old)
     position = start + rest_to_rest(now.cycle_phase) * way
-    return position + swayed(plan.sway, now.cycle_phase) if isinstance(plan.sway, Sway) else position
+    return position if plan.sway is None else position + swayed(plan.sway, now.cycle_phase)
 
 
 def unswayed(plan: Plan, now: Schedule, position: Array) -> Array:
     """Return where a base at `position` (3,) m would be without its sway."""
-    return position - swayed(plan.sway, now.cycle_phase) if isinstance(plan.sway, Sway) else position
+    return position if plan.sway is None else position - swayed(plan.sway, now.cycle_phase)
 
 
 def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
@@ -182,7 +181,7 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
     old, new = foothold_height(plan, now.cycle), foothold_height(plan, now.cycle + 1)
     end = jnp.where(phase < 0.5, old, new)
     height = end + (jnp.maximum(old, new) + plan.step_height - end) * lift(phase)
-    if not isinstance(plan.landing, tuple):
+    if plan.landing is not None:
         half = jnp.clip(2 * phase - 1, 0.0, 1.0)
         height = height + plan.landing * (half * half * (1 - half) / 2)
     if plan.swing_path.shape[2]:

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from numpy.polynomial import chebyshev
 
-from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
+from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, solve_to_convergence
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot_import.load import load_robot
@@ -57,11 +57,11 @@ def added_shapes(phase: _Phase) -> tuple[list[_Phase], list[_Phase]]:
     return horizontal, [across * shape for shape in horizontal]
 
 
-# --- what a swing puts on the base
+# --- the reaction of a swing on the base
 
 
 class Reaction(NamedTuple):
-    """What swinging limbs put on the base, in walk axes (x ahead, z up) and about the base's centre of mass."""
+    """Reaction of swinging limbs on the base, in walk axes (x ahead, z up) and about the base's centre of mass."""
 
     time: np.ndarray  # (S,) s since lift-off
     weight: np.ndarray  # (S,) s, of the samples in an integral over the swing
@@ -86,7 +86,7 @@ def swing_reaction(
     near: np.ndarray | None = None,
     nodes: int = _FINE,
 ) -> Reaction:
-    """Return what each limb's swing puts on a base in its nominal motion, on flat ground.
+    """Return the reaction of each limb's swing on a base in its nominal motion, on flat ground.
 
     `path` (..., limb, 3, K) is what is added to the cubic swing, as `swing_path` has it. With `turned` feet of six
     joints or more keep their attitudes. `near` (S, ..., limb, joint) are joint angles near those asked for, the rest
@@ -107,9 +107,12 @@ def swing_reaction(
 
     target = (rest.foot + foot - base) @ rotation
     geometry = limb_geometry(robot, turned)
-    if isinstance(geometry, Chain):  # what the inverse kinematics of a walk settles at
+    # the solution to which the inverse kinematics of a walk converges
+    if isinstance(geometry, Chain):
         start = robot.stance_joints if near is None else near
-        joints, missed = settled(geometry, target, np.broadcast_to(start, (*target.shape[:-1], robot.joints)))
+        joints, missed = solve_to_convergence(
+            geometry, target, np.broadcast_to(start, (*target.shape[:-1], robot.joints))
+        )
     else:
         joints = inverse_kinematics(geometry, target).joint_angles
         missed = np.linalg.norm(target - limb_frames(robot, None, joints).foot, axis=-1)
@@ -144,7 +147,7 @@ def heights(phase: np.ndarray, swing_path: np.ndarray) -> np.ndarray:
 
 
 def _added(phase: np.ndarray, swing_path: np.ndarray) -> np.ndarray:
-    """Return what is added to swings at some phases, (S, ..., limb, 3), in the units of `swing_path`."""
+    """Return the changes of swings at some phases, (S, ..., limb, 3), in the units of `swing_path`."""
     horizontal, vertical = (np.stack(shapes) for shapes in added_shapes(phase))
     shapes = np.stack([horizontal, horizontal, vertical])[:, : swing_path.shape[-1]]
     return np.asarray(np.einsum("cks,...lck->s...lc", shapes, swing_path))
@@ -159,7 +162,7 @@ def _per_sample(values: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def swing_path(scenario: Scenario) -> np.ndarray:
-    """Return what a scenario's `gait.swing` adds to the cubic swings, (L, 3, K), in step heights; K is 0 for `cubic`.
+    """Return the coefficients of a scenario's `gait.swing`, (limb, 3, K), in step heights; K is 0 for `cubic`.
 
     Axes: ahead, left, up; shapes as `added_shapes`. For `low_reaction` the integral of the squared reaction on the base
     is as small as these shapes make it (a local minimum, from the cubic), on flat ground: see `swing_reaction`. Limbs
@@ -217,6 +220,6 @@ def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
 
 
 def _sum_of_squares(swung: Reaction, path: np.ndarray, weight: np.ndarray | float, group: np.ndarray) -> np.ndarray:
-    """Return (...) what is made small for limbs that swing together."""
+    """Return the objective (...) of limbs that swing together: squared reaction and weighted coefficients."""
     together = swung.residuals[..., group, :].sum(-2)
     return np.asarray((together**2).sum((0, -1)) + weight * (path[..., group, :, :] ** 2).sum((-3, -2, -1)))

@@ -1,8 +1,9 @@
 """The seam of actuators: from joint targets to the torques on the joints."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jax import Array
+from jaxtyping import PyTree
 
 from mjx_climb.component import Component
 
@@ -12,7 +13,7 @@ class JointGains(NamedTuple):
 
     kp: Array  # () or (limb, joint) N m/rad
     kd: Array  # () or (limb, joint) N m s/rad
-    ki: Any = ()  # () or (limb, joint) N m/(rad s); felt where the actuator integrates
+    ki: Array | float = 0.0  # () or (limb, joint) N m/(rad s); felt where the actuator integrates
 
 
 class Joints(NamedTuple):
@@ -28,7 +29,7 @@ class Drive(NamedTuple):
 
     motor_torque: Array  # (limb, joint) N m
     joint_torque: Array  # (limb, joint) N m, less friction
-    armature: Any  # (limb, joint) kg m^2, what sticking joints have more of it in this step; () without
+    armature: Array | None = None  # (limb, joint) kg m^2, what sticking joints have more of it in this step
 
 
 class JointSpring(NamedTuple):
@@ -54,11 +55,13 @@ class Actuator(Component):
         """The spring that holds a joint, by which a time step, s, is checked; None: not known, and left out there."""
         return None
 
-    def init(self, angles: Array) -> Any:
+    def init(self, angles: Array) -> PyTree:
         """The memory of actuators that have always rested at joint angles (limb, joint) rad, under no torque."""
         raise NotImplementedError(f"{type(self).__name__}.init")
 
-    def step(self, memory: Any, targets: Array, gains: JointGains, joints: Joints, period: float) -> tuple[Any, Drive]:
+    def step(
+        self, memory: PyTree, targets: Array, gains: JointGains, joints: Joints, period: float
+    ) -> tuple[PyTree, Drive]:
         """The memory after a step, of the same structure and shapes, and what the actuators do in it.
 
         Arguments:

@@ -3,19 +3,17 @@
 Every function works on the samples of one signal of any shape; a signal is sampled once in a time step.
 """
 
-from typing import TypeVar
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from mjx_climb.arrays import Tree
 from mjx_climb.parameter_types import ROUNDING, whole_steps
 from mjx_climb.scenario.model import MAX_DELAY
 
 _MULTIPLE = 4  # lengths of buffers are rounded up to it, so that other delays seldom need another program
-Tree = TypeVar("Tree")
 Buffer = tuple[Array, ...]  # samples, newest first
 
 

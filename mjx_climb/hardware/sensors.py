@@ -4,7 +4,7 @@ Noise is made by counting: the same bits for a seed, a sample and a channel, in 
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -17,16 +17,17 @@ from mjx_climb.physics.state import State
 
 BASE_CHANNELS = 1000  # of the noise of the base estimate, the first; the force sensors have those before
 _PARTS = 8  # of 16 bits each, two to a word
+# a sum of uniform numbers (Irwin-Hall): the variance of one from 0 to n - 1 is (n^2 - 1) / 12
 _MEAN = _PARTS * (2**16 - 1) / 2
 _DEVIATION = math.sqrt(_PARTS * (2.0**32 - 1) / 12)
 _GOLDEN = 0x9E3779B9  # 2^32 / golden ratio: neighbouring counts fall far apart
 
 
 class ForceSensor(NamedTuple):
-    """What the feet's force sensors remember; empty where they have no such stage."""
+    """What the feet's force sensors remember; empty, or None, where they have no such stage."""
 
     buffer: signals.Buffer  # of (limb, 3) N
-    filtered: Any  # (limb, 3) N
+    filtered: Array | None = None  # (limb, 3) N
 
 
 def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Hardware) -> tuple[ForceSensor, Array]:
@@ -35,7 +36,7 @@ def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Har
     The order is that of a real sensor's chain: delay, bias, noise, resolution, filter; one that is dead reads 0.
     """
     buffer, filtered = sensor
-    parameters, stages = hardware.parameters, hardware.stages
+    parameters, stages, share = hardware.parameters, hardware.stages, hardware.pace.filter_share
     if stages.force_delay:
         buffer, force = signals.delayed(buffer, force, hardware.pace.force)
     if stages.force_bias:
@@ -46,8 +47,8 @@ def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Har
         force = force + parameters.force_noise * normal(jnp.asarray(parameters.seed), step, channels, force.dtype)
     if stages.force_resolution:
         force = signals.rounded(force, jnp.asarray(parameters.force_resolution))
-    if stages.force_filter:
-        force = filtered = filtered + hardware.pace.filter_share * (force - filtered)
+    if stages.force_filter and filtered is not None and share is not None:
+        force = filtered = filtered + share * (force - filtered)
     if stages.force_dead:
         dead = step >= whole_steps(jnp.asarray(parameters.force_dead), hardware.time_step)
         force = jnp.where(dead[:, None], 0.0, force)
@@ -68,7 +69,9 @@ def true_base(state: State) -> Base:
     return Base(state.base_position, state.base_orientation, state.base_linear_velocity, state.base_angular_velocity)
 
 
-def estimated_base(buffers: Any, base: Base, step: Array, hardware: Hardware) -> tuple[Any, Base]:
+def estimated_base(
+    buffers: tuple[signals.Buffer, ...], base: Base, step: Array, hardware: Hardware
+) -> tuple[tuple[signals.Buffer, ...], Base]:
     """Return the buffers after this step and the estimate; orientation and turning rate are late but not noisy."""
     parameters, stages = hardware.parameters, hardware.stages
     if stages.base_delay:

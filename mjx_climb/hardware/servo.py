@@ -16,11 +16,12 @@ References:
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
+from mjx_climb.arrays import AnyArray
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.actuator import Actuator, Drive, JointGains, Joints
 from mjx_climb.hardware.stages import Hardware, Stages
@@ -30,23 +31,22 @@ RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a l
 
 
 class Loop(NamedTuple):
-    """What the joint loop remembers; empty where it has no such stage."""
+    """What the joint loop remembers; None where it has no such stage."""
 
-    goal: Any = ()  # (limb, joint) rad, on its way to the joint targets
-    goal_rate: Any = ()  # (limb, joint) rad/s
-    integral: Any = ()  # (limb, joint) rad s, of the error
-    asked: Any = ()  # (limb, joint) N m, what the loop asked for when it was evaluated last
-    age: Any = ()  # () 1, time steps since then
+    goal: Array | None = None  # (limb, joint) rad, on its way to the joint targets
+    goal_rate: Array | None = None  # (limb, joint) rad/s
+    integral: Array | None = None  # (limb, joint) rad s, of the error
+    # (limb, joint) N m, what the loop asked for when it was evaluated last, and () time steps since then
+    asked: tuple[Array, Array] | None = None
 
 
 class Servo(NamedTuple):
-    """What the servos remember; empty where they have no such stage."""
+    """What the servos remember; empty, or None, where they have no such stage."""
 
     buffer: signals.Buffer  # of torques (limb, joint) N m
-    bristle: Any  # (limb, joint) 1, see `dry_friction`
+    bristle: Array | None  # (limb, joint) 1, see `dry_friction`
     loop: Loop = Loop()
-    # (limb, joint) N m, torque of the load on the joints in this step
-    load: Any = ()
+    load: Array | None = None  # (limb, joint) N m, torque of the load on the joints in this step
 
 
 def gains_of(hardware: Hardware) -> JointGains:
@@ -80,14 +80,13 @@ def begin(angles: Array, stages: Stages) -> Servo:
     """Return servos that have always rested at joint angles (limb, joint) rad, under no torque."""
     none = jnp.zeros_like(angles)
     loop = Loop(
-        goal=angles if stages.profile else (),
-        goal_rate=none if stages.profile else (),
-        integral=none if stages.integral else (),
-        asked=none if stages.servo_rate else (),
-        age=jnp.zeros_like(angles, shape=()) if stages.servo_rate else (),
+        goal=angles if stages.profile else None,
+        goal_rate=none if stages.profile else None,
+        integral=none if stages.integral else None,
+        asked=(none, jnp.zeros_like(angles, shape=())) if stages.servo_rate else None,
     )
-    load = none if stages.load_torque else ()
-    return Servo((none,) * stages.servo_delay, none if stages.dry_friction else (), loop, load)
+    load = none if stages.load_torque else None
+    return Servo((none,) * stages.servo_delay, none if stages.dry_friction else None, loop, load)
 
 
 def joint_loop(
@@ -98,19 +97,20 @@ def joint_loop(
     The loop is `tau = kp (phi_des - phi) + ki int(phi_des - phi) - kd phidot`: the desired rate is zero, D acts on the
     measured rate. A voltage drive takes `tau` over the stall torque for its share of the voltage.
     """
-    stages, before = hardware.stages, servo.loop
+    before = servo.loop
     loop, asked = pid(before, targets, joints, gains, hardware)
-    if stages.servo_rate:
-        loop, asked = signals.held(before.age == 0, (loop, asked), (before, before.asked))
-        age = before.age + 1
-        loop = loop._replace(asked=asked, age=jnp.where(age < hardware.pace.servo_period - 0.5, age, 0.0))
+    if before.asked is not None and hardware.pace.servo_period is not None:
+        last, age = before.asked
+        loop, asked = signals.held(age == 0, (loop, asked), (before, last))
+        age = age + 1
+        loop = loop._replace(asked=(asked, jnp.where(age < hardware.pace.servo_period - 0.5, age, 0.0)))
     return driven(servo._replace(loop=loop), asked, joints.rates, hardware)
 
 
 def pid(loop: Loop, targets: Array, joints: Joints, gains: JointGains, hardware: Hardware) -> tuple[Loop, Array]:
     """Return the loop once evaluated, and what it asks for, (limb, joint) N m, whatever the motor can give."""
     stages, parameters, period = hardware.stages, hardware.parameters, hardware.servo_period
-    if stages.profile:
+    if loop.goal is not None and loop.goal_rate is not None:
         fastest = jnp.asarray(parameters.profile_velocity), jnp.asarray(parameters.profile_acceleration)
         targets, goal_rate = profiled(loop.goal, loop.goal_rate, targets, *fastest, period)
         loop = loop._replace(goal=targets, goal_rate=goal_rate)
@@ -119,7 +119,7 @@ def pid(loop: Loop, targets: Array, joints: Joints, gains: JointGains, hardware:
         play = parameters.backlash / 2
         error = error - jnp.clip(error, -play, play)
     asked = jnp.asarray(gains.kp * error - gains.kd * joints.rates)
-    if not stages.integral:
+    if loop.integral is None:
         return loop, asked
     integral = loop.integral + period * error
     wanted = asked + gains.ki * integral
@@ -168,8 +168,8 @@ def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tup
     if stages.current_limit:
         torque = jnp.clip(torque, -parameters.current_limit, parameters.current_limit)
     joint_torque = torque
-    armature: Any = ()
-    if stages.dry_friction:
+    armature = None
+    if bristle is not None and stages.dry_friction:
         # the gears rub under the torque that the motor gives, not under the one that it is asked for
         most = friction_bound(torque, servo.load, rates, hardware)
         bristle, lost, armature = dry_friction(bristle, rates, most, jnp.asarray(parameters.presliding), time_step)
@@ -195,28 +195,29 @@ def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Arra
     With the motion it falls to nothing at the no-load speed, rad/s, and brakes beyond it; against the motion it is
     limited alone. Infinite stands for no limit, and for the same limit at any speed.
     """
+    # the torque-speed line of a DC motor
     slowness, limits = rate / no_load_speed, jnp.isfinite(torque_limit)
     bound = jnp.where(limits, torque_limit, 0.0)
     upper, lower = bound * jnp.clip(1 - slowness, -1.0, 1.0), -bound * jnp.clip(1 + slowness, -1.0, 1.0)
     return jnp.where(limits, jnp.clip(torque, lower, upper), torque)
 
 
-def friction_bound(torque: Array, load: Any, rate: Array, hardware: Hardware) -> Array:
-    """Return what dry friction can bear, N m, under the motor's torque and that of the load, at a rate.
+def friction_bound(torque: Array, load: Array | None, rate: Array, hardware: Hardware) -> Array:
+    """Return the bound of dry friction, N m, under the motor's torque and that of the load, at a rate.
 
     The gears carry `|k_e load - k_m torque|` of the two, which have opposite signs where one holds the other; what
     there is at standstill alone falls as `exp(-|rate / velocity|^exponent)` (M1 to M6 of Duclusaud et al.).
     """
     stages, p = hardware.stages, hardware.parameters
 
-    def geared(of_motor: Any, of_load: Any) -> Array:
-        return jnp.abs(of_load * load - of_motor * torque) if stages.load_torque else of_motor * jnp.abs(torque)
+    def geared(of_motor: AnyArray, of_load: AnyArray) -> Array:
+        return of_motor * jnp.abs(torque) if load is None else jnp.abs(of_load * load - of_motor * torque)
 
     most = jnp.asarray(p.coulomb_friction + geared(p.load_friction, p.external_load_friction))
     if not stages.stribeck:
         return most
     still = p.stribeck_friction + geared(p.stribeck_load_friction, p.stribeck_external_load_friction)
-    if stages.load_torque:
+    if load is not None:
         weaker = jnp.abs(load) < jnp.abs(torque)  # the motor drives, and the load resists
         square = jnp.where(weaker, p.quadratic_external_load_friction * load**2, p.quadratic_load_friction * torque**2)
         still = still + jnp.where(load * torque < 0, square, 0.0)
@@ -232,6 +233,7 @@ def dry_friction(
 
     The bristle is its bend as a share of `presliding`, rad, -1 to 1; the friction can bear `most`, N m.
     """
+    # the torque is that after the step, linear in the rate: its slope times the step is an armature (see above)
     bristle = jnp.clip(bristle + rate * (time_step / presliding), -1.0, 1.0)
     slope = (RELAXATION + time_step) / presliding
     share = bristle + rate * slope

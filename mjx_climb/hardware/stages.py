@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Collection
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -103,10 +103,13 @@ def stages_of(
 
     filtered, by_law = finite("force_filter"), scenario.hardware.force_sensor.filtered_by == "law"
     simple = ("force_noise", "force_bias", "force_resolution", "control_period", "armature", "backlash")
-    found: dict[str, Any] = {name: some(name) for name in simple}
-    found |= {f"{part}_delay": length(f"{part}_delay") for part in DELAYED}
+    found = {name: some(name) for name in simple}
     return Stages(
         **found,
+        force_delay=length("force_delay"),
+        base_delay=length("base_delay"),
+        command_delay=length("command_delay"),
+        servo_delay=length("servo_delay"),
         force_filter=filtered and not by_law,
         force_dead=finite("force_dead"),
         sampled_filter=filtered and by_law,
@@ -149,15 +152,15 @@ def given(value: ArrayLike) -> bool:
 
 
 class Pace(NamedTuple):
-    """What is worked out once of a robot's delays, filter and control period; empty where it has no such stage."""
+    """What is worked out once of a robot's delays, filter and control period; empty, or None, without such a stage."""
 
     force: Buffer  # weights of the samples, see `signals.weights`
     base: Buffer
     command: Buffer
     servo: Buffer
-    filter_share: Any  # () 1
-    period: Any  # () time steps
-    servo_period: Any  # () time steps
+    filter_share: Array | None  # () 1
+    period: Array | None  # () time steps
+    servo_period: Array | None  # () time steps
 
 
 @jax.tree_util.register_dataclass
@@ -173,12 +176,12 @@ class Hardware:
     @property
     def law_period(self) -> float | Array:
         """Time from one step of the law to the next, s."""
-        return self.time_step * self.pace.period if self.stages.control_period else self.time_step
+        return self.time_step * self.pace.period if self.pace.period is not None else self.time_step
 
     @property
     def servo_period(self) -> float | Array:
         """Time from one evaluation of the servos' loops to the next, s."""
-        return self.time_step * self.pace.servo_period if self.stages.servo_rate else self.time_step
+        return self.time_step * self.pace.servo_period if self.pace.servo_period is not None else self.time_step
 
 
 def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot: Robot | None = None) -> Hardware:
@@ -186,19 +189,17 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
 
     Frictions add up, the lower torque limit holds, and a joint that nothing drives has no gains.
     """
-    period: Any = ()
+    period = share = servo_period = None
     if stages.control_period:
         period = period_steps(jnp.asarray(parameters.control_period), time_step)
-    share: Any = ()
     if stages.force_filter or stages.sampled_filter:
-        sampled = time_step * period if stages.sampled_filter and stages.control_period else time_step
+        sampled = time_step if period is None or not stages.sampled_filter else time_step * period
         # what a first-order filter takes in of an input held over a period: 1 - exp(-2 pi f h)
         share = -jnp.expm1(-2 * jnp.pi * sampled * parameters.force_filter)
     late: dict[str, Buffer] = {}
     for part in DELAYED:
         length, seconds = getattr(stages, f"{part}_delay"), getattr(parameters, f"{part}_delay")
         late[part] = weights(jnp.asarray(seconds) / time_step, length) if length else ()
-    servo_period: Any = ()
     if stages.servo_rate:
         servo_period = period_steps(1 / jnp.asarray(parameters.servo_rate), time_step)
     pace = Pace(**late, filter_share=share, period=period, servo_period=servo_period)

@@ -51,7 +51,7 @@ def _add_imported(file: Path, folder: Path, seen: set[Path]) -> None:
 
 
 def content(file: Path) -> bytes:
-    """Return what a file holds; ConfigError where it cannot be read."""
+    """Return the bytes of a file; ConfigError where it cannot be read."""
     try:
         return file.read_bytes()
     except OSError as error:

@@ -46,7 +46,7 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     return dataclasses.replace(numbers, **components_of(scenario, numbers, source))
 
 
-def _value(section: Any, *names: str) -> Any:
+def _value(section: object, *names: str) -> object:
     """Return the value at a key of a section, of each section in a list of them; null is infinite."""
     if not names:
         return math.inf if section is None else section
@@ -75,7 +75,7 @@ def check_ranges(parameters: Parameters) -> None:
             raise ValueError(f"parameters.{name}: expected real numbers, got {values.dtype}")
         kind, validator = _type(name)
         for end in map(float, (values.min(), values.max()) if values.size else ()):  # of NaN among them both are
-            given: Any = end
+            given: object = end
             if end == math.inf and type(None) in get_args(kind):
                 given = None
             elif get_origin(kind) is tuple:
@@ -94,7 +94,7 @@ def check_ranges(parameters: Parameters) -> None:
 
 
 @functools.cache
-def _type(name: str) -> tuple[Any, TypeAdapter[Any]]:
+def _type(name: str) -> tuple[object, TypeAdapter[object]]:
     """Return the type of the key that a parameter comes from, and what validates its values."""
     if name not in KEYS:
         kind: Any = {"mass_scale": Positive, "force_dead": Limit}.get(name, Number)
@@ -103,6 +103,3 @@ def _type(name: str) -> tuple[Any, TypeAdapter[Any]]:
     field = section(Scenario, place).model_fields[key]
     kind = Annotated[field.annotation, *field.metadata]
     return field.annotation, TypeAdapter(kind)
-
-
-# --- times as whole numbers of time steps, the same in single and in double precision

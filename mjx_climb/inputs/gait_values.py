@@ -2,11 +2,12 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
 
+from mjx_climb.arrays import AnyArray
 from mjx_climb.execution.batch_axes import batch_shape
 from mjx_climb.gait.base_path import check_base
 from mjx_climb.parameter_types import KEYS, Parameters, whole_steps
@@ -16,10 +17,11 @@ from mjx_climb.scenario.model import Scenario
 # by key: the parameter whose value it is
 GAIT = {key: name for name, key in KEYS.items() if key.startswith("gait.") and name != "heading"}
 TIMES = ("gait.cycle", "gait.duty")  # counted in whole time steps: no metric has a derivative along them
+Value = TypeVar("Value")
 _WAY = ("gait.cycle", "gait.stride")
 
 
-def gait_of(gains: Mapping[str, Any]) -> dict[str, Any]:
+def gait_of(gains: Mapping[str, Value]) -> dict[str, Value]:
     """Return those of some values by name that are the gait's."""
     return {name: value for name, value in gains.items() if name in GAIT}
 
@@ -34,7 +36,7 @@ def why_fixed(scenario: Scenario, keys: Iterable[str]) -> str:
     return ""
 
 
-def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, Any]) -> Parameters:
+def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, AnyArray]) -> Parameters:
     """Return parameters with values of the gait, by their keys, in place of their own.
 
     The speed of travel is held: with another cycle and no stride of its own, the stride changes in proportion.
@@ -58,7 +60,7 @@ def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, Any]) ->
     return walked
 
 
-def scenario_with_gait(scenario: Scenario, gains: Mapping[str, Any]) -> Scenario:
+def scenario_with_gait(scenario: Scenario, gains: Mapping[str, AnyArray]) -> Scenario:
     """Return a scenario with the gait among the gains of one robot in place of its own, as `with_gait` has it.
 
     Raises:

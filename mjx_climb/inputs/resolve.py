@@ -4,13 +4,14 @@ import dataclasses
 import functools
 from collections.abc import Mapping
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import DTypeLike
 
+from mjx_climb.arrays import AnyArray
 from mjx_climb.component import AnyComponent, checked_value, with_values
 from mjx_climb.control import PD, Law
 from mjx_climb.execution.batch_axes import batch_shape, own_axes
@@ -22,14 +23,14 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import broadcasts, check_fields
 
-AnyGains = Gains | Law | Mapping[str, Any]  # values by name
+AnyGains = Gains | Law | Mapping[str, AnyArray]  # values by name
 
 _JOINT_LOOP = ("kp", "kd", "ki", "safe_kp")
 _MAY_BE_ZERO = ("kd", "ki")
 
 
-class Resolved(NamedTuple):
-    """What is simulated: a law whose gains have their full length, parameters, and the batch shape of both."""
+class WalkInputs(NamedTuple):
+    """A law whose gains have their full length, parameters, and the batch shape of both."""
 
     law: Law
     parameters: Parameters  # with the joint gains that were given, and with times that are whole time steps
@@ -51,7 +52,7 @@ def resolve(
     parameters: Parameters | None,
     dtype: DTypeLike,
     xp: ModuleType = jnp,
-) -> Resolved:
+) -> WalkInputs:
     """Return the law with the gains given in place of its own, and parameters with joint gains and gait among them.
 
     Parameters are the scenario's where there are none; all are arrays of a precision, of JAX or of NumPy (`xp`).
@@ -85,13 +86,13 @@ def resolve(
     check_robots(shape)
     if shape != batch_shape(law, parameters):
         parameters = dataclasses.replace(parameters, kp=xp.broadcast_to(parameters.kp, shape))
-    return Resolved(law, parameters, shape, own, walked, called)
+    return WalkInputs(law, parameters, shape, own, walked, called)
 
 
 def resolve_in(
     scenario: Scenario, law: Law, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike
-) -> Resolved:
-    """Return what `resolve` does, as arrays of NumPy."""
+) -> WalkInputs:
+    """Return the inputs of a walk as `resolve` does, as arrays of NumPy."""
     with jax.enable_x64(True):
         return resolve(scenario, law, gains, parameters, dtype, np)
 
@@ -124,7 +125,7 @@ def has_gains_of_the_paper(law: Law) -> bool:
     return isinstance(law, PD) or set(law.GAINS) == set(Gains.AXES)
 
 
-def recorded(scenario: Scenario, gains: AnyGains | None, resolved: Resolved) -> Gains | dict[str, Any]:
+def recorded(scenario: Scenario, gains: AnyGains | None, resolved: WalkInputs) -> Gains | dict[str, AnyArray]:
     """Return the gains of a walk to be stored with it, six axes each where the law has those of the paper, or none.
 
     A law of translations leaves the rotations as they were given, or as the scenario has them.
@@ -164,7 +165,7 @@ def checked(component: AnyComponent, kind: type[AnyComponent]) -> AnyComponent:
     return component
 
 
-def by_name(gains: AnyGains) -> dict[str, Any]:
+def by_name(gains: AnyGains) -> dict[str, AnyArray]:
     """Return gains as a mapping, without those that are not given."""
     if isinstance(gains, Law):
         return {name: getattr(gains, name) for name in gains.GAINS}
@@ -172,7 +173,7 @@ def by_name(gains: AnyGains) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
+def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, AnyArray]:
     """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
     values = dict(gains or {}) if isinstance(gains, Mapping | None) else by_name(gains)
     known = [*law.GAINS, *_JOINT_LOOP]
@@ -188,7 +189,7 @@ def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, Any]:
     return values
 
 
-def resolved_directions(resolved: Resolved, gains: AnyGains | None, directions: AnyGains) -> dict[str, np.ndarray]:
+def resolved_directions(resolved: WalkInputs, gains: AnyGains | None, directions: AnyGains) -> dict[str, np.ndarray]:
     """Return rates of gains (k, *batch, n) by name as (*batch, k, n), without the last axis where a gain is one number.
 
     Raises:

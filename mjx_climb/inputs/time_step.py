@@ -64,6 +64,7 @@ def growth(scenario: Scenario, time_step: float | None = None, own: Own = _CONFI
         for mass, stiffness, damping in _systems(scenario, h, own):
             mobility, one = np.linalg.inv(mass), np.eye(len(mass))
             k, d = h * mobility @ stiffness, h * mobility @ damping
+            # v+ = v - h M^-1 (K x + D v), x+ = x + h v+, of x and h v
             step = np.block([[one - h * k, h * (one - d)], [-k, one - d]])
             if not np.isfinite(step).all():
                 return math.inf

@@ -64,7 +64,7 @@ def limbs_of(robot: Robot) -> Limb:
 
 
 def missing_forces(robot: Robot, state: State, acceleration: Acceleration, loads: Loads) -> Forces:
-    """Return what acts less what the accelerations need: zero at those that obey the equations of motion."""
+    """Return the residual of the equations of motion (paper Eq. 1) at given accelerations."""
     to_base = quaternion_to_matrix(state.base_orientation).T
     linear, angular = to_base @ (acceleration.base_linear - loads.gravity), to_base @ acceleration.base_angular
     base = BodyMotion(to_base @ state.base_angular_velocity, angular, linear)
@@ -89,9 +89,9 @@ def missing_forces(robot: Robot, state: State, acceleration: Acceleration, loads
 
 
 def load_torque(robot: Robot, state: State, loads: Loads) -> Array:
-    """Return what loads, gravity and the motion put on the joints, (limb, joint) N m: `-c + J^T f`.
+    """Return the torque of loads, gravity and motion on the joints, (limb, joint) N m: `-c + J^T f`.
 
-    It is what stands beside the servos' torques in `H qdd = tau - c + J^T f`, so without the inertia of base and links.
+    It stands beside the servos' torques in `H qdd = tau - c + J^T f`, so without the inertia of base and links.
     """
     still = Acceleration(*map(jnp.zeros_like, (loads.gravity, loads.gravity, loads.joint_torque)))
     return missing_forces(robot, state, still, loads).joint
@@ -108,7 +108,8 @@ def _newton_euler(
     spin, spin_change, slide, slide_change = joints
     links = range(len(limb.mass))
     motion, loads = base, []
-    for i in links:  # outward: how each link moves, and the force and moment that this needs
+    # outward: the motion of each link, and the force and moment that it needs (Featherstone, section 5.3)
+    for i in links:
         turn = pose.rotation[i].T
         linear, velocity, turning = turn @ motion.at(pose.position[i]), turn @ motion.velocity, turn @ motion.turning
         if slide is not None:
@@ -121,7 +122,8 @@ def _newton_euler(
         loads.append((force, moment + cross(limb.center[i], force)))
 
     force, moment, along, about = -foot_force, cross(foot_force, limb.foot), [], []
-    for i in reversed(links):  # inward: the loads of all that is beyond a joint
+    # inward: the loads of all that is beyond a joint
+    for i in reversed(links):
         force, moment = force + loads[i][0], moment + loads[i][1]
         along.append(force[2])
         about.append(moment[2])

@@ -117,14 +117,15 @@ def inverse_kinematics(
     if geometry.attitude is not None and turn is not None:
         geometry = geometry._replace(attitude=turn @ geometry.attitude)
     angles = geometry.robot.stance_joints if last is None else last
-    for step in range(STEPS):  # the last two of them towards the target alone
+    # the last two steps go towards the target alone
+    for step in range(STEPS):
         weight, way = _toward_rest(geometry, angles)
         angles = angles + _change(geometry, foot, angles, _DAMPING, _PULL * weight * way if step < STEPS - 2 else None)
     error = _error_and_jacobian(geometry, foot, angles)[0]
     return JointSolution(angles, (error * error).sum(-1) < _MET**2)
 
 
-def settled(
+def solve_to_convergence(
     chain: Chain,
     foot: np.ndarray,
     angles: np.ndarray,
@@ -159,7 +160,7 @@ def _toward_rest(chain: Chain, angles: AnyArray) -> tuple[AnyArray, AnyArray]:
 
 
 def _error_and_jacobian(chain: Chain, target: AnyArray, angles: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Return what is left to do (..., limb, rows), and how joints change it (..., limb, rows, joint).
+    """Return the error of the feet (..., limb, rows), and its Jacobian by the joints (..., limb, rows, joint).
 
     Rows are the foot's place and, where an attitude is kept, its turn times the limb's mean length. Joints that nothing
     drives change nothing.
@@ -215,10 +216,12 @@ def _closed_form(geometry: LimbGeometry, foot: AnyArray) -> JointSolution:
     tiny = float(xp.finfo(local.dtype).eps) * 1e-2
     horizontal = ahead**2 + aside**2 - geometry.lateral**2
     out = xp.sqrt(xp.where(horizontal > tiny, horizontal, tiny))
+    # the foot's direction about the coxa's axis, less that of its offset from the plane of femur and tibia
     coxa = _angle(aside, ahead, tiny) - xp.arctan2(geometry.lateral, out)
 
     x, z = out - geometry.femur_out, up - geometry.femur_up
     a, b = geometry.femur_length, geometry.tibia_length
+    # the law of cosines in that plane; out of reach the knee is straight, or folded
     cosine = (x * x + z * z - a * a - b * b) / (2 * a * b)
     within = abs(cosine) < 1
     cosine = xp.clip(cosine, -1.0, 1.0)

@@ -106,6 +106,7 @@ def foot_jacobian(robot: Robot, frames: LimbFrames) -> AnyArray:
     """Return the velocity of the feet per joint rate, (limb, 3, joint) m."""
     angular, linear = joint_axes(robot, frames)
     xp = namespace(angular)
+    # omega x r for each joint's axis
     columns = xp.cross(angular, frames.foot[..., None, :] - frames.position)
     return (columns if linear is None else columns + linear).mT
 

@@ -14,7 +14,7 @@ References:
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,8 @@ from mjx_climb.physics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot
 
 _Three = tuple[Array, Array, Array]
+_Primals = tuple[Robot, State, *tuple[Array, ...]]  # robot, state and the fields of `Loads`
+_Tangents = tuple[object, ...]  # of these, with a `SymbolicZero` for each array that does not move
 
 
 class Factors(NamedTuple):
@@ -61,9 +63,10 @@ def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[_Three
     linear = cross(frames.position, angular)  # motion at the base's centre of mass per rate, as `angular`
     if axes.linear is not None:
         linear = linear + axes.linear
-    body: Any = None
+    body: _Three | None = None
     forces, moments, mass = {}, {}, {}
-    for j in reversed(links):  # composite rigid bodies: all that is beyond a joint moves as one
+    # composite rigid bodies (Featherstone, section 6.2): all that is beyond a joint moves as one
+    for j in reversed(links):
         turn, mass_of_link = frames.rotation[j], limb.mass[j]
         center = frames.position[j] + turn @ limb.center[j]
         moment, inertia = mass_of_link * center, symmetric(turn @ limb.inertia[j] @ turn.T)
@@ -81,6 +84,7 @@ def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[_Three
     inverse = inverse_3x3(block) if size == 3 else solve_symmetric(block, jnp.eye(size, dtype=block.dtype))
     force, moment = (jnp.stack([column[j] for j in links], axis=1) for column in (forces, moments))
     force_way, moment_way = force @ inverse, moment @ inverse
+    # the Schur complement of the joints' block
     left = (
         m * jnp.eye(3, dtype=force.dtype) - symmetric(force_way @ force.T),
         -skew(h) - force_way @ moment.T,
@@ -90,11 +94,13 @@ def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[_Three
 
 
 def accelerations(factors: Factors, forces: Forces) -> _Three:
-    """Return what generalised forces accelerate, in the base's axes: the fields of an `Acceleration`."""
+    """Return the accelerations `H^-1 f` of generalised forces, in the base's axes: the fields of an `Acceleration`."""
+    # the limbs' forces pass to the base, less those that only accelerate their joints; then the base by its blocks
     force = forces.force + (forces.limb_force - jnp.matvec(factors.force, forces.joint)).sum(0)
     moment = forces.moment + (forces.limb_moment - jnp.matvec(factors.moment, forces.joint)).sum(0)
     angular = factors.angular @ (moment - factors.columns.T @ force)
     linear = factors.linear @ force - factors.columns @ angular
+    # back substitution: the joints' own forces, less what the base's acceleration takes
     joints = jnp.matvec(factors.joints, forces.joint) - linear @ factors.force - angular @ factors.moment
     return linear, angular, joints
 
@@ -127,7 +133,7 @@ def _forward_dynamics(robot: Robot, state: State, *acting: Array) -> tuple[Array
 
 
 @functools.partial(_forward_dynamics.defjvp, symbolic_zeros=True)
-def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+def _jvp(primals: _Primals, tangents: _Tangents) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Return the accelerations and their tangents: `M^-1` times the tangents of the forces missing at them.
 
     So the mass matrix and its factors need no derivatives (Carpentier and Mansard). Orientations stay of unit length.
@@ -139,7 +145,7 @@ def _jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[tuple[Arr
     return acceleration, _in_world_axes(state, *accelerations(factors, change))
 
 
-def _missing_change(primals: tuple[Any, ...], tangents: tuple[Any, ...], acceleration: Acceleration) -> Forces:
+def _missing_change(primals: _Primals, tangents: _Tangents, acceleration: Acceleration) -> Forces:
     """Return the tangents of the forces that are missing at accelerations which stay as they are."""
     leaves, tree = jax.tree.flatten(primals)
     directions = jax.tree.leaves(tangents, is_leaf=lambda tangent: isinstance(tangent, SymbolicZero))
@@ -189,8 +195,8 @@ def _held_solved(robot: Robot, state: State, loads: Loads) -> tuple[Array, Array
 
 
 @functools.partial(_held.defjvp, symbolic_zeros=True)
-def _held_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
-    """Return what `_jvp` does, of the joints alone."""
+def _held_jvp(primals: _Primals, tangents: _Tangents) -> tuple[Array, Array]:
+    """Return the joints' accelerations and their tangents, as `_jvp` does."""
     robot, state, *acting = primals
     inverse, joints = _held_solved(robot, state, Loads(*acting))
     still = jnp.zeros_like(state.base_position)

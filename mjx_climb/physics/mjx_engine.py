@@ -4,7 +4,6 @@ import contextlib
 import functools
 import io
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,13 +29,13 @@ def _put_model(model: mujoco.MjModel, x64: bool) -> tuple[mjx.Model, mjx.Data]:
         return mjx.put_model(model), mjx.make_data(model)
 
 
-def model_of(robot: Robot, cargo_mass: Array, gravity: Array, dtype: Any) -> tuple[mjx.Model, mjx.Data]:
+def model_of(robot: Robot, cargo_mass: Array, gravity: Array, dtype: jnp.dtype) -> tuple[mjx.Model, mjx.Data]:
     """Return MJX's model of a robot with cargo on its base, () kg, under gravity (3,) m/s^2, and data for it.
 
     The armature is the robot's, (limb, joint) kg m^2, in place of the model's own.
     """
 
-    def in_precision(leaf: Any) -> Any:
+    def in_precision(leaf: Array) -> Array:
         return leaf.astype(dtype) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
 
     model, data = jax.tree.map(in_precision, _put_model(robot.model, jnp.result_type(float) == jnp.float64))

@@ -4,14 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjx_climb.physics.inverse_kinematics import POSE, Chain, settled
+from mjx_climb.physics.inverse_kinematics import POSE, Chain, solve_to_convergence
 from mjx_climb.physics.kinematics import foot_jacobian, joint_axes, limb_frames
 from mjx_climb.robot.constants import FILLING, PASSIVE, Robot
 
 _ITERATIONS, _LONGEST_STEP = 60, 0.5  # rad, or m
 MET = 1e-9  # m, rad: a foot as near to its place is there
 _STARTS = 5  # of femur and tibia each, spread over their limits
-_OTHERS = 1e-3  # rad of the knee, that the other joints of a limb of three count for
+_OTHERS = 1e-3  # weight of the other joints of a limb of three, beside its knee
 _OTHER_STARTS = 15  # of limbs of another number of joints
 _SINGULAR = (
     0.01  # smallest singular value of a limb's Jacobian, lengths over its reach: below, it cannot move every way
@@ -65,7 +65,7 @@ def _reached(robot: Robot, feet: np.ndarray, starts: np.ndarray) -> tuple[np.nda
     if robot.driven is not None:
         slack = robot.model.qpos_spring[7:].reshape(robot.driven.shape)
         starts = np.where(robot.driven, starts, slack)
-    angles, missed = settled(Chain(robot), feet, starts, _ITERATIONS, pull=False, longest=_LONGEST_STEP)
+    angles, missed = solve_to_convergence(Chain(robot), feet, starts, _ITERATIONS, pull=False, longest=_LONGEST_STEP)
     wrapped = np.remainder(angles + np.pi, 2 * np.pi) - np.pi
     angles = wrapped if robot.sliding is None else np.where(robot.sliding, angles, wrapped)
     within = ((angles >= robot.joint_lower - MET) & (angles <= robot.joint_upper + MET)).all(-1)

@@ -57,6 +57,7 @@ def integrate(state: State, acceleration: Acceleration, time_step: float) -> Sta
     linear = state.base_linear_velocity + time_step * acceleration.base_linear
     angular = state.base_angular_velocity + time_step * acceleration.base_angular
     rates = state.joint_rates + time_step * acceleration.joints
+    # in world axes, so the turn comes before the attitude
     turn = quaternion_from_rotation_vector(time_step * angular)
     return State(
         base_position=state.base_position + time_step * linear,

@@ -1,7 +1,7 @@
 """The robot as constants: what the equations need of an MJCF."""
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import numpy as np
@@ -99,6 +99,7 @@ class Robot:
 def frame_along(axis: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return a rotation matrix with z along the unit vector `axis`, and x as near to a direction as that allows."""
     x = x - axis * (axis @ x)
+    # along the axis there is no such direction: the coordinate axis that is squarest to it takes its place
     if np.linalg.norm(x) < 1e-6:
         x = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     x = x / np.linalg.norm(x)
@@ -125,7 +126,7 @@ def robot_from_model(model: mujoco.MjModel, name: str, stance: np.ndarray | None
     bodies, joints = (np.arange(n, n + links).reshape(limbs, -1) for n in (2, 1))  # (limb, joint), as all that follows
     stance = np.array(model.key_qpos[0] if stance is None else stance)
     limited, dofs, places = model.jnt_limited[joints] != 0, model.jnt_dofadr[joints], model.jnt_qposadr[joints]
-    drives: dict[str, Any] = {key: getattr(model, field)[dofs] for key, field in _DRIVES.items()}
+    drives = {key: getattr(model, field)[dofs] for key, field in _DRIVES.items()}
     spring, limit = model.jnt_stiffness[joints], model.jnt_actfrcrange[joints, 1]
     limit = np.where(model.jnt_actfrclimited[joints] != 0, limit, np.inf)
     limb_names = tuple(model.body(body).name.rsplit("_", 1)[0] for body in bodies[:, 0])

@@ -355,7 +355,7 @@ def line_of(file: str, name: str) -> str:
 
 
 def _unreadable(file: str, error: Exception) -> RobotError:
-    """Return what MuJoCo says of a file in one line, beginning with the line of the file that it is about."""
+    """Return MuJoCo's message about a file in one line, which begins with the place in the file."""
     reason, place = " ".join((str(error) or "an empty one").split()), None
     lines, number = _lines(Path(file)), _NUMBER.search(reason)
     if number and int(number[1]):

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mjx_climb.robot_import.description import (
 )
 from mjx_climb.robot_import.limbs import Found, Note, at_zero, foot_of
 from mjx_climb.robot_import.robot_file import REACH
-from mjx_climb.robot_import.stance import STANDING, Stance, Standing, checked, searched
+from mjx_climb.robot_import.stance import STANDING, Section, Stance, Standing, checked, searched
 
 EARTH = 9.81  # m/s^2
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
@@ -42,7 +42,7 @@ _MISSED = 0.02  # of the reach, by which limbs of two joints may miss their foot
 class Proposal(NamedTuple):
     """Sections of a scenario, and how they came about."""
 
-    sections: dict[str, Any]
+    sections: Section
     notes: tuple[Note, ...]
 
 
@@ -69,7 +69,7 @@ def propose(
     proportions = _proportions(mass, reach, slides)
     keys = [model.key(k).name for k in range(model.nkey)]
     key = next((keys.index(name) for name in ("stance", "stand", "home") if name in keys), 0 if keys else None)
-    section: dict[str, Any] = {"file": robot.path, "height": 1.0, "limbs": {}}
+    section: Section = {"file": robot.path, "height": 1.0, "limbs": {}}
     for name, chain in limbs.items():
         section["limbs"][name] = {"joints": [model.joint(j).name for j in chain.joints], "foot": chain.foot}
         section["limbs"][name] |= {"at": list(chain.at)} if any(chain.at) else {}
@@ -94,7 +94,7 @@ def propose(
     return Proposal({"robot": section, **walk}, tuple(robot.notes))
 
 
-def _of_keyframe(robot: Found, key: int, section: dict[str, Any]) -> Stance | None:
+def _of_keyframe(robot: Found, key: int, section: Section) -> Stance | None:
     """Return how the robot stands in a keyframe, where that is a stance."""
     what, data = f"keyframe {robot.model.key(key).name!r}", mujoco.MjData(robot.model)
     data.qpos[:] = robot.model.key_qpos[key]
@@ -211,7 +211,7 @@ def _note_drives(robot: Found) -> None:
 # Gait, grip and gains
 
 
-def _gait(robot: Found, section: dict[str, Any], stance: Stance, reach: float) -> dict[str, Any]:
+def _gait(robot: Found, section: Section, stance: Stance, reach: float) -> Section:
     """Return a crawl: up one side from behind, then up the other, strides and steps that all limbs can reach."""
     (height, footholds), names = stance, list(section["limbs"])
     order = sorted(range(len(names)), key=lambda n: (footholds[n, 1] < 0, footholds[n, 0]))
@@ -237,9 +237,7 @@ def _gait(robot: Found, section: dict[str, Any], stance: Stance, reach: float) -
     }
 
 
-def _hold_turns(
-    robot: Found, section: dict[str, Any], proportions: dict[str, Any], gait: dict[str, Any], size: float
-) -> None:
+def _hold_turns(robot: Found, section: Section, proportions: Section, gait: Section, size: float) -> None:
     """Give a robot that stands on one or two feet grips that transmit moments; `size` is its mass times reach squared.
 
     What swings about one foot sags by grip and joints, and the other one shuts where it should not, so both are firm
@@ -261,7 +259,7 @@ def _hold_turns(
         part |= {key: _two_digits(part[key]) for key in (*_HOLDS_TURNS, "kp", "kd") if key in part}
 
 
-def _proportions(mass: float, reach: float, slides: bool) -> dict[str, Any]:
+def _proportions(mass: float, reach: float, slides: bool) -> Section:
     """Return grip and gains of HubRobo for another weight and length.
 
     kp is one number for N m/rad and N/m: sliding joints shorter than a metre need the stiffness that turning ones have

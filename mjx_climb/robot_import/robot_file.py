@@ -27,7 +27,7 @@ _COLORS = {  # red, green, blue, opacity
 
 
 def refusal(source: RobotFile, key: str, expected: str, got: str, element: str | None = None) -> RobotError:
-    """Return what is wrong in one line, with that of the file where an element of that name stands."""
+    """Return an error of one line, which begins with the place of an element in the file."""
     place = source.file if element is None else line_of(source.file, element)
     return RobotError(" ".join(f"{place}: robot.{key}: expected {expected}, got {got}".split()))
 
@@ -193,7 +193,7 @@ class _File:
             yield "file", f"a mass of the base link {base!r}", "none", base
 
     def _bound(self, constraint: int, own: np.ndarray) -> str | None:
-        """Return what an equality constraint is at that could move a part of the robot; None of one that cannot."""
+        """Return the name of an equality constraint that could move a part of the robot; None for one that cannot."""
         model, names = self.model, [self.model.equality(constraint).name]
         site, body = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY
         ends = [int(end[constraint]) for end in (model.eq_obj1id, model.eq_obj2id) if end[constraint] >= 0]

@@ -15,6 +15,7 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
 STANDING = 3  # feet on the ground that keep a robot from swinging about them: grips of fewer limbs hold attitudes
+Section = dict[str, Any]  # of a scenario, or all of one, as plain data
 _SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)  # of a limb's reach: how far out and how far down a foot may stand
 _WELL = 0.15  # of a joint's range to its limits: more counts for no more
 _SAMPLES, _HEIGHTS, _TRIED = 3000, 15, 4  # postures at random, heights looked at, postures tried at each
@@ -71,7 +72,7 @@ class Standing:
     cannot put a foot anywhere in space may miss their places by `missing` m.
     """
 
-    def __init__(self, section: dict[str, Any], footholds: np.ndarray, missing: float = 0.0) -> None:
+    def __init__(self, section: Section, footholds: np.ndarray, missing: float = 0.0) -> None:
         limbs = {
             name: limb | {"foothold": foothold.tolist()}
             for (name, limb), foothold in zip(section["limbs"].items(), footholds, strict=True)
@@ -83,7 +84,7 @@ class Standing:
         self.rows = [list(limbs).index(name) for name in self.robot.limbs]  # of the model's limbs in the section
 
     def worth(self, stance: Stance) -> float:
-        """Return what a stance is worth: below 0 a foot misses its place or a joint its limits, 0 is singular.
+        """Return the score of a stance: below 0 a foot misses its place or a joint its limits, 0 is singular.
 
         It is the smallest singular value of the limbs' Jacobians, for what the grips hold, and less within `_WELL` of a
         joint's limit.
@@ -138,14 +139,14 @@ class Standing:
         return angles, feet
 
 
-def checked(section: dict[str, Any], stance: Stance) -> Stance | None:
+def checked(section: Section, stance: Stance) -> Stance | None:
     """Return a stance to as few digits as will do, None where joints pass their limits, or it is singular."""
     worth = Standing(section, stance.footholds).worth
     tried = (Stance(round(stance.height, digits), stance.footholds.round(digits)) for digits in (4, 12))
     return next((rounded for rounded in tried if worth(rounded) > 0), None)
 
 
-def searched(section: dict[str, Any], hips: np.ndarray, reach: float) -> Stance:
+def searched(section: Section, hips: np.ndarray, reach: float) -> Stance:
     """Return the stance of most worth among those with the feet some way out and down, or else at random.
 
     `hips` (limb, 3) m are where the limbs begin, in the base link's frame, `reach` m the shortest one's length.

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from mjx_climb.scenario import shipped
 from mjx_climb.scenario.messages import config_error, show
@@ -12,7 +11,7 @@ from mjx_climb.scenario.values import Section
 from mjx_climb.scenario.yaml_text import parse, read
 
 
-def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] | Mapping[str, Any] = ()) -> Scenario:
+def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] | Mapping[str, object] = ()) -> Scenario:
     """Read a scenario from a YAML file, then change some keys.
 
     **Arguments:**

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Iterator, Sequence
-from typing import Any, get_args, get_type_hints
+from typing import get_args, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
@@ -15,13 +15,13 @@ class ConfigError(ValueError):
     """A scenario that cannot be used; in one line: file, dotted key, what was expected, what was got."""
 
 
-def failure(expected: str, **context: Any) -> PydanticCustomError:
+def failure(expected: str, **context: object) -> PydanticCustomError:
     """Return the one kind of error that models raise; context: a `key` below the model and the value `got`."""
     return PydanticCustomError("expected", "expected {expected}", {"expected": expected, **context})
 
 
 def refusal(invalid: ValidationError, root: type[BaseModel], source: str) -> ConfigError:
-    """Return what is wrong with the data of a model as one line."""
+    """Return the first error in the data of a model as one line."""
     error, *others = invalid.errors(include_url=False)
     where, context, got = error["loc"], error.get("ctx", {}), show(error["input"])
     if len(where) > 1 and where[0] == "robot":
@@ -52,11 +52,12 @@ def section(root: type[BaseModel], where: Sequence[str | int]) -> type[BaseModel
         if isinstance(part, str):
             field = model.model_fields.get(part)
             # a name of the user's: the kind that the section holds for each
-            model = _model_in(field.annotation if field else get_type_hints(model)["__pydantic_extra__"])
+            hint: object = field.annotation if field else get_type_hints(model)["__pydantic_extra__"]
+            model = _model_in(hint) or BaseModel
     return model
 
 
-def _model_in(annotation: Any) -> Any:
+def _model_in(annotation: object) -> type[BaseModel] | None:
     """The model in an annotation: itself, an item of a list, or one of several kinds."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
@@ -85,7 +86,7 @@ def keys(root: type[BaseModel]) -> Iterator[str]:
             yield name
 
 
-def show(value: Any) -> str:
+def show(value: object) -> str:
     """A value as it would stand in YAML, cut to a readable length."""
     try:
         text = json.dumps(value, default=repr, ensure_ascii=False)

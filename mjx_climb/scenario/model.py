@@ -129,6 +129,7 @@ class Ground(v.Section):
 class Contact(v.Section):
     """Spring-damper between a gripped foot and its grip point."""
 
+    # k_s, d_s and the holding limit of the paper (Eq. 5), with ClimbLab's rule for letting go
     stiffness: v.Positive = setting(1.0e4, "contact stiffness per axis, N/m")
     damping: v.NonNegative = setting(20.0, "contact damping per axis, N s/m")
     rotational_stiffness: v.NonNegative = setting(
@@ -155,6 +156,7 @@ class Control(v.Section):
     inertia: v.Gain = setting(1.0, "virtual inertia M, kg (translations), kg m^2 (rotations)")
     damping: v.Gain = setting(5.0e3, "virtual damping D, N s/m (translations), N m s/rad (rotations)")
     stiffness: v.Gain = setting(5.0e4, "virtual stiffness K, N/m (translations), N m/rad (rotations)")
+    # the paper's pd: docs/paper.md tells how far softer joints alone would go
     kp: v.Positive = setting(50.0, "proportional gain of the joint loop, N m/rad")
     kd: v.NonNegative = setting(0.2, "derivative gain of the joint loop, N m s/rad")
     ki: v.NonNegative = setting(0.0, "integral gain of the joint loop, N m/(rad s); 0: no integral term")
@@ -606,7 +608,7 @@ class Scenario(v.Section):
         """The scenario in a YAML text, as `to_yaml` writes it; `source` names it in the `ConfigError` of a bad one."""
         return validated(cls, parse(text, source), source)
 
-    def with_own(self, **changes: Any) -> Scenario:
+    def with_own(self, **changes: object) -> Scenario:
         """A copy with some keys of the section `own` changed; without the section where it names nothing then."""
         own = {**({} if self.own is None else self.own.model_dump(mode="json")), **changes}
         place = {"own": own} if any(own.values()) else {"own": None}
@@ -614,7 +616,7 @@ class Scenario(v.Section):
 
     def with_files(self, change: Callable[[str, str], str]) -> Scenario:
         """A copy with the paths in it changed; `change` is given a dotted key and its path."""
-        named: dict[str, Any] = {"robot": self.robot, "ground.map": self.ground.map}
+        named: dict[str, object] = {"robot": self.robot, "ground.map": self.ground.map}
         if self.own is not None:
             named |= {"own.law": self.own.law, "own.objective": self.own.objective}
             named |= {f"own.metrics.{n}": metric for n, metric in enumerate(self.own.metrics)}
@@ -633,12 +635,12 @@ class Scenario(v.Section):
         """A copy whose relative paths start at a folder, the reverse of `relative_to`."""
         return self.with_files(lambda _, file: str(Path(folder).absolute() / file))
 
-    def with_overrides(self, overrides: Sequence[str] | Mapping[str, Any]) -> Scenario:
+    def with_overrides(self, overrides: Sequence[str] | Mapping[str, object]) -> Scenario:
         """A revalidated copy with some keys changed; `overrides` as in `load_scenario`."""
         return overridden(self, overrides, "scenario")
 
 
-def validated(kind: type[AnySection], data: Any, source: str) -> AnySection:
+def validated(kind: type[AnySection], data: object, source: str) -> AnySection:
     """Return the model of plain data.
 
     Raises:
@@ -650,7 +652,7 @@ def validated(kind: type[AnySection], data: Any, source: str) -> AnySection:
         raise refusal(invalid, kind, source) from None
 
 
-def overridden(scenario: Scenario, overrides: Sequence[str] | Mapping[str, Any], source: str) -> Scenario:
+def overridden(scenario: Scenario, overrides: Sequence[str] | Mapping[str, object], source: str) -> Scenario:
     """Return a scenario with some keys changed; `overrides` as `load_scenario` takes them.
 
     Raises:

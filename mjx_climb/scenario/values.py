@@ -30,13 +30,13 @@ class Section(BaseModel, metaclass=_OneLine):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-def setting(default: Any, description: str) -> Any:
+def setting(default: object, description: str) -> Any:
     """Return the field of a key of a scenario, with its default, and what it is, unit included."""
     return Field(default=default, description=description)
 
 
 def _expects(text: str) -> WrapValidator:
-    def validate(value: Any, handler: Callable[[Any], Any]) -> Any:
+    def validate(value: object, handler: Callable[[object], object]) -> object:
         try:
             return handler(value)
         except ValidationError:

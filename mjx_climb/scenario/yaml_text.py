@@ -30,7 +30,7 @@ class Loader(yaml.SafeLoader):
     def problem(self, text: str, at: Any) -> yaml.MarkedYAMLError:
         return yaml.MarkedYAMLError(problem=text, problem_mark=at.start_mark)
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = yaml.SafeLoader.peek_event(self)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) or getattr(event, "tag", None):
             raise self.problem("tags, anchors and aliases are not used here", event)
@@ -43,7 +43,7 @@ class Loader(yaml.SafeLoader):
         self.depth -= 1
         return node
 
-    def taken(self, key: Any, seen: set[str]) -> None:
+    def taken(self, key: yaml.Node, seen: set[str]) -> None:
         """Refuse a key as soon as it is read: the rest of a long file would take seconds."""
         if key.tag != "tag:yaml.org,2002:str":
             raise self.problem("a key is not a word", key)
@@ -51,7 +51,7 @@ class Loader(yaml.SafeLoader):
             raise self.problem(f"key {key.value!r} comes twice", key)
         seen.add(key.value)
 
-    def construct_integer(self, node: Any) -> int | float:
+    def construct_integer(self, node: yaml.ScalarNode) -> int | float:
         # Decimal even with leading zeros. A huge one, too long for int(), becomes a float, perhaps inf.
         return int(node.value) if len(node.value) < 18 else float(node.value)
 
@@ -93,14 +93,15 @@ def read(source: str) -> str:
         raise config_error(source, "", "UTF-8 text", where) from None
 
 
-def parse(text: str, source: str, key: str = "") -> Any:
+def parse(text: str, source: str, key: str = "") -> object:
     """Return the data in a YAML text; `source` and `key` say where it stands.
 
     Raises:
         ConfigError: no such YAML.
     """
     try:
-        return yaml.load(text, Loader=Loader)
+        data: object = yaml.load(text, Loader=Loader)
+        return data
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
@@ -108,7 +109,7 @@ def parse(text: str, source: str, key: str = "") -> Any:
         raise config_error(source, key, "valid YAML", f"{line}{reason}") from None
 
 
-def pairs(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tuple[Any, Any]]:
+def pairs(overrides: Sequence[str] | Mapping[str, object], source: str) -> list[tuple[str, object]]:
     """Return dotted keys and values of overrides, a mapping's keys one by one.
 
     Overrides are strings "dotted.key=value" with the value in YAML, or a mapping from dotted keys to values.
@@ -127,7 +128,7 @@ def pairs(overrides: Sequence[str] | Mapping[str, Any], source: str) -> list[tup
     return found
 
 
-def _single(key: Any, value: Any, source: str) -> list[tuple[Any, Any]]:
+def _single(key: str, value: object, source: str) -> list[tuple[str, object]]:
     if not isinstance(value, Mapping):
         return [(key, value)]
     if not value:
@@ -135,7 +136,7 @@ def _single(key: Any, value: Any, source: str) -> list[tuple[Any, Any]]:
     return [pair for name, inner in value.items() for pair in _single(f"{key}.{name}", inner, source)]
 
 
-def assign(data: dict[str, Any], key: Any, value: Any, source: str) -> None:
+def assign(data: dict[str, object], key: str, value: object, source: str) -> None:
     """Set `key` (dotted) of the nested mapping `data` to `value`.
 
     Raises:
@@ -161,7 +162,7 @@ def assign(data: dict[str, Any], key: Any, value: Any, source: str) -> None:
         target = target[index]
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Numpy and JAX numbers and arrays as Python's own."""
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]

@@ -6,7 +6,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,10 +23,13 @@ WORLD = "world"
 FRAMES_PER_SECOND = 100  # of transforms, which are there to be looked at
 
 
+_Types = Mapping[str, Callable[..., object]]  # what makes the messages of a type, by its name
+
+
 class _Topic(NamedTuple):
     name: str
     kind: str  # type of its messages
-    message: Callable[[int, Any], Any]  # of a row, with the header that it is given
+    message: Callable[[int, object], object]  # of a row, with the header that it is given
 
 
 def save_mcap(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
@@ -60,13 +63,13 @@ def save_mcap(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
         return write_bytes_atomically(path, (Path(folder) / "walk" / "walk.mcap").read_bytes())
 
 
-def _header(types: Any, stamp: int) -> Any:
+def _header(types: _Types, stamp: int) -> object:
     seconds, nanoseconds = divmod(stamp, 10**9)
     time = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
     return types["std_msgs/msg/Header"](stamp=time, frame_id=WORLD)
 
 
-def _topics(walk: Trajectory, types: Any) -> Iterator[_Topic]:
+def _topics(walk: Trajectory, types: _Types) -> Iterator[_Topic]:
     """Yield the topics of a walk."""
     state, wrench = types["sensor_msgs/msg/JointState"], types["geometry_msgs/msg/WrenchStamped"]
     pose, twist = types["geometry_msgs/msg/PoseStamped"], types["geometry_msgs/msg/TwistStamped"]
@@ -94,10 +97,10 @@ def _topics(walk: Trajectory, types: Any) -> Iterator[_Topic]:
     for place, limb in enumerate(walk.limbs):
         force, moment, support = walk.foot_force[:, place], walk.foot_moment[:, place], walk.support[:, place]
 
-        def forces(row: int, header: Any, force: np.ndarray = force, moment: np.ndarray = moment) -> Any:
+        def forces(row: int, header: object, force: np.ndarray = force, moment: np.ndarray = moment) -> object:
             return wrench(header, pair(vector(force[row]), vector(moment[row])))
 
-        def supports(row: int, header: Any, support: np.ndarray = support) -> Any:
+        def supports(row: int, header: object, support: np.ndarray = support) -> object:
             return flag(bool(support[row]))
 
         yield _Topic(f"/{_word(limb)}/force", "geometry_msgs/msg/WrenchStamped", forces)
@@ -131,8 +134,8 @@ def _joints(walk: Trajectory, robot: Robot) -> tuple[dict[str, np.ndarray], Mapp
     return values, dict(source.locked.items()) if isinstance(source, RobotFile) else {}
 
 
-def _transforms(walk: Trajectory, robot: Robot, types: Any) -> Callable[[int, Any], Any]:
-    """Return what makes a message of where the robot's root link and feet are; a foot has the world's axes.
+def _transforms(walk: Trajectory, robot: Robot, types: _Types) -> Callable[[int, object], object]:
+    """Return the maker of messages with the poses of root link and feet; a foot has the world's axes.
 
     No foot's frame has the name of a link: viewers place the links by the robot's file and `/joint_states`.
     """
@@ -145,7 +148,7 @@ def _transforms(walk: Trajectory, robot: Robot, types: Any) -> Callable[[int, An
     vector, turn = _vector(types["geometry_msgs/msg/Vector3"]), _quaternion(types)
     upright = np.array([1.0, 0.0, 0.0, 0.0])
 
-    def message(row: int, header: Any) -> Any:
+    def message(row: int, header: object) -> object:
         at, turned = walk.base_position[row], walk.base_orientation[row]
         if root is not None:
             offset, axes = root.pose(walk.joint_angles[row])
@@ -159,12 +162,12 @@ def _transforms(walk: Trajectory, robot: Robot, types: Any) -> Callable[[int, An
     return message
 
 
-def _vector(kind: Any) -> Callable[[np.ndarray], Any]:
+def _vector(kind: Callable[..., object]) -> Callable[[np.ndarray], object]:
     return lambda values: kind(*map(float, values))
 
 
-def _quaternion(types: Any) -> Callable[[np.ndarray], Any]:
-    """Return what makes a message of a quaternion wxyz; ROS writes w last."""
+def _quaternion(types: _Types) -> Callable[[np.ndarray], object]:
+    """Return the maker of messages with a quaternion wxyz; ROS writes w last."""
     kind = types["geometry_msgs/msg/Quaternion"]
     return lambda wxyz: kind(*map(float, (*wxyz[1:], wxyz[0])))
 

@@ -1,13 +1,13 @@
 """One pass of the robot's own loop: sensors, law, inverse kinematics, bus, joint loop, servos."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Real
+from jaxtyping import PyTree, Real
 from numpy.typing import DTypeLike
 
 from mjx_climb.control import Command, JointGains, Law, Measurement, Reference, Start, sensor_watch, shifted
@@ -68,28 +68,12 @@ class Controller:
     actuator: Actuator
 
 
-class Held(NamedTuple):
-    """What the law commanded when it was evaluated last, and where the joint targets were before."""
+class LastCommand(NamedTuple):
+    """The command of the law's last evaluation, and the joint targets of the one before."""
 
     command: Command
     joints: JointSolution
-    before: Any  # (limb, joint) rad, () where targets are held
-
-
-class Memory(NamedTuple):
-    """What goes from one pass to the next; empty where a walk has no such stage of hardware."""
-
-    law: Any  # its state
-    force_sensor: sensors.ForceSensor
-    sensor_watch: Any  # `SensorWatch`, () where the law reads no forces, or no sensor is ever silent
-    filtered: Any  # foot forces (limb, 3) N and wrench (6,) N, N m that the law samples; () where it filters nothing
-    base_estimate: Any  # buffers, one for each field of a `sensors.Base`
-    held: Any  # `Held`
-    targets: signals.Buffer  # of joint targets (limb, joint) rad
-    actuator: Any  # of the actuators
-    posture: Any  # (limb, joint) rad, the joint angles last solved for, () where there is a closed form
-    reports: Any  # `Reports`, () where the law does not read them
-    joint_gains: Any  # buffers of what is sent of the joint gains, () where that is nothing
+    before: Array | None  # (limb, joint) rad; None: targets are held
 
 
 class Reports(NamedTuple):
@@ -99,13 +83,29 @@ class Reports(NamedTuple):
     torque: Array  # (limb, joint) N m, of the motors in the step before
 
 
+class Memory(NamedTuple):
+    """What goes from one pass to the next; empty, or None, where a walk has no such stage of hardware."""
+
+    law: PyTree  # its state
+    force_sensor: sensors.ForceSensor
+    sensor_watch: sensor_watch.SensorWatch | None  # None: the law reads no forces, or no sensor is ever silent
+    filtered: tuple[Array, Array] | None  # foot forces (limb, 3) N and wrench (6,) N, N m that the law samples
+    base_estimate: tuple[signals.Buffer, ...]  # one for each field of a `sensors.Base`
+    held: LastCommand | None
+    targets: signals.Buffer  # of joint targets (limb, joint) rad
+    actuator: PyTree  # of the actuators
+    posture: Array | None  # (limb, joint) rad, the joint angles last solved for; None: there is a closed form
+    reports: Reports | None  # None: the law does not read them
+    joint_gains: tuple[signals.Buffer, ...]  # of what is sent of the joint gains
+
+
 class Actual(NamedTuple):
-    """What is true in a step, whatever the sensors measure of it."""
+    """The true state and contacts of a step, not as sensors measure them."""
 
     state: State
     feet: Feet
     turning: Turning | None  # of the feet, where grips transmit moments
-    contact: Any  # memory of the contacts after the step
+    contact: PyTree  # memory of the contacts after the step
     grip: Grip
     wrench: Array  # (6,) N, N m, on the base, of all that the feet transmit
 
@@ -120,24 +120,26 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
     stages, no_force, no_torque = hardware.stages, jnp.zeros_like(feet), jnp.zeros_like(angles)
     no_wrench = jnp.zeros_like(state.base_position, shape=6)
     law = beginning(controller.law, Start(hardware.law_period, reference, angles))
-    watch = sensor_watch.begin(feet) if stages.silent_sensors and law.reads_forces else ()
-    held: Any = ()
+    watch = sensor_watch.begin(feet) if stages.silent_sensors and law.reads_forces else None
+    held = None
     if stages.control_period:
         command = Command(state.base_position, state.base_orientation, feet, no_wrench, law.joint_gains)
-        held = Held(command, JointSolution(angles, jnp.ones(len(angles), bool)), angles if stages.linear else ())
+        held = LastCommand(
+            command, JointSolution(angles, jnp.ones(len(angles), bool)), angles if stages.linear else None
+        )
     base = sensors.true_base(state) if stages.base_delay else ()
     reported = tuple((value,) * stages.command_delay for value in (angles, state.joint_rates, no_torque))
     return Memory(
         law=law.state,
-        force_sensor=sensors.ForceSensor((no_force,) * stages.force_delay, no_force if stages.force_filter else ()),
+        force_sensor=sensors.ForceSensor((no_force,) * stages.force_delay, no_force if stages.force_filter else None),
         sensor_watch=watch,
-        filtered=(no_force, no_wrench) if stages.sampled_filter else (),
+        filtered=(no_force, no_wrench) if stages.sampled_filter else None,
         base_estimate=tuple((value,) * stages.base_delay for value in base),
         held=held,
         targets=(angles,) * stages.command_delay,
         actuator=controller.actuator.init(angles),
-        posture=angles if isinstance(controller.geometry, Chain) else (),
-        reports=Reports(reported, no_torque) if law.reads_servos else (),
+        posture=angles if isinstance(controller.geometry, Chain) else None,
+        reports=Reports(reported, no_torque) if law.reads_servos else None,
         joint_gains=tuple((value,) * stages.command_delay for value in _sent(law.joint_gains, watch).values()),
     )
 
@@ -158,7 +160,7 @@ def control(
     """
     hardware, state = controller.hardware, actual.state
     stages, pace = hardware.stages, hardware.pace
-    into = signals.steps_into(step, pace.period) if stages.control_period else jnp.zeros(())
+    into = signals.steps_into(step, pace.period) if pace.period is not None else jnp.zeros(())
     memory, measured = _measure(hardware, memory, actual, step, into)
 
     law_state, command = controller.law.step(memory.law, measured, reference)
@@ -171,13 +173,14 @@ def control(
         joints = joints._replace(joint_angles=action.angles)
 
     held, targets = memory.held, memory.targets
-    if stages.control_period:
-        now = into == 0
+    if held is not None and pace.period is not None:
+        now, before, last = into == 0, held.before, held.joints.joint_angles
         law_state = signals.held(now, law_state, memory.law)
-        before: Any = signals.held(now, held.joints.joint_angles, held.before) if stages.linear else ()
+        before = None if before is None else signals.held(now, last, before)
         command, joints = signals.held(now, (command, joints), (held.command, held.joints))
-        held = Held(command, joints, before)
-        if stages.linear:  # the next target is not known a period ahead: the line reaches this one in the last step
+        held = LastCommand(command, joints, before)
+        # the next target is not known a period ahead: the line reaches this one in the last step
+        if before is not None:
             end = joints.joint_angles
             joints = joints._replace(joint_angles=end - (end - before) * (1 - (into + 1) / pace.period))
     if stages.command_delay:
@@ -190,20 +193,22 @@ def control(
     actuators, drive = controller.actuator.step(
         memory.actuator, joints.joint_angles, gains, actual_joints, hardware.time_step
     )
-    reports = memory.reports._replace(torque=drive.motor_torque) if memory.reports else ()
+    reports = None if memory.reports is None else memory.reports._replace(torque=drive.motor_torque)
     memory = memory._replace(
         law=law_state, held=held, targets=targets, actuator=actuators, posture=posture, reports=reports
     )
     return memory._replace(joint_gains=late_gains), command, joints, drive
 
 
-def _sent(factors: JointGains | tuple[()], watch: Any) -> dict[str, Array]:
-    """Return what goes to the joint loop with its targets, by name: factors of its gains, and how far kp is to rise."""
-    return (factors.moved if factors else {}) | ({"kp_rise": watch.kp_rise} if watch else {})
+def _sent(factors: JointGains | None, watch: sensor_watch.SensorWatch | None) -> dict[str, Array]:
+    """Return the changes of the joint loop's gains by name: factors of them, and the share by which kp rises."""
+    return ({} if factors is None else factors.moved) | ({} if watch is None else {"kp_rise": watch.kp_rise})
 
 
-def _joint_gains(hardware: Hardware, buffers: Any, sent: dict[str, Array]) -> tuple[Any, ActuatorGains]:
-    """Return what is on its way to the joint loop, and its gains in a step: by what it was sent, if anything."""
+def _joint_gains(
+    hardware: Hardware, buffers: tuple[signals.Buffer, ...], sent: dict[str, Array]
+) -> tuple[tuple[signals.Buffer, ...], ActuatorGains]:
+    """Return the buffers of the changes on the bus, and the joint loop's gains in a step."""
     gains = servo.gains_of(hardware)
     if hardware.stages.command_delay and sent:  # by the bus that takes the joint targets
         both = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, sent.values(), strict=True)]
@@ -226,15 +231,15 @@ def _measure(
     if stages.force:
         sensor, force = sensors.measured_force(sensor, force, step, hardware)
     watch, known = memory.sensor_watch, jnp.asarray(True)
-    if watch:
+    if watch is not None:
         watch, force, known = sensor_watch.watched(watch, force, actual.grip.support, hardware.law_period)
         if stages.control_period:
             watch = signals.held(into == 0, watch, memory.sensor_watch)
     if stages.force:
         wrench = base_wrench_of_foot_force(actual.feet.lever, force, actual.grip.foot_moment)
-        wrench = jnp.where(known, wrench, 0.0) if watch else wrench
+        wrench = jnp.where(known, wrench, 0.0) if watch is not None else wrench
     filtered = memory.filtered
-    if stages.sampled_filter:
+    if filtered is not None and share is not None:
         force, wrench = (y + share * (u - y) for y, u in zip(filtered, (force, wrench), strict=True))
         if stages.control_period:
             force, wrench = signals.held(into == 0, (force, wrench), filtered)
@@ -247,10 +252,10 @@ def _measure(
     return memory, measured._replace(forces_known=known)
 
 
-def _reported(hardware: Hardware, reports: Any, state: State) -> tuple[Any, tuple[Array, ...]]:
-    """Return what is remembered of the servos' reports, and angles, rates and torques as the law gets them."""
-    if not reports:  # nobody looks at them
-        return (), (state.joint_angles, state.joint_rates, jnp.zeros_like(state.joint_rates))
+def _reported(hardware: Hardware, reports: Reports | None, state: State) -> tuple[Reports | None, tuple[Array, ...]]:
+    """Return the servos' reports on the bus, and angles, rates and torques as the law receives them."""
+    if reports is None:
+        return None, (state.joint_angles, state.joint_rates, jnp.zeros_like(state.joint_rates))
     joints, buffers = (state.joint_angles, state.joint_rates, reports.torque), reports.buffers
     if hardware.stages.command_delay:
         late = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, joints, strict=True)]
@@ -259,8 +264,8 @@ def _reported(hardware: Hardware, reports: Any, state: State) -> tuple[Any, tupl
 
 
 def _solve(
-    geometry: LimbGeometry | Chain, posture: Any, command: Command, reference: Reference
-) -> tuple[JointSolution, Any]:
+    geometry: LimbGeometry | Chain, posture: Array | None, command: Command, reference: Reference
+) -> tuple[JointSolution, Array | None]:
     """Return the joint angles that put base and feet in place, and the posture from which the next ones are found."""
     rotation = quaternion_to_matrix(command.base_orientation)
     target = (command.foot_position - command.base_position) @ rotation  # in the base's axes: each row times R is R^T p

@@ -9,13 +9,14 @@ reported with the true extremes.
 
 import dataclasses
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, SupportsIndex, overload
+from typing import NamedTuple, SupportsIndex, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.lax import stop_gradient
+from jaxtyping import PyTree
 
 from mjx_climb.control.sensor_watch import SILENCE
 from mjx_climb.physics.spatial import norm
@@ -29,7 +30,9 @@ _SQUARINGS = 5  # the order of a power mean is 2**5
 _SHARPNESS = 100.0
 Value = Callable[[Sample, "Context"], Array]  # of one sample
 # how the values of one sample after the other become one number: `init`, `update` and `finish` of a metric
-_Reduction = tuple[Callable[[Array], Any], Callable[[Any, Array], Any], Callable[[Any], Array]]
+_Reduction = tuple[Callable[[Array], PyTree], Callable[[PyTree, Array], PyTree], Callable[[PyTree], Array]]
+_Way = tuple[Array, Array]  # where the base was at the first sample, and at this one, (2,) m each
+_Transport = tuple[Array, Array, _Way]  # work, J, largest mass so far, kg, and the way
 
 
 class Context(NamedTuple):
@@ -59,14 +62,14 @@ class Metric:
     unit: str  # "1" where there is none
     long_name: str  # for people: on pictures, in tables
     larger_is_better: bool  # of two walks the one with more is the better one
-    init: Callable[[Array], Any]  # of a zero (): the running value before the first sample
-    update: Callable[[Any, Sample, Context], Any]  # the running value with one more sample
+    init: Callable[[Array], PyTree]  # of a zero (): the running value before the first sample
+    update: Callable[[PyTree, Sample, Context], PyTree]  # the running value with one more sample
     # the metric () of the last running value, itself where there is no function; NaN where it is not defined
-    finish: Callable[[Any, Context], Array] = _as_it_is
+    finish: Callable[[PyTree, Context], Array] = _as_it_is
     smooth: "Metric | None" = None  # its companion for searches that follow gradients; in place of an extreme
     scale: float | None = None  # how much counts as much, in its unit, where values pass through zero
 
-    def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
+    def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[object, ...]:
         """A shipped one is pickled by its name, as its functions have none; one's own by its fields."""
         own = all(metric is not self for metric in (*METRICS.with_companions, *SENSORS))
         return super().__reduce_ex__(protocol) if own else (_shipped, (self.name,))
@@ -101,7 +104,7 @@ class MetricTable(tuple[Metric, ...]):
         return tuple(metric.name for metric in self)
 
     def in_words(self, name: str) -> str:
-        """Return what a metric is called for people, on pictures, in tables and in sentences."""
+        """Return the long name of a metric, for pictures, tables and sentences."""
         return self[name].long_name if name in self.names else name.replace("_", " ")
 
     @property
@@ -165,7 +168,7 @@ def largest(
 def _extreme(
     about: tuple[str, str, str, bool], value: Value, plain: _Reduction, smooth: _Reduction, scale: float | None = None
 ) -> Metric:
-    def update(reduction: _Reduction) -> Callable[[Any, Sample, Context], Any]:
+    def update(reduction: _Reduction) -> Callable[[PyTree, Sample, Context], PyTree]:
         return lambda running, sample, context: reduction[1](running, value(sample, context))
 
     name, unit, long_name, better = about
@@ -184,6 +187,7 @@ class _Mean(NamedTuple):
 
 
 def _with_powers(mean: _Mean, values: Array) -> _Mean:
+    # powers of shares of the largest value so far: between 0 and 1, they do not overflow
     extreme = jnp.maximum(stop_gradient(mean.extreme), jnp.max(stop_gradient(values)))
     scale = jnp.where(extreme > 0, extreme, 1.0)
     before, powers = mean.extreme / scale, values / scale
@@ -195,6 +199,7 @@ def _with_powers(mean: _Mean, values: Array) -> _Mean:
 def _with_exponentials(mean: _Mean, values: Array) -> _Mean:
     first = mean.number == 0
     least = jnp.min(stop_gradient(values))
+    # a first value near zero gives no unit: 1e-6 takes its place
     unit = jnp.where(first, jnp.maximum(jnp.abs(least), 1e-6) / _SHARPNESS, mean.unit)
     extreme = jnp.minimum(stop_gradient(mean.extreme), least)
     before = jnp.where(first, 0.0, mean.total * jnp.exp((extreme - jnp.where(first, extreme, mean.extreme)) / unit))
@@ -227,9 +232,9 @@ _SOFT_MAXIMUM: _Reduction = (
 # --- the shipped metrics
 
 
-def foot_forces(sample: Sample, _: Context) -> Any:
+def foot_forces(sample: Sample, _: Context) -> Array:
     """Return the sizes of the foot forces, (limb,) N."""
-    return norm(sample.foot_force)
+    return jnp.asarray(norm(sample.foot_force))
 
 
 def _pull_forces(sample: Sample, context: Context) -> Array:
@@ -243,33 +248,33 @@ def _joint_limit_margins(sample: Sample, context: Context) -> Array:
     return jnp.minimum(sample.joint_angles - robot.joint_lower, robot.joint_upper - sample.joint_angles)
 
 
-def _way_begun(zero: Array) -> tuple[Array, Array]:
+def _way_begun(zero: Array) -> _Way:
     nowhere = jnp.stack([zero, zero])
     return nowhere, nowhere
 
 
-def _longer_way(way: tuple[Array, Array], sample: Sample, context: Context) -> tuple[Array, Array]:
-    """Return where the base was at the first sample, and at this one, (2,) m each."""
+def _longer_way(way: _Way, sample: Sample, context: Context) -> _Way:
     here = sample.base_position[:2]
     return jnp.where(context.first, here, way[0]), here
 
 
-def _travel(way: tuple[Array, Array], context: Context) -> Array:
+def _travel(way: _Way, context: Context) -> Array:
     moved = way[1] - way[0]
     return jnp.cos(context.heading) * moved[0] + jnp.sin(context.heading) * moved[1]
 
 
-def _more_transport(running: Any, sample: Sample, context: Context) -> Any:
-    """Return the work of all joints, each power counted as positive, J, the largest mass so far, kg, and the way."""
+def _more_transport(running: _Transport, sample: Sample, context: Context) -> _Transport:
+    """Return the transport with one more sample; each joint's power counts as positive."""
     work, mass, way = running
     power = jnp.abs(sample.joint_torque * sample.joint_rates).sum()
     mass = jnp.maximum(mass, context.robot.total_mass + sample.cargo_mass)
     return work + power * context.time_step, mass, _longer_way(way, sample, context)
 
 
-def _cost_of_transport(running: Any, context: Context) -> Array:
+def _cost_of_transport(running: _Transport, context: Context) -> Array:
     """Return work by weight and travel; without gravity, or without travel, there is none: NaN."""
     work, mass, way = running
+    # the paper does not define its average: work over weight times travel (docs/physics.md, departure 13)
     weight_travel = mass * norm(jnp.asarray(context.gravity)) * jnp.abs(_travel(way, context))
     defined = weight_travel > 0
     return jnp.where(defined, work / jnp.where(defined, weight_travel, 1.0), jnp.nan)
@@ -365,7 +370,7 @@ class Running(NamedTuple):
 
     steps: Array  # (), how many samples came
     finite: Array  # (), how many of them came before the first that is not finite
-    values: tuple[Any, ...]  # of the metrics, in their order
+    values: tuple[PyTree, ...]  # of the metrics, in their order
 
 
 def start(metrics: MetricTable, dtype: jnp.dtype) -> Running:
@@ -396,7 +401,7 @@ def accumulate(metrics: MetricTable, running: Running, sample: Sample, context: 
     values = []
     for metric, value in zip(metrics, running.values, strict=True):
         updated = metric.update(value, sample, context)
-        before: Any = jax.tree.structure(value)
+        before: object = jax.tree.structure(value)
         if before != jax.tree.structure(updated):
             raise ValueError(f"metric {metric.name}: expected `update` to return a value structured as `init` does")
         values.append(jax.tree.map(choose, value, updated))

@@ -8,13 +8,15 @@ How many robots walk at once is the affair of `mjx_climb.execution`.
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
 from mjx_climb import execution
+from mjx_climb.arrays import AnyArray, Tree
 from mjx_climb.control import Law
 from mjx_climb.control.law import Reference, constants, measurement_at
 from mjx_climb.disturbances import on_base
@@ -46,7 +48,7 @@ from mjx_climb.walk.structure import Structure
 
 
 class Setup(NamedTuple):
-    """What law and parameters make of themselves once a walk."""
+    """Law and parameters of a walk, and what is computed of them once, before its first step."""
 
     law: Law
     parameters: Parameters
@@ -71,13 +73,13 @@ class Carry(NamedTuple):
     """What goes from one step to the next."""
 
     state: State
-    contact: Any  # memory of the contacts
+    contact: PyTree  # memory of the contacts
     cycle_start: Array  # (3,) m, what the gait remembers of the base
     memory: control_loop.Memory  # of the law and the hardware
 
 
 def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
-    """Return what a law, whose gains have their full length, and parameters make of themselves."""
+    """Return hardware, gait plan and windows of a walk, for a law whose gains have their full length."""
     robot = _in_precision(load_robot(structure.robot), parameters.kp.dtype)
     base_rotation = quaternion_to_matrix(robot.stance_orientation)
     feet = robot.stance_position + limb_frames(robot, base_rotation, robot.stance_joints).foot
@@ -106,8 +108,9 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     return Walk(robot, parameters, setup.plan, setup.windows, contact, controller, structure)
 
 
-def _in_precision(tree: Any, dtype: Any) -> Any:
-    return jax.tree.map(lambda value: jnp.asarray(value, dtype), tree)
+def _in_precision(tree: Tree, dtype: jnp.dtype) -> Tree:
+    cast_to: Tree = jax.tree.map(lambda value: jnp.asarray(value, dtype), tree)
+    return cast_to
 
 
 def prepare(structure: Structure, law: Law, parameters: Parameters) -> Walk:
@@ -122,7 +125,8 @@ def begin(walk: Walk) -> Carry:
     start, feet = gait.planned_start(plan, now.cycle), gait.first_footholds(plan)
     reference = gait.reference(plan, now, start, feet, walk.structure.time_step)._replace(foot_position=feet)
     rotation, joints = quaternion_to_matrix(reference.base_orientation), jnp.asarray(robot.stance_joints)
-    if plan.heights.size or stages.height or stages.sway:  # the rest stance is none
+    # elsewhere the rest stance already has the feet on their footholds
+    if plan.heights.size or stages.height or stages.sway:
         target = (reference.foot_position - reference.base_position) @ rotation
         joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     still = jnp.zeros_like(reference.base_position)
@@ -149,21 +153,26 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     """
     state, parameters = carry.state, walk.parameters
     frames, now = limb_frames(walk.robot, None, state.joint_angles), gait.schedule(walk.plan, step)
-    actual = _standing(walk, carry, frames, now)
+    # Eq. 5: the forces of the grips, and which of them let go
+    actual = _evaluate_contacts(walk, carry, frames, now)
 
     cycle_start, start = carry.cycle_start, gait.planned_start(walk.plan, now.cycle)
-    if walk.structure.base_reference == "actual":  # a cycle starts where the base is, not where the last one ended
+    # as in ClimbLab: a cycle starts where the base is, not where the last one ended
+    if walk.structure.base_reference == "actual":
         here = gait.unswayed(walk.plan, now, state.base_position)
         cycle_start = start = jnp.where(now.cycle_phase == 0, here, carry.cycle_start)
     reference = gait.reference(walk.plan, now, start, actual.grip.grip_point, walk.structure.time_step)
     external = _external(walk, Body(walk.robot, frames, state), step)
     load = None
-    if walk.controller.actuator.feels_load:  # of all but the actuators: what their gears carry
+    # of all but the actuators: what their gears carry
+    if walk.controller.actuator.feels_load:
         loads = _loads(walk, actual, jnp.zeros_like(state.joint_angles), external)
         load = jnp.asarray(parameters.mass_scale * load_torque(walk.robot, state, loads))
+    # Eqs. 2 and 3, or another law, then inverse kinematics, bus and joint loop
     loop = control_loop.control(walk.controller, carry.memory, actual, reference, step, load, action)
     memory, command, joints, drive = loop
 
+    # Eq. 1
     acceleration = _accelerations(walk, actual, drive, external)
     watch, no_sensor = memory.sensor_watch, jnp.zeros_like(actual.grip.support)
     sample = sample_of(
@@ -171,15 +180,15 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
             time=step * jnp.asarray(walk.structure.time_step, state.base_position.dtype),
             robot=walk.robot, parameters=parameters, frames=frames, actual=actual, reference=reference,
             command=command, joints=joints, drive=drive, external=external, acceleration=acceleration,
-            sensor_lost=watch.lost if watch else no_sensor,
+            sensor_lost=no_sensor if watch is None else watch.lost,
             holding_force=jnp.asarray(walk.contact.holding_force()),
         )
     )  # fmt: skip
     return Carry(integrate(state, acceleration, walk.structure.time_step), actual.contact, cycle_start, memory), sample
 
 
-def _standing(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> control_loop.Actual:
-    """Return how the robot stands on the ground in a step."""
+def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> control_loop.Actual:
+    """Return feet, contacts (paper Eq. 5) and the wrench of the feet on the base, `J_b^T F_e`, in a step."""
     ground = gait.foothold_height(walk.plan, now.foothold)
     feet = foot_kinematics(walk.robot, frames, carry.state)
     turning = foot_turning(walk.robot, frames, carry.state) if walk.contact.transmits_moments else None
@@ -189,7 +198,7 @@ def _standing(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) 
 
 
 def _external(walk: Walk, body: Body, step: Array) -> External:
-    """Return what acts from outside in a step: cargo and pushes on the base, and all other disturbances."""
+    """Return the sum of all disturbances in a step: cargo and pushes on the base, and the others."""
     cargo, push = on_base.acting(walk.parameters, walk.windows, step)
     external = body.untouched()._replace(base_wrench=push, cargo_mass=cargo)
     middle = (step + 0.5) * jnp.asarray(walk.structure.time_step, push.dtype)
@@ -199,20 +208,21 @@ def _external(walk: Walk, body: Body, step: Array) -> External:
 
 
 def _accelerations(walk: Walk, actual: control_loop.Actual, drive: Drive, external: External) -> Acceleration:
-    """Return what the equations of motion give."""
+    """Return the accelerations by the equations of motion, paper Eq. 1."""
     robot, torque = driven_robot(walk.robot, drive, actual.state.joint_angles, walk.controller.hardware)
     loads = _loads(walk, actual, torque, external)
     return ENGINES[walk.structure.engine](robot)(actual.state, *loads)
 
 
 def _loads(walk: Walk, actual: control_loop.Actual, torque: Array, external: External) -> Loads:
-    """Return what acts on the robot, its actuators with a torque (limb, joint) N m.
+    """Return the loads on the robot, its actuators' torque (limb, joint) N m included.
 
     With all masses times s, s (H qdd + c) = f has the accelerations of H qdd + c = f / s: the engine is given the
     robot as its file says, and forces, armature and cargo over s.
     """
     parameters, state, held, share = walk.parameters, actual.state, actual.grip, 1 / walk.parameters.mass_scale
-    if walk.parameters.disturbances:  # cargo and pushes put no torque on joints
+    # cargo and pushes put no torque on joints
+    if walk.parameters.disturbances:
         torque = torque + external.joint_torque
     if actual.turning is not None:
         torque = torque + jnp.vecmat(held.foot_moment, actual.turning.jacobian)
@@ -224,9 +234,9 @@ def _loads(walk: Walk, actual: control_loop.Actual, torque: Array, external: Ext
 def driven_robot(robot: Robot, drive: Drive, joint_angles: Array, hardware: Hardware) -> tuple[Robot, Array]:
     """Return the robot with the armature of its drives, over `mass_scale`, and the torques (limb, joint) N m on it."""
     parameters, torque, own = hardware.parameters, drive.joint_torque, robot.armature
-    if hardware.stages.armature or not isinstance(drive.armature, tuple) or own is not None:
-        armature: Any = jnp.zeros_like(robot.joint_lower) if own is None else own
-        armature = armature if isinstance(drive.armature, tuple) else armature + drive.armature
+    if hardware.stages.armature or drive.armature is not None or own is not None:
+        armature: AnyArray = jnp.zeros_like(robot.joint_lower) if own is None else own
+        armature = armature if drive.armature is None else armature + drive.armature
         armature = (armature + jnp.asarray(parameters.armature)) / parameters.mass_scale
         robot = dataclasses.replace(robot, armature=armature)
     if robot.spring is not None and robot.spring_rest is not None:

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def structure(
         ValueError: two metrics of one name, or parameters that JAX traces and that decide about a stage.
     """
     table = MetricTable(metrics)
-    own: list[Any] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
+    own: list[object] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
     own += [] if law is None or type(law) in LAWS.values() else [type(law)]
     components = {type(each) for each in parameters.components.values()}
     own += [kind for kind in components if not kind.__module__.startswith(_PACKAGE)]
@@ -86,7 +86,7 @@ def _digest(robot: str | RobotFile, engine: str) -> str:
     """Return a digest of all that a robot's own file says, but where it lies; of its constants, or for MJX of all."""
     if isinstance(robot, str):
         return ""
-    content: dict[str, Any] = {name: value for name, value in vars(load_robot(robot)).items() if name != "model"}
+    content = {name: value for name, value in vars(load_robot(robot)).items() if name != "model"}
     if engine != "limb":
         model = load_model(robot)
         content["model"] = np.empty(mujoco.mj_sizeModel(model), np.uint8)

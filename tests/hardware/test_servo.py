@@ -46,7 +46,7 @@ def one_joint(own, target, load, inertia=0.05, steps=3000, angle=0.0):
         if own.stages.load_torque:
             servos = servos._replace(load=heavy)
         servos, drive = servo.joint_loop(servos, target(n * own.time_step), now, servo.gains_of(own), own)
-        more = 0.0 if isinstance(drive.armature, tuple) else drive.armature
+        more = 0.0 if drive.armature is None else drive.armature
         later = rate + own.time_step * (drive.joint_torque + heavy) / (inertia + more)
         return (angle + own.time_step * later, later, servos), (angle[0, 0], rate[0, 0], drive.motor_torque[0, 0])
 

@@ -107,7 +107,7 @@ def advance_by(
     parameters, step, gains = hardware.parameters, hardware.time_step, servo.gains_of(hardware)
     smooth = dataclasses.replace(hardware, stages=hardware.stages._replace(dry_friction=False))
     if hardware.stages.load_torque:
-        before = before._replace(load=parameters.mass_scale * load_torque(stand.robot, state, loads))
+        before = before._replace(load=jnp.asarray(parameters.mass_scale * load_torque(stand.robot, state, loads)))
 
     def driven(rates: Array) -> tuple[Array, tuple[servo.Servo, Drive]]:
         joints = Joints(state.joint_angles, rates, None)
@@ -122,7 +122,7 @@ def advance_by(
     robot, torque = driven_robot(stand.robot, drive, state.joint_angles, hardware)
     torque = (torque + damping * ahead) / parameters.mass_scale
     state_now = dataclasses.replace(state, joint_rates=centred)
-    if hardware.stages.dry_friction:
+    if before.bristle is not None:
         most = servo.friction_bound(drive.motor_torque, before.load, centred, hardware)
         bristle = jnp.clip(before.bristle + rates * (step / parameters.presliding), -1.0, 1.0)
         after = after._replace(bristle=bristle)

@@ -66,10 +66,10 @@ def grips(robot: Robot, state: State, hardware: Hardware, points: Array | None =
     frames = limb_frames(robot, None, state.joint_angles)
     points = foot_kinematics(robot, frames, state).position if points is None else points
     shut = jnp.ones(len(robot.limbs), bool)
-    attitude: Attitude | tuple[()] = ()
+    attitude = None
     if hardware.stages.rotational:
         attitude = Attitude(foot_turning(robot, frames, state).rotation, shut)
-    return GripperMemory(points, shut, ~shut, (), attitude)
+    return GripperMemory(points, shut, ~shut, None, attitude)
 
 
 def begin(hardware: Hardware, state: State) -> Moving:
@@ -112,7 +112,7 @@ def advance(gripped: Gripped, moving: Moving, targets: Array) -> tuple[Moving, R
     acted = _changed(_changed(state, changes, (1 - AHEAD) / 2), (change, later.change), AHEAD / 2)
     force, _ = _held(gripped, frames, acted, turning)
     sensor, read = measured_force(ForceSensor((), moving.filtered), force, jnp.zeros((), int), hardware)
-    filtered = moving.filtered if isinstance(sensor.filtered, tuple) else sensor.filtered
+    filtered = moving.filtered if sensor.filtered is None else sensor.filtered
     recorded = Recorded(
         *seen, read, state.base_position, state.base_orientation, centred.base_linear_velocity,
         centred.base_angular_velocity,

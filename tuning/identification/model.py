@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -12,6 +12,7 @@ from jax import Array
 
 import mjx_climb as mc
 from mjx_climb import execution
+from mjx_climb.arrays import AnyArray
 from mjx_climb.hardware.actuator import Joints
 from mjx_climb.hardware.servo import Servo, begin, gains_of, joint_loop
 from mjx_climb.hardware.stages import Stages, hardware_of, stages_of
@@ -75,10 +76,10 @@ MEMORY = {  # of a joint's servo, that a window begins with: prior sd, and what 
 def memory(servo: Servo) -> dict[str, Array]:
     """Return what servos remember of each joint that is not known from the log, (limb, joint) each."""
     found = {"bristle": servo.bristle, **{f"loop.{name}": value for name, value in servo.loop._asdict().items()}}
-    return {name: found[name] for name in MEMORY if not isinstance(found[name], tuple)}
+    return {name: found[name] for name in MEMORY if found[name] is not None}
 
 
-def with_memory(servo: Servo, own: dict[str, Array]) -> Servo:
+def with_memory(servo: Servo, own: Mapping[str, AnyArray]) -> Servo:
     """Return servos that remember something else."""
     loop = servo.loop._replace(**{name[5:]: value for name, value in own.items() if name.startswith("loop.")})
     return servo._replace(bristle=own.get("bristle", servo.bristle), loop=loop)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.hardware.stages import Stages, hardware_of
 from mjx_climb.parameter_types import Parameters
-from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, settled
+from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, solve_to_convergence
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.limb_engine import held_accelerations
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
@@ -158,7 +158,7 @@ class Rig:
         turned = np.asarray(jax.vmap(_turn)(jnp.asarray(moved[:, 3:])))  # along the stance's own axes
         seen = (feet - (moved[:, :3] @ start)[:, None]) @ turned
         if isinstance(geometry, Chain):
-            angles, missed = settled(
+            angles, missed = solve_to_convergence(
                 geometry, seen, np.broadcast_to(robot.stance_joints, (*seen.shape[:2], robot.joints))
             )
             return np.where((missed < 1e-4)[..., None], angles, np.nan)

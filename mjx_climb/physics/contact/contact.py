@@ -1,8 +1,9 @@
 """The seam of contacts: what holds a foot to the ground, and when it lets go."""
 
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from jax import Array
+from jaxtyping import PyTree
 
 from mjx_climb.component import Component
 from mjx_climb.physics.kinematics import Feet, Turning
@@ -43,7 +44,7 @@ class Contact(Component):
         """Whether the contact turns the feet: `step` is then given how they are turned."""
         return False
 
-    def init(self, grip_point: Array, rotation: Array) -> Any:
+    def init(self, grip_point: Array, rotation: Array) -> PyTree:
         """The memory of contacts whose grippers are all shut and rest.
 
         Arguments:
@@ -52,7 +53,9 @@ class Contact(Component):
         """
         raise NotImplementedError(f"{type(self).__name__}.init")
 
-    def step(self, memory: Any, feet: Feet, turning: Turning | None, closed: Array, ground: Array) -> tuple[Any, Grip]:
+    def step(
+        self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array
+    ) -> tuple[PyTree, Grip]:
         """The memory after a step, of the same structure and shapes, and the contacts in it.
 
         Arguments:

@@ -39,8 +39,8 @@ class GripperMemory(NamedTuple):
     grip_point: Array  # (limb, 3) m, world
     touching: Array  # (limb,) bool: the ground acted on the foot at the last step
     detached: Array  # (limb,) bool: the gripper was torn off, for good
-    reach: Reach | tuple[()] = ()  # where grippers have a capture distance
-    attitude: Attitude | tuple[()] = ()  # where grips transmit moments
+    reach: Reach | None = None  # where grippers have a capture distance
+    attitude: Attitude | None = None  # where grips transmit moments
 
 
 class Gripper(Contact):
@@ -87,8 +87,8 @@ class Gripper(Contact):
     def init(self, grip_point: Array, rotation: Array) -> GripperMemory:
         """The memory of grippers that are shut at their grip points and rest."""
         shut = jnp.ones(len(grip_point), bool)
-        reach: Reach | tuple[()] = Reach(shut, ~shut) if self.limited_reach else ()
-        return GripperMemory(grip_point, shut, ~shut, reach, Attitude(rotation, ~shut) if self.rotational else ())
+        reach = Reach(shut, ~shut) if self.limited_reach else None
+        return GripperMemory(grip_point, shut, ~shut, reach, Attitude(rotation, ~shut) if self.rotational else None)
 
     def step(
         self, memory: GripperMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
@@ -97,7 +97,7 @@ class Gripper(Contact):
         height = feet.position[:, 2]
         support, missed, caught = closed & ~memory.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
         reach, attitude = memory.reach, memory.attitude
-        if reach:
+        if reach is not None:
             limited = jnp.isfinite(self.capture_distance)
             caught = support & ~reach.shut & limited
             missed = caught & (height - ground > self.capture_distance)
@@ -106,16 +106,19 @@ class Gripper(Contact):
         touching = support | (height <= ground)
         # a gripper with a capture distance anchors anew when it shuts, though its foot touched before
         fresh = (touching & ~memory.touching) | caught
+        # ClimbLab takes the nearest point of a map of 0.98 mm pitch, and contacts begin with a kick (departure 4)
         below = jnp.concatenate([feet.position[:, :2], ground[:, None]], axis=1)
         grip_point = jnp.where(fresh[:, None], below, memory.grip_point)
+        # paper Eq. 5, with the true velocity of the foot: ClimbLab's damper takes the free-floating Jacobian's, which
+        # adds energy (docs/physics.md, departure 3)
         force = self.stiffness * (grip_point - feet.position) - self.damping * feet.velocity
         force = jnp.where(touching[:, None], force, 0.0)
-        if reach:
+        if reach is not None:
             push = jnp.where(_NORMAL, jnp.maximum(force, 0.0), 0.0)
             force = jnp.where((support | ~limited)[:, None], force, push)
         torn_off = support & self.overloaded(force)
         moment = jnp.zeros_like(force)
-        if attitude and turning is not None:
+        if attitude is not None and turning is not None:
             moment, attitude = self._held_attitude(attitude, turning, support)
         after = GripperMemory(grip_point, touching, memory.detached | torn_off, reach, attitude)
         grip = Grip(force, moment, grip_point, support, touching, memory.detached, torn_off, missed)
@@ -123,6 +126,7 @@ class Gripper(Contact):
 
     def overloaded(self, force: Array) -> Array:
         """Whether forces of the ground on the feet (limb, 3) N are more than a grip holds, (limb,) bool."""
+        # ClimbLab's rule with the 15 N of the paper (docs/physics.md, departure 11)
         return jnp.asarray((force[:, 2] < 0) & (norm(force) > self.holding_limit))
 
     def holding_force(self) -> Array:

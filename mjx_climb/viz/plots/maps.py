@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -207,15 +206,16 @@ def _hatch(panel: Axes, edges: Sequence[np.ndarray], cells: np.ndarray, dark: np
     if not cells.any():
         return []
     x, y = edges
-    look: dict[str, Any] = {"hatch": _HATCHES[name], "linewidth": 0}
     for part, color in ((cells & ~dark, "0.15"), (cells & dark, "0.85")):
         if part.any():  # one shape, of all cells that lie side by side: each would be hatched by itself
             steps = np.diff(np.pad(part.astype(int), ((0, 0), (1, 1))), axis=1)
             (rows, starts), (_, ends) = np.nonzero(steps == 1), np.nonzero(steps == -1)
             corners = [(x[starts], y[rows]), (x[ends], y[rows]), (x[ends], y[rows + 1]), (x[starts], y[rows + 1])]
             path = Path.make_compound_path_from_polys(np.moveaxis(np.array([*corners, corners[0]]), -1, 0))
-            panel.add_artist(PathPatch(path, facecolor="none", edgecolor=color, gid=name, **look))
-    return [Patch(facecolor="white", edgecolor="0.15", label=name, **look)]
+            panel.add_artist(
+                PathPatch(path, facecolor="none", edgecolor=color, hatch=_HATCHES[name], linewidth=0, gid=name)
+            )
+    return [Patch(facecolor="white", edgecolor="0.15", hatch=_HATCHES[name], linewidth=0, label=name)]
 
 
 def stability_lines(dataset: xr.Dataset, x: str = "stiffness", y: str = "damping") -> list[np.ndarray]:

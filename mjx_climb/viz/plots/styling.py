@@ -34,7 +34,7 @@ HELD = "#DDEFD9"  # on a map of detachments, the walks without any
 _STYLE: dict[Any, Any] = dict(
     mpl.rc_params_from_file(Path(__file__).with_name("column.mplstyle"), use_default_template=False)
 )
-_METADATA: dict[str, dict[str, Any] | None] = {"png": None, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+_METADATA: dict[str, dict[str, None] | None] = {"png": None, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 FORMATS = tuple(_METADATA)
 
 
@@ -46,7 +46,7 @@ def style() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def over_style(settings: Mapping[str, Any]) -> Iterator[None]:
+def over_style(settings: Mapping[str, object]) -> Iterator[None]:
     """Put settings of matplotlib's over the style of this package for all that is drawn and saved in the context."""
     before = _STYLE.copy()
     _STYLE.update(settings)

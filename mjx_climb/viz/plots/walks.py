@@ -104,7 +104,7 @@ def plot_comparison(
 
 
 def _compared(walk: Trajectory, *, per_limb: bool) -> list[_Panel]:
-    """Return what the panels of a comparison show of one walk."""
+    """Return the panels of a comparison, for one walk."""
     torque = np.abs(walk.joint_torque).max(2)
     of_limbs = [_Panel(f"{limb} largest\ntorque [N m]", torque[:, i]) for i, limb in enumerate(walk.limbs) if per_limb]
     return [
@@ -316,7 +316,7 @@ def plot_feet(trajectory: Trajectory) -> Figure:
 
 
 def _along(trajectory: Trajectory) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what turns points (..., 2 or 3) m into mm ahead, to the left and above, from where the base starts."""
+    """Return the map of points (..., 2 or 3) m to mm ahead, to the left and above, from where the base starts."""
     heading, start = trajectory.scenario.gait.heading, trajectory.base_reference[0, :2]
     turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
     return lambda points: 1e3 * np.concatenate([(points[..., :2] - start) @ turn, points[..., 2:]], axis=-1)

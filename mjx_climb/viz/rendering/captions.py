@@ -5,7 +5,6 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -183,11 +182,10 @@ class ForceTrace:
         for other, (time, forces) in sorted(enumerate(lines), key=lambda line: line[0] == number):
             color = OWN if other == number else OTHERS
             self._panel.plot(time, np.minimum(forces, self._top), color=color, linewidth=0.1 * unit, clip_on=False)
-        letters: dict[str, Any] = {"color": DIM, "fontsize": 0.85 * unit}
-        self._panel.set_yticks([0, highest], ["0", f"{highest:.2g} N"], **letters)
+        self._panel.set_yticks([0, highest], ["0", f"{highest:.2g} N"], color=DIM, fontsize=0.85 * unit)
         self._panel.tick_params(length=0, pad=0.35 * unit)
         words = "largest foot force" + (", the other walk's in grey" if len(lines) > 1 else "")
-        figure.text(frame[0], 1 - 0.2 * unit / height, words, va="top", **letters)
+        figure.text(frame[0], 1 - 0.2 * unit / height, words, va="top", color=DIM, fontsize=0.85 * unit)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="rgba", dpi=72)
         self._picture = np.frombuffer(buffer.getvalue(), np.uint8).reshape(height, width, 4)[..., :3]
