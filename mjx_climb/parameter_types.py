@@ -84,9 +84,8 @@ class Parameters:
     landing_speed: _Scalar = _of("gait.landing_speed", "m/s", "landing speed")
     heading: _Scalar = _of("gait.heading", "rad", "heading")
     foothold_height: Real[_Values, "... limbs N"] = _of(None)  # (limb, N) m, in order; N = 0: flat ground
-    swing_path: Real[_Values, "... limbs 3 K"] = _of(
-        None
-    )  # (limb, 3, K) step heights, added to each swing; K = 0: nothing
+    # (limb, 3, K) step heights, added to each swing; K = 0: nothing
+    swing_path: Real[_Values, "... limbs 3 K"] = _of(None)
     cargo_mass: _Scalar = _of("disturbance.cargo.mass", "kg", "mass of the cargo")
     cargo_start: _Scalar = _of("disturbance.cargo.start", "s", "loading of the cargo")
     cargo_stop: _Scalar = _of("disturbance.cargo.stop", "s", "unloading of the cargo")

@@ -9,18 +9,7 @@ from mjx_climb.control.climb_sdk import ClimbSDK
 from mjx_climb.control.combined import combined
 from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
 from mjx_climb.control.internal_force import InternalForce
-from mjx_climb.control.law import (
-    PD,
-    Command,
-    JointGains,
-    Law,
-    Measurement,
-    Reference,
-    Start,
-    begin,
-    gain,
-    shifted,
-)
+from mjx_climb.control.law import PD, Command, JointGains, Law, Measurement, Reference, Start, begin, gain, shifted
 from mjx_climb.control.load_transfer import LoadTransfer
 from mjx_climb.control.phased import phased
 from mjx_climb.control.virtual_mass import Motion

@@ -13,9 +13,7 @@ MET = 1e-9  # m, rad: a foot as near to its place is there
 _STARTS = 5  # of femur and tibia each, spread over their limits
 _OTHERS = 1e-3  # weight of the other joints of a limb of three, beside its knee
 _OTHER_STARTS = 15  # of limbs of another number of joints
-_SINGULAR = (
-    0.01  # smallest singular value of a limb's Jacobian, lengths over its reach: below, it cannot move every way
-)
+SINGULAR = 0.01  # smallest singular value of a limb's Jacobian, lengths over its reach: below, it cannot move every way
 
 
 class LimbJoints(NamedTuple):
@@ -52,7 +50,7 @@ def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) 
     if robot.joints == 3:
         bent = off[..., 2] + _OTHERS * bent
     else:  # one range off the middle, at worst
-        bent += _least_singular_values(robot, angles, _keeps_attitude(robot)) < _SINGULAR
+        bent += least_singular_values(robot, angles, keeps_attitude(robot)) < SINGULAR
     bent[missed >= MET] = np.inf
     first_best = np.where(np.isfinite(bent), bent <= bent.min(0) + MET, missed <= missed.min(0)).argmax(0)
     limbs = np.arange(len(feet))
@@ -72,17 +70,17 @@ def _reached(robot: Robot, feet: np.ndarray, starts: np.ndarray) -> tuple[np.nda
     return angles, np.where(within, missed, np.inf)
 
 
-def _driven(robot: Robot) -> np.ndarray:
+def moving_joints(robot: Robot) -> np.ndarray:
     """Return which joints are driven and move something, (limb, joint): not those that only fill up a limb."""
     return ~np.isin(robot.model.jnt_group[1:], (PASSIVE, FILLING)).reshape(len(robot.limbs), -1)
 
 
-def _keeps_attitude(robot: Robot) -> bool:
+def keeps_attitude(robot: Robot) -> bool:
     """Return whether all limbs have the driven joints that it takes to keep the attitudes of their feet."""
-    return bool(_driven(robot).sum(1).min() >= POSE)
+    return bool(moving_joints(robot).sum(1).min() >= POSE)
 
 
-def _least_singular_values(robot: Robot, angles: np.ndarray, turned: bool) -> np.ndarray:
+def least_singular_values(robot: Robot, angles: np.ndarray, turned: bool) -> np.ndarray:
     """Return each limb's smallest singular value of the Jacobian of its driven joints at angles (..., limb, joint).
 
     Lengths are shares of the limb's. It is of the foot's place, with `turned` of its attitude, too.
@@ -93,5 +91,5 @@ def _least_singular_values(robot: Robot, angles: np.ndarray, turned: bool) -> np
     jacobian = foot_jacobian(robot, frames) / reach[..., None, None]
     if turned:
         jacobian = np.concatenate([jacobian, joint_axes(robot, frames).angular.mT], axis=-2)
-    own = (jacobian[..., limb, :, :][..., moved] for limb, moved in enumerate(_driven(robot)))
+    own = (jacobian[..., limb, :, :][..., moved] for limb, moved in enumerate(moving_joints(robot)))
     return np.stack([np.linalg.svd(columns, compute_uv=False)[..., -1] for columns in own], axis=-1)

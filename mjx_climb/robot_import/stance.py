@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.physics.kinematics import foot_jacobian, limb_frames
-from mjx_climb.physics.postures import _SINGULAR, MET, _driven, _keeps_attitude, _least_singular_values, limb_joints
+from mjx_climb.physics.postures import MET, SINGULAR, keeps_attitude, least_singular_values, limb_joints, moving_joints
 from mjx_climb.robot.constants import RobotError
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.robot_import.robot_file import unposed
@@ -42,10 +42,10 @@ def check_stance(scenario: Scenario, source: str = "scenario") -> None:
 @functools.lru_cache(maxsize=64)
 def _singular_limb(name: str | RobotFile, moments: bool) -> str | None:
     robot = load_robot(name)
-    turned = moments and _keeps_attitude(robot)
-    values = _least_singular_values(robot, robot.stance_joints, turned)
+    turned = moments and keeps_attitude(robot)
+    values = least_singular_values(robot, robot.stance_joints, turned)
     limb, least, does = robot.limbs[values.argmin()], values.min(), "move and turn" if turned else "move"
-    if least >= _SINGULAR:
+    if least >= SINGULAR:
         return None
     return (
         f"robot.limbs.{limb}.foothold: expected a stance in which the limb can {does} its foot every way, got a "
@@ -78,7 +78,7 @@ class Standing:
             for (name, limb), foothold in zip(section["limbs"].items(), footholds, strict=True)
         }
         _, self.robot, self.offset = unposed(RobotFile.model_validate(section | {"limbs": limbs}))
-        self.driven = _driven(self.robot)
+        self.driven = moving_joints(self.robot)
         self.in_space = self.driven.sum(1) >= _IN_SPACE
         self.near = np.where(self.in_space, MET, max(missing, MET))
         self.rows = [list(limbs).index(name) for name in self.robot.limbs]  # of the model's limbs in the section
@@ -95,9 +95,9 @@ class Standing:
         share = float((np.minimum(found.angles - lower, upper - found.angles) / (upper - lower)).min())
         if share <= 0 or not (found.errors < self.near).all():
             return -1.0
-        turned = len(lower) <= STANDING and _keeps_attitude(robot)
-        least = float(_least_singular_values(robot, found.angles, turned).min())
-        return least * min(share / _WELL, 1.0) if least > _SINGULAR else 0.0
+        turned = len(lower) <= STANDING and keeps_attitude(robot)
+        least = float(least_singular_values(robot, found.angles, turned).min())
+        return least * min(share / _WELL, 1.0) if least > SINGULAR else 0.0
 
     def sampled(self, away: np.ndarray, reach: float) -> Stance | None:
         """Return a stance from postures at random, at the height where the worst limb has most room, or None.

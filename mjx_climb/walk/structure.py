@@ -33,9 +33,8 @@ class Structure(NamedTuple):
     smooth: bool = False  # no gripper is torn off
     stages: Stages = IDEAL  # of hardware between law and joints
     model: str = ""  # digest of what a robot's own file says, empty for one that comes with the package
-    own_code: str = (
-        ""  # digest of law, components, metrics and engine of the user's own: a global that they read may have changed
-    )
+    # digest of law, components, metrics and engine of the user's own: a global that they read may have changed
+    own_code: str = ""
 
 
 def structure(

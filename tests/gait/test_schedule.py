@@ -157,7 +157,7 @@ def test_the_base_sways_towards_the_feet_that_stand_and_feet_land_with_a_speed()
         def at(n):
             now = gait.schedule(made, n)
             start, standing = gait.planned_start(made, now.cycle), gait.first_footholds(made)
-            plain = gait.base_reference(made._replace(sway=()), now, start)
+            plain = gait.base_reference(made._replace(sway=None), now, start)
             return gait.base_reference(made, now, start) - plain, gait.foot_targets(made, now, standing), now.closed
 
         sway, targets, closed = jax.jit(jax.vmap(at))(jnp.arange(2000))

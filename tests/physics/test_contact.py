@@ -82,7 +82,7 @@ def test_a_grip_keeps_the_attitude_in_which_it_shut_last():
         return Turning(rotation, jnp.zeros((4, 3)).at[:, 2].set(rate), jnp.zeros((4, 3, 3)))
 
     on_ground, moments = feet(0.0, 0.0, 0.0, 0.0), []
-    contact = AWAY._replace(reach=(), attitude=Attitude(turned(0.0).rotation, OPEN))
+    contact = AWAY._replace(reach=None, attitude=Attitude(turned(0.0).rotation, OPEN))
     for closed, turning in (
         (True, turned(0.2)), (True, turned(0.5)), (True, turned(0.5, rate=2.0)),
         (False, turned(0.9, rate=2.0)), (True, turned(0.9)), (True, turned(1.0)),
