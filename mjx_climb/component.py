@@ -164,6 +164,7 @@ def checked_value(
     known = np.asarray(value)
     zero = zero or low == 0
     infinite = np.isnan(known) if high == math.inf else ~np.isfinite(known)
+    # a low bound below 0 allows every finite number
     wrong = infinite | ((not low < 0) & ((known < 0) | ((known == 0) & (not zero))))
     if wrong.any():
         expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero else 'above 0'}"

@@ -17,7 +17,8 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import HeightMap, Scenario
 
-_LITTLE = 1e-2  # of a stride: a limb that misses even that cannot follow at all
+# share of the stride: a limb that cannot follow even that does not limit the stride
+_LITTLE = 1e-2
 _HALVINGS = 7  # of the stride, in search of the longest one
 
 

@@ -61,7 +61,7 @@ class LoadTransfer(Law):
         wanted = distributed(net_wrench(lever, force), lever, weight, self.pull_limit)
         pushed = jnp.where(measured.forces_known, force - wanted, 0.0)
 
-        # what of the offsets only turns and shifts the base: its way back, and where a swinging foot finds the ground
+        # the rigid part of the offsets shifts and turns the base alone: it decays at a rate of its own, `leveling`
         before = offsets.displacement
         rigid = rigid_part(lever, before, jnp.where(measured.support, 1.0, 0.0))
         along, normal = jnp.atleast_1d(self.tangential_damping), jnp.atleast_1d(self.normal_damping)

@@ -105,9 +105,9 @@ class Phased(Law, metaclass=Made):
 
 
 def limb_shares(reference: Reference, phase_time: Array, phase_ramp: Array) -> tuple[Array, Array, Array]:
-    """Return to what share each limb is in a swing, before its lift-off and after its touchdown, (limb,) each.
+    """Return each limb's shares of the phases swing, before lift-off and after touchdown, (limb,) each.
 
-    What is left to 1 is its share of standing. With `r(t) = clip(t / ramp, 0, 1)`, u the time until lift-off and s that
+    The rest to 1 is the share of standing. With `r(t) = clip(t / ramp, 0, 1)`, u the time until lift-off and s that
     since touchdown, the ground has `g = r(u) r(s)`: a swing's values fade in before the lift-off, which is at u = 0,
     and out after the touchdown. Of this `1 - r(u - time)` is before the lift-off, `1 - r(s - time)` of the rest is
     after the touchdown.
@@ -122,10 +122,10 @@ def limb_shares(reference: Reference, phase_time: Array, phase_ramp: Array) -> t
 
 
 def robot_shares(limbs: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """Return to what share the robot is in a swing, before a lift-off and after a touchdown, () each, of its limbs'.
+    """Return the robot's shares of the phases swing, before lift-off and after touchdown, () each, from its limbs'.
 
-    It is before a lift-off as much as the limb that is most; after a touchdown, and then in a swing, as much as these
-    and what goes before them have the largest sum in a limb.
+    Before a lift-off it is the largest of the limbs'. After a touchdown, and then in a swing, it raises the sum of the
+    shares so far to the largest such sum of a limb.
     """
     swing, before, after = limbs
     first, second, third = before.max(), (before + after).max(), (before + after + swing).max()

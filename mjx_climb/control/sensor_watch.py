@@ -11,10 +11,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-SILENCE = 0.1  # s without a reading, after which a sensor is not believed; after as much again it is said to be lost
-STIFFENING = 0.5  # s, in which the joint loop becomes stiffer once a sensor is lost, and softer once it is not
-_NOTHING = 1e-6  # N, finer than any sensor tells
-_LOADED = 1.0  # N in all, with which a robot stands so firmly that a foot has something to bear
+# s without a reading, after which a sensor is not believed; after as much again it counts as lost
+SILENCE = 0.1
+# s, in which kp rises to its safe value once a sensor is lost, and falls once all read
+STIFFENING = 0.5
+_NOTHING = 1e-6  # N, below the resolution of any sensor
+_LOADED = 1.0  # N, least sum of readings of a robot each of whose standing feet bears something
 
 
 class SensorWatch(NamedTuple):

@@ -1,4 +1,4 @@
-"""What acts on the robot from outside."""
+"""Disturbances: wrenches and masses from outside."""
 
 from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.disturbances.link_wrench import LinkWrench

@@ -1,4 +1,4 @@
-"""The seam of disturbances: what acts on the robot from outside."""
+"""The seam of disturbances: wrenches and masses from outside."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What the world does to the base: cargo and pushes, each in its window of time."""
+"""Cargo and pushes on the base, each in its window of time."""
 
 from typing import NamedTuple
 

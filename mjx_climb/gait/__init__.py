@@ -1,1 +1,1 @@
-"""What the robot is asked to do: the schedule of its limbs, their swings, the path of its base."""
+"""The reference motion: schedule of the limbs, their swings, path of the base."""

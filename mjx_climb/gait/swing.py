@@ -23,12 +23,15 @@ from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 
 COUNT = 6  # of added shapes for each axis
 _FINE, _NODES = 32, 12  # samples in each half of a swing: for eight digits, and for four in the search
-_ROUNDS = 8
-_ENOUGH = 1e-3  # by which a round lowers the sum of squares, relative
-_TRIED = 0.5 ** np.arange(8)  # shares of a Gauss-Newton step
-_DIFFERENCE = 1e-4  # step heights
-_WEIGHT = 1e-3  # of the coefficients, beside the reaction of the cubic swing: keeps what hardly matters small
-_WITHIN = 1e-9  # rad, or m
+# Gauss-Newton steps at most; it ends once one lowers the sum of squares by less than this share
+_ROUNDS, _ENOUGH = 8, 1e-3
+# shares of a step that are tried: a line search
+_TRIED = 0.5 ** np.arange(8)
+_DIFFERENCE = 1e-4  # step heights, of the finite differences of the Jacobian
+# regularisation of the coefficients, relative to the reaction of the cubic swing
+_WEIGHT = 1e-3
+_WITHIN = 1e-9  # rad, or m, by which joint limits and footholds may be missed
+# phases at which the height of a swing is compared with the ground
 _CHECKED = np.linspace(0.0, 1.0, 201)
 
 _Phase = TypeVar("_Phase", Array, np.ndarray)

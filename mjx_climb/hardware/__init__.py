@@ -1,4 +1,4 @@
-"""What stands between a control law and the joints of a real robot: sensors, control period, bus and servos."""
+"""The hardware between control law and joints: sensors, control period, bus and servos."""
 
 from mjx_climb.hardware.actuator import Actuator
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded

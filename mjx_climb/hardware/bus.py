@@ -1,4 +1,4 @@
-"""What imperfect hardware does to a signal: it comes late, rounded, filtered, or only once in a control period.
+"""Imperfections of a signal: delay, rounding, and sampling once in a control period.
 
 Every function works on the samples of one signal of any shape; a signal is sampled once in a time step.
 """

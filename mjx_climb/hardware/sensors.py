@@ -1,4 +1,4 @@
-"""What the robot's sensors tell its control law: foot forces and the base's pose, late, noisy and filtered.
+"""The measurements that the control law gets: foot forces and the base's pose, late, noisy and filtered.
 
 Noise is made by counting: the same bits for a seed, a sample and a channel, in any batch, on any device.
 """

@@ -135,7 +135,7 @@ def stages_of(
 
 
 def lacking(stages: Stages, asked: Stages) -> bool:
-    """Return whether there is a stage among those asked for that is not there."""
+    """Return whether a stage that is asked for is missing."""
     return any(wanted and not there for there, wanted in zip(stages, asked, strict=True))
 
 

@@ -1,1 +1,1 @@
-"""What a walk is given: gains and parameters, worked out from a scenario and checked."""
+"""Gains and parameters of a walk, computed from a scenario and checked."""

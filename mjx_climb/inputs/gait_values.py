@@ -27,7 +27,7 @@ def gait_of(gains: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def why_fixed(scenario: Scenario, keys: Iterable[str]) -> str:
-    """Return in words which of the keys are no gains in a scenario that works something out for them, "" for none."""
+    """Return why a key cannot be a gain in a scenario, "" where all can."""
     low = scenario.gait.swing == "low_reaction"
     for key in keys:
         if low or (scenario.ground.map is not None and key in _WAY):

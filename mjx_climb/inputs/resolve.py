@@ -35,9 +35,10 @@ class WalkInputs(NamedTuple):
     law: Law
     parameters: Parameters  # with the joint gains that were given, and with times that are whole time steps
     shape: tuple[int, ...]
-    own: Parameters  # as they were given, with the gait among the gains, without either of these
+    # as given, with the gait's values among the gains; without the joint gains, and before times become whole steps
+    own: Parameters
     walked: Parameters  # as `parameters`, in the precision given: values that JAX does not trace are known
-    called: Mapping[str, str]  # the names of the parameters among the gains, by their names
+    called: Mapping[str, str]  # names in messages of the parameters among the gains, by the parameters' names
 
     @property
     def axes(self) -> tuple[Law, Parameters]:

@@ -15,11 +15,13 @@ from mjx_climb.robot.constants import Robot
 
 STEPS = 4  # of a walk's inverse kinematics, from the last solution
 POSE = 6  # joints of a limb that can put its foot anywhere, turned in any way
-_PARALLEL = 1e-9
-_DAMPING = 0.5  # of a step, 1 per squared error: quadratic convergence near the target, calm out of reach
-_LEAST_DAMPING = 1e-10  # of the limb's mean squared lever, in double precision
-_LEAST_ROUNDINGS = 8.0  # the same in units of rounding, in single precision
-_PULL = 0.05  # of the way to the rest posture in a step, where that does not move the foot
+_PARALLEL = 1e-9  # sine of the angle between axes that count as parallel
+# Levenberg-Marquardt damping per squared error: quadratic convergence near the target, calm out of reach (Sugihara)
+_DAMPING = 0.5
+# least damping, as a share of the limb's mean squared lever, and in units of rounding for single precision
+_LEAST_DAMPING, _LEAST_ROUNDINGS = 1e-10, 8.0
+# share of the way to the rest posture that a step takes in the null space of the foot's Jacobian
+_PULL = 0.05
 _LONGEST_STEP = 0.3  # rad, or m
 _MET = 1e-4  # m, from a target that counts as reached
 _SETTLED = 1e-12  # rad, or m: steps shorter than this change nothing

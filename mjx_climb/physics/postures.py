@@ -9,11 +9,12 @@ from mjx_climb.physics.kinematics import foot_jacobian, joint_axes, limb_frames
 from mjx_climb.robot.constants import FILLING, PASSIVE, Robot
 
 _ITERATIONS, _LONGEST_STEP = 60, 0.5  # rad, or m
-MET = 1e-9  # m, rad: a foot as near to its place is there
+MET = 1e-9  # m, rad, tolerance of a foot that is at its place
 _STARTS = 5  # of femur and tibia each, spread over their limits
 _OTHERS = 1e-3  # weight of the other joints of a limb of three, beside its knee
 _OTHER_STARTS = 15  # of limbs of another number of joints
-SINGULAR = 0.01  # smallest singular value of a limb's Jacobian, lengths over its reach: below, it cannot move every way
+# smallest singular value of a limb's Jacobian, lengths over its reach, with which it can move its foot every way
+SINGULAR = 0.01
 
 
 class LimbJoints(NamedTuple):

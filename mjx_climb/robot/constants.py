@@ -1,4 +1,4 @@
-"""The robot as constants: what the equations need of an MJCF."""
+"""The constants of a robot that the equations need, read off its MuJoCo model."""
 
 import dataclasses
 from typing import ClassVar

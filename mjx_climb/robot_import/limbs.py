@@ -19,10 +19,13 @@ from mjx_climb.robot_import.description import JOINTS, SPECK, bare, compiled, de
 from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS, Limb
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
-_ARM, _FINGER = 3, 3  # joints: several short branches beyond so many are fingers
-_ALIKE = 2  # joints by which limbs of one robot may differ, where three or more have as many
-_AS_FAR = 0.98  # of the farthest point of a link
-_SHORT = 1e-3  # m: a last link that ends as near to its joint has no end
+# beyond `_ARM` joints, branches of `_FINGER` joints or fewer are the fingers of a hand
+_ARM, _FINGER = 3, 3
+# largest difference in joints from the number that three limbs or more of the robot have
+_ALIKE = 2
+# points at this share of the largest distance from the joint are part of a link's end
+_AS_FAR = 0.98
+_SHORT = 1e-3  # m, shortest last link with an end of its own
 _FOOT = re.compile(
     r"foot|feet|toe|grip|hand|palm|wheel|claw|magnet|hoof|(?<![a-z])(ee|end|tip|tool|tcp)(?![a-z])", re.IGNORECASE
 )

@@ -29,14 +29,17 @@ _CONTACT = {"stiffness": 1.0e4, "damping": 20.0, "holding_limit": 15.0}
 _CONTROL = {"damping": 5.0e3, "stiffness": 5.0e4}
 _LOOP = {"kp": 50.0, "kd": 0.2}
 _HOLDS_TURNS = {"rotational_stiffness": 30.0, "rotational_damping": 0.06}  # N m/rad, N m s/rad
-_FIRM = {"rotational_stiffness": 10.0, "kp": 10.0, "rotational_damping": 3.0, "kd": 3.0}  # times as much, on one foot
+# factors of stiffness and damping where a robot swings about one foot
+_FIRM = {"rotational_stiffness": 10.0, "kp": 10.0, "rotational_damping": 3.0, "kd": 3.0}
 _ATTITUDE = 6  # joints of a limb that can keep its foot's attitude
-_SHORT_STRIDE = 8  # the part of a stride that turns feet, which cannot but turn, little enough
-_UPRIGHT = 0.7  # the least z of a base's z axis that stands upright
+# divisor of the stride of limbs with fewer joints, which turn their feet as the base moves
+_SHORT_STRIDE = 8
+_UPRIGHT = 0.7  # least z component of the z axis of a base that stands upright
 _HALVINGS = 5  # of a stride that is too long
-_CRAWLING = 4  # limbs of a robot that swings each of them in a second
+_CRAWLING = 4  # limbs of a robot whose cycle has one second for each
 _NAMED = 5  # links in a note
-_MISSED = 0.02  # of the reach, by which limbs of two joints may miss their footholds
+# largest miss of footholds, as a share of the reach, by limbs of two joints
+_MISSED = 0.02
 
 
 class Proposal(NamedTuple):

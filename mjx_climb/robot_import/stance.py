@@ -14,15 +14,23 @@ from mjx_climb.robot_import.robot_file import unposed
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
-STANDING = 3  # feet on the ground that keep a robot from swinging about them: grips of fewer limbs hold attitudes
 Section = dict[str, Any]  # of a scenario, or all of one, as plain data
-_SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)  # of a limb's reach: how far out and how far down a foot may stand
-_WELL = 0.15  # of a joint's range to its limits: more counts for no more
-_SAMPLES, _HEIGHTS, _TRIED = 3000, 15, 4  # postures at random, heights looked at, postures tried at each
-_LOW = 0.2  # of a limb's reach: a base nearer to the ground is for robots that cannot stand higher
-_OUTWARD = 0.3  # what a reach further out is worth, in shares of a joint's range
-_LEVELLING, _LEVEL = 20, 1e-12  # steps, and m, in which a foot is put at a height
-_IN_SPACE = 3  # driven joints of a limb that can put its foot anywhere
+# on fewer than three feet a robot swings about them, unless its grips hold attitudes
+STANDING = 3
+# distances of a foot from its hip that are tried, outwards and downwards, as shares of the limb's reach
+_SHARES = (0.35, 0.5, 0.65, 0.2, 0.05, 0.8)
+# margin to a joint's limits, as a share of its range, from which on more of it adds nothing to a stance's score
+_WELL = 0.15
+# random postures, heights of the base that are tried, and postures tried at each
+_SAMPLES, _HEIGHTS, _TRIED = 3000, 15, 4
+# lowest height of the base, as a share of a limb's reach, of robots that can stand as high
+_LOW = 0.2
+# weight of a foot's distance outwards, over the reach, beside the margin to joint limits
+_OUTWARD = 0.3
+# Newton steps that put a foot at a height, and their tolerance in m
+_LEVELLING, _LEVEL = 20, 1e-12
+# driven joints of a limb that can put its foot anywhere
+_IN_SPACE = 3
 
 
 # ------------------------------------------------------------------------------------------------------------

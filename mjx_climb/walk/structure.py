@@ -1,4 +1,4 @@
-"""What a compiled walk depends on beside its law and the values of its parameters."""
+"""The static inputs of a compiled walk: all that it depends on beside its law and the values of its parameters."""
 
 import functools
 from collections.abc import Callable, Iterable

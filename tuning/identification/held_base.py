@@ -24,6 +24,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from mjx_climb.arrays import AnyArray
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.actuator import Drive, Joints
 from mjx_climb.hardware.stages import Hardware
@@ -55,9 +56,9 @@ class Moving(NamedTuple):
 class Sent(NamedTuple):
     """What reaches the servos in a step, or its rate over time."""
 
-    targets: Any  # (limb, joint) rad
-    share: Any = ()  # () 1, of the P gain, 0 with the torque off; (): the P gain is the parameters'
-    on: Any = ()  # () 1, of the step: the torque is on
+    targets: AnyArray  # (limb, joint) rad
+    share: AnyArray | None = None  # () 1, of the P gain, 0 with the torque off; None: the P gain is the parameters'
+    on: AnyArray | None = None  # () 1, of the step: the torque is on
 
 
 class Recorded(NamedTuple):
@@ -139,7 +140,7 @@ def with_gains(stand: Stand, sent: Sent) -> Stand:
 
     With the torque off motors give nothing, nor do they brake; friction and armature stay.
     """
-    if isinstance(sent.on, tuple):
+    if sent.on is None or sent.share is None:
         return stand
     stages, own = stand.hardware.stages, stand.hardware.parameters
     gains = {"kp": own.kp * sent.share, "kd": own.kd * sent.on, "ki": own.ki * sent.on}

@@ -1,4 +1,4 @@
-"""What holds a foot to the ground, and when it lets go (paper Eq. 5)."""
+"""Contacts of feet and ground: their forces, and the loss of a grip (paper Eq. 5)."""
 
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.contact.polyhedron import PolyhedralGripper

@@ -1,4 +1,4 @@
-"""The seam of contacts: what holds a foot to the ground, and when it lets go."""
+"""The seam of contacts: the forces between feet and ground, and the loss of a grip."""
 
 from typing import NamedTuple, TypeVar
 
