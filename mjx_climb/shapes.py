@@ -5,23 +5,20 @@ In `"... limbs 3 K"` the axes of one robot follow any batch axes; what a name st
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 Sizes = Mapping[str, int | range]
 
 
-def check_fields(of: str, tree: "DataclassInstance", sizes: Sizes) -> None:
+def check_fields(of: str, tree: object, sizes: Sizes) -> None:
     """Refuse a dataclass with an array of another shape than its field has; fields without a shape are any.
 
     Raises:
         ValueError: in one line, the field after `of`, the shape that was expected and the one that was got.
     """
-    for field in dataclasses.fields(tree):
+    for field in dataclasses.fields(tree):  # type: ignore[arg-type]  # a dataclass
         if dims := dims_of(field.type):
             check_shape(f"{of}.{field.name}", np.shape(getattr(tree, field.name)), dims, sizes)
 
