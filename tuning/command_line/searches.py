@@ -482,7 +482,7 @@ def compare(
     """Tune several laws for as many evaluations on the same draws, and judge them on the same unseen walks.
 
     pd with kp and kd retuned is always among them, and all search kp and kd. Prints mean and worst 5 % of each metric,
-    the difference from retuned pd with a 95 % interval by a paired bootstrap over the walks (~: the interval holds 0),
+    the difference from retuned pd with intervals of 95 % for all rows at once (~: the interval holds 0),
     and in a sentence which law is better, what the force sensor is worth, and what better hardware would be worth:
     retuned pd judged again with half the delay, half the friction, twice the rate.
 

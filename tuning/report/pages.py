@@ -277,9 +277,11 @@ def notes_of_laws(found: Comparison, table: xr.Dataset) -> list[str]:
     spent = str(min(points.values())) if same else ", ".join(f"{name} {count}" for name, count in points.items())
     notes = [
         f"{spent} points of {found.problem.members} walks searched for each law; {table.attrs['members']} unseen "
-        f"walks each; {table.attrs['level']:.0%} intervals by {table.attrs['resamples']} resamples of the walks"
+        f"walks each; {table.attrs['level']:.0%} intervals hold for all rows of a column at once (max-t over "
+        f"{table.attrs['resamples']} resamples of the walks; lost walks: McNemar's exact test)"
     ]
     pd, values = found.tuned[NAME], by_name(found.tuned[NAME].gains)
+    notes.append("each law was searched once: another search may end elsewhere, which no interval here counts")
     notes.append(f"retuned pd: {', '.join(f'{name} {gain(values, name)}' for name in pd.problem.space.gains)}")
     if not same:
         notes.append("warning: searches that had converged ended early")

@@ -269,11 +269,11 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
         ensemble = Ensemble.load(files / "drawn.yaml")
         laws = ["base_admittance", f"{files}/law.py:Shared"]
         how = {"starts": 8, "iterations": 5, "also": ("share",), "no_worse_than_pd": False}
-        return tuning.compare(scenario, laws, ensemble, members=40, out=out, stage=stage, **how)
+        return tuning.compare(scenario, laws, ensemble, members=200, out=out, stage=stage, **how)
 
     whole = run(None)
     in_all = made_up.count((2, 8))
-    assert in_all == 3 * 5 and made_up.count((40, 1)) == 2 * 6  # each of the judged with pd beside it
+    assert in_all == 3 * 5 and made_up.count((200, 1)) == 2 * 6  # each of the judged with pd beside it
     made_up.clear()
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, stage)
@@ -292,8 +292,8 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     # half the friction makes all walks of retuned pd better by the same
     gain = (walks.sel(gains="half the friction") - walks.sel(gains="retuned_pd")).values
     np.testing.assert_allclose(gain, 0.1 * np.log(0.5), rtol=1e-3)
-    assert "half the friction would be worth" in written.outcome[-1]
-    lost = "warning: Shared ran without the force sensor of LH from 0.25 s in 40 of 40 walks"
+    assert "half the friction would better pd by" in written.outcome[-1]
+    lost = "warning: Shared ran without the force sensor of LH from 0.25 s in 200 of 200 walks"
     assert lost in written.outcome and lost[9:] in (tmp_path / "report.html").read_text()
 
 
