@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mjx_climb.functions import rollout_histories as rollout_histories
     from mjx_climb.functions import rollout_jvp as rollout_jvp
     from mjx_climb.functions import rollout_metrics as rollout_metrics
+    from mjx_climb.functions import rollout_vjp as rollout_vjp
     from mjx_climb.functions import simulator as simulator
     from mjx_climb.hardware.actuator import Actuator as Actuator
     from mjx_climb.hardware.actuator import Drive as Drive

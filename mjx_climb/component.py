@@ -76,6 +76,9 @@ def value_field(field: ValueField, default: object) -> Any:
     for low, high in (field.bounds, field.rotation_bounds or field.bounds):
         if not low < high:
             raise ValueError(f"bounds of a value: expected low < high, got {low}, {high}")
+    if isinstance(default, np.ndarray | list):  # a dataclass takes no default that may be changed in place
+        own = np.array(default, float)
+        return dataclasses.field(default_factory=lambda: own, metadata={"value": field})
     return dataclasses.field(default=default, metadata={"value": field})
 
 

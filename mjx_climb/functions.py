@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, cast
 
 import jax
@@ -87,6 +87,20 @@ def rollout_jvp(
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return `Simulation.jvp`: metrics of a batch, and their tangents; options as of `rollout_metrics`."""
     return _simulation(scenario, law, metrics, options).jvp(gains, directions, parameters, **options)
+
+
+def rollout_vjp(
+    scenario: Scenario,
+    gains: AnyGains,
+    weights: Mapping[str, ArrayLike],
+    parameters: Parameters | None = None,
+    *,
+    law: Law | None = None,
+    metrics: Iterable[Metric] = METRICS,
+    **options: Any,
+) -> dict[str, np.ndarray]:
+    """Return `Simulation.vjp`: derivatives of weighted metrics by all gains; options as of `rollout_metrics`."""
+    return _simulation(scenario, law, metrics, options).vjp(gains, weights, parameters, **options)
 
 
 def _simulation(scenario: Scenario, law: Law | None, metrics: Iterable[Metric], options: dict[str, Any]) -> Simulation:

@@ -57,3 +57,16 @@ def broadcasts(shape: Sequence[int], to: Sequence[int]) -> bool:
     """Return whether a shape broadcasts to another one."""
     pairs = zip(reversed(shape), reversed(to), strict=False)
     return len(shape) <= len(to) and all(size in (1, there) for size, there in pairs)
+
+
+def summed_to(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+    """Return derivatives (k, ...) by a value that was broadcast from a shape: (k, *shape).
+
+    Those by copies of one number add up. A last axis that was cut, of rotations that nothing depends on, has zeros.
+    """
+    if shape and values.ndim > 1 and 1 < values.shape[-1] < shape[-1]:
+        missing = np.zeros((*values.shape[:-1], shape[-1] - values.shape[-1]), values.dtype)
+        values = np.concatenate([values, missing], axis=-1)
+    values = values.sum(axis=tuple(range(1, values.ndim - len(shape)))) if values.ndim > 1 + len(shape) else values
+    added = [n for n, size in enumerate(shape, 1) if n < values.ndim and size == 1 != values.shape[n]]
+    return np.asarray(np.broadcast_to(values.sum(axis=tuple(added), keepdims=True), (len(values), *shape)))

@@ -4,6 +4,7 @@
     simulation.rollout(gains)                  one robot, full time histories
     simulation.metrics(gains, parameters)      a batch of robots, metrics alone
     simulation.jvp(gains, directions)          the same with tangents along directions in the gains
+    simulation.vjp(gains, weights)             derivatives of weighted metrics by all gains, in reverse mode
     simulation.simulate(gains, parameters)     the metrics as a pure function, for jit, vmap, jvp, grad
     simulation.reset(gains), .step(state)      one robot, step by step, as pure functions
 
@@ -21,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
-from numpy.typing import DTypeLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from mjx_climb import execution
 from mjx_climb.control import Law, law_of
@@ -32,9 +33,10 @@ from mjx_climb.gait.base_path import check_base
 from mjx_climb.hardware.actuator import Actuator
 from mjx_climb.hardware.stages import Stages, given, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.gait_values import gait_of, scenario_with_gait
+from mjx_climb.inputs.gait_values import GAIT, TIMES, gait_of, scenario_with_gait
 from mjx_climb.inputs.resolve import (
     AnyGains,
+    Resolved,
     by_name,
     check_robots,
     checked,
@@ -51,13 +53,23 @@ from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.robot_import.stance import check_stance
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.shapes import summed_to
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.control_loop import Action, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
-from mjx_climb.walks import Metrics, histories_of, metrics_of, metrics_of_moved, samples_of, samples_under, together
+from mjx_climb.walks import (
+    Metrics,
+    gradients_of,
+    histories_of,
+    metrics_of,
+    metrics_of_moved,
+    samples_of,
+    samples_under,
+    together,
+)
 
 Returned = TypeVar("Returned")
 
@@ -292,6 +304,54 @@ class Simulation:
         """
         return self._run(metrics_of_moved, gains, parameters, directions, **how)
 
+    def vjp(
+        self,
+        gains: AnyGains,
+        weights: Mapping[str, ArrayLike],
+        parameters: Parameters | None = None,
+        *,
+        dtype: DTypeLike = np.float32,
+        batch_size: int | None = None,
+        progress: Progress | None = None,
+        unsteady: bool = False,
+    ) -> dict[str, np.ndarray]:
+        """Walk a batch of robots and return the derivatives, by all the gains given, of k weighted sums of metrics.
+
+        Reverse mode: it costs as much for one gain as for hundreds, and keeps the begins of stretches of the walk. The
+        other arguments and what is raised are those of `metrics`.
+
+        Arguments:
+            weights: of the metrics in the sums, by the names of those that are real numbers, (k, *batch) each.
+
+        Returns:
+            Arrays (k, ...) by the names of the gains, of their shapes behind the first axis; 0 for times of the gait.
+
+        Raises:
+            ValueError: weights of another shape.
+        """
+        resolved = self._checked(gains, parameters, dtype, unsteady)
+        batch, summed = resolved.shape, {name: np.asarray(value, dtype) for name, value in weights.items()}
+        counts = {len(value) for value in summed.values() if value.ndim and value.shape[1:] == batch}
+        if len(counts) != 1 or any(value.shape != (*counts, *batch) for value in summed.values()):
+            got = ", ".join(f"{name} {value.shape}" for name, value in summed.items())
+            raise ValueError(f"weights: expected shapes (k, {', '.join(map(str, batch))}), got {got or 'none'}")
+        places = {name: GAIT.get(name, name) for name in by_name(gains) if name not in TIMES}
+        known = [*resolved.law.GAINS, *resolved.parameters.numbers]
+        robots, shape = self._moving(resolved, [place for place in places.values() if place in known])
+        moving, *others = robots.arguments
+        robots = robots._replace(
+            arguments=(moving, {name: np.moveaxis(value, 0, -1) for name, value in summed.items()}, *others),
+            axes=(robots.axes[0], dict.fromkeys(summed, 1), *robots.axes[1:]),
+        )
+        run = functools.partial(execution.run, batch_size=batch_size, progress=progress, over_time=True)
+        found = run(gradients_of, shape, robots)
+        found = {name: np.moveaxis(value, len(batch), 0) for name, value in found.items()}
+        nothing = np.zeros((*counts, 1), dtype)
+        return {
+            name: summed_to(found.get(places.get(name, ""), nothing), np.shape(value))
+            for name, value in by_name(gains).items()
+        }
+
     def _run(
         self,
         function: Callable[..., Metrics],
@@ -307,19 +367,32 @@ class Simulation:
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return a function's results for all robots of a batch, and their tangents if there are directions."""
         run = functools.partial(execution.run, batch_size=batch_size, progress=progress, over_time=over_time)
+        resolved = self._checked(gains, parameters, dtype, unsteady)
+        law, own, batch = resolved[:3]
+        if directions is None:
+            shape = self._structure(resolved.walked, resolved.called)
+            return run(function, shape, execution.Robots((law, own), resolved.axes, batch)), {}
+        along = resolved_directions(resolved, gains, directions)
+        robots, shape = self._moving(resolved, along)
+        values, tangents = run(function, shape, robots._replace(directions=along))
+        return values, {name: np.moveaxis(value, len(batch), 0) for name, value in tangents.items()}
+
+    def _checked(
+        self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike, unsteady: bool
+    ) -> Resolved:
+        """Return what is walked as arrays of NumPy; refuse a time step too long for a robot, unless `unsteady`."""
         resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
         check_time_step(self.scenario, parameters=None if unsteady else resolved.walked)
-        law, own, batch = resolved[:3]
-        shape, arguments, axes = self._structure(resolved.walked, resolved.called), (law, own), resolved.axes
-        if directions is None:
-            return run(function, shape, execution.Robots(arguments, axes, batch)), {}
-        along = resolved_directions(resolved, gains, directions)
-        shape = shape._replace(stages=stages_of(self.scenario, resolved.walked, load_robot(shape.robot), along))
-        moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in along}
-        of_moving = {name: law.AXES.get(name, 0) for name in along}
-        robots = execution.Robots((moving, *arguments), (of_moving, *axes), batch, along)
-        values, tangents = run(function, shape, robots)
-        return values, {name: np.moveaxis(value, len(batch), 0) for name, value in tangents.items()}
+        return resolved
+
+    def _moving(self, resolved: Resolved, names: Iterable[str]) -> tuple[execution.Robots, Structure]:
+        """Return the arguments of `metrics_of_moved` for derivatives by some gains, and what that is compiled for."""
+        law, own = resolved[:2]
+        moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in names}
+        of_moving = {name: law.AXES.get(name, 0) for name in moving}
+        shape = self._structure(resolved.walked, resolved.called)
+        shape = shape._replace(stages=stages_of(self.scenario, resolved.walked, load_robot(shape.robot), tuple(moving)))
+        return execution.Robots((moving, law, own), (of_moving, *resolved.axes), resolved.shape), shape
 
     def simulate(self, gains: AnyGains | None = None, parameters: Parameters | None = None) -> Metrics:
         """Return the metrics as a pure function of gains and parameters, for `jit`, `vmap`, `jvp`, `jacfwd` and `grad`.

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, PyTree
 
 from mjx_climb.arrays import AnyArray
 from mjx_climb.control import Law
@@ -30,6 +30,7 @@ from mjx_climb.walk.structure import Structure
 
 Metrics = dict[str, Array]
 Record = TypeVar("Record")  # what is kept of each sample
+Scan = Callable[..., tuple[PyTree, PyTree]]  # as `jax.lax.scan` of a step, what it begins with, and `length`
 
 STRETCHES = 200
 _LEAST = "least of "  # before a line's name
@@ -42,16 +43,51 @@ LINES: dict[str, tuple[str, str, str]] = {
 }
 
 
-def metrics_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:
+def metrics_of(structure: Structure, law: Law, parameters: Parameters, scan: Scan = jax.lax.scan) -> Metrics:
     """Return the metrics of a walk; nothing is stored over time."""
-    return _walked(structure, law, parameters, lambda sample: ())[0]
+    return _walked(structure, law, parameters, lambda sample: (), scan)[0]
 
 
-def metrics_of_moved(structure: Structure, gains: Mapping[str, Array], law: Law, parameters: Parameters) -> Metrics:
+def metrics_of_moved(
+    structure: Structure, gains: Mapping[str, Array], law: Law, parameters: Parameters, scan: Scan = jax.lax.scan
+) -> Metrics:
     """Return the metrics of a walk with some gains, by name, in place of those of the law and of the joint loop."""
     moved = dataclasses.replace(law, **{n: v for n, v in gains.items() if n in law.GAINS})
     of_joints = {name: value for name, value in gains.items() if name not in law.GAINS}
-    return metrics_of(structure, moved, dataclasses.replace(parameters, **of_joints))
+    return metrics_of(structure, moved, dataclasses.replace(parameters, **of_joints), scan)
+
+
+def gradients_of(
+    structure: Structure, gains: Mapping[str, Array], cotangents: Metrics, law: Law, parameters: Parameters
+) -> Metrics:
+    """Return the derivatives (k, ...), by some gains, of k weighted sums of the metrics of a walk: in reverse mode.
+
+    `cotangents` are the weights (k,) by the names of metrics.
+    """
+
+    def weighed(gains: Mapping[str, Array]) -> Metrics:
+        found = metrics_of_moved(structure, gains, law, parameters, _checkpointed)
+        return {name: found[name] for name in cotangents}
+
+    _, pull_back = jax.vjp(weighed, gains)
+    found: Metrics = jax.vmap(lambda weights: pull_back(weights)[0])(cotangents)
+    return found
+
+
+def _checkpointed(step: Callable[..., PyTree], begun: PyTree, length: int) -> tuple[PyTree, tuple[()]]:
+    """Return what a scan carries to its end, and none of its records, by stretches that reverse mode walks again.
+
+    Reverse mode stores all values of a step, some 20 kB a robot. So it keeps the begin of each stretch alone, and the
+    steps of one: with stretches of about the square root of the length both are few.
+    """
+    stretch = next(count for count in range(math.isqrt(length), 0, -1) if length % count == 0)
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)  # within a scan nothing is merged across its steps
+    def walk_stretch(carry: PyTree, _: None) -> tuple[PyTree, tuple[()]]:
+        return jax.lax.scan(step, carry, length=length // stretch)[0], ()
+
+    found: tuple[PyTree, tuple[()]] = jax.lax.scan(walk_stretch, begun, length=stretch)
+    return found
 
 
 def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:
@@ -81,7 +117,11 @@ def samples_under(
 
 
 def _walked(
-    structure: Structure, law: Law, parameters: Parameters, record: Callable[[Sample], Record]
+    structure: Structure,
+    law: Law,
+    parameters: Parameters,
+    record: Callable[[Sample], Record],
+    scan: Scan = jax.lax.scan,
 ) -> tuple[Metrics, Record]:
     """Return the metrics of a walk, and what `record` keeps of each sample, stacked over time."""
     walk, table = prepare(structure, law, parameters), structure.metrics
@@ -93,7 +133,7 @@ def _walked(
         return (walked, accumulate(table, running, sample, context)), record(sample)
 
     begun = (begin(walk), start(table, parameters.kp.dtype))
-    (_, running), records = jax.lax.scan(step, begun, length=structure.steps)
+    (_, running), records = scan(step, begun, length=structure.steps)
     return finish(table, running, context), records
 
 

@@ -464,7 +464,7 @@ class OwnObject(v.Section):
 class OwnGains(_ByName):
     """Gains by the names that a law of one's own gives them."""
 
-    __pydantic_extra__: dict[str, v.Numbers]
+    __pydantic_extra__: dict[str, v.Values]
 
 
 class OwnLimits(_ByName):

@@ -91,9 +91,11 @@ Pair = Annotated[tuple[Finite, Finite], _expects("a list of two finite numbers")
 Name = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the name of a robot")]
 Word = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name in the robot's file")]
 OwnName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name of Python's")]
-Numbers = Annotated[Finite | tuple[Finite, ...], _expects("a finite number, or a list of them")]
 _Row = tuple[Finite, ...]
-Values = Annotated[Finite | _Row | tuple[_Row, ...], _expects("a finite number, or a list of them or of such lists")]
+_Table = tuple[_Row, ...]
+Values = Annotated[
+    Finite | _Row | _Table | tuple[_Table, ...], _expects("a finite number, or a list of them or of such lists")
+]
 Option = Annotated[bool, Strict()] | Annotated[str, Strict()] | Finite
 FileName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the path of a file")]
 Heights = Annotated[

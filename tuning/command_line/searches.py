@@ -490,7 +490,7 @@ def compare(
     (gains-<law>.yaml), a picture, the summary (summary.json), and all of it as a page for a browser (report.html).
     Finished rounds are kept: after Ctrl-C the same command goes on.
 
-    GAIN of --also, --bound and --pin may be one of any law; laws without it are searched without it.
+    GAIN of --also, --bound, --pin and --freeze may be one of any law; laws without it are searched without it.
 
     \b
     Examples:

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.inputs.gait_values import GAIT, TIMES
 from mjx_climb.walk.metrics import FAILURES
 from tuning.evaluation import maps, margins, stability_limit
 from tuning.evaluation.margins import Margin
@@ -31,7 +31,7 @@ GRID = 12  # cells along each axis of the map
 
 @dataclasses.dataclass(frozen=True)
 class Verification:
-    """What the tests found; by coordinate of the space where there is one number per gain."""
+    """What the tests found; by coordinate of the space, of arrays as a whole, where there is one number per gain."""
 
     metrics: dict[str, Any]  # of the walk alone, float64, hard detachment
     value: float  # of that walk
@@ -77,10 +77,16 @@ def map_with(
     problem: Problem, scenario: mc.Scenario, law: mc.Law | None, *, progress: Callable[[int, int], None] | None = None
 ) -> xr.Dataset | None:
     """Return a problem's map as `map_of` does; gains that it does not sweep are as scenario and law have them."""
-    box = {}
-    for kind in [name for name in problem.space.gains if name not in GAIT][:2]:
-        rows = [i for i, name in enumerate(problem.space.names) if kind_of(name) == kind]
-        low, high = np.exp([problem.space.lower[rows].min(), problem.space.upper[rows].max()])
+    box, space = {}, problem.space
+    of_kinds = {kind: np.array([kind_of(name) == kind for name in space.names]) for kind in space.gains}
+    # a map has positive gains that are the same on all axes
+    drawn = [
+        kind
+        for kind, own in of_kinds.items()
+        if kind not in GAIT and not (space.of_arrays | (space.units > 0))[own].any()
+    ]
+    for kind in drawn[:2]:
+        low, high = np.exp([space.lower[of_kinds[kind]].min(), space.upper[of_kinds[kind]].max()])
         box[kind] = np.geomspace(low, high, GRID)
     if len(box) < 2 or (law is None and set(box) != {"stiffness", "damping"}):
         return None
@@ -96,21 +102,21 @@ def _problem_of(found: Tuned) -> Problem:
 class Tests(NamedTuple):
     """What walks close to a result tell of it."""
 
-    around: Evaluation  # of the result, and with each gain in turn 20 % less, then more
-    slopes: np.ndarray  # (n,) of the value, true extremes; NaN along times of the gait
+    around: Evaluation  # of the result, and with each part of the space in turn 20 % less, then more
+    slopes: np.ndarray  # (parts,) of the value, true extremes; NaN along times of the gait
     radius: float  # of the closed loop in its worst stance
 
 
 def tests(found: Tuned, problem: Problem | None = None) -> Tests:
     """Walk with gains close to those of a result."""
     problem = problem or _problem_of(found)
-    nudges = np.log([1 - STEP, 1 + STEP])
-    axes = np.eye(problem.space.size)
-    points: Any = np.array([found.theta, *(found.theta + nudge * axis for nudge in nudges for axis in axes)])
-    of_gait = np.isin(problem.space.names, list(GAIT))
-    points = np.where(of_gait, problem.space.clip(points), points)  # beyond its bounds it may be none
+    space = problem.space
+    nudged = [space.scaled(found.theta, factor, part) for factor in (1 - STEP, 1 + STEP) for part in space.parts]
+    points: Any = np.array([found.theta, *nudged])
+    of_gait = np.isin(space.names, list(GAIT))
+    points = np.where(of_gait, space.clip(points), points)  # beyond its bounds it may be none
     # as many robots as searches have: they walk by programs that were compiled for it
-    around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), len(axes))))
+    around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), space.size)))
     around = jax.tree.map(lambda values: values[: len(points)], around)
     slopes = slopes_at(problem, found.theta)
     scenario, gains = apart(found.scenario, found.gains)
@@ -120,11 +126,16 @@ def tests(found: Tuned, problem: Problem | None = None) -> Tests:
 
 
 def slopes_at(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Return the slopes (n,) of the value at a point, true extremes, by the program of a search's last start."""
-    slopes, smooth = np.full(problem.space.size, np.nan), problem.space.smooth
+    """Return the slopes (parts,) of the value at a point, true extremes, by the program of a search's last start.
+
+    They are by the natural logarithm of a gain, or of the size of an array.
+    """
+    space = problem.space
+    slopes, smooth = np.full(space.size, np.nan), space.smooth
     if smooth.any():
-        slopes[smooth] = problem.evaluate(theta[None], np.eye(problem.space.size)[smooth]).sharp[0]
-    return slopes
+        slopes[smooth] = problem.evaluate(theta[None], np.eye(space.size)[smooth]).sharp[0]
+    slopes = np.where(space.units > 0, theta * slopes, slopes)
+    return np.array([slopes[own].sum() for own in space.parts.values()])
 
 
 def verify(
@@ -147,7 +158,7 @@ def verify(
         tested: what `tests` gave for it.
     """
     problem = problem or _problem_of(found)
-    objective, names = problem.objective, problem.space.names
+    objective, names = problem.objective, list(problem.space.parts)
     if metrics is None:
         alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=problem.engine)
         metrics = mc.metrics(alone_walk, found.problem.metrics)
@@ -167,7 +178,7 @@ def verify(
         less=less,
         more=more,
         shape=dict(zip(names, shape, strict=True)),
-        slopes={n: float(v) for n, v, smooth in zip(names, slopes, problem.space.smooth, strict=True) if smooth},
+        slopes={n: float(v) for n, v in zip(names, slopes, strict=True) if n not in TIMES},
         grid_value=None if best is None else float(best["objective"]),
         grid_gains=None if best is None else {str(n): float(best[n]) for n in best.coords if not best[n].ndim},
         spectral_radius=radius,
@@ -211,17 +222,17 @@ def _warnings(found: Tuned, problem: Problem, around: Evaluation, checked: Verif
     for name in space.on_bound(found.theta):
         wider = "" if name == "gait.duty" else f": widen bounds.{name}"  # limbs in turn cannot stand less
         lines.append(f"{name} lies on a bound{wider}")
-    moved = np.zeros(space.size)
+    moved = np.zeros(len(space.parts))
     for name in problem.metrics.names:
         values = around.metrics[name].astype(float)
         if name not in FAILURES and np.isfinite(values[0]) and values[0]:
             moved = np.fmax(moved, np.abs(values[1:] / values[0] - 1).reshape(2, -1).max(0))
-    for name, much in zip(space.names, moved, strict=True):
+    for name, much in zip(space.parts, moved, strict=True):
         if much < UNRESPONSIVE:
             lines.append(f"{name}: no metric responds to it here (less than {UNRESPONSIVE:.1%} for {STEP:.0%})")
     cliffs = [
-        f"{name} ({_cliff(problem.objective, around, row, space.size)})"
-        for row, name in enumerate(space.names, 1)
+        f"{name} ({_cliff(problem.objective, around, row, len(space.parts))})"
+        for row, name in enumerate(space.parts, 1)
         if checked.shape[name] == "cliff"
     ]
     if cliffs:

@@ -74,10 +74,17 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
     if law is None:
         return values | gait if gait or name == PD.__name__ else mc.Gains(**values)
     try:
-        changed = with_values(law, {key: np.asarray(data[key], float) for key in law.GAINS})
+        changed = with_values(law, {key: _array(data[key], key, source) for key in law.GAINS})
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{source}: {str(error).removeprefix('gains.')}") from None
     return values | {key: getattr(changed, key) for key in law.GAINS} | gait
+
+
+def _array(value: Any, key: str, source: str) -> np.ndarray:
+    try:
+        return np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise config_error(source, key, "a number, or lists of numbers of equal lengths", repr(value)[:40]) from None
 
 
 def walker(

@@ -34,10 +34,15 @@ def labels(law: mc.Law | None = None) -> dict[str, tuple[str, str]]:
 def labelled(
     gains: Mapping[str, np.ndarray], leading: tuple[str, ...], law: mc.Law | None = None
 ) -> dict[str, Variable]:
-    """Return gains (*leading) or (*leading, axes) as variables."""
+    """Return gains (*leading, ...) as variables: of three or six axes, or with dimensions of their own, `gain_0`."""
     known, variables = labels(law), {}
     for name, values in gains.items():
-        axes = () if values.ndim == len(leading) else (AXES[values.shape[-1]],)
+        shape = values.shape[len(leading) :]
+        axes = (
+            (AXES[shape[0]],)
+            if len(shape) == 1 and shape[0] in AXES
+            else tuple(f"{name}_{n}" for n in range(len(shape)))
+        )
         unit, text = known[name]
         variables[name] = (*leading, *axes), values, {"units": unit, "long_name": text}
     return variables

@@ -13,10 +13,15 @@ from jaxtyping import Float
 
 import mjx_climb as mc
 from mjx_climb.execution import devices
+from mjx_climb.inputs.resolve import by_name
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.objectives import NO_OBJECTIVE, Goal, OwnObjective
 from tuning.problem.spaces import NO_SPACE, Space, to_gains64
+
+# Directions above which derivatives are taken in reverse mode: of one robot it takes as long as 60 tangents, of several
+# as long as fewer, and twice as long to compile (docs/performance.md). All gains with axes stay below.
+REVERSE_ABOVE = 48
 
 
 class Evaluation(NamedTuple):
@@ -68,34 +73,55 @@ class Problem:
         return {"law": self.law, "metrics": self.metrics, "engine": self.engine}
 
     def env_steps(self, points: int, tangents: int = 0) -> int:
-        """Return what evaluating so many points costs; a step with k tangents counts 1 + k."""
-        return points * self.members * self.scenario.steps * (1 + tangents)
+        """Return what evaluating so many points costs: a step with k tangents counts 1 + k, `REVERSE_ABOVE` at most."""
+        return points * self.members * self.scenario.steps * (1 + min(tangents, REVERSE_ABOVE))
 
     def evaluate(
         self, theta: Float[np.ndarray, "B n"], directions: Float[np.ndarray, "k n"] | None = None
     ) -> Evaluation:
-        """Simulate with the gains of B points and score them, with tangents along some directions."""
-        theta, how = np.asarray(theta, float), {**self.walks, "dtype": self.dtype, "smooth": True}
-        how["unsteady"] = True  # what the time step is too long for is left out of the result
-        double = np.dtype(self.dtype) == np.float64
-        derivatives: Any = np.zeros((2, 0, len(theta)), self.dtype)  # along no direction
+        """Simulate with the gains of B points and score them, with derivatives along some directions.
+
+        In forward mode, a tangent for each direction; in reverse mode, where there are more than `REVERSE_ABOVE`.
+        """
+        theta = np.asarray(theta, float)
+        along = np.zeros((0, theta.shape[1])) if directions is None else np.asarray(directions, float)
         with devices.on_host():
-            gains = to_gains64(self.space, theta)
-            if directions is None:
-                metrics = mc.rollout_metrics(self.scenario, gains, self.parameters, **how)
-                with jax.enable_x64(double):
-                    reported = _scored(self.objective, metrics)[1]
-            else:
-                with jax.enable_x64(True):  # tangents (k, B, 6)
-                    along = jnp.broadcast_to(np.asarray(directions, float)[:, None], (len(directions), *theta.shape))
-                    tangents = jax.vmap(lambda v: jax.jvp(self.space.to_gains, (theta,), (v,))[1])(along)
-                    tangents = jax.tree.map(np.asarray, tangents)
-                metrics, tangents = mc.rollout_jvp(self.scenario, gains, tangents, self.parameters, **how)
-                with jax.enable_x64(double):
-                    derivatives, reported = _scored_tangents(self.objective, metrics, tangents)
+            evaluated = self._forward if 0 < len(along) <= REVERSE_ABOVE else self._reverse
+            derivatives, reported = evaluated(theta, along)
             gradient, sharp = (np.asarray(each).T for each in derivatives)
         found: Evaluation = jax.tree.map(np.asarray, Evaluation(gradient=gradient, sharp=sharp, **reported))
         return found
+
+    @property
+    def _how(self) -> dict[str, Any]:
+        """How points walk; those that the time step is too long for too, which results leave out."""
+        return {**self.walks, "dtype": self.dtype, "smooth": True, "unsteady": True}
+
+    def _forward(self, theta: np.ndarray, along: np.ndarray) -> tuple[Any, dict[str, Any]]:
+        """Return derivatives (2, k, B) of descent and of value plus penalty, and what is reported."""
+        with jax.enable_x64(True):  # tangents (k, B, 6)
+            each = jnp.broadcast_to(along[:, None], (len(along), *theta.shape))
+            tangents = jax.vmap(lambda v: jax.jvp(self.space.to_gains, (theta,), (v,))[1])(each)
+            tangents = jax.tree.map(np.asarray, tangents)
+        gains = to_gains64(self.space, theta)
+        metrics, tangents = mc.rollout_jvp(self.scenario, gains, tangents, self.parameters, **self._how)
+        with jax.enable_x64(np.dtype(self.dtype) == np.float64):
+            derivatives, reported = _scored_tangents(self.objective, metrics, tangents)
+        return derivatives, reported
+
+    def _reverse(self, theta: np.ndarray, along: np.ndarray) -> tuple[Any, dict[str, Any]]:
+        """Return what `_forward` does; along no direction, the walks alone."""
+        gains = to_gains64(self.space, theta)
+        metrics = mc.rollout_metrics(self.scenario, gains, self.parameters, **self._how)
+        with jax.enable_x64(np.dtype(self.dtype) == np.float64):
+            if not len(along):
+                return np.zeros((2, 0, len(theta)), self.dtype), _scored(self.objective, metrics)[1]
+            weights, reported = _scored_weights(self.objective, metrics)
+        found = mc.rollout_vjp(self.scenario, gains, weights, self.parameters, **self._how)
+        with jax.enable_x64(True):
+            _, pull_back = jax.vjp(lambda theta: by_name(self.space.to_gains(theta)), theta)
+            gradients = jax.vmap(lambda each: pull_back(each)[0])(jax.tree.map(lambda v: jnp.asarray(v, float), found))
+        return (np.asarray(gradients) @ along.T).transpose(0, 2, 1).astype(self.dtype), reported
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -126,6 +152,17 @@ def _scored_tangents(
 
     _, pushed, reported = jax.vmap(push, out_axes=(None, 0, None))(tangents)
     return pushed, reported
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _scored_weights(objective: Goal, metrics: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return the derivatives of `_scored`'s first two, summed over points, by each real metric (2, ...); the report."""
+    real = {name: value for name, value in metrics.items() if jnp.issubdtype(value.dtype, jnp.floating)}
+    scores, pull_back, reported = jax.vjp(lambda m: _scored(objective, {**metrics, **m}), real, has_aux=True)
+    # points walk apart: the sum over them has the derivatives of each
+    one, none = jnp.ones_like(scores[0]), jnp.zeros_like(scores[0])
+    (weights,) = jax.vmap(pull_back)((jnp.stack([one, none]), jnp.stack([none, one])))
+    return weights, reported
 
 
 def under_pd(scenario: mc.Scenario) -> mc.Scenario:

@@ -51,14 +51,17 @@ class Search(Settings):
         "search kp and kd of the joint loop as well; null: where there is hardware",
         flag="--with-joint-gains/--without-joint-gains",
     )
-    bounds: dict[str, tuple[Positive, Positive]] = setting(
+    bounds: dict[str, tuple[Finite, Finite]] = setting(
         {},
         "lowest and highest value of a gain, SI units, as stiffness, stiffness.rotation or stiffness.rx",
         flag="--bound",
         metavar="GAIN=LOW:HIGH",
     )
-    pins: dict[str, Positive] = setting(
+    pins: dict[str, Finite] = setting(
         {}, "gain that keeps a value, SI units, named likewise", flag="--pin", metavar="GAIN=VALUE"
+    )
+    frozen: tuple[str, ...] = setting(
+        (), "gain of the law that keeps its own values, named likewise", flag="--freeze", metavar="GAIN"
     )
     weights: dict[str, NonNegative] = setting(
         WEIGHTS,

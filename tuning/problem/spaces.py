@@ -1,13 +1,17 @@
 """Spaces of gains: which numbers a search moves, in which bounds, and the gains that they stand for.
 
-A point theta holds natural logarithms, so every gain is positive. Names of its coordinates: `damping` and
-`stiffness` where all axes share a gain; `damping.translation`, `damping.rotation`; or `damping.x`, .. `damping.rz`;
-likewise any other gain of six axes; a gain of three has translations alone, a gain of one number is one coordinate. And
-`kp`, `kd`, `ki`, and those of the gait: `gait.duty`, `gait.cycle`, `gait.step_height`, ....
+A point theta holds the natural logarithm of a gain whose bounds are above 0; a gain that may be 0 or less it holds
+itself, in units of its own. Names of its coordinates: `damping` and `stiffness` where all axes share a gain;
+`damping.translation`, `damping.rotation`; or `damping.x`, .. `damping.rz`; likewise any other gain of six axes; a gain
+of three has translations alone, a gain of one number is one coordinate. An array of another shape has a coordinate for
+each of its numbers, `weights.0.11`. And `kp`, `kd`, `ki`, and those of the gait: `gait.duty`, `gait.cycle`,
+`gait.step_height`, ....
 """
 
 import dataclasses
+import functools
 import itertools
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,8 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 import mjx_climb as mc
+from mjx_climb.component import ValueField
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
 from mjx_climb.gait.base_path import check_base
@@ -44,17 +50,21 @@ _LANDING = (1e-3, 0.2)  # m/s
 _GAIT_FACTOR = 2.0  # cycle and step height: so many times below and above the scenario's own
 _DAMPED = 0.004  # s, kd over kp of the paper's joint loop: in place of a scenario's kd of zero
 _BOUNDED_FOR = "hubrobo_v3_2"  # the robot that bounds of the paper's gains are for
+# Units of a coordinate that is no logarithm, between its bounds: about as many as a gain's bounds, a factor of 1000
+# apart, have in their logarithm, so that methods move both kinds alike.
+_UNITS = 7.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Space:
-    """A box of log gains, and the map from it to gains."""
+    """A box of gains, and the map from it to gains."""
 
     names: tuple[str, ...]  # of the n coordinates
-    lower: np.ndarray  # (n,) natural logarithm of the bounds
+    lower: np.ndarray  # (n,) the bounds
     upper: np.ndarray
-    index: dict[str, np.ndarray]  # gain: which entries of [theta, log of the fixed values] make it, (6,) or ()
-    fixed: np.ndarray  # (m,) natural logarithm of what is not searched
+    units: np.ndarray  # (n,) the gain at 1, of a coordinate that is the gain itself; 0: it is the natural logarithm
+    index: dict[str, np.ndarray]  # gain: which entries of [theta, fixed values] make it, of the gain's shape
+    fixed: np.ndarray  # (m,) the values of what is not searched
 
     @property
     def size(self) -> int:
@@ -72,33 +82,61 @@ class Space:
         """Which coordinates metrics have derivatives along (n,) bool: all but times, counted in whole steps."""
         return np.array([name not in TIMES for name in self.names], bool)
 
+    @functools.cached_property
+    def of_arrays(self) -> np.ndarray:
+        """Which coordinates are numbers of an array without axes (n,) bool."""
+        return np.array([name.rpartition(".")[2].isdigit() for name in self.names], bool)
+
+    @functools.cached_property
+    def parts(self) -> dict[str, np.ndarray]:
+        """Which coordinates (n,) bool tests and tables tell apart, by name: single ones, and arrays as a whole."""
+        own = zip(self.names, self.of_arrays, strict=True)
+        names = np.array([kind_of(name) if of_array else name for name, of_array in own])
+        return {name: names == name for name in dict.fromkeys(names.tolist())}
+
+    @functools.cached_property
+    def strides(self) -> np.ndarray:
+        """How far a method moves each coordinate (n,): all numbers of an array together as far as one gain."""
+        return 1 / np.sqrt(sum(own * np.count_nonzero(own) for own in self.parts.values()))
+
+    def scaled(self, theta: np.ndarray, factor: float, part: str) -> np.ndarray:
+        """Return a point (n,) with one of the `parts` so many times as large."""
+        larger = np.where(self.units > 0, theta * factor, theta + np.log(factor))
+        return np.where(self.parts[part], larger, theta)
+
     def to_gains(self, theta: Float[Array, "*batch n"]) -> AnyGains:
         """Return the gains of points, with their batch axes: `mc.Gains` where they are the paper's, else by name."""
         fixed = jnp.broadcast_to(jnp.asarray(self.fixed, theta.dtype), (*theta.shape[:-1], self.fixed.size))
-        values = jnp.exp(jnp.concatenate([theta, fixed], axis=-1))
+        units = jnp.asarray(self.units, theta.dtype)
+        values = jnp.concatenate([jnp.where(units > 0, units * theta, jnp.exp(theta)), fixed], axis=-1)
         return as_gains({name: values[..., index] for name, index in self.index.items()})
 
     def from_gains(self, gains: AnyGains) -> np.ndarray:
-        """Return the point (n,) nearest to some gains: geometric means of shared ones, clipped to the bounds."""
-        theta, values = np.zeros(self.size), gains if isinstance(gains, Mapping) else vars(gains)
+        """Return the point (n,) nearest to some gains: (geometric) means of shared ones, clipped to the bounds."""
+        values = gains if isinstance(gains, Mapping) else vars(gains)
+        totals, counts = np.zeros((2, self.size))
         for name, index in self.index.items():
             if values.get(name) is None:
                 continue
-            with np.errstate(divide="ignore"):
-                logs = np.broadcast_to(np.log(np.asarray(values[name], float)), np.shape(index))
-            for place in np.unique(index[index < self.size]):
-                theta[place] = logs[index == place].mean()
-        return self.clip(theta)
+            places, searched = np.ravel(index), np.ravel(index) < self.size
+            given = np.broadcast_to(np.asarray(values[name], float), np.shape(index)).ravel()[searched]
+            np.add.at(totals, places[searched], _coordinates(given, self.units[places[searched]]))
+            np.add.at(counts, places[searched], 1)
+        return self.clip(totals / np.maximum(counts, 1))
 
     def clip(self, theta: np.ndarray) -> np.ndarray:
         """Return the nearest points inside the bounds."""
         return np.asarray(np.clip(theta, self.lower, self.upper))
 
-    @property
+    @functools.cached_property
     def ties(self) -> np.ndarray:
-        """Which coordinates are the same gain of different axes: (k, n), one row of zeros and ones per gain."""
-        kinds = list(map(kind_of, self.names))
-        return np.array([[float(kind == own) for kind in kinds] for own in dict.fromkeys(kinds)])
+        """Which coordinates are the same gain of different axes: (k, n), a row of zeros and ones per gain or number."""
+        own = zip(self.names, self.of_arrays, strict=True)
+        kinds = [name if alone else kind_of(name) for name, alone in own]
+        rows = {kind: row for row, kind in enumerate(dict.fromkeys(kinds))}
+        ties = np.zeros((len(rows), self.size))
+        ties[[rows[kind] for kind in kinds], np.arange(self.size)] = 1
+        return ties
 
     def draw_tied(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return points (count, n) whose axes have the same gains, as far as the bounds let them: a hypercube too."""
@@ -112,13 +150,13 @@ class Space:
         return hypercube(rng, count, self.lower, self.upper)
 
     def on_bound(self, theta: np.ndarray, tolerance: float = 1e-3) -> list[str]:
-        """Return the names of the gains that lie on a bound."""
+        """Return the names of the `parts` that lie on a bound, at any number."""
         reach = tolerance * (self.upper - self.lower)
         beside = (theta - self.lower <= reach) | (self.upper - theta <= reach)
-        return [name for name, on in zip(self.names, beside, strict=True) if on]
+        return [name for name, own in self.parts.items() if beside[own].any()]
 
 
-NO_SPACE = Space((), np.zeros(0), np.zeros(0), {}, np.zeros(0))
+NO_SPACE = Space((), np.zeros(0), np.zeros(0), np.zeros(0), {}, np.zeros(0))
 
 
 def searches_gait(space: Space) -> bool:
@@ -129,6 +167,13 @@ def searches_gait(space: Space) -> bool:
 def kind_of(coordinate: str) -> str:
     """Return the gain that a coordinate is of."""
     return coordinate if coordinate in GAIT else coordinate.split(".")[0]
+
+
+def _coordinates(values: ArrayLike, units: np.ndarray) -> np.ndarray:
+    """Return coordinates of some values: their logarithms, or themselves in units."""
+    values = np.asarray(values, float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(units > 0, values / np.where(units > 0, units, 1.0), np.log(np.maximum(values, 0.0)))
 
 
 def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> Space:
@@ -157,34 +202,57 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     bounds: dict[str, tuple[float, float]] = {}
     known: set[str] = set()  # keys that the settings may name
 
-    def number(keys: list[str]) -> str | float:
-        """Return a number's name, or its value where that is pinned, by its keys from the general to the particular."""
+    def number(keys: list[str], value: float, field: ValueField | None) -> str | float:
+        """Return a number's name, or its value where that is held, by its keys from the general to the particular."""
         known.update(keys)
         if pinned := [search.pins[key] for key in keys if key in search.pins]:
             return pinned[-1]
+        if not {*search.frozen}.isdisjoint(keys):
+            return value
         sources = search.bounds, defaults  # the user's before the defaults
         low, high = next(source[key] for source in sources for key in reversed(keys) if key in source)
-        if not low > 0:
-            raise ConfigError(f"bounds.{keys[-1]}: expected a low end above 0 to search it, got {low:g}")
+        if not (low > 0 or signed(field)):
+            raise ConfigError(f"bounds.{keys[-1]}: expected a low end above 0, got {low:g}")
         bounds[keys[-1]] = low, high
         return keys[-1]
 
     entries: dict[str, list[str | float]] = {}
     for gain, value in own.items():
-        values, field = np.atleast_1d(value), law.GAINS.get(gain)
+        values, field = np.ravel(value), law.GAINS.get(gain)
         if gain in joint or (field is not None and (field.searched or gain in asked)):
-            axes = 1 if field is None else field.size  # that the law has; further ones keep their values
-            depth = 1 if axes == 1 else 1 + LAYOUTS.index(search.space)
-            keys = [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"][:depth] for axis in range(axes)]
-            entries[gain] = [*map(number, keys), *values[axes:]]
+            keys = keys_of(gain, () if field is None else field.shape, search.space)
+            # the rotations of a law that has none keep their values
+            searched = [number(each, value, field) for each, value in zip(keys, values, strict=False)]
+            entries[gain] = [*searched, *values[len(keys) :]]
         else:
             known.update({gain} & search.pins.keys())
             entries[gain] = [search.pins.get(gain, each) for each in values]
-    for section in ("bounds", "pins"):
+    numbered = {key for key in known if key.rpartition(".")[2].isdigit()}
+    for section in ("bounds", "pins", "frozen"):
+        allowed = known - joint.keys() if section == "frozen" else known
         for key in getattr(search, section):
-            if key not in known:
-                raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(known))}")
+            if key not in allowed:
+                raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(allowed - numbered))}")
+    for key, value in search.pins.items():
+        if not (value > 0 or signed(law.GAINS.get(kind_of(key)))):
+            raise ConfigError(f"pins.{key}: expected a number above 0, got {value:g}")
     return _space(own, entries, bounds)
+
+
+def signed(field: ValueField | None) -> bool:
+    """Return whether a gain may be 0 or less; those of joint loop and gait, which have no field of a law, may not."""
+    return field is not None and field.bounds[0] <= 0
+
+
+def keys_of(gain: str, shape: tuple[int | None, ...], layout: str) -> list[list[str]]:
+    """Return the keys of each number of a gain, from the general to the particular; its coordinate has the last."""
+    sizes = tuple(size or 1 for size in shape)
+    if sizes in ((3,), (6,)):
+        depth = 1 + LAYOUTS.index(layout)
+        return [[gain, f"{gain}.{PARTS[axis // 3]}", f"{gain}.{SIX[axis]}"][:depth] for axis in range(*sizes)]
+    if math.prod(sizes) == 1:
+        return [[gain]]
+    return [[gain, ".".join([gain, *map(str, place)])] for place in np.ndindex(sizes)]
 
 
 def _space(
@@ -194,13 +262,15 @@ def _space(
     if not bounds:
         raise ConfigError("pins: expected a gain left to search, got none")
     fixed = [entry for each in entries.values() for entry in each if not isinstance(entry, str)]
-    names, behind, index = list(bounds), itertools.count(len(bounds)), {}
+    places = {name: place for place, name in enumerate(bounds)}
+    behind, index = itertools.count(len(bounds)), {}
     for gain, each in entries.items():
-        places = [names.index(entry) if isinstance(entry, str) else next(behind) for entry in each]
-        index[gain] = np.reshape(places, np.shape(own[gain])).astype(np.int32)
-    with np.errstate(divide="ignore"):  # a gain of 0 that is not searched
-        lower, upper = np.log(list(bounds.values())).T
-        return Space(tuple(names), lower, upper, index, np.log(np.asarray(fixed, float)))
+        found = [places[entry] if isinstance(entry, str) else next(behind) for entry in each]
+        index[gain] = np.reshape(found, np.shape(own[gain])).astype(np.int32)
+    low, high = np.array(list(bounds.values())).T
+    units = np.where(low > 0, 0.0, (high - low) / _UNITS)
+    lower, upper = _coordinates(low, units), _coordinates(high, units)
+    return Space(tuple(bounds), lower, upper, units, index, np.asarray(fixed, float))
 
 
 def default_bounds(scenario: mc.Scenario, law: mc.Law) -> dict[str, tuple[float, float]]:

@@ -15,6 +15,7 @@ from tuning.report.numbers import (
     change_of,
     failed,
     gain,
+    has_axes,
     is_number,
     number,
     plain_unit,
@@ -82,6 +83,9 @@ def gains_table(compared: Compared, law: Law | None = None) -> Table:
     held = {name: gains for name, (gains, _) in compared.items() if gains is not None}
     sections = []
     for key, units in _gain_units(compared, law).items():
+        if not all(has_axes(gains.get(key)) for gains in held.values()):
+            sections.append(("", [[key, units[0], *(gain(gains, key) for gains in held.values())]]))
+            continue
         values = [axis_values(gains.get(key)) for gains in held.values()]
         cells = [[number(None if np.isnan(value) else value) for value in six] for six in values]
         if all(len({*each}) == 1 for each in cells):

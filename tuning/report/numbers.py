@@ -43,17 +43,26 @@ def number(value: float | str | None) -> str:
 
 
 def axis_values(value: ArrayLike | None) -> np.ndarray:
-    """Return a gain on six axes: one of three on the translations, NaN where it has none."""
+    """Return a gain of one number or of axes on six axes: one of three on the translations, NaN where it has none."""
     values = np.atleast_1d(np.asarray(np.nan if value is None else value, float))
     return np.broadcast_to(values, 6) if values.size in (1, 6) else np.append(values, np.full(6 - values.size, np.nan))
 
 
 def gain(gains: Mapping[str, ArrayLike] | None, key: str) -> str:
-    """Return a gain, one or six of them, for a table."""
+    """Return a gain for a table: its number where all its values are the same, of an array shape and norm."""
     if gains is None or key not in gains:
         return "-"
-    values = np.unique(np.asarray(gains[key], float))
-    return f"{values[0]:.4g}" if values.size == 1 else "six values"
+    values = np.asarray(gains[key], float)
+    if np.ptp(values) == 0:
+        return f"{values.flat[0]:.4g}"
+    if has_axes(values):
+        return "three values" if values.size == 3 else "six values"
+    return f"{' x '.join(map(str, values.shape))}, norm {np.linalg.norm(values):.4g}"
+
+
+def has_axes(value: ArrayLike | None) -> bool:
+    """Return whether a gain has a number for each axis, or one for all, and is no array of another shape."""
+    return np.shape(() if value is None else value) in ((), (1,), (3,), (6,))
 
 
 def unit(name: str, about: "MetricTable") -> str:

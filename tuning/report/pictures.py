@@ -20,7 +20,7 @@ from tuning.gains.gains_file import by_name
 from tuning.problem import ensemble
 from tuning.problem.spaces import kind_of
 from tuning.report.explorer import SCALES, axes_of
-from tuning.report.numbers import axis_values
+from tuning.report.numbers import axis_values, has_axes
 from tuning.searches.judge import WORST_SHARE
 from tuning.searches.pareto import knee
 from tuning.searches.result import Tuned
@@ -258,13 +258,14 @@ def plot_schedule(table: xr.Dataset) -> Figure:
     """Draw the gains over gravity, a line for each cargo, and the force variation that they leave of pd's.
 
     Solid lines of gains are translations, dotted ones rotations where they differ; gains that differ within either
-    appear as their geometric mean. Below, solid lines are the tuned gains, dotted ones the config's, dashed ones pd
-    retuned. Hollow marks break a limit.
+    appear as their geometric mean, arrays and gains of 0 or less not at all. Below, solid lines are the tuned gains,
+    dotted ones the config's, dashed ones pd retuned. Hollow marks break a limit.
     """
-    gravity, kinds = table["gravity"].values, table.attrs["searched"].split()
+    gravity, searched = table["gravity"].values, table.attrs["searched"].split()
+    kinds = [kind for kind in searched if has_axes(table[kind][0, 0]) and (table[kind].values > 0).all()]
     colors = dict(zip(table["cargo"].values, itertools.cycle(_LOADS), strict=False))
     figure = Figure(figsize=(plots.COLUMN, 0.5 + 1.3 * (len(kinds) + 1)), layout="constrained")
-    *panels, below = figure.subplots(len(kinds) + 1, 1, sharex=True)
+    *panels, below = figure.subplots(len(kinds) + 1, 1, sharex=True, squeeze=False).ravel()
 
     for load, color in colors.items():
         point, curves = table.sel(cargo=load), []  # panel, values, dash, and whether a curve's points are marked

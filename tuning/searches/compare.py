@@ -43,7 +43,7 @@ HARDWARE = {  # what retuned pd walks with besides: parameters and their factor
     "half the friction": (FRICTION, 0.5),
     "twice the rate": (("control_period",), 0.5),
 }
-_KEYS = ("also", "bounds", "pins")  # settings that name gains
+_KEYS = ("also", "bounds", "pins", "frozen")  # settings that name gains
 
 
 Laws = Iterable[str | mc.Law] | Mapping[str, str | mc.Law]
@@ -97,8 +97,8 @@ def compare(
 ) -> Comparison:
     """Tune several laws for as many evaluations on the same draws, and judge them on the same unseen walks.
 
-    pd with kp and kd retuned is always among them. All search kp and kd too; a gain that `also`, `bounds` or `pins`
-    name is searched, bounded or pinned where a law has it.
+    pd with kp and kd retuned is always among them. All search kp and kd too; a gain that `also`, `bounds`, `pins`
+    or `frozen` name is searched, bounded, pinned or frozen where a law has it.
     `compare(scenario, laws, ensemble, out="results/mine").write("results/mine")` is `mjx-climb compare`.
 
     Arguments:
@@ -202,7 +202,7 @@ def problem_of(scenario: mc.Scenario, laws: Mapping[str, Contestant], ensemble: 
 
 def _own(search: Search, scenario: mc.Scenario, law: mc.Law | None) -> Search:
     """Return the settings without the gains that a law does not have."""
-    bare = search.model_copy(update={"bounds": {}, "pins": {}})
+    bare = search.model_copy(update={"bounds": {}, "pins": {}, "frozen": ()})
 
     def has(gain: str) -> bool:
         try:
@@ -221,7 +221,9 @@ def _own(search: Search, scenario: mc.Scenario, law: mc.Law | None) -> Search:
             section, _, gain = key.partition(".")
             if not reason.startswith("expected one of") or gain not in getattr(own, section, ()):
                 raise
-            left = {name: value for name, value in getattr(own, section).items() if name != gain}
+            named = getattr(own, section)
+            others = [name for name in named if name != gain]
+            left = {name: named[name] for name in others} if isinstance(named, dict) else tuple(others)
             own = own.model_copy(update={section: left})
 
 

@@ -265,7 +265,7 @@ def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> 
     for name, values in walked.values.items():
         data[f"walked_{name}"] = ("point", values, dataset.metric_attributes(table[name]))
     data["held"] = ("point", walked.held, {"units": "1", "long_name": "all constraints met"})
-    data["theta"] = (("point", "coordinate"), walked.theta, {"units": "1", "long_name": "log of the gains"})
+    data["theta"] = (("point", "coordinate"), walked.theta, {"units": "1", "long_name": "coordinates of gains"})
     attrs = {"title": "Pareto front of two metrics", "better": asked.better, "against": asked.against}
     attrs |= {"gains": " ".join(chosen), "searched": " ".join(problem.space.gains), **dataset.provenance(scenario)}
     coordinates = {"coordinate": list(problem.space.names), "reference": ["config", "pd"]}

@@ -131,8 +131,9 @@ class Tuned(Result):
     """The gains that a search found.
 
     `data` holds every point that was evaluated, in order: dimensions `point` and `coordinate` (names of the space);
-    variables `theta` (natural logarithm), `value`, `descent`, `penalty`, `feasible`, `gradient_norm`, `round`, `row`
-    (place in its batch), `phase`, `env_steps` (spent so far) and the metrics.
+    variables `theta` (the natural logarithm of a gain, or the gain by its `unit`), `value`, `descent`, `penalty`,
+    `feasible`, `gradient_norm`, `round`, `row` (place in its batch), `phase`, `env_steps` (spent so far) and the
+    metrics.
     """
 
     FILE = "search.nc"
@@ -231,7 +232,8 @@ def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarra
     for name, values in arrays.items():
         about = {"units": "1", "long_name": name.replace("_", " ")}
         data[name] = ("point", values, dataset.metric_attributes(metrics[name]) if name in metrics.names else about)
-    data["theta"] = (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "log of the gains"})
+    data["theta"] = (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "coordinates of gains"})
+    data["unit"] = ("coordinate", space.units, {"long_name": "gain at 1; 0: theta is its natural logarithm"})
     attrs: dict[str, Any] = {"title": "search for gains", **dataset.provenance(scenario), "search": search.to_yaml()}
     attrs |= {"interrupted": int(interrupted), "gains": dataset.fields_as_json(by_name(gains))}
     if problem.law is not None:

@@ -65,7 +65,7 @@ def search(
     changed: dict[str, Any] = {"space": "isotropic", "inertia": False, "joint_gains": True}
     changed["also"] = tuple(name for name in settings.also if name in GAIT)
     changed["bounds"] = {name: span for name, span in settings.bounds.items() if name in JOINT or name in GAIT}
-    changed["pins"] = gait_of(settings.pins)
+    changed |= {"pins": gait_of(settings.pins), "frozen": ()}
     if settings.method == OWN_METHOD:
         changed |= {"method": "cmaes" if changed["also"] else "gradient", "starts": None, "iterations": None}
     settings, scenario = settings.model_copy(update=changed), under_pd(problem.scenario)

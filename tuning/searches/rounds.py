@@ -74,6 +74,15 @@ class Progress(NamedTuple):
 Callback = Callable[[Progress], None]
 
 
+def check_size(task: Task, most: int) -> None:
+    """Refuse by a ConfigError to search more numbers than a method can."""
+    if (size := task.problem.space.size) > most:
+        cure = "pin or freeze some, or choose gradient or lbfgs"
+        raise ConfigError(
+            f"method: expected at most {most} numbers to search by {task.search.method}, got {size}: {cure}"
+        )
+
+
 def follow(points: Generator[Request, Evaluation, Any], evaluate: Callable[[Request], Evaluation]) -> None:
     """Run a method, or a part of one, to its end."""
     try:

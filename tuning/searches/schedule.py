@@ -250,15 +250,17 @@ def worth(table: xr.Dataset) -> str:
 
 
 def lookup(table: xr.Dataset, gravity: float, cargo: float) -> AnyGains:
-    """Return the gains between the operating points: logarithms, linear in log gravity and in cargo, held at the ends.
+    """Return the gains between the operating points: linear in log gravity and in cargo, held at the ends.
 
-    `table` is what `schedule` gave, gravity is in G, cargo in kg.
+    Logarithms are, of gains above 0 at all points; `table` is what `schedule` gave, gravity is in G, cargo in kg.
     """
     loads, levels, level = table["cargo"].values, np.log(table["gravity"].values), math.log(gravity)
     found = {}
     for name in table.attrs["gains"].split():
-        at_cargo = np.apply_along_axis(lambda logs: np.interp(cargo, loads, logs), 1, np.log(table[name].values))
-        found[name] = np.exp(np.apply_along_axis(lambda logs: np.interp(level, levels, logs), 0, at_cargo))
+        values = table[name].values
+        to, back = (np.log, np.exp) if (values > 0).all() else (np.asarray, np.asarray)
+        at_cargo = np.apply_along_axis(lambda along: np.interp(cargo, loads, along), 1, to(values))
+        found[name] = back(np.apply_along_axis(lambda along: np.interp(level, levels, along), 0, at_cargo))
     return spaces.as_gains(found)
 
 
@@ -297,15 +299,16 @@ def rows(table: xr.Dataset) -> list[dict[str, Any]]:
 
 
 def to_csv(table: xr.Dataset) -> str:
-    """Return the schedule as CSV: one line per operating point, a column per axis of each gain."""
+    """Return the schedule as CSV: one line per operating point, a column per number of each gain."""
     lines = []
     for g, c in np.ndindex(table["value"].shape):
         point = table.isel(gravity=g, cargo=c)
         cells = {"gravity_G": point["gravity"], "cargo_kg": point["cargo"]}
         for name in table.attrs["gains"].split():
-            axes = [str(axis) for dim in point[name].dims for axis in point[dim].values]
-            each = {f"{name}_{axis}": point[name][number] for number, axis in enumerate(axes)}
-            cells |= each or {name: point[name]}
+            labels = [point[dim].values for dim in point[name].dims]
+            for place in np.ndindex(point[name].shape):
+                axes = (str(label[number]) for label, number in zip(labels, place, strict=True))
+                cells["_".join([name, *axes])] = point[name][place]
         cells["feasible"] = point["feasible"]
         cells |= {f"{name}_{walk}": point[name].sel(walk=walk) for name in SHOWN for walk in table["walk"].values}
         lines.append(",".join(f"{float(value):.6g}" for value in cells.values()))

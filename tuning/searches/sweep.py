@@ -224,6 +224,9 @@ def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_s
         raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
     if unknown := [name for name in axes if name not in known]:
         raise ValueError(f"axes.{unknown[0]}: expected a gain of the law, one of {', '.join(known)}")
+    if whole := [name for name in axes if name in own.GAINS and own.GAINS[name].shape not in ((), (3,), (6,))]:
+        shape = own.GAINS[whole[0]].shape
+        raise ValueError(f"axes.{whole[0]}: expected a gain of one number or of axes, got an array of shape {shape}")
     if len(axes) != 2:
         raise ValueError(f"axes: expected two gains, got {len(axes)}")
     lists = {name: np.asarray(values, float) for name, values in axes.items()}

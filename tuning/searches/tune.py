@@ -25,7 +25,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
 from tuning.problem.search import BY_GRADIENTS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
-from tuning.searches.methods import METHODS, Method, Points, Task
+from tuning.searches.methods import METHODS, Method, Points, Task, cma_es
 from tuning.searches.parts import identity_of
 from tuning.searches.result import Robust, Tuned, from_rounds
 from tuning.searches.rounds import Callback, Rounds, as_method, follow
@@ -155,7 +155,8 @@ def for_this_machine(
     if any(given is not None for given in chosen):
         return search
     space, method = spaces.space(scenario, search, law), search.method
-    if not space.smooth.all() or execution.many_at_once(np.dtype(search.precision)):
+    few = space.size <= cma_es.MOST
+    if few and (not space.smooth.all() or execution.many_at_once(np.dtype(search.precision))):
         method = "cmaes" if space.size > 1 else method if space.smooth.all() else "grid"
     return search.model_copy(update={"method": method})
 

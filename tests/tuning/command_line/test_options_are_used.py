@@ -85,6 +85,7 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "ensemble": "--ensemble {folder}/ensemble.yaml",
     "figures": "--figures svg",
     "fit": "--fit control.kp",
+    "frozen": "--freeze damping",
     "gains": "--gains {folder}/gains.yaml",
     "hardware": "--hardware dynamixel_x",
     "held_out": "--held-out 0.3",
@@ -345,9 +346,9 @@ def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_
     """Typed are all defaults, in the file is another value for each."""
     others = {
         "method": "lbfgs", "space": "split", "inertia": True, "also": ("inertia",), "joint_gains": True,
-        "bounds": {"damping": (1.0, 2.0)}, "pins": {"stiffness": 1.0}, "weights": {"peak_foot_force": 2.0},
-        "limits": {"travel": 1.0}, "deviation_factor": 2.0, "no_worse_than_pd": False, "starts": 3, "iterations": 2,
-        "seed": 7, "precision": "float64",
+        "bounds": {"damping": (1.0, 2.0)}, "pins": {"stiffness": 1.0}, "frozen": ("damping",),
+        "weights": {"peak_foot_force": 2.0}, "limits": {"travel": 1.0}, "deviation_factor": 2.0,
+        "no_worse_than_pd": False, "starts": 3, "iterations": 2, "seed": 7, "precision": "float64",
     }  # fmt: skip
     assert others.keys() == Search.model_fields.keys()
     (tmp_path / "search.yaml").write_text(Search(**others).to_yaml())

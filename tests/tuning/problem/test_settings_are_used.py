@@ -13,9 +13,9 @@ from tuning.searches.rounds import Task
 
 OTHERS = {
     "method": "lbfgs", "space": "split", "inertia": True, "also": ("gait.step_height",), "joint_gains": True,
-    "bounds": {"damping": (10.0, 200.0)}, "pins": {"stiffness": 50.0}, "weights": {"peak_foot_force": 2.0},
-    "limits": {"base_deviation": 0.01}, "deviation_factor": 2.0, "no_worse_than_pd": False, "starts": 5,
-    "iterations": 3, "seed": 7, "precision": "float64",
+    "bounds": {"damping": (10.0, 200.0)}, "pins": {"stiffness": 50.0}, "frozen": ("damping",),
+    "weights": {"peak_foot_force": 2.0}, "limits": {"base_deviation": 0.01}, "deviation_factor": 2.0,
+    "no_worse_than_pd": False, "starts": 5, "iterations": 3, "seed": 7, "precision": "float64",
 }  # fmt: skip
 
 

@@ -52,7 +52,7 @@ def draw(**hardware):
         (search(weights={"lowest_base": 1.0}), "search: 'lowest_base' is no metric to weigh or limit"),
         (search(bounds={"damping": [2, 1]}), "search: bounds.damping: expected low < high, got 2, 1"),
         (search(metrics=(OWN,)), "metrics: expected the shipped peak_foot_force among them"),
-        (search(method="grid", space="diagonal"), "method: expected a space of at most 4 gains for a grid, got 12"),
+        (search(method="grid", space="diagonal"), "method: expected at most 4 numbers to search by grid, got 12: pin"),
         (search(method="magic"), "method: expected 'gradient', 'lbfgs', 'grid', 'cmaes' or 'optuna', got 'magic'"),
         (search(method="own"), "method: expected the method itself"),
         (search(method=3.0), "method: expected a name, a Method, or a function"),

@@ -7,11 +7,12 @@ import numpy as np
 
 from mjx_climb import execution
 from mjx_climb.scenario.messages import ConfigError
-from tuning.searches.rounds import Points, Request, Task
+from tuning.searches.rounds import Points, Request, Task, check_size
 
 if TYPE_CHECKING:
     from cmaes import CMA
 
+MOST = 100  # numbers to search
 GENERATIONS = 60
 MANY, OF_MANY = 150, 64  # generations at most, and points per gain, where a GPU's kernel walks them
 WALKS = 32_768  # at a time there, of all members of an ensemble
@@ -21,7 +22,12 @@ SPREAD = 0.2  # of the first population, relative to the width of the box
 
 
 def rounds(task: Task) -> int:
-    """Return how many generations a run takes at most."""
+    """Return how many generations a run takes at most.
+
+    Raises:
+        ConfigError: more numbers than so few generations learn a covariance of.
+    """
+    check_size(task, MOST)
     return task.search.iterations or (MANY if execution.many_at_once(task.problem.dtype) else GENERATIONS)
 
 

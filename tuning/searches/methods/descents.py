@@ -158,7 +158,7 @@ def by_adam(task: Task, leg: Leg, rng: np.random.Generator, pace: Pace = TIED) -
         with jax.enable_x64(False):
             steps, state = update(clipped.astype(np.float32), state)
         rates = rate[iteration] * scales[:, None]
-        theta = space.clip(theta - rates * np.asarray(steps, float) @ ties)
+        theta = space.clip(theta - rates * np.asarray(steps, float) @ ties * space.strides)
         homeless = lost & np.isinf(least)
         if homeless.any():
             theta, state = choose(homeless, (space.draw_tied(rng, len(theta)), blank), (theta, state))

@@ -5,14 +5,16 @@ import warnings
 import numpy as np
 
 from mjx_climb.scenario.messages import ConfigError
-from tuning.searches.rounds import Points, Request, Task
+from tuning.searches.rounds import Points, Request, Task, check_size
 
+MOST = 100  # numbers to search
 BATCH = 16
 ROUNDS = 40
 
 
 def rounds(task: Task) -> int:
-    """Return how many batches a run takes."""
+    """Return how many batches a run takes; ConfigError: more numbers than so few trials tell apart."""
+    check_size(task, MOST)
     return task.search.iterations or ROUNDS
 
 

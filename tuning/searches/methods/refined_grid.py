@@ -5,8 +5,7 @@ import math
 
 import numpy as np
 
-from mjx_climb.scenario.messages import ConfigError
-from tuning.searches.rounds import Points, Request, Task
+from tuning.searches.rounds import Points, Request, Task, check_size
 
 POINTS = {1: 64, 2: 24, 3: 10, 4: 6}  # per coordinate, by the number of coordinates
 MOST = 4  # coordinates; a grid of more is no search
@@ -19,9 +18,7 @@ BATCH = 256
 def _plan(task: Task) -> tuple[int, int, int]:
     """Return how many points a coordinate has, how often the grid is refined, and how many points a batch has."""
     n, again = task.problem.space.size, task.search.iterations
-    if n > MOST:
-        got = f"got {n} (pin some, or choose another method)"
-        raise ConfigError(f"method: expected a space of at most {MOST} gains for a grid, {got}")
+    check_size(task, MOST)
     points = task.search.starts or POINTS[n]
     dense = points**n + 1  # with the scenario's own gains
     return points, REFINEMENTS if again is None else again - 1, math.ceil(dense / math.ceil(dense / BATCH))
