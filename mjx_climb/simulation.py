@@ -36,7 +36,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, gait_of, scenario_with_gait
 from mjx_climb.inputs.resolve import (
     AnyGains,
-    Resolved,
+    WalkInputs,
     by_name,
     check_robots,
     checked,
@@ -379,13 +379,13 @@ class Simulation:
 
     def _checked(
         self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike, unsteady: bool
-    ) -> Resolved:
+    ) -> WalkInputs:
         """Return what is walked as arrays of NumPy; refuse a time step too long for a robot, unless `unsteady`."""
         resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
         check_time_step(self.scenario, parameters=None if unsteady else resolved.walked)
         return resolved
 
-    def _moving(self, resolved: Resolved, names: Iterable[str]) -> tuple[execution.Robots, Structure]:
+    def _moving(self, resolved: WalkInputs, names: Iterable[str]) -> tuple[execution.Robots, Structure]:
         """Return the arguments of `metrics_of_moved` for derivatives by some gains, and what that is compiled for."""
         law, own = resolved[:2]
         moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in names}
