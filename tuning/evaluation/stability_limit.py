@@ -382,7 +382,7 @@ def _taken(memory: control_loop.Memory, walk: Structure) -> tuple[dict[str, Any]
         gains = tuple(buffer[0] for buffer in memory.joint_gains)
         found["command"] = memory.targets[0], gains, tuple(buffer[0] for buffer in reports)
         memory = memory._replace(targets=(), joint_gains=())
-        memory = memory._replace(reports=memory.reports._replace(buffers=()) if memory.reports else ())
+        memory = memory._replace(reports=memory.reports._replace(buffers=()) if memory.reports else None)
     return found, memory
 
 
@@ -396,7 +396,7 @@ def _put(memory: control_loop.Memory, samples: Mapping[str, Any]) -> control_loo
     if "command" in buffers:
         targets, gains, reported = buffers["command"]
         memory = memory._replace(targets=targets, joint_gains=gains)
-        memory = memory._replace(reports=memory.reports._replace(buffers=reported) if memory.reports else ())
+        memory = memory._replace(reports=memory.reports._replace(buffers=reported) if memory.reports else None)
     return memory
 
 
