@@ -211,7 +211,7 @@ def test_a_dead_sensor_reads_nothing_from_its_instant_on():
     own = mc.parameters(scenario)
     hardware, force = hardware_of(own, stages_of(scenario, own), STEP), jnp.arange(1.0, 13.0).reshape(4, 3)
     for step, alive in ((0, [1, 1, 0, 1]), (2, [1, 1, 0, 1]), (3, [0, 1, 0, 1]), (9, [0, 1, 0, 1])):
-        _, read = sensors.measured_force(sensors.ForceSensor((), ()), force, jnp.asarray(step), hardware)
+        _, read = sensors.measured_force(sensors.ForceSensor(()), force, jnp.asarray(step), hardware)
         np.testing.assert_array_equal(read, force * jnp.asarray(alive)[:, None])
 
 

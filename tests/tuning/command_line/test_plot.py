@@ -68,7 +68,7 @@ def _walk(**changes):
     attrs = {"scenario": mc.Scenario().to_yaml(), "gains": "{}", "parameters": "{}"} | changes
     lengths = {"time": 2, "axis": 3, "six": 6, "quaternion": 4, "limb": 4, "joint": 3}
     data = {name: (dims, np.ones([lengths[d] for d in dims])) for name, (dims, *_) in dataset.VARIABLES.items()}
-    coords = {"time": [0.0, 0.1], "limb": ["LF", "LH", "RH", "RF"]}
+    coords = {"limb": ["LF", "LH", "RH", "RF"]}
     return xr.Dataset(data, coords, {name: value for name, value in attrs.items() if value is not None})
 
 

@@ -20,8 +20,9 @@ SHORT = mc.load_scenario("case_1_2", ["duration=0.3"])
 PROBLEM, SETTINGS = Problem(SHORT), search.Search()
 OTHERS = {  # another value of each setting
     "method": "cmaes", "space": "split", "inertia": True, "also": ("kp",), "joint_gains": True,
-    "bounds": {"stiffness": (1.0, 2.0)}, "pins": {"damping": 3.0}, "weights": {"travel": 1.0},
-    "limits": {"base_deviation": 0.1}, "deviation_factor": 2.0, "no_worse_than_pd": False, "starts": 5, "iterations": 7,
+    "bounds": {"stiffness": (1.0, 2.0)}, "pins": {"damping": 3.0}, "frozen": ("damping",),
+    "weights": {"travel": 1.0}, "limits": {"base_deviation": 0.1}, "deviation_factor": 2.0,
+    "no_worse_than_pd": False, "starts": 5, "iterations": 7,
     "seed": 1, "precision": "float64",
 }  # fmt: skip
 GAINS = mc.Gains(2.0, 1e2, 1e3)
