@@ -133,6 +133,7 @@ def test_a_batch_moves_as_each_of_its_robots(kind):
         np.testing.assert_allclose(own, started(kind.law, one[1], one[0])[1], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [pytest.param(kind, id=name, marks=[pytest.mark.slow] * (name != "InternalForce")) for name, kind in KINDS.items()],

@@ -54,6 +54,7 @@ def exact(wrench, lever, weight, pull_limit):
     return solution
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limbs", "count"), [pytest.param(4, 10_000, marks=pytest.mark.slow), (3, 2000), (6, 300)])
 def test_forces_are_those_of_the_exact_program(limbs, count):
     """The wrench to 1e-9; forces to 1e-3 of the largest, as 12 sweeps go; where no limit acts, to 1e-9."""

@@ -56,6 +56,7 @@ def test_the_script_is_short_and_the_page_shows_it():
     assert text in (SCRIPT.parent / "laws.md").read_text()
 
 
+@pytest.mark.slow
 def test_arrays_are_searched_bounded_frozen_and_pinned_as_a_whole(random):
     scenario = mc.load_scenario("case_1_1")
     space = spaces.space(scenario, Search(), Network())

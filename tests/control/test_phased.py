@@ -167,6 +167,7 @@ def test_joint_gains_are_multiplied_by_the_phase_of_the_limb(scene):
     assert law.search_bounds(STEP)["kp_in_swing"] == (0.1, 10.0) and "kp_standing" not in law.GAINS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

@@ -54,6 +54,7 @@ def test_a_wrench_is_that_of_mujoco(limb, link, frame):
     assert not any(np.any(value) for value in touch.act(0.25, body))  # after its window
 
 
+@pytest.mark.slow
 def test_a_window_takes_the_steps_nearest_to_it(case):
     scenario = case("case_1_2", "pd", {"duration": 0.3, "disturbance.cargo.mass": 0.0})
     touched = mc.Simulation(scenario, disturbances=[LinkWrench(limb=1.0, link=2.0, **TOUCH)]).rollout()

@@ -100,6 +100,7 @@ def static_shift(gravity, stiffness=None):
 GRAVITY = np.array([0.02, -0.01, -0.1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "stiffness", "tilt"),
     [pytest.param("pd", None, 2.5e-4, marks=pytest.mark.slow), ("virtual_model", 500.0, 4e-3)],

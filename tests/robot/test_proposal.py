@@ -632,6 +632,7 @@ def footprint(text, height):
     return text.replace('<link name="trunk">', f'<link name="base_footprint"/>{joint}<link name="trunk">')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [0.3, *(pytest.param(h, marks=pytest.mark.slow) for h in (0.0, 0.25, -0.1))])
 def test_a_root_that_weighs_nothing_changes_no_stance(saved, height):
     """`base_footprint` lies anywhere below or above the trunk; fingers that mimic each other hang on a limb."""

@@ -391,6 +391,7 @@ def test_each_robot_of_a_batch_counts_for_the_time_step(given):
         simulation.jvp({"damping": 1e2}, {"damping": np.ones(1)}, dataclasses.replace(numbers, **stiff))
 
 
+@pytest.mark.slow
 def test_robots_of_a_batch_that_are_stiff_in_turn_are_not_one_that_is_so_in_all():
     """Against the eigenvalues of each robot alone."""
     scenario = mc.Scenario(robot="hubrobo_v3_2")

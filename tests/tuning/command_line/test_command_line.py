@@ -189,6 +189,7 @@ def test_run_writes_and_prints(call, tmp_path):
     np.testing.assert_array_equal(log.signals["RH.femur.position"].value, walk["joint_angles"].values[:, 2, 1])
 
 
+@pytest.mark.slow
 def test_run_takes_metrics_of_ones_own_and_a_gains_file_in_place_of_the_configs_gains(call, tmp_path):
     mine, gains, out = tmp_path / "mine.py", tmp_path / "gains.yaml", tmp_path / "out"
     mine.write_text(

@@ -24,6 +24,7 @@ from tuning.command_line.session import Session
 RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.3"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_where_exceptions_are_lost_is_heard(number, monkeypatch, call, tmp_path):
     """As in a callback of JAX's: Python drops what is raised while it collects garbage."""

@@ -95,6 +95,7 @@ def there(tmp_path_factory):
     return there
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(COMPILER is None, reason="no C++ compiler")
 @pytest.mark.parametrize("limbs", [4, pytest.param(6, marks=pytest.mark.slow)])
 def test_the_law_in_cpp_takes_the_steps_of_the_law_here(there, limbs):

@@ -70,6 +70,7 @@ def test_a_config_reaches_contact_drive_and_disturbances_and_comes_back():
     assert mc.parameters(scenario, np.float32).contact.limits.dtype == np.float32
 
 
+@pytest.mark.slow
 def test_the_walk_of_a_config_is_that_of_a_simulation_in_python():
     scenario = walk().load().scenario
     named = mc.rollout(scenario.with_overrides({"own": {"drive": ALL["drive"]}}))

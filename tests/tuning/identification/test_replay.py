@@ -73,6 +73,7 @@ def test_a_log_of_another_start_and_gait_says_so(log):
     assert gait.startswith("grippers shut and open as the config's gait has it, other than in the log for 100 %")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
 def test_without_base_and_forces_the_robot_is_on_a_stand_as_in_mujoco(tmp_path, mass):
     """Of a mass on the feet too, which no config says."""

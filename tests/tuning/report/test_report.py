@@ -326,6 +326,7 @@ def test_the_page_of_a_search_opens_on_its_result(chromium, tuned_page, over, tm
     assert chromium.get_log("browser") == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held", [True, False])
 def test_the_page_of_a_sweep_says_which_walk_is_best(held):
     """Or that none held; what a reader should know stands first, a sentence each."""

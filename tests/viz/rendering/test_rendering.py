@@ -155,6 +155,7 @@ def test_walks_shown_together_share_the_scale_of_their_arrows():
     assert marks.scale([weak, strong]) == marks.scale([strong]) < marks.scale([weak])
 
 
+@pytest.mark.slow
 def test_a_torn_limb_and_a_walk_that_diverged_are_shown(gl):
     walk = walk_of(PRESSED)
     walk.torn_off[10, 1], walk.detached[11:, 1] = True, True
