@@ -8,7 +8,7 @@ from jaxtyping import PyTree
 from mjx_climb.component import Component
 
 
-class JointGains(NamedTuple):
+class ActuatorGains(NamedTuple):
     """Gains of the joint loop in a step."""
 
     kp: Array  # () or (limb, joint) N m/rad
@@ -60,7 +60,7 @@ class Actuator(Component):
         raise NotImplementedError(f"{type(self).__name__}.init")
 
     def step(
-        self, memory: PyTree, targets: Array, gains: JointGains, joints: Joints, period: float
+        self, memory: PyTree, targets: Array, gains: ActuatorGains, joints: Joints, period: float
     ) -> tuple[PyTree, Drive]:
         """The memory after a step, of the same structure and shapes, and what the actuators do in it.
 

@@ -23,7 +23,7 @@ from jax import Array
 
 from mjx_climb.arrays import AnyArray
 from mjx_climb.hardware import bus as signals
-from mjx_climb.hardware.actuator import Actuator, Drive, JointGains, Joints
+from mjx_climb.hardware.actuator import Actuator, ActuatorGains, Drive, Joints
 from mjx_climb.hardware.stages import Hardware, Stages
 from mjx_climb.parameter_types import Parameters
 
@@ -49,9 +49,9 @@ class Servo(NamedTuple):
     load: Array | None = None  # (limb, joint) N m, torque of the load on the joints in this step
 
 
-def gains_of(hardware: Hardware) -> JointGains:
+def gains_of(hardware: Hardware) -> ActuatorGains:
     """Return the gains of the joint loop that the hardware's parameters have."""
-    return JointGains(*(jnp.asarray(getattr(hardware.parameters, name)) for name in JointGains._fields))
+    return ActuatorGains(*(jnp.asarray(getattr(hardware.parameters, name)) for name in ActuatorGains._fields))
 
 
 class Servos(Actuator):
@@ -69,7 +69,7 @@ class Servos(Actuator):
         return begin(angles, self.hardware.stages)
 
     def step(
-        self, memory: Servo, targets: Array, gains: JointGains, joints: Joints, period: float
+        self, memory: Servo, targets: Array, gains: ActuatorGains, joints: Joints, period: float
     ) -> tuple[Servo, Drive]:
         """The servos after a step, and what they do in it: see `joint_loop`."""
         memory = memory if joints.load is None else memory._replace(load=joints.load)
@@ -90,7 +90,7 @@ def begin(angles: Array, stages: Stages) -> Servo:
 
 
 def joint_loop(
-    servo: Servo, targets: Array, joints: Joints, gains: JointGains, hardware: Hardware
+    servo: Servo, targets: Array, joints: Joints, gains: ActuatorGains, hardware: Hardware
 ) -> tuple[Servo, Drive]:
     """Return the servos after this step and what they do in it, for joint targets (limb, joint) rad.
 
@@ -107,7 +107,7 @@ def joint_loop(
     return driven(servo._replace(loop=loop), asked, joints.rates, hardware)
 
 
-def pid(loop: Loop, targets: Array, joints: Joints, gains: JointGains, hardware: Hardware) -> tuple[Loop, Array]:
+def pid(loop: Loop, targets: Array, joints: Joints, gains: ActuatorGains, hardware: Hardware) -> tuple[Loop, Array]:
     """Return the loop once evaluated, and what it asks for, (limb, joint) N m, whatever the motor can give."""
     stages, parameters, period = hardware.stages, hardware.parameters, hardware.servo_period
     if loop.goal is not None and loop.goal_rate is not None:

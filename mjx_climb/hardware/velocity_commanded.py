@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.component import parameter
-from mjx_climb.hardware.actuator import Actuator, Drive, JointGains, Joints, JointSpring
+from mjx_climb.hardware.actuator import Actuator, ActuatorGains, Drive, Joints, JointSpring
 
 
 class Commanded(NamedTuple):
@@ -46,7 +46,7 @@ class VelocityCommanded(Actuator):
         return Commanded(none, none, jnp.zeros_like(angles, shape=()))
 
     def step(
-        self, memory: Commanded, targets: Array, gains: JointGains, joints: Joints, period: float
+        self, memory: Commanded, targets: Array, gains: ActuatorGains, joints: Joints, period: float
     ) -> tuple[Commanded, Drive]:
         """The manager's memory after a step, and what the motors do in it."""
         steps = jnp.maximum(jnp.round(jnp.asarray(self.manager_period) / period), 1.0)

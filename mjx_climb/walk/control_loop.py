@@ -14,8 +14,7 @@ from mjx_climb.control import Command, JointGains, Law, Measurement, Reference, 
 from mjx_climb.control.law import beginning
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware import sensors, servo
-from mjx_climb.hardware.actuator import Actuator, Drive, Joints
-from mjx_climb.hardware.actuator import JointGains as ActuatorGains
+from mjx_climb.hardware.actuator import Actuator, ActuatorGains, Drive, Joints
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.physics.contact.contact import Grip
 from mjx_climb.physics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics

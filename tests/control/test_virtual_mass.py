@@ -105,6 +105,7 @@ def test_single_precision_keeps_the_slow_motion():
     assert abs(end / expm(continuous(*values) * STEP * 100)[0, 2] - 1) < 1e-5
 
 
+@pytest.mark.slow
 @settings(max_examples=500, deadline=None, derandomize=True)
 @given(power(-9, 9), power(-9, 9), power(-9, 9), st.sampled_from([np.float32, np.float64]))
 def test_stable_for_any_positive_gains(inertia, damping, stiffness, dtype):

@@ -66,6 +66,7 @@ def motion(vector, matrix, number):
     return {"end": angle[..., 0], "rate": rate.sum() * stiffness, "seen": seen, "steps": number + 1}
 
 
+@pytest.mark.slow
 def test_a_motion_of_limbs(interpreted):
     """What the loop's start does not move, but moves later, and shares of equal ones."""
     agree(motion)

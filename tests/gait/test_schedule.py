@@ -45,6 +45,7 @@ def counted(scenario, changes, dtype, count):
     return np.vstack([plan.cycle_steps, plan.swing_steps, plan.swing_offset.T])
 
 
+@pytest.mark.slow
 def test_cycles_have_the_same_steps_in_both_precisions():
     """Of whole milliseconds against integers, half a step being one; of others against each other.
 

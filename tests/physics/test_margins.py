@@ -162,6 +162,7 @@ def test_margins_do_not_depend_on_where_the_scene_is_or_the_limbs_begin():
     np.testing.assert_allclose(there, here, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_for_every_support_pattern():
     rng = np.random.default_rng(2)
     feet, support, *rest = random_scene(rng, PATTERNS)

@@ -190,6 +190,7 @@ def test_every_dependency_has_its_line():
     assert sorted(listed) == sorted(declared)
 
 
+@pytest.mark.slow
 def test_the_packages_import_what_they_depend_on():
     """Nothing of the extra `test`; of `compare` what looks first whether it is there."""
     modules = {"mujoco_mjx": "mujoco", "pyyaml": "yaml", "pillow": "PIL"}

@@ -64,6 +64,7 @@ def printed(program, *arguments, **how):
     return run.stdout
 
 
+@pytest.mark.slow
 def test_import_writes_nothing_and_starts_no_device(tmp_path):
     """With a home that does not exist: no file is opened for writing, no folder made, no JAX backend started."""
     home, ours = tmp_path / "nowhere", ("XDG_", "MJX_CLIMB_", "JAX_")

@@ -182,6 +182,7 @@ def test_any_number_of_limbs(saved, limbs, joints):
     assert (scenario.contact.rotational_stiffness > 0) == (limbs <= 3)
 
 
+@pytest.mark.slow
 def test_a_stance_is_not_singular_for_what_the_grips_hold(saved):
     """Six joints whose third pitch follows a roll: with the roll in the middle of its range four axes are parallel.
 

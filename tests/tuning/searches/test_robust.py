@@ -192,6 +192,7 @@ def test_mean_and_worst_count_by_their_weights():
     assert value == pytest.approx((3 * (0.75 + 0.25 * 3 / 4) + (0.75 * (2 - 2.5 / 2) + 0.25 * (2 - 1.5))) / 4)
 
 
+@pytest.mark.slow
 def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble, pd):
     goal = objective(scenario, search.Search.make({"no_worse_than_pd": False}), pd, worst=ensemble.worst)
     rows = {name: np.stack([value, value], axis=1) for name, value in pd.items()}
@@ -259,6 +260,7 @@ def judgement(**metrics):
     return xr.Dataset(data, {"gains": ["mine", "pd"]})
 
 
+@pytest.mark.slow
 def test_limits_are_judged_on_the_unseen_draw(scenario):
     base = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 6e-3], [1e-3, 1e-3]])
     pd = {name: base[name].sel(gains="pd").values for name in base.data_vars}

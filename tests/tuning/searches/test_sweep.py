@@ -116,6 +116,7 @@ def test_folder_of_another_sweep_is_refused(scenario, tmp_path, differs, changes
         kept(scenario, tmp_path)
 
 
+@pytest.mark.slow
 def test_best_is_the_least_among_walks_that_hold(whole):
     values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], np.float32)
     limb, diverged = np.full((3, 2), -1, np.int32), np.zeros((3, 2), bool)

@@ -113,6 +113,7 @@ def test_settings_survive_yaml():
     assert search.Search.parse(settings.to_yaml()) == settings
 
 
+@pytest.mark.slow
 def test_pd_scores_one_and_keeps_its_own_limits(scenario):
     baseline = evaluation.baseline(scenario)
     target = objectives.objective(scenario, search.Search(), baseline)
@@ -345,6 +346,7 @@ def random_search(spread, task):
         best = theta[np.argmin(found.merit)]
 
 
+@pytest.mark.slow
 def test_a_method_of_ones_own_searches_and_is_taken_up_again(scenario, tmp_path):
     def stop(now):
         assert now.rounds_in_all == 0 and now.phase == "round the best"

@@ -88,6 +88,7 @@ def test_impossible_sizes_are_refused(size):
         list(rendering.frames(walk_of(), size=size))
 
 
+@pytest.mark.slow
 def test_the_robot_moves(gl):
     for height, least, most in ((0.08, 0.05, 1.0), (0.0, 0.0, 0.0)):
         walk = walk_of(shift=(0, 0, height))
