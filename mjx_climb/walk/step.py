@@ -65,6 +65,7 @@ class Walk(NamedTuple):
     plan: gait.Plan
     windows: on_base.Windows
     contact: Contact
+    holding_force: Array  # () N, the pull that margins may count on, in a smooth walk too
     controller: control_loop.Controller
     structure: Structure
 
@@ -104,8 +105,10 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
         contact = Gripper.of(parameters, limited_reach=stages.capture, rotational=stages.rotational)
     actuator = Servos(setup.hardware) if parameters.drive is None else parameters.drive
     controller = control_loop.Controller(setup.law, geometry, setup.hardware, actuator)
+    # asked before the limit is taken away: without one, margins are those of bare feet
+    holding_force = jnp.asarray(contact.holding_force())
     contact = contact.unbreakable() if structure.smooth else contact
-    return Walk(robot, parameters, setup.plan, setup.windows, contact, controller, structure)
+    return Walk(robot, parameters, setup.plan, setup.windows, contact, holding_force, controller, structure)
 
 
 def _in_precision(tree: Tree, dtype: jnp.dtype) -> Tree:
@@ -181,7 +184,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
             robot=walk.robot, parameters=parameters, frames=frames, actual=actual, reference=reference,
             command=command, joints=joints, drive=drive, external=external, acceleration=acceleration,
             sensor_lost=no_sensor if watch is None else watch.lost,
-            holding_force=jnp.asarray(walk.contact.holding_force()),
+            holding_force=walk.holding_force,
         )
     )  # fmt: skip
     return Carry(integrate(state, acceleration, walk.structure.time_step), actual.contact, cycle_start, memory), sample

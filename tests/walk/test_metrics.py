@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.control import PD
+from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.physics.spatial import norm
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk.metrics import FAILURES, Context, Metric, accumulate, finish, largest, peak, smallest, start, total
 from mjx_climb.walk.sample import DIMS, Sample, unknown
+from mjx_climb.walk.step import prepare
+from mjx_climb.walk.structure import structure
 
 SPEED = peak("peak_base_speed", "m/s", "largest speed of the base", lambda s, _: norm(s.base_linear_velocity))
 ALONG = largest("largest_forward_speed", "m/s", "largest speed forward", lambda s, _: s.base_linear_velocity[0])
@@ -234,3 +238,14 @@ def test_another_metric_of_the_same_name_is_another_program(scenario):
     twice = total("impulse", "N s", "twice the impulse", lambda s, _: 2 * norm(s.foot_force).sum())
     once, double = (mc.metrics(walk, (metric,))["impulse"] for metric in (IMPULSE, twice))
     assert double == pytest.approx(2 * once, rel=1e-12)
+
+
+def test_margins_of_a_smooth_walk_count_on_the_holding_limit(case):
+    """Nothing is torn off there, but grippers pull as ever: without them margins are those of bare feet."""
+    scenario, law = case("case_1_2", "pd"), PD()
+    own = resolve_in(scenario, law, None, None, np.float64).own
+    plain, smooth = (
+        prepare(structure(scenario, "limb", own, law=law, smooth=smooth), law, own) for smooth in (False, True)
+    )
+    assert smooth.holding_force == plain.holding_force == scenario.contact.holding_limit
+    assert np.isinf(smooth.contact.holding_limit)
