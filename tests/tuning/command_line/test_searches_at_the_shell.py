@@ -99,7 +99,8 @@ def test_tuned_gains_go_from_file_to_file(quiet, tmp_path):
     folder = quiet("tune")
     told = json.loads((folder / "printed.json").read_text())
     assert told == json.loads((folder / "summary.json").read_text())
-    tuned = told["tuned"]["metrics"]
+    # what is compared may walk at the shorter time step of pd retuned; this walked at the config's
+    tuned = told["verification"]["metrics"]
     assert told["search"]["objective"] < 1 < told["search"]["env_steps"]
     pictures = [f"{name}.png" for name in ("convergence", "path", "walks")]
     for name in (*pictures, "report.html", "config.yaml", "search.yaml", "map.nc"):

@@ -39,7 +39,7 @@ class Searched:
 
     def __init__(self, case, numbers, reading: str, layouts: list[dict], overrides: dict, changes: dict):
         scenarios = [case(name, reading, overrides) for name in CASES]
-        self.simulate = jax.jit(mc.simulator(scenarios[0], smooth=True))
+        self.scenario = scenarios[0]
         self.spaces = [spaces.space(scenarios[0], search.Search.make(settings)) for settings in layouts]
         rng, self.points = np.random.default_rng(0), []
         for space in self.spaces:
@@ -51,19 +51,26 @@ class Searched:
             own = {n: v for n, v in changes.items() if n == "cargo_start" or scenario.disturbance.pushes}
             own = {name: np.asarray(value, float) for name, value in own.items()}
             self.numbers.append(dataclasses.replace(numbers(scenario), **own))
+        self.walk = self._walk()
+
+    def _walk(self):
+        """Return the walk of all rows as a function of gains; their parameters are known where it is compiled."""
+        rows = sum(map(len, self.axes))
+        parameters = jax.tree.map(lambda *values: np.repeat(np.stack(values), rows, axis=0), *self.numbers)
+        simulate = mc.simulator(self.scenario, smooth=True)
+        return jax.jit(lambda gains: simulate(gains, parameters))
 
     def metrics(self, thetas) -> dict:
         """Return all metrics (case x row) of points (B, n) of each space, one batch after the other."""
         made = [space.to_gains(theta) for space, theta in zip(self.spaces, thetas, strict=True)]
-        joint, joined, rows = {"kp": 50.0, "kd": 0.2}, {}, sum(map(len, thetas))
+        joint, joined = {"kp": 50.0, "kd": 0.2}, {}
         for name in ("inertia", "damping", "stiffness", "kp", "kd"):
             own = [
                 jax.numpy.full(len(theta), joint[name]) if (value := getattr(gains, name)) is None else value
                 for gains, theta in zip(made, thetas, strict=True)
             ]
             joined[name] = jax.numpy.tile(jax.numpy.concatenate(own), (len(CASES), *[1] * (own[0].ndim - 1)))
-        numbers = jax.tree.map(lambda *values: np.repeat(np.stack(values), rows, axis=0), *self.numbers)
-        found = self.simulate(mc.Gains(**joined), numbers)
+        found = self.walk(mc.Gains(**joined))
         return {name: value for name, value in found.items() if np.issubdtype(value.dtype, np.floating)}
 
     def forward(self) -> tuple[dict, dict]:
