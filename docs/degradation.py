@@ -20,11 +20,11 @@ from mjx_climb.execution.batch_axes import own_axes  # noqa: E402
 from mjx_climb.files import dataset  # noqa: E402
 from mjx_climb.scenario.load import load_hardware, with_hardware  # noqa: E402
 from mjx_climb.scenario.shipped import config_path  # noqa: E402
-from tuning.evaluation import paired  # noqa: E402
+from tuning.comparisons import judge as judging  # noqa: E402
+from tuning.comparisons import paired  # noqa: E402
 from tuning.gains import gains_file  # noqa: E402
 from tuning.problem.ensemble import Ensemble, draw  # noqa: E402
 from tuning.problem.objectives import Objective  # noqa: E402
-from tuning.searches import judge as judging  # noqa: E402
 
 DRAWN = "as drawn"
 SETTINGS = {  # by what is made worse: keys of the scenario, and of the section `hardware` of the ensemble

@@ -11,11 +11,11 @@ __part_of__ = "mjx_climb"
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tuning.identification.excitation import excite as excite
-    from tuning.identification.identify import identify as identify
-    from tuning.searches.compare import compare as compare
-    from tuning.searches.judge import judge as judge
-    from tuning.searches.judge import judge_shard as judge_shard
+    from tuning.comparisons.compare import compare as compare
+    from tuning.comparisons.judge import judge as judge
+    from tuning.comparisons.judge import judge_shard as judge_shard
+    from tuning.identification.fit.identify import identify as identify
+    from tuning.identification.plan.excitation import excite as excite
     from tuning.searches.pareto import pareto as pareto
     from tuning.searches.schedule import schedule as schedule
     from tuning.searches.shards import merge as merge

@@ -7,9 +7,9 @@ import sys
 import types
 from typing import Any
 
-from tuning.searches.methods import Method, Request, Task
-from tuning.searches.result import Tuned
-from tuning.searches.rounds import Progress
+from tuning.methods import Method, Request, Task
+from tuning.methods.rounds import Progress
+from tuning.results.result import Tuned
 from tuning.searches.tune import tune
 
 __all__ = ["Method", "Progress", "Request", "Task", "Tuned", "tune"]

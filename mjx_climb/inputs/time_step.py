@@ -3,7 +3,7 @@
 Held by contact springs, joint loop, back EMF and the joints' friction alone (no admittance law, no gravity, no delays),
 the robot is a linear system near each posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K
 x - D v)`, then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. What a
-law adds is in `tuning.evaluation.stability_limit`. A contact or an actuator of the user's own says by which springs it
+law adds is in `tuning.comparisons.stability_limit`. A contact or an actuator of the user's own says by which springs it
 holds feet or joints; where it does not, these are left out, and a refusal says so.
 """
 

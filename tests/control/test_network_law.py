@@ -11,13 +11,13 @@ import pytest
 import mjx_climb as mc
 from tuning.gains import gains_file, own_section
 from tuning.gains.gains_tables import axes_of, labelled
+from tuning.methods import METHODS
+from tuning.methods.rounds import Task
+from tuning.pages.comparison import gains_table
 from tuning.problem import spaces
 from tuning.problem.evaluation import REVERSE_ABOVE
 from tuning.problem.search import Search
-from tuning.report.comparison import gains_table
 from tuning.searches import tune as searches
-from tuning.searches.methods import METHODS
-from tuning.searches.rounds import Task
 from tuning.searches.sweep import sweep
 from tuning.tune import tune
 

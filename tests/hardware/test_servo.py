@@ -19,7 +19,7 @@ from mjx_climb.scenario import registers
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.messages import ConfigError
 from tests import derivatives
-from tuning.evaluation.stability_limit import spectral_radius
+from tuning.comparisons.stability_limit import spectral_radius
 
 STEP = 1e-3
 PRESLIDING = mc.Scenario().hardware.servo.presliding

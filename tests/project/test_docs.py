@@ -23,8 +23,8 @@ from mjx_climb.control import LAWS
 from tests.pages import FENCE, commands, fences
 from tuning.command_line import options
 from tuning.command_line.program import program
+from tuning.methods import METHODS
 from tuning.problem import search
-from tuning.searches.methods import METHODS
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

@@ -16,7 +16,7 @@ import mjx_climb as mc
 
 ROOT = Path(__file__).parents[2]
 FILES = (  # beside the code
-    "mjx_climb/robot/models/*.xml", "mjx_climb/*.json", "mjx_climb/viz/plots/*.mplstyle", "tuning/report/page.*",
+    "mjx_climb/robot/models/*.xml", "mjx_climb/*.json", "mjx_climb/viz/plots/*.mplstyle", "tuning/pages/page.*",
     "tuning/gains/*.hpp", "*/py.typed",
 )  # fmt: skip
 
@@ -109,7 +109,7 @@ from mjx_climb import self_check
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario import load, shipped
 from tuning.problem import ensemble
-from tuning.report import page
+from tuning.pages import page
 print(self_check.__file__, page.__file__, shipped.config_path("case_2.yaml"), self_check.STORED, sep="\\n")
 [load_robot(load.load_scenario(name).robot) for name in shipped.names()]
 ensemble.Ensemble.load(shipped.config_path("ensemble.yaml"))

@@ -21,7 +21,7 @@ from mjx_climb.robot_import.stance import Stance, Standing
 from mjx_climb.viz import rendering
 from tests.robot import climbers
 from tests.robot.test_robot_file import robot_of, urdf
-from tuning.evaluation import first_walks
+from tuning.comparisons import first_walks
 
 PLAIN = climbers.mjcf(4, 3).replace("><", ">\n<")
 FEET = re.compile(r'<site name="foot\d" pos="0.15 0 0"/>')

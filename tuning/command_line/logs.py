@@ -12,13 +12,13 @@ from tuning.command_line.from_models import command
 from tuning.command_line.options import Output, Walk, fitted
 from tuning.command_line.program import InputError, origin, repeated
 from tuning.command_line.run import Pictures
-from tuning.problem.excitation import Excitation
+from tuning.identification.plan.settings import Excitation
 from tuning.problem.settings import NonNegative, Options, setting
 
 if TYPE_CHECKING:
     from tuning.command_line.session import Session
-    from tuning.identification.log import Log
-    from tuning.identification.replay import Replay
+    from tuning.identification.model.replay import Replay
+    from tuning.identification.readers.log import Log
     from tuning.problem.evaluation import Problem
 
 
@@ -42,10 +42,10 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
     """
     with output.session() as shell:
         from tuning.command_line.session import from_page
-        from tuning.identification import excitation
-        from tuning.output import excitation as written
-        from tuning.output.record import settings_of
-        from tuning.report.numbers import to_json
+        from tuning.identification.plan import excitation
+        from tuning.identification.plan import output as written
+        from tuning.pages.numbers import to_json
+        from tuning.writing.record import settings_of
 
         loaded = fitted(walk, "excite")
         rig = excitation.set_up(loaded.scenario, asked)
@@ -134,11 +134,11 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
     """
     with output.session() as shell:
         from tuning.command_line.session import from_page
-        from tuning.identification import identify as fitting
-        from tuning.identification.output import FILE, table
-        from tuning.output.folder import check_own
-        from tuning.output.record import settings_of
-        from tuning.searches.parts import FOLDER
+        from tuning.identification.fit import identify as fitting
+        from tuning.identification.fit.output import FILE, table
+        from tuning.methods.parts import FOLDER
+        from tuning.writing.folder import check_own
+        from tuning.writing.record import settings_of
 
         if output.out is not None:
             check_own(output.out, FILE)  # before the log is read
@@ -198,9 +198,9 @@ def replay(
       mjx-climb replay case_2 --log walk.mcap --gains best.yaml --judge
     """
     with output.session() as shell:
-        from tuning.identification import replay as replays
-        from tuning.output.folder import write_config
-        from tuning.output.record import settings_of
+        from tuning.identification.model import replay as replays
+        from tuning.writing.folder import write_config
+        from tuning.writing.record import settings_of
 
         loaded = walk.load_with_gains()
         pictures.check(loaded.scenario)
@@ -226,7 +226,7 @@ def _judged(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, d
     """Walk under the law with the pushes that were logged, and print and return the metrics of both walks."""
     from tuning.command_line.run import verdict
     from tuning.command_line.session import plain_table
-    from tuning.report import numbers
+    from tuning.pages import numbers
 
     with shell.stage("law on the logged pushes"):
         pushes = [push.model_dump() for push in found.scenario.disturbance.pushes]
@@ -249,9 +249,9 @@ def _write(
     from mjx_climb.files import dataset
     from mjx_climb.viz import plots
     from tuning.command_line.session import plain_table
-    from tuning.identification.log import unit_of
-    from tuning.identification.replay_picture import plot_replay
-    from tuning.report import numbers
+    from tuning.identification.model.replay_picture import plot_replay
+    from tuning.identification.readers.log import unit_of
+    from tuning.pages import numbers
 
     table = plain_table("signal", "rms error", "largest", "at s", "moved", "unit")
     for name, error in found.errors.items():

@@ -78,7 +78,7 @@ def bench(asked: Bench, output: Annotated[Output, "json_only"]) -> None:
             raise InputError(f"--batch: expected a multiple of 4, got {asked.batch}")
         from tuning.benchmarks import measure
         from tuning.command_line.session import duration, plain_table
-        from tuning.report import numbers
+        from tuning.pages import numbers
 
         begin = time.perf_counter()
 

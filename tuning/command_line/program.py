@@ -21,7 +21,7 @@ import typer
 from tuning.command_line import interruption
 
 if TYPE_CHECKING:
-    from tuning.report.page import Origin
+    from tuning.pages.page import Origin
 
 ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
 NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
@@ -242,8 +242,8 @@ def _commands_with(option: str) -> list[str]:
 
 
 def origin(name: str, again: str) -> "Origin":
-    """Return where a report comes from, but for the scenario: see `tuning.report.page.Origin`."""
-    from tuning.report.page import Origin
+    """Return where a report comes from, but for the scenario: see `tuning.pages.page.Origin`."""
+    from tuning.pages.page import Origin
 
     words = ["mjx-climb"]
     for argument in ARGUMENTS.get():  # absolute paths as bare names: their folders belong to one machine

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from tuning.evaluation.linear_margins import Stable
-    from tuning.evaluation.margins import Found as Margins
+    from tuning.comparisons.linear_margins import Stable
+    from tuning.comparisons.margins import Found as Margins
     from tuning.reproduce.results import Found
 
 
@@ -90,7 +90,7 @@ def plot(asked: Plot) -> None:
       mjx-climb plot results/case_2-pd --size 180x200 --style journal.mplstyle
     """
     from mjx_climb.viz import plots
-    from tuning.output import redrawn
+    from tuning.writing import redrawn
 
     folder, out = asked.folder, asked.out or asked.folder
     with plots.over_style(asked.style):
@@ -155,12 +155,12 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         from mjx_climb.control import PD, law_of
         from mjx_climb.files import dataset
         from mjx_climb.viz import plots
-        from tuning.evaluation import linear_margins
-        from tuning.evaluation import margins as evaluation
+        from tuning.comparisons import linear_margins
+        from tuning.comparisons import margins as evaluation
         from tuning.gains.gains_file import apart, by_name
-        from tuning.output.folder import write_config
-        from tuning.output.record import settings_of
-        from tuning.report.pictures import plot_margins
+        from tuning.pages.pictures import plot_margins
+        from tuning.writing.folder import write_config
+        from tuning.writing.record import settings_of
 
         loaded = walk.load()
         law = loaded.law
@@ -199,8 +199,8 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
 def _margins_in_words(found: "Margins", stable: "dict[str, Stable]", warnings: list[str]) -> "tuple[Table, str]":
     """Return margins beside the scenario's hardware, by walks and of the linearised loop: a table, and JSON in SI."""
     from tuning.command_line.session import plain_table
-    from tuning.evaluation.margins import QUANTITIES, in_words, needed, with_unit
-    from tuning.report.numbers import to_json
+    from tuning.comparisons.margins import QUANTITIES, in_words, needed, with_unit
+    from tuning.pages.numbers import to_json
 
     table, each = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"), {}
     for name, margin in found.margins.items():
@@ -235,8 +235,8 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
     with output.session() as shell:
         from mjx_climb.files import dataset
         from tuning.command_line.session import WIDTH, console
-        from tuning.report import page
-        from tuning.report.numbers import to_json
+        from tuning.pages import page
+        from tuning.pages.numbers import to_json
         from tuning.reproduce import results
 
         shell.claim("reproduce.json", "reproduce", settings={"command": "reproduce"})
@@ -406,7 +406,7 @@ def export(asked: Export) -> None:
         from mjx_climb.scenario.messages import config_error
         from tuning.command_line.options import Output
         from tuning.command_line.session import Session
-        from tuning.evaluation import deployment
+        from tuning.comparisons import deployment
         from tuning.gains import gains_file
 
         session = Session(stdout, Output())

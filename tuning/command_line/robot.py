@@ -61,7 +61,7 @@ def robot(asked: Robot, incline: Incline) -> None:
     from mjx_climb.scenario.model import validated
     from mjx_climb.viz import rendering
     from tuning.command_line.session import Session
-    from tuning.evaluation import first_walks
+    from tuning.comparisons import first_walks
 
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():

@@ -136,7 +136,7 @@ def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, record
     with output.session() as shell:
         from mjx_climb.robot_import.load import load_robot
         from mjx_climb.viz import rendering
-        from tuning.output.record import settings_of
+        from tuning.writing.record import settings_of
 
         loaded = walk.load_with_gains()
         gravity = incline.gravity(loaded.scenario.gravity)
@@ -159,8 +159,8 @@ def _walked(
     loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording
 ) -> tuple[Walks, dict[str, Any]]:
     """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
-    from tuning.output.record import walks_at_home
-    from tuning.report.numbers import to_json
+    from tuning.pages.numbers import to_json
+    from tuning.writing.record import walks_at_home
 
     with shell.whole() as place:
         walks, metrics, files = _written(loaded, name, shell, pictures, recording, place)
@@ -176,8 +176,8 @@ def _written(
     """Walk and write into a folder; return the walks, their metrics, and the names of the files."""
     from mjx_climb.files import dataset, scenario_files
     from mjx_climb.viz.recording import save_mcap
-    from tuning.output.folder import write_config
-    from tuning.report.numbers import to_json
+    from tuning.pages.numbers import to_json
+    from tuning.writing.folder import write_config
 
     scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
     shell.opening(scenario)
@@ -209,10 +209,10 @@ def _written(
 def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:
     """Print the metrics of a walk, and of the one beside it where there is one, and how they went."""
     from tuning.command_line.session import comparison_table, plain_table
-    from tuning.evaluation.remedies import remedies
-    from tuning.report import numbers
-    from tuning.report.comparison import gains_of
-    from tuning.searches.judge import without_sensors
+    from tuning.comparisons.judge import without_sensors
+    from tuning.comparisons.remedies import remedies
+    from tuning.pages import numbers
+    from tuning.pages.comparison import gains_of
 
     (name, *rivals), about, law = metrics, loaded.metrics, loaded.law
     verdicts = {name: verdict(walks[name], values) for name, values in metrics.items()}

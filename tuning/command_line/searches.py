@@ -29,8 +29,8 @@ from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Searc
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
+    from tuning.comparisons.judge import Draw
     from tuning.problem.ensemble import Ensemble
-    from tuning.searches.judge import Draw
     from tuning.searches.sweep import Grid as Work
 
 
@@ -88,8 +88,9 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
     """
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
-        from tuning.output import comparisons, record
+        from tuning.comparisons import begun as comparisons
         from tuning.searches import tune as searches
+        from tuning.writing import record
 
         loaded, drawn = walk.load_with_gains(), ensemble.load()
         if drawn is not None and "weights" not in search.model_fields_set and file.search is None:
@@ -116,7 +117,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
         files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
         again, compared = repeated(["tune", *files], "--engine"), None
         with shell.keeping("rounds"), background(busy=1) as begin:
-            begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
+            begin(lambda _: importlib.import_module("tuning.writing.contents"))  # matplotlib takes half a second
             if drawn is None:
                 comparisons.load_tests(problem, wanted, begin)
                 compared = comparisons.of_search(problem, wanted, begin, out=out)
@@ -156,9 +157,9 @@ def pareto(
 
         devices.begin()
         from tuning.command_line.session import from_page
-        from tuning.output.record import settings_of
-        from tuning.report.pages import front_table
+        from tuning.pages.sections import front_table
         from tuning.searches import pareto as fronts
+        from tuning.writing.record import settings_of
 
         loaded = walk.load()
         wanted = file.settings(space, loaded, walk.config)
@@ -206,10 +207,10 @@ def schedule(
 
         devices.begin()
         from tuning.command_line.session import plain_table
-        from tuning.output.record import settings_of
-        from tuning.report.numbers import change, gain, number
+        from tuning.comparisons.retuned_pd import NAME
+        from tuning.pages.numbers import change, gain, number
         from tuning.searches import schedule as schedules
-        from tuning.searches.retuned_pd import NAME
+        from tuning.writing.record import settings_of
 
         loaded = walk.load()
         wanted = file.settings(space, loaded, walk.config)
@@ -330,9 +331,9 @@ class Rivals(Judge):
 
     def work(self, walk: Walk) -> "Draw":
         """Return the walks of the gains."""
+        from tuning.comparisons.judge import draw_of
         from tuning.gains import gains_file
         from tuning.problem.ensemble import Ensemble
-        from tuning.searches.judge import draw_of
 
         loaded = walk.load()
         if (
@@ -358,8 +359,8 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
     with processes.joined(apart=asked.shard is not None) as team, output.session() as shell:
         part, which = processes.shard_from(asked.shard)
         from tuning.background import background
-        from tuning.output import record
         from tuning.searches import shards
+        from tuning.writing import record
 
         work, name, (file, stage, unit) = asked.work(walk), walk.config.stem, ROWS[kind]
         rows_of = record.without_machine(work.identity())
@@ -376,9 +377,9 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
         with shell.keeping(f"of {here} {unit}", folder, there), background() as begin:
             compared = None
             if kind == "sweep" and rows.shard is None:
-                from tuning.output import comparisons
+                from tuning.comparisons import begun as comparisons
 
-                begin(lambda _: importlib.import_module("tuning.output.results"))  # matplotlib takes half a second
+                begin(lambda _: importlib.import_module("tuning.writing.contents"))  # matplotlib takes half a second
                 compared = comparisons.of_grid(work.problem, work.gains, work.axes, begin)
             with shell.stage(stage, unit=unit, keeps=True) as show:
                 arrays = rows.walk(show)
@@ -502,10 +503,10 @@ def compare(
         from mjx_climb.scenario.messages import ConfigError
 
         devices.begin()
-        from tuning.output.record import settings_of
+        from tuning.comparisons import compare as comparing
         from tuning.problem.evaluation import Problem
-        from tuning.searches import compare as comparing
         from tuning.searches import tune as searches
+        from tuning.writing.record import settings_of
 
         loaded, ensemble = walk.load(), asked.draw(walk.hardware)
         joined = file.joined(search, loaded)
@@ -564,7 +565,7 @@ def merge(asked: Merge, output: Output) -> None:
       mjx-climb merge node1/shard-1-of-2 node2/shard-2-of-2 --out results/both
     """
     with output.session() as shell:
-        from tuning.searches import judge as judging
+        from tuning.comparisons import judge as judging
         from tuning.searches import shards
 
         law, table = own_objects(asked.law, asked.metrics)

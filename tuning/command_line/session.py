@@ -23,10 +23,10 @@ from tuning.command_line.program import origin
 if TYPE_CHECKING:
     from tuning.command_line.options import Output
     from tuning.command_line.processes import Team
-    from tuning.report import page
-    from tuning.report.comparison import Compared
-    from tuning.searches.result import Result
-    from tuning.searches.rounds import Progress as Rounds
+    from tuning.methods.rounds import Progress as Rounds
+    from tuning.pages import page
+    from tuning.pages.comparison import Compared
+    from tuning.results.result import Result
 
 WIDTH = 100  # of tables in a file
 WORDS = ("", "metric", "unit", "measure", "signal", "command", "goal on two cores")  # columns that hold no numbers
@@ -138,8 +138,8 @@ class Session:
         Raises:
             OutputError: it cannot be written, or holds another run's result.
         """
-        from tuning.output import record
-        from tuning.output.folder import check_own
+        from tuning.writing import record
+        from tuning.writing.folder import check_own
 
         out, base = at or self.output.out, Path("results") / "-".join((name, *kind))
         if out is None:
@@ -153,7 +153,7 @@ class Session:
 
     def whole(self) -> "contextlib.AbstractContextManager[Path]":
         """Give an empty folder, whose files become those of the result once the block ends well."""
-        from tuning.output import record
+        from tuning.writing import record
 
         return record.whole(self.out, self.settings)
 
@@ -175,7 +175,7 @@ class Session:
     def opening(self, scenario: "mc.Scenario | None" = None) -> None:
         """Say where compiled programs are kept, and what to know of a scenario before it is walked."""
         from tuning.command_line import machine
-        from tuning.report import numbers
+        from tuning.pages import numbers
 
         (cache,) = machine.cache()
         warnings = numbers.ahead_of(scenario) if scenario else ()
@@ -195,8 +195,8 @@ class Session:
         self, found: "Result", again: str, compared: Any = None, *, table: Table | None = None, before: str = ""
     ) -> None:
         """Write a result with its report, in which `again` repeats it, and print it: a table, or that of its walks."""
-        from tuning.report import comparison
-        from tuning.report.pages import summed_table
+        from tuning.pages import comparison
+        from tuning.pages.sections import summed_table
 
         how: dict[str, Any] = {"figures": self.output.figures, "stage": self.stage, "compared": compared}
         how |= {"origin": origin(self.name, again), "settings": self.settings}
@@ -220,7 +220,7 @@ class Session:
         process that walked beside this one, for example, was stopped as well and may be gone first.
         """
         self.done = done
-        from tuning.output import record
+        from tuning.writing import record
 
         if self.settings is not None:
             record.begin(self.out, self.settings)
@@ -334,7 +334,7 @@ def comparison_table(
     walks: "Compared", baseline: str, width: int, about: "mc.MetricTable", law: "mc.Law | None" = None
 ) -> Table:
     """Return walks side by side, each with its change against the baseline where `width` characters have room."""
-    from tuning.report import comparison
+    from tuning.pages import comparison
 
     others = (None, baseline) if width >= 38 + 19 * (len(walks) - 1) else (None,)
     columns = [(name, other) for name in walks for other in others if other != name]

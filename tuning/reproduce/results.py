@@ -9,9 +9,9 @@ from mjx_climb.files import dataset
 from mjx_climb.scenario import shipped
 from mjx_climb.viz import plots
 from tuning.background import Stage
-from tuning.report.explorer import explorer
-from tuning.report.numbers import number, unit
-from tuning.report.page import Origin, Page, Table
+from tuning.pages.explorer import explorer
+from tuning.pages.numbers import number, unit
+from tuning.pages.page import Origin, Page, Table
 from tuning.reproduce import claims
 from tuning.reproduce.claims import BASELINE, CASES, CLAIMS, METHODS, READINGS, Case, Verdict, Walk
 

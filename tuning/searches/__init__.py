@@ -1,1 +1,1 @@
-"""The searches, their methods, what they keep on disk and what they return."""
+"""The searches: grids, gains of a law, fronts, schedules; and shards of them for several machines."""

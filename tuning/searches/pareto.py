@@ -18,18 +18,19 @@ from mjx_climb.files import dataset
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
+from tuning.comparisons import retuned_pd
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
+from tuning.methods import Request, Task
+from tuning.methods.descents import again
+from tuning.methods.rounds import Callback, Rounds, follow
 from tuning.problem import objectives
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Pareto, Search
 from tuning.problem.spaces import as_gains, refuse_gait, to_gains64
-from tuning.searches import retuned_pd, tune
-from tuning.searches.methods import Request, Task
-from tuning.searches.methods.descents import again
-from tuning.searches.result import Result
-from tuning.searches.rounds import Callback, Rounds, follow
+from tuning.results.result import Result
+from tuning.searches import tune
 
 CANDIDATES = 64  # random points, the scenario's own gains among them
 STAGES = 3  # descents; between them every row starts again from the best point within its limit

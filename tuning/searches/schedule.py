@@ -23,18 +23,19 @@ from mjx_climb.functions import STANDARD_GRAVITY as EARTH
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from tuning.comparisons import retuned_pd
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
+from tuning.methods import Request, Task
+from tuning.methods.descents import again
+from tuning.methods.rounds import Callback, Rounds, follow
 from tuning.problem import objectives, spaces
 from tuning.problem.evaluation import Evaluation, Problem, pd_of, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Schedule, Search
 from tuning.problem.spaces import refuse_gait, to_gains64
-from tuning.searches import retuned_pd, tune
-from tuning.searches.methods import Request, Task
-from tuning.searches.methods.descents import again
-from tuning.searches.result import Result
-from tuning.searches.rounds import Callback, Rounds, follow
+from tuning.results.result import Result
+from tuning.searches import tune
 
 G = -EARTH[2]  # m/s^2
 CANDIDATES = 24  # random points per operating point

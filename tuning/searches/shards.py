@@ -21,11 +21,11 @@ from mjx_climb import execution
 from mjx_climb.files.dataset import OutputError, write_text_atomically
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.own_section import taken
-from tuning.searches import parts as finished_parts
-from tuning.searches.parts import Parts
+from tuning.methods import parts as finished_parts
+from tuning.methods.parts import Parts
 
 if TYPE_CHECKING:
-    from tuning.searches.judge import Judged
+    from tuning.comparisons.judge import Judged
     from tuning.searches.sweep import Swept
 
 FILE = "shard.json"

@@ -21,10 +21,10 @@ from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.walks import LINES, stretches
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
+from tuning.methods.parts import identity_of
 from tuning.problem.evaluation import Problem
 from tuning.problem.spaces import INTEGRAL, JOINT
-from tuning.searches.parts import identity_of
-from tuning.searches.result import Result
+from tuning.results.result import Result
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
 
 Axes = Mapping[str, ArrayLike]  # two gains by name
@@ -91,7 +91,7 @@ def sweep(
         dtype: precision of the simulation.
         batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
         out: a folder that keeps each finished part, so that an interrupted sweep goes on from there, bit by bit; until
-            the result is written there, or `tuning.searches.parts.clear(out)`.
+            the result is written there, or `tuning.methods.parts.clear(out)`.
         progress: called with the number of walks done and the number in all: first with what `out` holds already,
             then after each part.
 
@@ -200,7 +200,7 @@ class Grid:
 
     def write_asked(self, folder: Path) -> None:
         """Write scenario, law and gains for `read_asked`."""
-        from tuning.output.folder import write_config
+        from tuning.writing.folder import write_config
 
         write_config(self.problem.scenario, folder, self.problem.law, self.problem.metrics)
         if self.gains is not None:

@@ -18,6 +18,9 @@ from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.inputs.gait_values import GAIT
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
+from tuning.methods import METHODS, Method, Points, Task, cma_es
+from tuning.methods.parts import identity_of
+from tuning.methods.rounds import Callback, Rounds, as_method, follow
 from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, objectives, spaces
 from tuning.problem import search as search_settings
@@ -25,10 +28,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
 from tuning.problem.search import BY_GRADIENTS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
-from tuning.searches.methods import METHODS, Method, Points, Task, cma_es
-from tuning.searches.parts import identity_of
-from tuning.searches.result import Robust, Tuned, from_rounds
-from tuning.searches.rounds import Callback, Rounds, as_method, follow
+from tuning.results.result import Robust, Tuned, from_rounds
 
 
 def tune(
@@ -54,7 +54,7 @@ def tune(
         law: whose gains are searched; its own are the first start. The scenario's where None.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it.
         method: the name of a shipped one; or one of your own, as a function that yields a `Request` of points and
-            receives what they are worth, or a `Method` that knows its rounds besides; see `tuning.searches.rounds`. It
+            receives what they are worth, or a `Method` that knows its rounds besides; see `tuning.methods.rounds`. It
             must ask for the same when it is given the same.
         objective: a pure function of the metrics in place of the weighted terms, see `tuning.problem.objectives`.
         metrics: of the walks, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may name them.
@@ -62,7 +62,7 @@ def tune(
             mean.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
         out: a folder that keeps each finished round, so that an interrupted search goes on from there; until the
-            result is written there, or `tuning.searches.parts.clear(out)`.
+            result is written there, or `tuning.methods.parts.clear(out)`.
         progress: called after each round.
 
     Returns:

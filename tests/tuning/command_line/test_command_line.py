@@ -23,10 +23,10 @@ from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning.command_line import main, options, searches, session
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
+from tuning.comparisons import begun as comparisons
 from tuning.gains import gains_file
 from tuning.identification.readers import read_log
-from tuning.output import comparisons
-from tuning.report import numbers, page
+from tuning.pages import numbers, page
 from tuning.searches import sweep as sweeps
 from tuning.searches.shards import Rows
 

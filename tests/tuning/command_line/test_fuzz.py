@@ -27,11 +27,11 @@ def valid_input_stops_here(monkeypatch):
 
     for name in (
         "mjx_climb.rollout", "mjx_climb.rollout_metrics", "mjx_climb.rollout_histories",
-        "tuning.output.comparisons.of_grid", "tuning.problem.evaluation.baseline", "tuning.problem.evaluation.pd_of",
-        "tuning.searches.schedule.pd_of", "tuning.evaluation.deployment.check", "tuning.benchmarks.measure.measure",
-        "tuning.command_line.machine.examine", "tuning.identification.excitation.chosen",
-        "tuning.identification.replay.simulate", "tuning.identification.identify.model_of",
-        "tuning.identification.identify.gripped_model",
+        "tuning.comparisons.begun.of_grid", "tuning.problem.evaluation.baseline", "tuning.problem.evaluation.pd_of",
+        "tuning.searches.schedule.pd_of", "tuning.comparisons.deployment.check", "tuning.benchmarks.measure.measure",
+        "tuning.command_line.machine.examine", "tuning.identification.plan.excitation.chosen",
+        "tuning.identification.model.replay.simulate", "tuning.identification.fit.identify.model_of",
+        "tuning.identification.fit.identify.gripped_model",
     ):  # fmt: skip
         monkeypatch.setattr(name, start)
     monkeypatch.setattr(backend, "find", lambda: "egl")

@@ -31,7 +31,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "mjx_climb.viz.rendering": "save_image save_video snapshots stance view",
     "mjx_climb.viz.rendering.backend": "find require_display",
     "mjx_climb.robot_import.proposal": "propose",
-    "tuning.evaluation.first_walks": "heavy_load on_ceiling slow_enough with_joint_gains",
+    "tuning.comparisons.first_walks": "heavy_load on_ceiling slow_enough with_joint_gains",
     "tuning.background": "background",
     "tuning.benchmarks.commands": "measure",
     "tuning.benchmarks.measure": "measure",
@@ -40,26 +40,26 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.command_line.results": "_margins_in_words show",
     "tuning.command_line.run": "_show",
     "tuning.command_line.session": "comparison_table from_page plain_table",
-    "tuning.evaluation.deployment": "check",
-    "tuning.evaluation.linear_margins": "find warnings",
-    "tuning.evaluation.margins": "find warnings",
-    "tuning.identification.excitation": "chosen set_up",
-    "tuning.identification.identify": "identify",
-    "tuning.identification.output": "table",
+    "tuning.comparisons.deployment": "check",
+    "tuning.comparisons.linear_margins": "find warnings",
+    "tuning.comparisons.margins": "find warnings",
+    "tuning.identification.plan.excitation": "chosen set_up",
+    "tuning.identification.fit.identify": "identify",
+    "tuning.identification.fit.output": "table",
     "tuning.identification.readers": "read_log",
-    "tuning.identification.replay": "prepare simulate",
-    "tuning.identification.replay_picture": "plot_replay",
-    "tuning.output.comparisons": "load_tests of_grid of_search",
-    "tuning.output.excitation": "limits notes summary table",
-    "tuning.output.folder": "write_config",
-    "tuning.output.redrawn": "figures",
-    "tuning.report.numbers": "ahead_of number to_json",
-    "tuning.report.page": "write",
-    "tuning.report.pages": "front_table summed_table",
-    "tuning.report.pictures": "plot_margins",
+    "tuning.identification.model.replay": "prepare simulate",
+    "tuning.identification.model.replay_picture": "plot_replay",
+    "tuning.comparisons.begun": "load_tests of_grid of_search",
+    "tuning.identification.plan.output": "limits notes summary table",
+    "tuning.writing.folder": "write_config",
+    "tuning.writing.redrawn": "figures",
+    "tuning.pages.numbers": "ahead_of number to_json",
+    "tuning.pages.page": "write",
+    "tuning.pages.sections": "front_table summed_table",
+    "tuning.pages.pictures": "plot_margins",
     "tuning.reproduce.results": "as_json as_markdown overall page reproduced sentences tables",
-    "tuning.searches.compare": "problem_of run",
-    "tuning.searches.judge": "Draw.result",
+    "tuning.comparisons.compare": "problem_of run",
+    "tuning.comparisons.judge": "Draw.result",
     "tuning.searches.pareto": "problem_of run",
     "tuning.searches.schedule": "operating_points rows run",
     "tuning.searches.shards": "Rows find home merged",
@@ -243,9 +243,9 @@ def traced(monkeypatch, tmp_path, folder):
             monkeypatch.setattr(f"{module}.{name}", getattr(calls, f"{module}.{name}".replace(".", "_")))
     # settings, and the name of a folder, have all that is typed, used or not
     (tmp_path / "out").mkdir()
-    monkeypatch.setattr("tuning.output.record.settings_of", lambda *_, **__: {})
-    monkeypatch.setattr("tuning.output.record.own_folder", lambda *_, **__: tmp_path / "out")
-    monkeypatch.setattr("tuning.output.record.walks_at_home", lambda walks, *_: walks)
+    monkeypatch.setattr("tuning.writing.record.settings_of", lambda *_, **__: {})
+    monkeypatch.setattr("tuning.writing.record.own_folder", lambda *_, **__: tmp_path / "out")
+    monkeypatch.setattr("tuning.writing.record.walks_at_home", lambda walks, *_: walks)
     scenario, found = mc.load_scenario(CONFIG), Found(calls.write)
     log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.force.x": ()}, source="log.csv")
     returned = {

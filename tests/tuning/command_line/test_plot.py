@@ -9,7 +9,7 @@ from PIL import Image
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from tuning.output import redrawn
+from tuning.writing import redrawn
 
 
 @pytest.fixture

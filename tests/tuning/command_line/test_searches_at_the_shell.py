@@ -12,7 +12,7 @@ import tuning
 from mjx_climb.scenario.shipped import config_path
 from tests.shell import ROOT, finish, killed
 from tuning.problem import ensemble
-from tuning.searches import result
+from tuning.results import result
 from tuning.tune import tune
 
 CASE = str(ROOT / "configs" / "case_1_2.yaml")

@@ -20,7 +20,7 @@ from mjx_climb.control.virtual_mass import Motion, advance, at_rest
 from mjx_climb.inputs import gait_values
 from mjx_climb.scenario.load import load_hardware
 from mjx_climb.scenario.shipped import config_path
-from tuning.evaluation import margins, stability_limit
+from tuning.comparisons import margins, stability_limit
 from tuning.gains import admittance_control, gains_file, gains_tables, own_section, ros2_control
 
 SIX = [1.0, 2.0, 0.5, 0.1, 0.3, 0.02]

@@ -13,7 +13,7 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer, Measurement, Reference, Start, sensor_watch
-from tuning.evaluation import deployment
+from tuning.comparisons import deployment
 from tuning.gains import load_transfer
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")

@@ -15,10 +15,10 @@ from mjx_climb.inputs import own_objects
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.messages import ConfigError
 from tuning.command_line import options
-from tuning.evaluation.stability_limit import spectral_radius
-from tuning.output.folder import write_config
+from tuning.comparisons.stability_limit import spectral_radius
+from tuning.methods import parts
 from tuning.problem.evaluation import under_pd
-from tuning.searches import parts
+from tuning.writing.folder import write_config
 
 TEXT = """
 import mjx_climb as mc
@@ -133,7 +133,7 @@ def test_a_bad_name_at_the_shell_is_one_line(file, call, tmp_path, option, text,
 
 @pytest.mark.slow
 def test_a_run_with_a_contact_of_ones_own_is_repeated_from_its_folder(file, call, tmp_path, monkeypatch):
-    monkeypatch.setattr("tuning.evaluation.remedies.remedies", lambda *_: "")  # which walks many times
+    monkeypatch.setattr("tuning.comparisons.remedies.remedies", lambda *_: "")  # which walks many times
     typed = [word for change in SHORT for word in ("--set", change)]
     touch = ["--disturbance", "LinkWrench", "--set", "own.disturbances.0.values.force=[0, 0, 9]"]
     code, _, err = call("run", "case_1_2", *typed, *touch, "--contact", f"{file}:weak", "--out", tmp_path / "out")

@@ -14,9 +14,9 @@ from tuning.command_line import options
 from tuning.command_line.program import InputError
 from tuning.gains import own_section
 from tuning.gains.own_section import taken
-from tuning.output.folder import write_config
 from tuning.problem.search import Search
 from tuning.searches import tune
+from tuning.writing.folder import write_config
 
 TEXT = """
 import helper

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 import mjx_climb as mc
 from mjx_climb.control import Measurement, Reference, Start, law_of
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
-from tuning.evaluation import deployment
+from tuning.comparisons import deployment
 from tuning.gains import gains_file
 
 STEPS, PERIOD, LIMBS = 300, 1e-3, 4

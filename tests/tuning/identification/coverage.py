@@ -14,7 +14,7 @@ import numpy as np
 import mjx_climb as mc
 import tuning
 from tests.tuning.identification.stand_in_mujoco import Truth, log_of
-from tuning.identification.inference import Z
+from tuning.identification.fit.inference import Z
 
 KEYS = (
     "hardware.servo.armature",

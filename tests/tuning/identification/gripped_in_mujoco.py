@@ -10,7 +10,7 @@ from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
 from mjx_climb.robot_import.load import load_robot, load_spec
 from tests.tuning.identification.stand_in_mujoco import JOINTS
-from tuning.identification.log import Log, Signal
+from tuning.identification.readers.log import Log, Signal
 
 LIMBS = ("LF", "LH", "RH", "RF")
 

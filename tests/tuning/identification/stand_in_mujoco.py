@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from mjx_climb.robot_import.load import load_robot, load_spec
-from tuning.identification.log import KP, OFF, Log, Signal
+from tuning.identification.readers.log import KP, OFF, Log, Signal
 
 JOINTS = tuple(f"{limb}.{joint}" for limb in ("LF", "LH", "RH", "RF") for joint in ("coxa", "femur", "tibia"))
 

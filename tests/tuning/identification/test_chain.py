@@ -7,7 +7,7 @@ import tuning
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from tests.tuning.identification.stand_in_mujoco import Truth, log_of
-from tuning.identification.output import ensemble_of
+from tuning.identification.fit.output import ensemble_of
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import WEIGHTS
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.tuning.identification.recorded import JOINTS, ROBOT, recorded
 from tuning.identification.readers import read_log, write_csv
-from tuning.identification.signals import Signals
+from tuning.identification.readers.signals import Signals
 
 POSITIONS = [f"{joint}.position" for joint in JOINTS]
 

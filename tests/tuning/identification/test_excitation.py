@@ -15,15 +15,15 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.robot_import.load import load_robot
 from tests.tuning.identification.stand_in_mujoco import JOINTS, Truth, welded
-from tuning.identification import excitation, motions
-from tuning.identification.foot_mass import with_foot_mass
-from tuning.identification.information import information
-from tuning.identification.log import joints_of
+from tuning.identification.model.foot_mass import with_foot_mass
+from tuning.identification.model.schedule import schedule_of
+from tuning.identification.model.variables import Variable
+from tuning.identification.plan import excitation, motions
+from tuning.identification.plan.information import information
+from tuning.identification.plan.output import columns, plot, summary, table
+from tuning.identification.plan.settings import ENCODER, Excitation
 from tuning.identification.readers import read_log
-from tuning.identification.schedule import schedule_of
-from tuning.identification.variables import Variable
-from tuning.output.excitation import columns, plot, summary, table
-from tuning.problem.excitation import ENCODER, Excitation
+from tuning.identification.readers.log import joints_of
 
 ROBOT = load_robot("hubrobo_v3_2")
 TRUTH = Truth(armature=0.012, friction=0.0, damping=0.05, kp=50.0, kd=0.2, delay=0.004)

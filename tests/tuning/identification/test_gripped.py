@@ -13,12 +13,12 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tests.tuning.identification.gripped_in_mujoco import NOISE, TRUTH, log_of
 from tests.tuning.identification.stand_in_mujoco import columns_of
-from tuning.identification.chain import Chain
-from tuning.identification.gripped import cut_gripped, gripped_model
-from tuning.identification.log import Log, Signal
+from tuning.identification.fit.chain import Chain
+from tuning.identification.model.gripped import cut_gripped, gripped_model
+from tuning.identification.model.variables import begin, variables
+from tuning.identification.model.windows import KINDS
 from tuning.identification.readers import write_csv
-from tuning.identification.variables import begin, variables
-from tuning.identification.windows import KINDS
+from tuning.identification.readers.log import Log, Signal
 
 TRUE = dataclasses.replace(TRUTH, stiffness=1.3e4, damping=30.0, base_mass=0.55, gain=1.05, bias=0.2, delay=0.004)
 SCENARIO = mc.load_scenario("case_1_1").with_overrides({"hardware.servo.armature": TRUE.armature})

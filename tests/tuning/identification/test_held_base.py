@@ -16,7 +16,7 @@ from mjx_climb.physics.limb_engine import held_accelerations
 from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
 from tests.tuning.identification.stand_in_mujoco import TRUTH, recorded, sines, welded
-from tuning.identification import held_base as stands
+from tuning.identification.model import held_base as stands
 
 ROBOT = load_robot("hubrobo_v3_2")
 

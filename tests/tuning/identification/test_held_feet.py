@@ -14,8 +14,8 @@ from mjx_climb.inputs.from_scenario import parameters
 from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
 from tests.tuning.identification.gripped_in_mujoco import TRUTH, swayed, sways
-from tuning.identification import held_feet as grips
-from tuning.identification.held_base import targets_of
+from tuning.identification.model import held_feet as grips
+from tuning.identification.model.held_base import targets_of
 
 ROBOT = load_robot("hubrobo_v3_2")
 # the torque jumps as the target does

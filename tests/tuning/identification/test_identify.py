@@ -20,13 +20,13 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile, validated
 from tests.tuning.identification.coverage import counted
 from tests.tuning.identification.stand_in_mujoco import NOISE, TRUTH, columns_of, log_of
-from tuning.identification import least_squares, robot_files
-from tuning.identification.log import Signal
-from tuning.identification.model import model_of, with_nuisances
-from tuning.identification.output import SHOWN, plot_prediction
+from tuning.identification.fit import least_squares, robot_files
+from tuning.identification.fit.output import SHOWN, plot_prediction
+from tuning.identification.model.predicted import model_of, with_nuisances
+from tuning.identification.model.variables import Place, applied, begin, variables
+from tuning.identification.model.windows import KINDS, UNITS, cut
 from tuning.identification.readers import write_csv
-from tuning.identification.variables import Place, applied, begin, variables
-from tuning.identification.windows import KINDS, UNITS, cut
+from tuning.identification.readers.log import Signal
 from tuning.problem import ensemble as ensembles
 
 pytestmark = pytest.mark.usefixtures("optimised")

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tuning.identification.identify import Estimate, trusted
-from tuning.identification.inference import covariance_of, useless
-from tuning.identification.variables import Variable
+from tuning.identification.fit.identify import Estimate, trusted
+from tuning.identification.fit.inference import covariance_of, useless
+from tuning.identification.model.variables import Variable
 
 KP = Variable("control.kp", "N m/rad", 50.0, np.log(50.0), 1.0, 0.05, 5e4, log=True)
 ARMATURE = Variable("hardware.servo.armature", "kg m^2", 0.012, 0.012, 0.02, 0.0, np.inf)

@@ -18,14 +18,15 @@ from mjx_climb.scenario.model import RobotFile
 from mjx_climb.viz.recording import save_mcap
 from tests.robot import climbers
 from tests.tuning.identification.recorded import ROBOT
-from tuning.identification import replay, robot_files
-from tuning.identification.commanded import Carried
-from tuning.identification.guess import guess
-from tuning.identification.log import Log, Signal, joints_of, names
+from tuning.identification.fit import robot_files
+from tuning.identification.model import replay
+from tuning.identification.model.commanded import Carried
+from tuning.identification.model.windows import cut
+from tuning.identification.plan import output as excitation
 from tuning.identification.readers import read_log, record, write_csv
-from tuning.identification.table import Recording, Table
-from tuning.identification.windows import cut
-from tuning.output import excitation
+from tuning.identification.readers.guess import guess
+from tuning.identification.readers.log import Log, Signal, joints_of, names
+from tuning.identification.readers.table import Recording, Table
 
 LIMBS = ("FL", "FR", "RL", "RR")  # as in the file; counter-clockwise, as in the model, are FL, RL, RR, FR
 AT = {"FL": 0, "RL": 1, "RR": 2, "FR": 3}  # of the climber's limbs

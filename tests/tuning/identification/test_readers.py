@@ -12,11 +12,11 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
-from tuning.identification.guess import guess
-from tuning.identification.log import names
 from tuning.identification.readers import read_log, record, write_csv
-from tuning.identification.signals import Signals
-from tuning.identification.table import Recording, Table
+from tuning.identification.readers.guess import guess
+from tuning.identification.readers.log import names
+from tuning.identification.readers.signals import Signals
+from tuning.identification.readers.table import Recording, Table
 
 EPOCH = 1_764_000_000 * 10**9  # ns
 

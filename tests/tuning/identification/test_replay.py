@@ -14,10 +14,10 @@ from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, recorded
 from tests.tuning.identification.stand_in_mujoco import TRUTH, sines
 from tests.tuning.identification.stand_in_mujoco import recorded as on_a_stand
-from tuning.identification.log import Log, Signal
+from tuning.identification.model.replay import prepare, replay
+from tuning.identification.model.replay_picture import plot_replay
 from tuning.identification.readers import read_log, write_csv
-from tuning.identification.replay import prepare, replay
-from tuning.identification.replay_picture import plot_replay
+from tuning.identification.readers.log import Log, Signal
 
 SCENARIO = mc.Scenario().with_overrides({
     "duration": 0.4, "gait.cycle": 0.4, "gait.stride": 0.005, "gait.step_height": 0.005,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tuning.identification.log import KP, OFF, Signal
-from tuning.identification.schedule import Schedule, schedule_of
+from tuning.identification.model.schedule import Schedule, schedule_of
+from tuning.identification.readers.log import KP, OFF, Signal
 
 STEP = 1e-3
 

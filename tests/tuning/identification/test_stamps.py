@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import huber
 
-from tuning.identification.stamps import HUBER, Noise, noise_of, stamped
+from tuning.identification.fit.stamps import HUBER, Noise, noise_of, stamped
 
 CLOCK = 3e-4  # s
 

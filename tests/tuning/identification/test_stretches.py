@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from tuning.identification import inference, windows
-from tuning.identification.log import Signal
-from tuning.identification.variables import Variable
+from tuning.identification.fit import inference
+from tuning.identification.model import windows
+from tuning.identification.model.variables import Variable
+from tuning.identification.readers.log import Signal
 
 STEP = 1e-3
 

@@ -7,10 +7,10 @@ import pytest
 
 import mjx_climb as mc
 from tests.tuning.identification.recorded import ROBOT, recorded
-from tuning.identification.least_squares import LeastSquares
-from tuning.identification.log import OFF, Log, Signal
-from tuning.identification.model import model_of
-from tuning.identification.windows import SHORTEST, cut
+from tuning.identification.fit.least_squares import LeastSquares
+from tuning.identification.model.predicted import model_of
+from tuning.identification.model.windows import SHORTEST, cut
+from tuning.identification.readers.log import OFF, Log, Signal
 
 STEP, LATE = 1e-3, 0.02  # s
 HOLES = [(2.0, 2.4), (5.5, 5.56)]

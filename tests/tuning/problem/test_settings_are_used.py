@@ -5,11 +5,11 @@ import dataclasses
 import pytest
 
 import mjx_climb as mc
+from tuning.methods import METHODS
+from tuning.methods.rounds import Task
 from tuning.problem.objectives import objective
 from tuning.problem.search import Search
 from tuning.searches import tune
-from tuning.searches.methods import METHODS
-from tuning.searches.rounds import Task
 
 OTHERS = {
     "method": "lbfgs", "space": "split", "inertia": True, "also": ("gait.step_height",), "joint_gains": True,

@@ -11,15 +11,15 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.inputs import gait_values
 from mjx_climb.scenario.messages import ConfigError
+from tuning.comparisons import retuned_pd
+from tuning.comparisons.judge import draw_of, judge, read_asked
 from tuning.gains import gains_file
 from tuning.problem import spaces
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
-from tuning.searches import retuned_pd
-from tuning.searches.judge import draw_of, judge, read_asked
+from tuning.results.result import load
 from tuning.searches.pareto import pareto
-from tuning.searches.result import load
 from tuning.searches.schedule import schedule
 from tuning.searches.shards import Kept, Shard
 from tuning.searches.tune import for_this_machine, problem_of, start_of, tune

@@ -9,12 +9,13 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer, VirtualModelAdmittance
 from mjx_climb.files.dataset import OutputError
+from tuning.comparisons import judge
+from tuning.methods.parts import Parts
 from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
-from tuning.searches import judge, pareto, schedule, sweep, tune
-from tuning.searches.parts import Parts
+from tuning.searches import pareto, schedule, sweep, tune
 
 SHORT = mc.load_scenario("case_1_2", ["duration=0.3"])
 PROBLEM, SETTINGS = Problem(SHORT), search.Search()

@@ -12,11 +12,11 @@ from cmaes import CMA
 import mjx_climb as mc
 import tuning
 from mjx_climb import execution
+from tuning.methods import cma_es
+from tuning.methods.rounds import Task, follow
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
 from tuning.searches import tune
-from tuning.searches.methods import cma_es
-from tuning.searches.rounds import Task, follow
 
 SIZE = 6
 BOTTOM = np.linspace(0.2, 0.8, SIZE)

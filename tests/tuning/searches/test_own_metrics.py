@@ -12,9 +12,9 @@ import pytest
 import mjx_climb as mc
 import tuning.tune
 from mjx_climb.viz.plots.maps import plot_map
+from tuning.pages import comparison
+from tuning.pages.explorer import explorer, grid_points
 from tuning.problem.objectives import Limit, Objective, Term
-from tuning.report import comparison
-from tuning.report.explorer import explorer, grid_points
 
 PAGE = Path(__file__).parents[3] / "docs" / "metrics.md"
 SHORT = {"duration": 0.3, "gait.cycle": 0.4, "disturbance.cargo.start": 0.05}

@@ -9,14 +9,15 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.shipped import config_path
+from tuning.comparisons import retuned_pd
 from tuning.gains.own_section import load_law
+from tuning.pages import pictures
+from tuning.pages.sections import front_table
 from tuning.problem import spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Pareto, Search
-from tuning.report import pictures
-from tuning.report.pages import front_table
-from tuning.searches import pareto, retuned_pd
+from tuning.searches import pareto
 
 LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"
 

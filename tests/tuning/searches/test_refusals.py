@@ -9,10 +9,10 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import smallest
+from tuning.methods import Request
 from tuning.problem import ensemble as ensembles
 from tuning.problem import spaces
 from tuning.problem.search import Search
-from tuning.searches.methods import Request
 
 CASE = mc.load_scenario("case_1_2", ["duration=0.3"])
 OWN = smallest("lowest_base", "m", "lowest base", lambda s, _: s.base_position[2])

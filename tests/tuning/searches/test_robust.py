@@ -14,11 +14,12 @@ from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from mjx_climb.walk.metrics import SENSORS
+from tuning.comparisons import compare, judge
 from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble, Worst, draw, worst_mean
 from tuning.problem.evaluation import Problem, pd_of
 from tuning.problem.objectives import Objective, Term, objective
-from tuning.searches import compare, judge, tune
+from tuning.searches import tune
 from tuning.searches.shards import Rows
 
 FAST = ["duration=0.3"]

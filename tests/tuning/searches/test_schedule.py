@@ -14,8 +14,8 @@ from mjx_climb.files import dataset
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.shipped import config_path
 from tuning.gains.own_section import load_law
+from tuning.pages import pictures
 from tuning.problem.search import Schedule, Search
-from tuning.report import pictures
 from tuning.searches import schedule
 
 LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"

@@ -12,7 +12,8 @@ import tuning
 from mjx_climb.execution import devices
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.shipped import config_path
-from tuning.searches import parts, shards
+from tuning.methods import parts
+from tuning.searches import shards
 from tuning.searches.shards import Rows, Shard
 
 AXES = {"stiffness": np.array([1e3, 1e4, 1e5]), "damping": np.array([1e2, 1e3])}

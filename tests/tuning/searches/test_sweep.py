@@ -12,8 +12,8 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.walks import LINES
+from tuning.methods import parts
 from tuning.problem.evaluation import Problem
-from tuning.searches import parts
 from tuning.searches import sweep as sweeps
 from tuning.searches.shards import Rows
 from tuning.searches.sweep import sweep

@@ -15,11 +15,11 @@ from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.inputs.from_scenario import gains as gains_of
 from mjx_climb.robot_import.load import load_robot
+from tuning.methods import METHODS, Method, Request, Task, descents, refined_grid
+from tuning.methods.rounds import follow
 from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
-from tuning.searches import result
-from tuning.searches.methods import METHODS, Method, Request, Task, descents, refined_grid
-from tuning.searches.rounds import follow
+from tuning.results import result
 from tuning.searches.tune import problem_of, start_of
 from tuning.tune import tune
 

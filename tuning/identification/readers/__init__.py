@@ -10,14 +10,14 @@ import numpy as np
 
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError, config_error
-from tuning.identification.doubts import doubts, several
-from tuning.identification.guess import guess
-from tuning.identification.log import BASE, JOINT, KP, OFF, Log, Signal, names, unit_of
 from tuning.identification.readers import csv_file, netcdf_file, rosbag
 from tuning.identification.readers.csv_file import write_csv as write_csv
-from tuning.identification.repairs import without_turns, without_unmeasured
-from tuning.identification.signals import SECONDS, UNITS, Signals, Source
-from tuning.identification.table import Recording, Table
+from tuning.identification.readers.doubts import doubts, several
+from tuning.identification.readers.guess import guess
+from tuning.identification.readers.log import BASE, JOINT, KP, OFF, Log, Signal, names, unit_of
+from tuning.identification.readers.repairs import without_turns, without_unmeasured
+from tuning.identification.readers.signals import SECONDS, UNITS, Signals, Source
+from tuning.identification.readers.table import Recording, Table
 
 READERS = {
     ".csv": csv_file.read, ".tsv": csv_file.read, ".nc": netcdf_file.read, ".mcap": rosbag.read, ".db3": rosbag.read,
@@ -38,7 +38,7 @@ def read_log(
         path: CSV, netCDF, MCAP (.mcap), an sqlite bag (.db3), or the folder of a bag.
         robot: whose limbs and joints the signals are named by.
         signals: where each signal stands, or the file that says so. Without it columns are read by the names of
-            `tuning.identification.log`; where there are none, it is guessed from what names there are, and
+            `tuning.identification.readers.log`; where there are none, it is guessed from what names there are, and
             `Log.guessed` says how.
 
     Raises:

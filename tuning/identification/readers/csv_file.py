@@ -10,7 +10,7 @@ import numpy as np
 
 from mjx_climb.files.writing import write_text_atomically
 from mjx_climb.scenario.messages import ConfigError, config_error
-from tuning.identification.table import Recording, Table
+from tuning.identification.readers.table import Recording, Table
 
 _LISTED = re.compile(r"[\[({]\s*(.*?)\s*[\])}]", re.DOTALL)  # a list in a cell, as programs print it
 _MISSING = ("", "nan", "none", "null")

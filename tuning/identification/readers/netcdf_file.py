@@ -8,7 +8,7 @@ import xarray as xr
 
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import config_error
-from tuning.identification.table import Recording, Table
+from tuning.identification.readers.table import Recording, Table
 
 _JOINT = {
     "joint_targets": "command",

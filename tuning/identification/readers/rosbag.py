@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mjx_climb.scenario.messages import config_error
-from tuning.identification.table import Recording, Table
+from tuning.identification.readers.table import Recording, Table
 
 _LARGEST = 65_536  # bytes of a message: beyond are pictures and point clouds
 _LONGEST = 256  # numbers of a list

@@ -1,0 +1,303 @@
+"""Laws side by side: what each is searched by, what is refused, and a comparison from start to end."""
+
+import contextlib
+import html
+import json
+import signal
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+import tuning
+from mjx_climb.control import PD, VirtualModelAdmittance, shifted
+from mjx_climb.scenario.load import load_hardware, with_hardware
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.shipped import config_path
+from tests.shell import ends, finish, same_files, start, wait_for_parts
+from tuning.background import silent
+from tuning.command_line.searches import Laws
+from tuning.comparisons import compare
+from tuning.gains import gains_file
+from tuning.problem.ensemble import Ensemble, draw
+from tuning.problem.evaluation import Problem
+from tuning.problem.search import Search
+
+CASE = config_path("case_1_2.yaml")
+SHORT = ["duration=0.3", "disturbance.cargo.start=0.1"]
+DRAWN = """
+members: 2
+pushes: null
+cargo: null
+gravity: null
+hardware: {force_delay: [0.002, 0.015], control_rate: [100, 500], friction: [0.5, 2.0]}
+"""
+LAW = """
+import mjx_climb as mc
+from mjx_climb.control import VirtualModelAdmittance
+
+
+class Shared(VirtualModelAdmittance):
+    share: object = mc.gain("1", length=1, bounds=(0.05, 1.0), default=0.5, searched=False)
+
+    def step(self, state, measured, reference):
+        return super().step(state, measured._replace(wrench=self.share * measured.wrench), reference)
+"""
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    scenario = mc.load_scenario(CASE, SHORT)
+    return with_hardware(scenario, load_hardware("dynamixel_x"), "dynamixel_x")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "law.py").write_text(LAW)
+    (folder / "drawn.yaml").write_text(DRAWN)
+    return folder
+
+
+def settings(**changes):
+    return compare.alike(Search.make({"method": "cmaes", **changes}), {"method"})
+
+
+def test_each_law_is_searched_by_what_it_has_of_the_settings(scenario, files):
+    wanted = settings(also=("share", "inertia"), bounds={"share": (0.1, 0.9), "kp": (10, 90)}, pins={"stiffness": 2e3})
+    found = compare.contestants(scenario, ["base_admittance", f"{files}/law.py:Shared"], wanted)
+    assert {name: set(own.space.names) for name, own in found.items()} == {
+        "base_admittance": {"damping", "inertia", "kp", "kd"},
+        "Shared": {"damping", "inertia", "share", "kp", "kd"},
+        "retuned_pd": {"kp", "kd"},
+    }
+    assert {(own.search.starts, own.search.iterations) for own in found.values()} in ({compare.FEW}, {compare.MANY})
+    for own in found.values():
+        bounds = dict(zip(own.space.names, np.exp([own.space.lower, own.space.upper]).T, strict=True))
+        np.testing.assert_allclose(bounds["kp"], (10, 90))
+        if "share" in bounds:
+            np.testing.assert_allclose(bounds["share"], (0.1, 0.9))
+
+
+def test_laws_have_names_of_their_own_or_given_ones(scenario, files):
+    law = VirtualModelAdmittance(1.0, 1e3, 1e4)
+    given = {"soft": law, "stiff": "end_effector_admittance", "mine": f"{files}/law.py:Shared"}
+    found = compare.contestants(scenario, given, settings())
+    assert list(found) == ["soft", "stiff", "mine", "retuned_pd"]
+    assert found["soft"].law is law and type(found["mine"].law).__name__ == "Shared"
+    assert found["stiff"].scenario.control.controller == "end_effector_admittance"
+    own = compare.contestants(scenario, [law, PD(), "LoadTransfer"], settings())
+    assert list(own) == ["VirtualModelAdmittance", "LoadTransfer", "retuned_pd"]
+
+
+@pytest.mark.parametrize(
+    ("laws", "changes", "expected"),
+    [
+        (
+            ["nothing"],
+            {},
+            "laws: expected pd, base_admittance, end_effector_admittance or a law: law: expected FILE.py",
+        ),
+        (["base_admittance"] * 2, {}, "laws: expected laws of different names, got base_admittance twice"),
+        (["pd", "pd", "base_admittance"], {}, "laws: expected laws of different names, got pd twice"),
+        ([PD()], {}, "laws: expected a law to compare with pd, got none"),
+        (["pd"], {}, "laws: expected a law to compare with pd, got none"),
+        ([VirtualModelAdmittance(1.0, 1.0, 1.0)] * 2, {}, "got VirtualModelAdmittance twice"),
+        (["base_admittance"], {"also": ("cutoff",)}, "also: expected a gain that one of the laws has, got cutoff"),
+        (["base_admittance"], {"pins": {"share": 1.0}}, "pins.share: expected a gain that one of the laws has"),
+        (["base_admittance"], {"pins": {"kp": 50.0, "kd": 0.5}}, "pins: expected a gain left to search, got none"),
+        (["base_admittance"], {"method": "lbfgs"}, "method: expected cmaes or optuna"),
+        (["base_admittance"], {"joint_gains": False}, "joint_gains: expected true"),
+    ],
+)
+def test_what_is_refused(scenario, laws, changes, expected):
+    with pytest.raises(ConfigError, match=expected):
+        compare.contestants(scenario, laws, settings(**changes))
+
+
+def test_a_method_that_nobody_chose_is_one_of_equal_evaluations():
+    assert compare.alike(Search(), None, {}).method == "cmaes"
+    with pytest.raises(ConfigError, match="got gradient"):
+        compare.alike(Search(method="gradient"), Search(method="gradient"))
+
+
+class Deaf(PD):
+    """Follows the measured base, whatever the forces."""
+
+    def step(self, state, measured, reference):
+        unused = 2 * measured.wrench
+        moved = reference._replace(base_position=measured.base_position)
+        return super().step(state, measured._replace(wrench=unused), moved)
+
+
+class Late(mc.Law):
+    """Answers a force a step later."""
+
+    def init(self, start):
+        return start.reference.base_position * 0
+
+    def step(self, state, measured, reference):
+        return measured.foot_force.sum(0), shifted(reference, 1e-5 * np.ones(6) * state.sum())
+
+
+@pytest.mark.parametrize(("law", "reads"), [(PD(), False), (Deaf(), False), (Late(), True), (None, True)])
+def test_a_law_that_reads_forces_is_known_by_its_program(scenario, law, reads):
+    assert compare.reads_forces(Problem(scenario, law=law)) is reads
+
+
+def test_better_hardware_is_half_or_twice_of_what_was_drawn(scenario):
+    ensemble = Ensemble.parse(DRAWN, "drawn", members=5)
+    drawn = draw(scenario, ensemble)
+    found = compare.on_better_hardware(scenario, drawn)
+    assert list(found) == ["half the delay", "half the friction", "twice the rate"]
+    delay, friction, rate = found.values()
+    np.testing.assert_allclose(delay.force_delay, drawn.force_delay / 2)
+    np.testing.assert_allclose(delay.command_delay, 0.002)
+    np.testing.assert_allclose(friction.coulomb_friction, drawn.coulomb_friction / 2)
+    assert (np.abs(rate.control_period - drawn.control_period / 2) <= 0.5e-3 + 1e-12).all()
+    np.testing.assert_allclose(rate.control_period / 1e-3, np.round(rate.control_period / 1e-3))
+    assert rate.control_period.min() >= 1e-3
+    for other in (friction, rate):
+        np.testing.assert_array_equal(other.force_delay, drawn.force_delay)
+    ideal = mc.load_scenario(CASE, SHORT)
+    assert compare.on_better_hardware(ideal, mc.parameters(ideal)) == {}
+
+
+COMMAND = (
+    f"compare {CASE} --laws base_admittance,{{files}}/law.py:Shared --hardware dynamixel_x --also share "
+    "--ensemble {files}/drawn.yaml --members 6 --starts 4 --iterations 2 --may-be-worse-than-pd"
+) + "".join(f" --set {change}" for change in SHORT)
+
+
+@pytest.fixture(scope="module")
+def shell(files, tmp_path_factory):
+    """Return the folder of a comparison at the shell, and what it printed."""
+    folder = tmp_path_factory.mktemp("compared")
+    return folder, *finish(*COMMAND.format(files=files).split(), "--out", folder)
+
+
+@pytest.mark.slow
+def test_the_command_writes_table_page_data_and_gains(shell, scenario):
+    folder, out, _ = shell
+    told = json.loads((folder / "summary.json").read_text())
+    names = ["base_admittance", "Shared", "retuned_pd"]
+    assert list(told["laws"]) == names
+    assert {own["points"] for own in told["laws"].values()} == {8}
+    assert [own["reads_forces"] for own in told["laws"].values()] == [True, True, False]
+    page = html.unescape((folder / "report.html").read_text())
+    assert told["verdict"] in out and told["verdict"][1:] in page
+    assert "Gains found" in page and "peak joint torque" in page
+    rows = [*names, *compare.HARDWARE, "pd"]
+    data = xr.load_dataset(folder / "compared.nc", engine="h5netcdf")
+    assert data["gains"].values.tolist() == rows and data["force_variation"].shape == (7, 6)
+    for line in (*rows, "force variation", "peak foot force", "peak pull force", "cost of transport", "share lost"):
+        assert line in out
+    assert (folder / "compared.csv").read_text().startswith("metric,statistic,gains,value,difference,low,high,real\n")
+    assert (folder / "compared.png").stat().st_size > 1000
+
+    # the walks are those of the gains that were written, through the unseen draw
+    unseen = draw(scenario, Ensemble.parse(DRAWN, "drawn", members=6, seed=1_000_003))
+    gains = gains_file.load(folder / "gains-base_admittance.yaml")
+    alone = mc.rollout_metrics(scenario, gains, unseen, smooth=True, dtype=np.float32)["force_variation"]
+    there = data["force_variation"].sel(gains="base_admittance").values
+    np.testing.assert_allclose(there, np.ravel(alone), rtol=2e-3)
+    row = next(row for row in told["table"] if (row["metric"], row["gains"]) == ("force_variation", "base_admittance"))
+    difference = there - data["force_variation"].sel(gains="retuned_pd").values
+    assert row["difference"] == pytest.approx(difference.mean(), rel=1e-6)
+    assert row["real"] == (row["low"] > 0 or row["high"] < 0)
+
+
+@pytest.mark.slow
+def test_the_pictures_are_drawn_again(shell, tmp_path):
+    for metric, name in (((), "compared"), (("--metric", "force_variation"), "judged")):
+        finish("plot", shell[0], *metric, "--out", tmp_path)
+        assert (tmp_path / f"{name}.png").stat().st_size > 1000
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_ctrl_c_keeps_what_was_searched_and_the_same_command_goes_on(shell, files, tmp_path):
+    process = start(*COMMAND.format(files=files).split(), "--out", tmp_path)
+    wait_for_parts(process, tmp_path / "parts" / "Shared")
+    process.send_signal(signal.SIGINT)
+    ((code, _, said),) = ends(process)
+    assert code == 130 and "the same command goes on from there" in said
+    assert len(list(tmp_path.rglob("part-*.npz"))) >= 3
+    finish(*COMMAND.format(files=files).split(), "--out", tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in shell[0].iterdir()}
+    same_files(tmp_path, shell[0], "compared.csv", "summary.json", "gains-Shared.yaml")
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """Have walks that are worked out at once: base admittance is better the nearer kp and damping are to 40 and 1e3."""
+    asked = []
+
+    def rollout_metrics(scenario, gains, parameters, *, law=None, metrics=mc.METRICS, **_):
+        values = gains if isinstance(gains, dict) else vars(gains)
+        off = np.log(np.asarray(values["kp"] if values.get("kp") is not None else 50.0) / 40) ** 2
+        if law is not None or scenario.control.controller != "pd":
+            off = 0.8 * off - 0.2 + 0.01 * np.log(np.asarray(values["damping"])[..., 0] / 1e3) ** 2
+        walk = np.asarray(parameters.contact_stiffness) / 1e4 * np.ones(np.asarray(parameters.coulomb_friction).shape)
+        level = (1 + 0.3 * off + 0.1 * np.log(np.asarray(parameters.coulomb_friction) / 0.09) + 0.1 * walk).astype("f4")
+        asked.append(level.shape)
+        found = {name: level for name in metrics.names}
+        found |= {"detached_limb": np.full(level.shape, -1), "diverged": np.zeros(level.shape, bool)}
+        lost = np.full(level.shape, -1 if law is None else 1)
+        return found | {"sensor_lost_limb": lost, "sensor_lost_at": np.full(level.shape, 0.25)}
+
+    monkeypatch.setattr(mc, "rollout_metrics", rollout_metrics)
+    return asked
+
+
+@pytest.mark.slow
+def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenario, files, tmp_path):
+    """Ctrl-C in the second law's search: what was searched is not walked again."""
+    opened = []
+
+    @contextlib.contextmanager
+    def stage(name, **_):
+        def told(done, *_):
+            if (name, done) == ("Shared", 2):
+                raise KeyboardInterrupt
+
+        opened.append(name)
+        yield told
+
+    def run(out, stage=silent):
+        ensemble = Ensemble.load(files / "drawn.yaml")
+        laws = ["base_admittance", f"{files}/law.py:Shared"]
+        how = {"starts": 8, "iterations": 5, "also": ("share",), "no_worse_than_pd": False}
+        return tuning.compare(scenario, laws, ensemble, members=200, out=out, stage=stage, **how)
+
+    whole = run(None)
+    in_all = made_up.count((2, 8))
+    assert in_all == 3 * 5 and made_up.count((200, 1)) == 2 * 6  # each of the judged with pd beside it
+    made_up.clear()
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, stage)
+    assert opened == ["base_admittance", "Shared"] and made_up.count((2, 8)) == 5 + 2
+    made_up.clear()
+    found = run(tmp_path)
+    assert made_up.count((2, 8)) == in_all - 7
+    xr.testing.assert_identical(found.data, whole.data)
+    written = found.write(tmp_path)
+    assert not (tmp_path / "parts").exists()
+    assert " is better than retuned pd, by " in written.outcome[-1]
+    assert found.laws == ["base_admittance", "Shared"] and found.hardware == list(compare.HARDWARE)
+    table = written.summed["value"].sel(metric="force_variation", statistic="mean")
+    walks = found.data["force_variation"]
+    np.testing.assert_allclose(table, walks.mean("member"), rtol=1e-6)
+    # half the friction makes all walks of retuned pd better by the same
+    gain = (walks.sel(gains="half the friction") - walks.sel(gains="retuned_pd")).values
+    np.testing.assert_allclose(gain, 0.1 * np.log(0.5), rtol=1e-3)
+    assert "half the friction would better pd by" in written.outcome[-1]
+    lost = "warning: Shared ran without the force sensor of LH from 0.25 s in 200 of 200 walks"
+    assert lost in written.outcome and lost[9:] in (tmp_path / "report.html").read_text()
+
+
+def test_commas_are_between_laws_and_between_gains_by_phase():
+    text = "pd, EndEffectorAdmittance@damping,stiffness,base_admittance,my.py:Law,A@kp,B+C@damping,kd"
+    wanted = ("pd", "EndEffectorAdmittance@damping,stiffness", "base_admittance", "my.py:Law", "A@kp", "B+C@damping,kd")
+    assert Laws(laws=text).laws == wanted

@@ -1,0 +1,76 @@
+"""A proposal gets joint gains and a cycle with which it holds, and what it lacks is said."""
+
+import re
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from tuning.comparisons.first_walks import heavy_load, on_ceiling, slow_enough, with_joint_gains
+
+HASTY = mc.load_scenario("case_1_2").with_overrides({"gait.cycle": 0.4, "disturbance.cargo.mass": 0.0})
+
+
+@pytest.mark.slow
+def test_the_fastest_cycle_that_holds():
+    """It holds, and the one that is twice as fast does not."""
+    scenario, holds, how, _ = slow_enough(HASTY.with_overrides({"contact.holding_limit": 5.0}))
+    assert holds and scenario.gait.cycle > 0.4 and scenario.duration == 2 * scenario.gait.cycle
+    assert f"at a cycle of {scenario.gait.cycle:g} s, which it does not at {scenario.gait.cycle / 2:g} s" in how
+    assert not mc.rollout(scenario).detached.any()
+    assert mc.rollout(scenario.with_overrides({"gait.cycle": scenario.gait.cycle / 2})).detached.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"gravity": [0, 0, 1.62], "contact.holding_limit": 0.5}, r"limb [LR][FH] lets go; .*holding_limit is 0.5 N"),
+        ({"gravity": [0, 0, -9.81], "control.kp": 0.2, "control.kd": 0.02}, "strays .* control.kp and torque limits"),
+    ],
+)
+def test_what_holds_at_no_cycle_says_why(change, why):
+    scenario, holds, how, _ = slow_enough(HASTY.with_overrides(change))
+    assert not holds and scenario.gait.cycle == 0.4
+    assert how.startswith("does not walk at any cycle from 0.4 to 1.6 s: ")
+    assert re.search(why, how), how
+
+
+def short(**changes):
+    return mc.load_scenario("case_1_2").with_overrides(
+        {"duration": 0.3, "gait.cycle": 0.6, "disturbance.cargo.mass": 0.0, **changes}
+    )
+
+
+@pytest.mark.slow
+def test_joint_gains_are_those_of_a_better_pd():
+    """Walked by pd itself they give as much less force variation as is said, and the scenario is else as it was."""
+    stiff = short(**{"control.kp": 200.0, "control.kd": 0.05})
+    found, how = with_joint_gains(stiff)
+    assert found == stiff.with_overrides({"control.kp": found.control.kp, "control.kd": found.control.kd})
+    endless = {"control.controller": "pd", "contact.holding_limit": None}
+    before, after = (mc.metrics(mc.rollout(each.with_overrides(endless)))["force_variation"] for each in (stiff, found))
+    less = int(re.search(r"(\d+) % less than with kp 200 and kd 0.05", how)[1])
+    assert less > 5 and 100 * (1 - after / before) == pytest.approx(less, abs=2)
+
+
+@pytest.mark.slow
+def test_the_limit_that_holds_on_a_ceiling():
+    """It holds with the one that is named, and with a tenth less it does not."""
+    weak = short(**{"contact.holding_limit": 2.0, "gravity": [0, 0, -9.81]})
+    holds, how = on_ceiling(weak)
+    assert not holds
+    limit = float(re.fullmatch(r"limb [LR][FH] lets go there; contact.holding_limit=(\S+) would hold", how)[1])
+    assert limit > 2.0
+    for share, lost in ((1.0, False), (0.9, True)):
+        hung = weak.with_overrides({"gravity": [0, 0, 9.81], "contact.holding_limit": share * limit})
+        assert mc.rollout(hung).detached.any() == lost
+    holds, how = on_ceiling(weak.with_overrides({"contact.holding_limit": limit}))
+    assert holds and how.startswith("holds there too")
+
+
+def test_a_load_of_many_weights_is_told():
+    scenario = short()
+    weight = 2.2539 * 9.81
+    assert heavy_load(scenario, 1.9 * weight) is None and heavy_load(scenario, np.nan) is None
+    assert "67 times its weight" in heavy_load(scenario, 67 * weight)

@@ -1,0 +1,73 @@
+"""Which limits a walk breaks, which hold it where it is, and what breaks off beside it."""
+
+import types
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from tuning.comparisons import maps, verification
+from tuning.comparisons.verification import binding_limits, broken_limits, verify
+from tuning.problem import spaces
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.objectives import Limit, Objective, Term
+from tuning.problem.search import Search
+
+PULL = Limit("peak_pull_force", 40.0, 40.0, 0.02, "holding limit of the grippers")
+MARGIN = Limit("joint_limit_margin", 0.0, 0.1, 0.02, "joint limits", larger_is_better=True)
+TARGET = Objective((), (PULL, MARGIN))
+HELD = {"diverged": False, "detached_limb": None, "detached_at": None}
+
+
+@pytest.mark.parametrize(
+    "pull, margin, broken, binding",
+    [
+        (39.18, 0.4, [], ["peak pull force 39.18, limit 40 (holding limit of the grippers)"]),
+        (30.0, 0.002, [], ["joint limit margin 0.002, limit 0 (joint limits)"]),
+        (30.0, 0.4, [], []),
+        (41.0, -0.01, ["peak pull force 41, limit 40", "joint limit margin -0.01, limit 0"], []),
+        (None, 0.4, [], []),
+    ],
+)
+def test_limits_are_named(pull, margin, broken, binding):
+    metrics = {**HELD, "peak_pull_force": pull, "joint_limit_margin": margin}
+    assert binding_limits(TARGET, metrics) == binding
+    found = broken_limits(TARGET, metrics)
+    assert len(found) == len(broken) and all(map(str.startswith, found, broken))
+
+
+def test_a_torn_gripper_and_a_walk_that_diverged_are_named():
+    torn = {"diverged": False, "detached_limb": "LF", "detached_at": 1.5, "peak_pull_force": 1, "joint_limit_margin": 1}
+    assert broken_limits(TARGET, torn) == ["limb LF let go at 1.500 s"]
+    assert broken_limits(TARGET, torn | {"diverged": True}) == ["the walk diverged"]
+
+
+def test_a_cliff_is_named_by_what_breaks_off():
+    """Less of the first gain breaks a limit, of the second it costs much; more of the third makes the walk diverge."""
+    goal = Objective((Term("force_variation", 1.0, 2.0, 2.0),), (PULL,))
+    problem = Problem(mc.Scenario(), spaces.space(mc.Scenario(), Search(space="split")), goal)
+    names, n = problem.space.names, problem.space.size
+    value, pull = np.full((2, 1 + 2 * n), [[0.5], [30.0]])
+    pull[1], value[2], value[n + 3] = 45.0, 0.9, np.nan
+    feasible, none = np.isfinite(value) & (pull < 40), np.zeros((1 + 2 * n, 0))
+    metrics = dict.fromkeys(mc.METRICS.names, np.zeros(1 + 2 * n)) | {"peak_pull_force": pull}
+    around = Evaluation(value, value, np.zeros(1 + 2 * n), feasible, none, none, metrics)
+    theta = (problem.space.lower + problem.space.upper) / 2
+    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5)
+    walk = {**HELD, "peak_pull_force": 30.0, "force_variation": 1.0}
+    checked = verify(found, problem, metrics=walk, tested=verification.Tests(around, np.zeros(n), 0.99))
+    assert [checked.shape[name] for name in names] == ["cliff", "cliff", "cliff", "plateau"]
+    said = f"{names[0]} (less: peak pull force beyond the limit), {names[1]} (less: objective +0.40), "
+    assert [line for line in checked.warnings if "cliff" in line] == [
+        f"cliff within 20% of {said}{names[2]} (more: the walk diverges)"
+    ]
+    lost = around._replace(value=np.full(1 + 2 * n, 0.5), feasible=np.zeros(1 + 2 * n, bool))
+    besides = verify(found, problem, metrics=walk, tested=verification.Tests(lost, np.zeros(n), 0.99))
+    assert set(besides.shape.values()) == {"plateau"}  # where the result breaks a limit itself, so may its neighbours
+
+
+def test_a_walk_without_a_metric_that_counts_keeps_no_limit():
+    goal = Objective((Term("cost_of_transport", 1.0, 2.0, 2.0),), ())
+    missing, there = (maps.score_of(goal, {**HELD, "cost_of_transport": cost}) for cost in (None, 3.0))
+    assert not missing.feasible and not missing.value < np.inf
+    assert there.feasible and there.value == 1.5

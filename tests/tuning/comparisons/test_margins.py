@@ -1,0 +1,217 @@
+"""Margins: found where walks of a known kind fail, and where those of the independent program do."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control import PD
+from mjx_climb.inputs.from_scenario import own_parameters
+from tuning.comparisons import linear_margins, margins, stability_limit
+from tuning.gains import gains_file
+from tuning.gains.gains_file import by_name
+
+REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "hardware_walks.json").read_text())
+GAINS = mc.Gains(1.0, 150.0, 3e3, kp=np.asarray(20.0), kd=np.asarray(0.1))
+TORN, DEARER, DIVERGES, WEAK = 9.5e-3, 7.1e-3, 20.5e-3, 0.31
+
+
+@pytest.fixture
+def walks(monkeypatch):
+    """Walks whose failures are known: what is walked is kept."""
+    kept = []
+
+    def walked(scenario, gains, parameters, *, law, metrics, engine, progress):
+        kept.append((law, gains, parameters))
+        given = not isinstance(law, PD)
+        variation = np.where(given, 50.0, 100.0) + given * 50.0 * np.maximum(parameters.force_delay, 0) / DEARER
+        weak = parameters.kp < WEAK * (20.0 if given else 50.0)
+        return {
+            "force_variation": np.where(parameters.command_delay > DEARER, 200.0 * given, variation),
+            "detached_at": np.where(given & (parameters.force_delay > TORN), 3.0, np.nan),
+            "diverged": (given & (parameters.control_period > DIVERGES)) | weak,
+        }
+
+    monkeypatch.setattr(mc, "rollout_metrics", walked)
+    return kept
+
+
+def test_margins_lie_where_walks_begin_to_fail(walks, case):
+    """To a sixth of what the first grid leaves open; the control period to a time step.
+
+    pd's walks of the first grid are the same whatever gains are in question: given, they are not repeated.
+    """
+    scenario = case("case_1_2", "virtual_model")
+    whole = margins.find(scenario, GAINS)
+    found = whole.margins
+    assert whole.holds and whole.better and margins.warnings(whole) == []
+    assert found["force_delay"].holds == pytest.approx(TORN, abs=4e-4) and found["force_delay"].holds <= TORN
+    assert found["force_delay"].better == pytest.approx(DEARER, abs=4e-4) and found["force_delay"].better < DEARER
+    assert found["command_delay"].better == pytest.approx(DEARER, abs=4e-4)
+    assert found["command_delay"].holds == found["command_delay"].worst == 0.03
+    assert found["control_period"].holds == found["control_period"].better == pytest.approx(20e-3)
+    assert found["joint_gains"].holds == found["joint_gains"].better == pytest.approx(WEAK, abs=0.02)
+    known = {"pd": margins.on_the_grid(scenario, margins.pd_of(scenario))}
+    again = margins.find(scenario, GAINS, walked=known)
+    assert len(walks) == 2 * 4  # of given gains and of pd, on two grids
+    assert again.walks.identical(whole.walks) and again.margins == whole.margins
+
+
+def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
+    hardware = {"hardware.control_period": 0.005, "hardware.force_sensor.delay": 0.002, "hardware.seed": 3}
+    scenario = case("case_1_2", "virtual_model", hardware)
+    margins.find(scenario, GAINS)
+    (_, gains, given), (law, _, pd) = walks[:2]
+    assert isinstance(law, PD) and set(by_name(gains)) == {"inertia", "damping", "stiffness"}
+    changed = {
+        0: (given.force_delay, 0.002), 1: (given.command_delay, 0.0), 2: (given.control_period, 0.005),
+        3: (given.kp, 20.0),
+    }  # fmt: skip
+    for row, (values, own) in changed.items():
+        assert len(np.unique(values[row])) > 10
+        np.testing.assert_array_equal(np.delete(values, row, 0), own)
+    np.testing.assert_array_equal(given.force_delay[0], given.base_delay[0])
+    np.testing.assert_allclose(given.kd / given.kp, 0.1 / 20)
+    np.testing.assert_allclose(pd.kp / given.kp, 50 / 20)  # pd has the scenario's own
+    assert given.seed == 3
+
+
+def test_less_than_twice_the_hardware_is_a_warning_by_name(walks, case):
+    own = {"hardware.force_sensor.delay": 4e-3, "hardware.command_delay": 3e-3, "hardware.control_period": 0.011}
+    lines = margins.warnings(margins.find(case("case_1_2", "virtual_model", own), GAINS))
+    assert [line.split(":")[0] for line in lines] == ["force delay", "control period"]
+    assert "stay better than pd up to" in lines[0] and "the hardware has 4 ms, 8 ms would be safe" in lines[0]
+    assert "hold up to 20 ms only, the hardware has 11 ms, 22 ms would be safe" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("delay", "expected"),
+    [
+        (8e-3, ["on the hardware itself the force varies no less", "force delay: gains hold"]),
+        (10e-3, ["on the hardware itself the walk fails"]),
+    ],
+)
+def test_gains_of_no_use_on_the_hardware_itself_are_said_to_be_so_once(walks, case, delay, expected):
+    found = margins.find(case("case_1_2", "virtual_model", {"hardware.force_sensor.delay": delay}), GAINS)
+    lines = margins.warnings(found)
+    assert len(lines) == len(expected) and all(map(str.startswith, lines, expected))
+
+
+@pytest.mark.parametrize(
+    ("limits", "values", "step", "expected"),
+    [
+        ((1.3, 2.9), np.arange(4.0), 0.0, 1.3),
+        ((2.4, 1.7), np.arange(4.0), 0.0, 1.7),  # a stance that is the worst only below the other's limit
+        ((5.0, 4.0), np.arange(4.0), 0.0, 3.0),  # all are stable
+        ((-1.0, 4.0), np.arange(4.0), 0.0, None),
+        ((0.0207, 1.0), np.array([0.001, 0.015, 0.029]), 0.001, 0.02),
+        ((-0.37, -0.2), -np.geomspace(1.0, 0.1, 9), 0.0, -0.37),
+    ],
+)
+def test_the_linear_margin_is_bisected(limits, values, step, expected):
+    """Never beyond it, and short of it by a thousandth at most; what is asked of one stance is of the worst."""
+    steep = np.array([1.0, 10.0])
+    asked = []
+
+    def radii(some, only=None):
+        asked.append(only)
+        every = 1 + steep * (some[:, None] - np.array(limits))
+        return every if only is None else every[:, [only]]
+
+    found = linear_margins.crossing(values, radii, step)
+    assert found == (expected and pytest.approx(expected, rel=1e-3)) and asked[0] is None
+    assert found is None or (found <= expected + 1e-12 and asked.count(None) <= 3)
+
+
+def test_a_linear_margin_of_the_control_period_is_whole_steps(case, monkeypatch):
+    def radii(scenario, gains, parameters, **_):
+        return 1 + 10 * (np.reshape(parameters.control_period, (-1, 1)) - 7.4e-3)
+
+    monkeypatch.setattr(stability_limit, "by_stance", radii)
+    asked = {"control_period": margins.Margin(1e-3, 9e-3, 9e-3, 0.03)}
+    found = linear_margins.find(case("case_1_2", "virtual_model"), GAINS, asked)["control_period"]
+    assert found.up_to == pytest.approx(7e-3, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("own", "holds", "stable", "warned"),
+    [
+        (4e-3, 9e-3, 7e-3, True),
+        (4e-3, 9e-3, None, True),
+        (4e-3, 9e-3, 8e-3, False),  # twice the hardware
+        (4e-3, 7e-3, 6e-3, False),  # walks warn already
+    ],
+)
+def test_the_linearised_loop_warns_where_walks_do_not(own, holds, stable, warned):
+    margin, found = margins.Margin(own, holds, holds, 0.03), linear_margins.Stable(stable, 0.03)
+    lines = linear_margins.warnings({"force_delay": margin}, {"force_delay": found})
+    reached = "at no value" if stable is None else "up to 7 ms only"
+    says = f"force delay: the linearised loop is stable {reached}, the hardware has 4 ms, 8 ms would be safe"
+    assert lines == [says] * warned
+
+
+@pytest.mark.slow
+def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
+    """Shaking grows in the worst stance, and tears a gripper off a little beyond where it begins to."""
+    scenario, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 100.0, 2e3)
+    margin = margins.Margin(0.0, 5.96e-3, 4.25e-3, 0.03)  # of walks
+    found = linear_margins.find(scenario, gains, {"force_delay": margin})["force_delay"]
+    assert 0.9 * margin.holds < found.up_to < margin.holds
+    delays = found.up_to * np.array([1.0, 1.002])
+    late = margins.changes(own_parameters(scenario), "force_delay", delays, {"kp": 50.0, "kd": 0.2})
+    radius = stability_limit.spectral_radius(scenario, gains, late)
+    assert radius[0] < 1 < radius[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [pytest.param("pd", marks=pytest.mark.nightly), "end_effector"])
+def test_gains_of_any_law_have_margins(case, law):
+    """Six values of a law of three, and those of one without any."""
+    scenario = case("case_1_2", law, {"duration": 0.05, "disturbance.cargo.start": 0.01})
+    found = margins.find(scenario, mc.Gains(*(np.ones(6) * value for value in (1.0, 200.0, 5e3)), kp=np.asarray(40.0)))
+    assert found.holds and found.walks["force_variation"].shape == (2, 4, 2 * margins.POINTS)
+    assert np.isfinite(found.walks["force_variation"]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("optimised")
+@pytest.mark.parametrize("name", [pytest.param("soft", marks=pytest.mark.nightly), "damped"])
+def test_margins_are_those_of_the_independent_program(case, name):
+    """Between its last walk that was better than pd and its first that was not, likewise for lost grippers."""
+    gains = mc.Gains(1.0, REFERENCE["gains"][name]["damping"], REFERENCE["gains"][name]["stiffness"])
+    found = margins.find(case("case_1_2", "virtual_model"), gains).margins
+    walks = REFERENCE["cases"]["case_1_2"]
+    for quantity, key in (("force_delay", "force_sensor.delay"), ("command_delay", "command_delay")):
+        for entry in (entry for entry in walks if entry.startswith(f"{key}=") and " " not in entry):
+            value, there, pd = float(entry.partition("=")[2]), walks[entry][name], walks[entry]["pd"]
+            held = there["detached_at"] is None
+            assert (value <= found[quantity].holds) == held, entry
+            better = held and there["force_variation"] < pd["force_variation"]
+            assert (value <= found[quantity].better) == better, entry
+
+
+def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call):
+    """JSON alone on standard output; the linearised loop's margins stand beside those of walks."""
+    gains = gains_file.save(GAINS, tmp_path / "soft.yaml")
+
+    def radii(scenario, gains, parameters, *, only, hardware, law, engine):
+        varied = (parameters.force_delay, parameters.command_delay, parameters.control_period, parameters.kp)
+        return 0.991 + np.broadcast_arrays(*varied)[0][:, None]
+
+    monkeypatch.setattr(stability_limit, "by_stance", radii)
+    out = tmp_path / "out"
+    late = ("--set", "hardware.force_sensor.delay=4e-3")
+    code, said, told = call(
+        "margins", "case_1_2", "--gains", gains, "--retuned-pd", gains, "--json", "--out", out, *late
+    )
+    found = json.loads(said)
+    assert code == 0 and found == json.loads((out / "margins.json").read_text())
+    assert found["margins"]["force_delay"]["stable"]["up_to"] == pytest.approx(9e-3, rel=1e-3)
+    assert found["margins"]["force_delay"]["needed"] == 8e-3
+    assert found["own_hardware"] == {"holds": True, "better": True}
+    assert [line.startswith("force delay: gains stay better than pd") for line in found["warnings"]] == [True]
+    assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
+        "config.yaml", "margins.json", "margins.nc", "margins.png", "settings.json"
+    }  # fmt: skip

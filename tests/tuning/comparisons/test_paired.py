@@ -1,0 +1,217 @@
+"""Intervals of differences between gains on the same walks: against plain resampling and against the normal law."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+import scipy.stats
+import xarray as xr
+
+from tuning.comparisons import judge, paired
+from tuning.problem import ensemble
+from tuning.problem.ensemble import Worst
+from tuning.problem.objectives import Objective, Term
+
+NAMES = ["mine", "other", "retuned_pd", "half the friction", "pd"]
+
+
+@pytest.mark.parametrize("larger", [False, True])
+@pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
+def test_statistics_are_those_of_the_walks_drawn_again(share, larger):
+    rng = np.random.default_rng(0)
+    values, drawn = rng.normal(size=(3, 37)), rng.integers(0, 37, (50, 37))
+    values[1] = np.round(values[1])  # equal ones
+    counts = np.stack([np.bincount(row, minlength=37) for row in drawn])
+    found = paired.worst_mean(values, counts, share, larger_is_better=larger)
+    wanted = [[ensemble.worst_mean(own[row], share, larger_is_better=larger) for own in values] for row in drawn]
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_resamples_are_as_many_walks_drawn_alike(monkeypatch):
+    whole = np.concatenate(list(paired.resamples(40, 3000, seed=1)))
+    assert whole.shape == (3000, 40) and (whole.sum(1) == 40).all()
+    assert whole.mean(0) == pytest.approx(1, abs=5 * np.sqrt(39 / 40 / 3000))
+    assert whole.var() == pytest.approx(39 / 40, rel=0.02)
+    monkeypatch.setattr(paired, "_AT_ONCE", 400)
+    np.testing.assert_array_equal(np.concatenate(list(paired.resamples(40, 3000, seed=1))), whole)
+
+
+def test_the_interval_of_normal_differences_is_the_analytic_one():
+    """What both walks have in common, thirty times as large, does not widen it."""
+    rng = np.random.default_rng(3)
+    common, difference = 30 * rng.normal(size=500), 0.2 + rng.normal(size=500)
+    values = np.stack([common + difference, common])
+    found = paired.intervals({"mean": lambda counts: paired.worst_mean(values, counts)}, 500, 1, count=20_000)["mean"]
+    error = difference.std(ddof=1) / np.sqrt(500)
+    np.testing.assert_allclose([found.value[0], found.difference[0]], [values[0].mean(), difference.mean()], rtol=1e-12)
+    # a quantile of 20,000 is off by some 0.02 of the error
+    np.testing.assert_allclose(
+        (np.array([found.low[0], found.high[0]]) - found.difference[0]) / error, [-1.96, 1.96], atol=0.08
+    )
+    assert found.difference[1] == found.low[1] == found.high[1] == 0
+    needed = 500 * ((1.96 + 0.84) * error / found.difference[0]) ** 2
+    assert found.walks_needed[0] == pytest.approx(needed, rel=0.1)
+
+
+def test_intervals_of_many_rows_hold_at_once():
+    """Of independent rows each is as wide as the quantile of the largest of so many normal numbers asks for."""
+    rng = np.random.default_rng(4)
+    values = np.concatenate([rng.normal(size=(20, 400)), np.zeros((1, 400))])
+    found = paired.intervals({"mean": lambda counts: paired.worst_mean(values, counts)}, 400, 20, count=20_000)["mean"]
+    half = (found.high - found.low)[:20] / 2 / (values[:20].std(axis=1, ddof=1) / 20)
+    np.testing.assert_allclose(half, scipy.stats.norm.ppf((1 + 0.95 ** (1 / 20)) / 2), atol=0.06)
+
+
+@pytest.mark.parametrize(("own", "base", "both"), [(4, 0, 0), (6, 0, 3), (5, 1, 0), (30, 9, 40), (0, 12, 1), (0, 0, 5)])
+def test_lost_walks_are_told_apart_as_by_mcnemars_exact_test(own, base, both):
+    walks = 128
+    failed = np.zeros((2, walks), bool)
+    failed[0, :own] = failed[1, own : own + base] = failed[:, own + base : own + base + both] = True
+    found = paired.lost(failed, 1)
+    exact = scipy.stats.binomtest(own, own + base).pvalue if own + base else 1.0
+    assert (found.low[0] > 0 or found.high[0] < 0) == (exact < 0.05)
+    assert found.low[0] < found.difference[0] < found.high[0] or own * base == 0 < own + base
+    assert found.difference[0] == (own - base) / walks and found.low[0] < found.high[0]
+    assert found.low[1] == found.high[1] == 0
+
+
+def test_more_gains_make_lost_walks_harder_to_tell_apart():
+    failed = np.zeros((2, 100), bool)
+    failed[0, :7] = True
+    assert paired.lost(failed, 1).low[0] > 0
+    assert paired.lost(failed[[0, 1, 1, 1, 1, 1, 1]], 1).low[0] < 0
+
+
+def walks(members=240, **columns):
+    """Walks of `NAMES`, each metric its own level with what all have in common."""
+    rng, data = np.random.default_rng(5), {}
+    levels = {
+        "force_variation": [80, 99.8, 100, 90, 130],
+        "peak_pull_force": [2, 2, 2, 1, 3],
+        "travel": [2, 1, 1, 1, 1],
+    }
+    for name, level in (levels | columns).items():
+        common = 1 + 0.3 * rng.normal(size=members)
+        own = 0.05 * rng.normal(size=(len(NAMES), members))
+        values = np.asarray(level, float)[:, None] * np.clip(common + own, 0.2, None)
+        data[name] = (("gains", "member"), values, {"larger_is_better": int(name == "travel"), "units": "N"})
+    data["diverged"] = (("gains", "member"), np.zeros((len(NAMES), members), bool))
+    return xr.Dataset(data, {"gains": NAMES, "member": np.arange(members)}, {"holding_limit": 15.0})
+
+
+GOAL = Objective((Term("force_variation", 3.0, 1.0, 1.0), Term("travel", 1.0, 1.0, 1.0, True)), (), worst=Worst())
+METRICS = ["force_variation", "peak_pull_force", "travel"]
+
+
+def compared(data, **how):
+    return paired.compared(data, METRICS, "retuned_pd", GOAL, count=1000, **how)
+
+
+def test_a_table_has_what_judge_says_and_which_differences_are_real():
+    data = walks()
+    table, summed = compared(data), judge.summary(data)
+    for name in METRICS:
+        np.testing.assert_allclose(table["value"].sel(metric=name), summed[name], rtol=1e-12)
+    np.testing.assert_allclose(
+        table["value"].sel(metric="objective", statistic="mean"), judge.scores(data, GOAL), rtol=1e-6
+    )
+    mean = table.sel(statistic="mean")
+    assert mean["real"].sel(metric="force_variation").values.tolist() == [True, False, False, True, True]
+    assert mean["real"].sel(metric="travel").values.tolist() == [True, False, False, False, False]
+    assert not mean["real"].sel(metric="failed").any()
+    xr.testing.assert_identical(compared(data), table)  # seeded
+    assert not compared(data, seed=1).equals(table)
+
+
+def test_what_is_lost_counts_and_what_diverges_is_left_out():
+    data = walks()
+    data["peak_pull_force"][0, :20] = 16.0
+    data["diverged"][1, :3] = True
+    data["diverged"][3, :200] = True
+    for name in METRICS:
+        data[name][1, :3] = np.nan
+    table = compared(data)
+    failed = table.sel(metric="failed", statistic="mean")
+    assert failed["value"].values.tolist() == pytest.approx([20 / 240, 3 / 240, 0, 200 / 240, 0])
+    assert failed["real"].values.tolist() == [True, False, False, True, False]
+    assert table.attrs["members_compared"] == 237
+    own = table["value"].sel(metric="force_variation", statistic="mean")
+    assert own.sel(gains="mine").item() == pytest.approx(data["force_variation"].sel(gains="mine")[3:].mean().item())
+    assert np.isnan(own.sel(gains="half the friction"))
+
+
+def said(data, reading=("mine", "other"), outside=()):
+    return paired.verdict(compared(data), ["mine", "other"], reading, ["half the friction"], outside)
+
+
+def test_the_sentence_says_which_law_and_what_sensor_and_hardware_are_worth():
+    found = said(walks())
+    size = r"\d+\.\d% \(\d+\.\d to \d+\.\d%\)"
+    law, sensor, hardware = found.in_words.split("; ")
+    assert found.best == "mine" and re.fullmatch(f"mine is better than retuned pd, by {size} of the objective", law)
+    worth = f"the force sensor is worth {size} of force variation \\(mine\\), {size} of travel \\(mine\\)"
+    assert re.fullmatch(f"{worth}, and 240 walks show none in peak pull force", sensor)
+    assert re.fullmatch(
+        f"half the friction would better pd by {size} of its objective, less than by the best of these laws", hardware
+    )
+    deaf = said(walks(), reading=()).in_words
+    assert "no law here reads forces" in deaf and deaf.startswith("mine is better")
+
+
+def test_the_sentence_says_so_where_no_law_is_better():
+    level = {"travel": [1, 1, 1, 1, 1], "force_variation": [100.0, 120, 100, 70, 130]}
+    found = said(walks(**level))
+    assert found.best is None
+    assert found.in_words.startswith("mine cannot be told apart from retuned pd in the objective with 240 walks")
+    assert "240 walks show no worth of the force sensor" in found.in_words
+    assert re.search(r"half the friction would better pd by 2\d\.\d% \(.* to .*%\) of its objective", found.in_words)
+    nothing = said(walks(**level | {"force_variation": [100] * 5}))
+    assert nothing.in_words.endswith("240 walks show no gain for pd by half the friction")
+    assert said(walks(**level | {"force_variation": [120, 120, 100, 100, 100]})).in_words.startswith(
+        "none is better than retuned pd; "
+    )
+
+
+def test_what_cannot_be_told_says_how_many_walks_would():
+    """As many as shrink the interval to what is left of the difference: by the root of their number."""
+    data = walks(force_variation=[99.2, 130, 100, 100, 100], travel=[1, 1, 1, 1, 1])
+    table = compared(data)
+    own = table.sel(metric="objective", statistic="mean", gains="mine")
+    half = float(own["high"] - own["low"]) / 2
+    needed = float(own["walks_needed"])
+    assert needed > 240 * (half / float(own["difference"])) ** 2 > 240
+    assert f"({math.ceil(needed):,} would, if the difference is what it seems)" in said(data).in_words
+
+
+def test_few_walks_say_nothing_about_the_worst_of_them():
+    table = compared(walks(members=100))
+    assert not table["real"].sel(statistic="worst").any()
+    assert np.isnan(table["low"].sel(statistic="worst")).all()
+    assert np.isfinite(table["value"].sel(statistic="worst", metric="travel")).all()
+    assert table["real"].sel(metric="force_variation", statistic="mean").any()
+
+
+def test_a_law_that_loses_walks_is_not_better():
+    data = walks()
+    data["peak_pull_force"][0, :20] = 16.0
+    assert said(data).best is None
+
+
+def test_gains_that_break_the_limits_of_their_search_are_not_better():
+    """No law is better than a baseline that was not found, and none is recommended that breaks its limits."""
+    table = compared(walks())
+    baseline = said(walks(), outside=[table.attrs["baseline"]])
+    assert baseline.best is None and baseline.in_words.startswith("no verdict: no gains of retuned pd kept the limits")
+    assert said(walks(), outside=["mine"]).best != "mine" and "mine" not in said(walks(), outside=["mine"]).in_words
+    assert said(walks(), outside=["mine", "other"]).best is None
+
+
+def test_what_a_law_is_worse_in_is_named():
+    assert ", though worse in peak pull force" in said(walks(peak_pull_force=[3, 2, 2, 2, 2])).in_words
+
+
+def test_a_table_comes_back_from_beside_the_walks():
+    data = walks()
+    table = compared(data)
+    xr.testing.assert_equal(paired.taken(paired.beside(data, table)), table)

@@ -1,0 +1,140 @@
+"""pd with kp and kd of its own: searched as far as a law, and what is said of the two."""
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.inputs.time_step import short_enough
+from tuning.background import ignore
+from tuning.comparisons import begun as comparisons
+from tuning.comparisons import retuned_pd
+
+CASE = mc.load_scenario("case_1_2")
+OURS, THEIRS = {"force_variation": 30.0}, {"force_variation": 40.0}
+JOINT = {"kp": 17.0, "kd": 1.0}
+RIVAL = retuned_pd.Rival(JOINT, 40.0)
+
+
+@pytest.mark.parametrize(
+    ("kp", "kd", "changes", "expected", "enough"),
+    [
+        (50.0, 0.2, {}, 1e-3, True),
+        (17.0, 1.0, {}, 5e-4, True),
+        (200.0, 2.0, {}, 2.5e-4, True),
+        (200.0, 20.0, {}, 2.5e-4, False),
+        (17.0, 1.0, {"control.reading": "measured_pose"}, 1e-3, False),  # another law at another step
+        (17.0, 1.0, {"control.reading": "measured_pose", "hardware.control_period": 0.002}, 5e-4, True),
+        (17.0, 1.0, {"hardware.force_sensor.delay": 0.4}, 1e-3, False),  # a buffer holds no more samples
+    ],
+)
+def test_a_time_step_is_shortened_for_joint_gains(kp, kd, changes, expected, enough):
+    scenario, joint = CASE.with_overrides(changes), {"kp": kp, "kd": kd}
+    assert retuned_pd.time_step_for(scenario, joint) == expected
+    walked = retuned_pd.walker(scenario, joint)
+    assert (walked.control.controller, walked.control.kp, walked.control.kd) == ("pd", kp, kd)
+    assert short_enough(walked) == enough
+
+
+def _valley(walked, kp, kd):
+    """A narrow valley along kd = 0.06 kp, with its bottom at JOINT and grippers torn off beyond it."""
+    along, across = np.log(kp / JOINT["kp"]), np.log(kd / kp * 17.0)
+    values = 40 + along**2 + 10 * across**2
+    return {"force_variation": values, "detached_limb": np.where(across > 0.5, 0, -1), "diverged": across < -3}
+
+
+def walking(monkeypatch, **other):
+    """Have walks go down the valley, with other metrics as functions of the gains."""
+
+    def walk(scenario, gains, **_):
+        return _valley(scenario, **gains) | {name: values(gains) for name, values in other.items()}
+
+    monkeypatch.setattr(mc, "rollout_metrics", walk)
+
+
+def test_pd_is_searched_over_all_its_bounds_and_refined(monkeypatch):
+    """Two grids of as many walks as a sweep of 12 by 12, at a time step that every one of them can follow."""
+    calls = []
+
+    def walk(scenario, gains, **_):
+        calls.append((scenario.time_step, gains["kp"].size, gains["kd"].min(), gains["kd"].max()))
+        return _valley(scenario, **gains)
+
+    monkeypatch.setattr(mc, "rollout_metrics", walk)
+    found = retuned_pd.least(CASE)
+    assert calls[0] == (2.5e-4, 145, pytest.approx(0.02), pytest.approx(2.0))
+    assert [call[:2] for call in calls] == [(2.5e-4, 145)] * 2
+    assert _valley(None, **found.joint)["force_variation"] < 40.05  # 40.4 with the first grid alone
+    assert 0 < found.spread < 1e-3 and not found.lacks
+    walking(monkeypatch, diverged=lambda gains: gains["kp"] > 0)
+    assert retuned_pd.least(CASE) is None
+
+
+def test_kp_and_kd_that_no_time_step_follows_are_not_found(monkeypatch):
+    """Where a quarter of the step is too long for the bounds it is said, and nobody is told to walk so."""
+    walking(monkeypatch, force_variation=lambda gains: 1 / gains["kd"])
+    scenario = CASE.with_overrides({"control.kd": 1.0, "control.kp": 200.0})  # kd up to 10
+    found = retuned_pd.least(scenario)
+    assert short_enough(retuned_pd.walker(scenario, found.joint))
+    assert found.lacks == "within what a time step of 0.00025 s can follow"
+
+
+@pytest.mark.slow
+def test_a_further_search_of_pd_finds_nothing_better():
+    """A dense grid about the best, and one over all bounds: at most 1 % less force variation."""
+    scenario = CASE.with_overrides({"duration": 0.3, "disturbance.cargo.start": 0.1})
+    found = retuned_pd.least(scenario)
+    pd = retuned_pd.walker(scenario, found.joint).with_overrides({"time_step": 2.5e-4})
+    table = mc.MetricTable(mc.METRICS[name] for name in ("force_variation", "detached_limb", "diverged"))
+    near = [np.geomspace(0.8, 1.25, 12) * found.joint[name] for name in ("kp", "kd")]
+    wide = [np.geomspace(10, 200, 12), np.geomspace(0.02, 2, 12)]
+    points = np.concatenate([np.stack(np.meshgrid(*axes), -1).reshape(-1, 2) for axes in (near, wide)])
+    points = np.vstack([points.clip([10, 0.02], [200, 2]), list(found.joint.values())])
+    walks = mc.rollout_metrics(pd, {"kp": points[:, 0], "kd": points[:, 1]}, metrics=table)
+    holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
+    assert holds[-1] and holds.sum() > 100
+    assert walks["force_variation"][holds].min() >= 0.99 * walks["force_variation"][-1]
+
+
+def test_a_verdict_only_where_pd_was_searched_as_well():
+    worth = retuned_pd.worth
+    assert worth(OURS, THEIRS, RIVAL).in_words == (
+        "the force sensor pays: 25.0 % less force variation than pd with kp 17, kd 1, which needs none"
+    )
+    assert worth(OURS, THEIRS, RIVAL._replace(lacks="on a grid alone")).in_words.startswith(
+        "no verdict on the force sensor, since pd was searched on a grid alone: 25.0 % less"
+    )
+    two = worth({"objective": 0.6} | OURS, {"objective": 0.8} | THEIRS, RIVAL)
+    assert two.changes == pytest.approx({"objective": -0.25, "force_variation": -0.25})
+    assert two.in_words.startswith("the force sensor pays: 25.0 % less objective and 25.0 % less force variation than")
+    mixed = worth({"objective": 0.6} | THEIRS, {"objective": 0.8} | OURS, RIVAL).in_words
+    assert mixed.startswith("the force sensor pays: 25.0 % less objective, though 33.3 % more force variation than pd")
+    behind = worth(THEIRS, OURS, RIVAL._replace(lacks="on a grid alone"), place=" on this grid").in_words
+    assert behind.startswith("the force sensor does not pay on this grid: 33.3 % more force variation")
+    for pair in ((OURS, THEIRS), (THEIRS, OURS)):
+        same = worth(*pair, RIVAL._replace(spread=0.34)).in_words
+        assert same.startswith("the force sensor changes nothing beyond the search's own spread of 34.0 %: ")
+    others = ["peak pull force +71.0 %"], ["travel +3.0 %"]
+    told = worth(OURS, THEIRS, RIVAL._replace(step=5e-4), others=others).in_words
+    assert told.endswith(", both at a time step of 0.0005 s; worse: peak pull force +71.0 %; better: travel +3.0 %")
+    assert worth({"min_tsm": 3.0}, {"min_tsm": 2.0}, RIVAL, larger=True).in_words.startswith("the force sensor pays")
+    lost = worth({"force_variation": np.nan}, THEIRS, RIVAL).in_words
+    assert "not to be compared" in lost and lost.endswith("a walk failed")
+
+
+@pytest.mark.parametrize(("kd", "expected"), [(0.2, None), (1.0, 5e-4)])
+def test_all_that_is_compared_with_pd_walks_at_the_time_step_that_it_needs(kd, expected, monkeypatch):
+    monkeypatch.setattr(mc, "rollout", lambda scenario, **_: scenario.time_step)
+    walkers = {"best": (CASE, None), "pd": (CASE.with_overrides({"control.controller": "pd"}), None)}
+    joint = {"kp": 17.0, "kd": kd}
+    own, step, level = comparisons.beside_retuned(CASE, joint, walkers, "limb", lambda work: work)
+    assert step == expected and own(ignore) == (step or CASE.time_step)
+    assert {name: walk(ignore) for name, walk in level.items()} == (
+        {} if step is None else dict.fromkeys(walkers, step)
+    )
+
+
+def test_spread_is_how_far_the_second_best_stays_behind():
+    assert retuned_pd.spread(np.array([[5.0, 4.0], [np.inf, 4.2]])) == pytest.approx(0.05)
+    assert retuned_pd.spread(np.array([-4.0, -3.0, 9.0])) == pytest.approx(0.25)
+    for alone in ([4.0, np.nan], [np.inf, np.inf], [0.0, 1.0]):
+        assert retuned_pd.spread(np.array(alone)) == 0.0

@@ -1,0 +1,258 @@
+"""The limit of stability: what it calls unstable diverges, what it calls stable does not; and maps that show it."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb import execution
+from mjx_climb.control import LoadTransfer, VirtualModelAdmittance
+from mjx_climb.hardware import bus
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.time_step import growth
+from mjx_climb.viz import plots
+from tuning.comparisons import maps, stability_limit
+from tuning.searches.sweep import sweep
+
+
+def swept(stiffness, damping):
+    """What a sweep returns, as far as the limit reads it: the axes of its walks, in their order."""
+    none = np.zeros((len(stiffness), len(damping)), bool)
+    return xr.Dataset({"diverged": (("stiffness", "damping"), none)}, {"stiffness": stiffness, "damping": damping})
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_a_walk_diverges_where_the_loop_is_unstable(case):
+    """The measured pose holds with the paper's damping and loses its stability before damping M / dt twenty-fold."""
+    scenario = case("case_2", "measured_pose", {"duration": 1.0, "contact.holding_limit": None})
+    walks = swept([5e5], [5e3, 8e3, 1.9e4, 3e4])
+    radius = maps.with_stability(walks, scenario)["spectral_radius"]
+    assert radius.dims == ("stiffness", "damping")
+    gains = mc.Gains(1.0, walks["damping"].values[:, None], 5e5)
+    found = mc.rollout_metrics(scenario, gains, dtype=np.float64)
+    lost = found["diverged"] | (found["peak_foot_force"] > 1e3)
+    assert (radius.values[0] > 1 + 1e-6).tolist() == lost.tolist() == [False, False, True, True]
+
+
+def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
+    monkeypatch.setattr(
+        stability_limit, "spectral_radius", lambda scenario, gains, law, engine: gains["damping"][:, 0] / 1e2
+    )
+    walks = swept(np.geomspace(1e2, 1e4, 200), np.geomspace(1e1, 1e3, 3))
+    walks["stiffness"].attrs["units"] = "N/m"
+    with_radius = maps.with_stability(walks, case("case_2", "virtual_model"))
+    radius = with_radius["spectral_radius"]
+    assert with_radius["stiffness"].attrs == {"units": "N/m"}
+    assert radius.shape == (200, 3) and np.isfinite(radius[[0, -1]]).all()
+    known = radius.dropna("stiffness")
+    assert known.sizes["stiffness"] == 16
+    np.testing.assert_allclose(known, np.broadcast_to(walks["damping"] / 1e2, known.shape))
+
+
+def test_stances_begin_halve_and_end_the_times_in_which_the_same_feet_hold(case):
+    """Two steps clear of where that changes; where the law is worked out; on uneven ground in each cycle of two."""
+    turn = case("case_1_2", "virtual_model")
+    ends = [[2, 998], [1002, 1998], [2002, 2998], [3002, 3998]]
+    expected = np.sort([at for first, last in ends for at in (first, (first + last) // 2, last)])
+    found = np.sort(stability_limit.linearised_at(turn, np.array([1]), uneven=True))
+    np.testing.assert_array_equal(found, [[*expected, *(expected + 4000)]])
+    slow = stability_limit.linearised_at(turn, np.array([1, 8]), uneven=False)[1]
+    assert not (slow % 8).any() and ((np.sort(slow).reshape(4, 3) // 1000).T == np.arange(4)).all()
+    standing = stability_limit.linearised_at(turn.with_overrides({"gait.duty": 0.8}), np.array([1]), uneven=False)
+    assert {802, 900, 998} < {*standing[0]}  # between two swings of 800 steps
+
+
+@pytest.mark.slow
+def test_grips_that_keep_attitudes_are_in_the_loop(case):
+    """Held too stiffly for the time step, feet shake about as fast as the check of the time step says of its stance."""
+    scenario = case("case_1_2", "virtual_model", {"control.controller": "pd", "contact.rotational_stiffness": 1.0})
+    stiffness = np.array([1.0, 3e3])
+    parameters = dataclasses.replace(own_parameters(scenario), rotational_stiffness=stiffness)
+    radius = stability_limit.spectral_radius(scenario, {"kp": 50.0, "kd": 0.2}, parameters)
+    contact = scenario.contact.model_copy(update={"rotational_stiffness": 3e3})
+    assert radius[0] < 1
+    np.testing.assert_allclose(radius[1], growth(scenario.model_copy(update={"contact": contact})), rtol=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "reading", "stiffness", "damping", "least"),
+    [
+        ("case_1_2", "measured_pose", 1e5, 1.3e4, 1.04),
+        pytest.param("case_2", "virtual_model", 2e4, 7.4, 1.002, marks=pytest.mark.nightly),
+    ],
+)
+def test_a_loop_that_is_stable_in_the_first_mid_swing_alone_is_unstable(case, name, reading, stiffness, damping, least):
+    """Walks with these gains reach 3,070 and 11,344 N of force variation, where pd has 100 and 131."""
+    scenario, gains = case(name, reading), mc.Gains(1.0, damping, stiffness)
+    radii = stability_limit.by_stance(scenario, gains)
+    first_middle = radii.reshape(-1, 3, 4)[:, 1, 0]
+    assert first_middle.max() < 1 and stability_limit.spectral_radius(scenario, gains) == radii.max() > least
+
+
+@pytest.mark.slow
+def test_the_worst_stance_is_the_limit_of_walks_and_all_feet_count_where_the_gait_has_them(case):
+    """K 3e3, D 150: a walk loses a gripper at 9.54 ms of delay, and diverges at 7 ms where it pauses on all feet."""
+    turn, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 150.0, 3e3)
+    late = dataclasses.replace(own_parameters(turn), force_delay=np.array([5.9e-3, 7e-3, 8.9e-3, 9.37e-3, 10.377e-3]))
+    assert (stability_limit.spectral_radius(turn, gains, late) > 1).tolist() == [False, False, False, True, True]
+    pauses = case("case_1_2", "virtual_model", {"gait.duty": 0.875})
+    late = dataclasses.replace(own_parameters(pauses), force_delay=late.force_delay)
+    assert (stability_limit.spectral_radius(pauses, gains, late) > 1).tolist() == [False, True, True, True, True]
+
+
+def test_the_radius_is_that_of_one_step_whatever_the_period():
+    """Of turns that shrink what they turn, the first step of a period more than the others, beside a state alone."""
+    turn = np.zeros((3, 3))
+    turn[:2, :2], turn[2, 2] = [[0.6, 0.8], [-0.8, 0.6]], 0.3
+    periods = np.array([1, 2, 5])
+    steps = [np.stack([share * turn] * 4) for share in (0.5, 0.9)]  # a row more than there are robots
+    expected = (0.5 * 0.9 ** (periods - 1)) ** (1 / periods)
+    np.testing.assert_allclose(stability_limit._radii(steps, periods), expected)
+    steps[0][:, 2, 2] = 1.8  # a state that acts on itself alone grows
+    expected = (1.8 * 0.27 ** (periods - 1)) ** (1 / periods)
+    np.testing.assert_allclose(stability_limit._radii(steps, periods)[:2], np.maximum(expected[:2], [0.5, 0.45**0.5]))
+    steps[1][1, 0, 0] = np.nan
+    assert np.isinf(stability_limit._radii(steps, periods)).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("delays", [(0.0, 2.6), (0.3, 1.0), (0.0, 0.0)])
+def test_delays_are_put_around_a_loop_that_is_one_step_late(delays):
+    """Two signals, the first made of the second within the step: as if samples were kept and read one by one."""
+    rng, sizes = np.random.default_rng(0), (2, 3, 4)
+    core = rng.normal(size=(9, 9))
+    core[:2, :5] = core[2:5, 2:5] = 0.0  # transposed: the first acts on no signal, the second on the first alone
+    weights = [stability_limit._weights(delay) for delay in delays]
+    for delay, found in zip(delays, weights, strict=True):
+        np.testing.assert_allclose(found, bus.weights(jnp.asarray(delay), len(found)), atol=1e-12)
+    (found,) = stability_limit._with_delays(core[None], sizes, weights)
+    rest, kept = rng.normal(size=4), [rng.normal(size=(len(w) - 1, m)) for w, m in zip(weights, sizes, strict=False)]
+    late = [weight[1:] @ samples for weight, samples in zip(weights, kept, strict=True)]
+    second = late[1] + weights[1][0] * (rest @ core[5:, 2:5])
+    first = late[0] + weights[0][0] * (second @ core[2:5, :2] + rest @ core[5:, :2])
+    new = np.concatenate([first, second, rest]) @ core
+    after = [np.concatenate([each[None], old])[: len(old)] for each, old in zip((new[:2], new[2:5]), kept, strict=True)]
+    expected = np.concatenate([new[5:], *(each.ravel() for each in after)])
+    np.testing.assert_allclose(np.concatenate([rest, *(each.ravel() for each in kept)]) @ found, expected, atol=1e-12)
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_one_program_serves_whatever_part_of_the_hardware_gets_worse(case, monkeypatch):
+    scenario, gains, run, programs = case("case_1_2", "virtual_model"), mc.Gains(1.0, 150.0, 3e3), execution.run, set()
+
+    def recorded(function, structure, robots, **how):
+        kinds = [(value.shape[1:], value.dtype) for value in jax.tree.leaves(robots.arguments)]
+        programs.add((function, structure, tuple(kinds), tuple(how.items())))
+        return run(function, structure, robots, **how)
+
+    def radius(**changed):
+        parameters = dataclasses.replace(own_parameters(scenario), **changed)
+        return stability_limit.by_stance(scenario, gains, parameters, only=0, hardware=hardware)
+
+    monkeypatch.setattr(stability_limit.execution, "run", recorded)
+    hardware = stability_limit.HARDWARE
+    late = np.array([0.0, 3.4e-3])
+    by_delay = radius(force_delay=late, base_delay=late)
+    others = [radius(command_delay=late), radius(control_period=np.array([1e-3, 8e-3])), radius(kp=np.array(50.0))]
+    assert len(programs) == 1
+    hardware = ()  # what there is not is not in the loop
+    np.testing.assert_allclose([each.ravel()[0] for each in (by_delay, *others)], radius().item(), rtol=1e-9)
+    assert len(programs) == 2 and abs(by_delay[1, 0] / by_delay[0, 0] - 1) > 1e-4
+
+
+@pytest.mark.parametrize("shape", [(), (2,)])
+def test_one_robot_and_a_batch_are_looked_at_over_their_control_period(case, monkeypatch, shape):
+    monkeypatch.setattr(stability_limit, "_radii_of", lambda walk, robots, axes, periods, first: 1.0 * periods)
+    scenario = case("case_2", "virtual_model", {"hardware.control_period": 0.004})
+    found = stability_limit.spectral_radius(scenario, mc.Gains(np.ones((*shape, 6)), 150.0, 3000.0))
+    np.testing.assert_array_equal(found, np.full(shape, 4.0))  # steps
+
+
+@pytest.mark.slow
+def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypatch):
+    """Soft gains, a law at 250 Hz, a cargo from the start: 5 ms of delay are borne, 15 ms are not.
+
+    In the first swing, which the walk does not leave.
+    """
+    monkeypatch.setattr(stability_limit, "linearised_at", lambda _, periods, uneven: np.full((len(periods), 1), 500.0))
+    push = {"force": [1.0, 1.0, 1.0], "moment": [0.1, 0.1, 0.1], "start": 0.2, "stop": 0.22}
+    still = {"gait.stride": 1e-4, "gait.step_height": 0.01, "duration": 1.0, "contact.holding_limit": None}
+    loaded = {"disturbance.pushes": [push], "disturbance.cargo": {"mass": 1.0, "start": 0.0}}
+    scenario = case("case_2", "virtual_model", still | loaded | {"hardware.control_period": 0.004})
+    gains = mc.Gains(1.0, 150.0, 3000.0)
+    with jax.enable_x64(True):
+        parameters = jax.tree.map(np.asarray, mc.parameters(scenario))
+    late = dataclasses.replace(parameters, force_delay=np.array([5e-3, 15e-3]))
+    radius = stability_limit.spectral_radius(scenario, gains, late)
+    force = mc.rollout_histories(scenario, gains, late, dtype=np.float64)["foot_force_history"][:, 1]
+    early, end = force[:, 80:120].max(1), force[:, 160:].max(1)  # of 200 stretches
+    assert radius[0] < 0.995 and force[0, 160:].max() < 0.5 * force[0, 40:60].max()
+    assert (end[1] / early[1]) ** (1 / 400) - 1 == pytest.approx(radius[1] - 1, rel=0.1)
+    assert radius[1] > 1.004
+
+
+@pytest.mark.slow
+def test_a_law_whose_sensors_may_die_is_in_the_loop(case):
+    """No force is no dead sensor: feet that give way much faster than their grips and forces allow are unstable."""
+    sensor = {"delay": 0.005, "resolution": 0.1, "dead": {"LF": 0.0}}
+    scenario = case("case_1_1", "pd", {"hardware.control_period": 0.005, "hardware.force_sensor": sensor})
+    gains = {name: np.array([200.0, 1.0]) for name in ("normal_damping", "tangential_damping")}
+    radius = stability_limit.by_stance(scenario, gains, only=0, law=LoadTransfer())[:, 0]
+    assert radius[0] < 1 < 1.01 < radius[1]
+
+
+class Rewritten(VirtualModelAdmittance):
+    """The same law, whose step hands on as a new value what it leaves as it is."""
+
+    def step(self, mass, measured, reference):
+        return super().step(jax.tree.map(lambda value: value * 1, mass), measured, reference)
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_what_a_law_hands_on_as_a_new_value_is_no_state(case):
+    """As a state it had an eigenvalue of one, which is no growth of the walk."""
+    scenario, gains = case("case_1_1", "pd"), {"damping": 150.0, "stiffness": 3e3}
+    laws = VirtualModelAdmittance(), Rewritten()
+    found = [stability_limit.by_stance(scenario, gains, only=0, law=law) for law in laws]
+    np.testing.assert_allclose(*found, rtol=1e-6)
+    assert (found[0] < 0.9999).all()
+
+
+def made(radius):
+    cells = np.arange(6.0).reshape(3, 2)
+    data = {"objective": (("stiffness", "damping"), cells), "spectral_radius": (("stiffness", "damping"), radius)}
+    data["feasible"] = (("stiffness", "damping"), cells > 1)
+    return xr.Dataset(data, {"stiffness": [1e2, 1e3, 1e4], "damping": [1e0, 1e1]})
+
+
+def test_best_cell_keeps_every_limit():
+    judged = made(np.full((3, 2), 0.9))
+    cell = maps.best_cell(judged)
+    assert (float(cell["stiffness"]), float(cell["damping"])) == (1e3, 1e0)
+    assert maps.best_cell(judged.assign(feasible=judged["feasible"] & False)) is None
+
+
+def test_a_map_shows_where_the_loop_turns_unstable():
+    legends = {}
+    for name, radius in (("some", [[1.1, 0.9], [0.9, 0.9], [np.inf, 0.9]]), ("none", np.full((3, 2), 0.9))):
+        figure = plots.plot_map(made(np.asarray(radius)), "objective")
+        legends[name] = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert legends == {"some": ["stability limit"], "none": []}
+
+
+@pytest.mark.slow
+def test_a_sweep_gets_its_objective_and_radius(case):
+    scenario = case("case_2", "virtual_model", {"duration": 0.2})
+    swept = sweep(scenario, {"stiffness": [1e3, 1e6], "damping": [1e0, 1e2, 1e4]}).data
+    judged = maps.with_stability(maps.with_objective(swept, scenario), scenario)
+    assert judged["objective"].dims == judged["spectral_radius"].dims == ("stiffness", "damping")
+    assert judged["objective"].sel(stiffness=1e6, damping=1e4) == pytest.approx(1.0, abs=0.01)  # as good as rigid
+    unstable = judged["spectral_radius"] > 1
+    assert unstable.sel(stiffness=1e6, damping=1e0) and not unstable.sel(damping=1e4).any()

@@ -1,0 +1,499 @@
+"""The report in a real browser: it loads from disk alone; hover, click, small windows and paper do what they say."""
+
+import base64
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.walks import LINES, histories
+from tests.shell import finish
+from tuning.comparisons import verification
+from tuning.pages import comparison, explorer, numbers, page, pictures
+from tuning.pages import sections as pages
+from tuning.problem.evaluation import Problem
+from tuning.results import result
+from tuning.searches import pareto
+from tuning.searches.pareto import Front
+from tuning.writing import contents as results
+from tuning.writing.folder import without_folders
+
+CONFIG = "duration: 0.3\ngravity: [0.0, 0.0, -1.635]\ndisturbance: {cargo: {mass: 1.0, start: 0.05}}\n"
+AXES = ["--stiffness", "1e2:1e4:3", "--damping", "1e1:1e3:3"]
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """A tiny sweep with its page, in a folder whose name must not be told."""
+    folder = tmp_path_factory.mktemp("a machine's own")
+    (folder / "case.yaml").write_text(CONFIG)
+    finish("sweep", folder / "case.yaml", *AXES, "--out", folder / "out")
+    with xr.open_dataset(folder / "out" / "sweep.nc", engine="h5netcdf") as grid:
+        return folder / "out", grid.load()
+
+
+@pytest.fixture
+def opened(chromium, swept):
+    """The browser with the page in a window of the size of a desk."""
+    resize(chromium, 1280, 900)
+    for kind in ("browser", "performance"):
+        chromium.get_log(kind)
+    chromium.get((swept[0] / "report.html").as_uri())
+    return chromium
+
+
+def resize(driver, width, height):
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+
+def find(driver, selector):
+    return driver.find_element("css selector", selector)
+
+
+def point_at(driver, selector):
+    from selenium.webdriver import ActionChains
+
+    element = find(driver, selector)
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+    return ActionChains(driver).move_to_element(element)
+
+
+def unpacked(text):
+    return np.frombuffer(base64.b64decode(text), "<f4")
+
+
+def data_of(folder):
+    text = (folder / "report.html").read_text()
+    return json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
+
+
+@pytest.mark.slow
+def test_the_page_holds_all_it_needs_and_nothing_of_this_machine(swept):
+    folder, _ = swept
+    text = (folder / "report.html").read_text()
+    assert len(text) < 5e6
+    assert set(re.findall(r"https?://[^/\s\"]+", text)) <= {"http://www.w3.org"}  # names of formats
+    for private in (folder.parent.name, str(folder), str(folder.parent.parent)):
+        assert private not in text
+    assert "mjx-climb sweep case.yaml --stiffness 1e2:1e4:3 --damping 1e1:1e3:3 --out out" in text
+    assert "mjx-climb sweep config.yaml --stiffness 1e2:1e4:3 --damping 1e1:1e3:3 --out again" in text
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    assert not list(folder.glob(".*.part"))
+
+
+@pytest.mark.slow
+def test_loads_from_disk_without_errors_and_without_a_network(opened, swept):
+    assert opened.get_log("browser") == []
+    asked = [json.loads(entry["message"])["message"] for entry in opened.get_log("performance")]
+    urls = {e["params"]["request"]["url"] for e in asked if e["method"] == "Network.requestWillBeSent"}
+    outside = {url for url in urls if not url.startswith(("data:", "chrome:"))}  # the last of its first, empty tab
+    assert outside == {(swept[0] / "report.html").as_uri()}
+    assert "force variation" in find(opened, ".verdict").text
+
+
+@pytest.mark.slow
+def test_hover_shows_every_metric_of_the_cell(opened, swept):
+    grid = swept[1]
+    for cell in (0, 5, 7):  # stiffness runs slower
+        point_at(opened, f".map rect[data-cell='{cell}']").perform()
+        here = grid.isel(stiffness=cell // 3, damping=cell % 3)
+        told = dict(gain.split() for gain in find(opened, ".readout caption").text.split(", "))
+        assert {n: float(v) for n, v in told.items()} == {
+            n: float(f"{here[n].item():.4g}") for n in ("stiffness", "damping")
+        }
+        for name in mc.METRICS.names:
+            shown = find(opened, f".readout tr[data-metric='{name}'] td").text
+            value = here[name].item()
+            if name == "diverged":
+                assert shown == ("yes" if value else "no")
+            elif name == "detached_limb":
+                assert shown == here[name].attrs["flag_meanings"].split()[value + 1].replace("none", "-")
+            elif np.isnan(value):
+                assert shown == "-"
+            else:
+                assert float(shown) == float(f"{value:.4g}")
+
+
+@pytest.mark.slow
+def test_click_draws_the_histories_of_the_cell(opened, swept):
+    folder, grid = swept
+    data = data_of(folder)[0]
+    stretch, count = data["time"]["stretch"], data["time"]["count"]
+    before = find(opened, ".chart path[data-series=cell]").get_attribute("d")
+    point_at(opened, ".map rect[data-cell='2']").click().perform()
+    assert find(opened, ".chosen-key").get_attribute("data-cell") == "2"
+    for line in data["lines"]:
+        chart = f".chart[data-line={line['name']}]"
+        path = find(opened, f"{chart} path[data-series=cell]").get_attribute("d")
+        assert find(opened, f"{chart} path[data-series=pd]").get_attribute("d") != path
+        assert path != before
+        drawn = np.array(re.findall(r"[ML]([\d.]+) ([\d.-]+)", path), float)
+        stored = grid[line["name"]].isel(stiffness=0, damping=2).values
+        time = stretch * (np.arange(count) + 0.5)
+        x, y = drawn.T
+        assert len(x) == 2 * count
+        # pixels are a linear map of the stored numbers, to the tenth of a pixel that is written
+        for pixels, values in ((x[:count], time), (y, np.concatenate([stored[1], stored[0, ::-1]]))):
+            slope, start = np.polyfit(values, pixels, 1)
+            np.testing.assert_allclose(slope * values + start, pixels, atol=0.11)
+            assert abs(slope) > 0
+    assert opened.get_log("browser") == []
+
+
+@pytest.mark.slow
+def test_what_the_page_stores_is_what_was_computed(swept):
+    folder, grid = swept
+    data = data_of(folder)[0]
+    points = data["points"]
+    assert points["stored"] == list(range(9))
+    for name, (_, _, metric) in LINES.items():
+        stored = unpacked(points["histories"][name]).reshape(3, 3, 2, -1)
+        np.testing.assert_array_equal(stored, grid[name].transpose("stiffness", "damping", ...))
+        # the largest value of a history is the metric, bit by bit
+        np.testing.assert_array_equal(stored.max((2, 3)), grid[metric])
+    walk = mc.rollout(mc.load_scenario(folder / "config.yaml").with_overrides({"control.controller": "pd"}))
+    stored = next(walk for walk in data["walks"] if walk["name"] == "pd")["lines"]
+    for name, values in histories(walk).items():
+        np.testing.assert_allclose(unpacked(stored[name]).reshape(2, -1), values, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_keys_move_and_choose(opened):
+    from selenium.webdriver.common.keys import Keys
+
+    surface = find(opened, ".map svg")
+    opened.execute_script("arguments[0].focus()", surface)
+    start = int(find(opened, ".readout table").get_attribute("data-cell"))
+    across = start + 3 if start < 6 else start - 3
+    surface.send_keys(Keys.ARROW_RIGHT if across > start else Keys.ARROW_LEFT)
+    assert int(find(opened, ".readout table").get_attribute("data-cell")) == across
+    surface.send_keys(Keys.ENTER)
+    assert find(opened, ".chosen-key").get_attribute("data-cell") == str(across)
+
+
+@pytest.mark.slow
+def test_the_front_is_what_nothing_beats(opened, swept):
+    drawn = [int(cell) for cell in find(opened, ".front svg").get_attribute("data-front").split()]
+    flat = swept[1].stack(cell=("stiffness", "damping"), create_index=False)
+    held = np.flatnonzero((flat["detached_limb"] < 0) & (flat["diverged"] == 0))
+    x, y = (flat[name].values[held] for name in ("base_deviation", "force_variation"))
+    assert drawn == held[pareto.nondominated(x, y)].tolist()
+
+
+@pytest.mark.slow
+def test_small_windows_and_paper(opened):
+    resize(opened, 375, 700)
+    assert opened.execute_script("return document.documentElement.scrollWidth") <= 375
+    ends = "return [...document.querySelectorAll('.draw svg')].map(e => e.getBoundingClientRect().right)"
+    assert max(opened.execute_script(ends)) <= 375
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    assert not find(opened, "select").is_displayed()
+    assert find(opened, ".map svg").is_displayed()
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    pdf = base64.b64decode(opened.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
+    assert pdf.startswith(b"%PDF") and len(re.findall(rb"/Type\s*/Page\b", pdf)) >= 2
+
+
+@pytest.fixture(scope="module")
+def named(swept):
+    """The scenario of the sweep, and its walks under the config's gains and under pd."""
+    scenario = mc.load_scenario(swept[0] / "config.yaml")
+    six = mc.Gains(*(np.full(6, getattr(scenario.control, name)) for name in ("inertia", "damping", "stiffness")))
+    pd = scenario.with_overrides({"control.controller": "pd"})
+    return scenario, {"config": mc.rollout(scenario, six), "pd": mc.rollout(pd, six)}
+
+
+def grid_of(metrics, **gains):
+    """A grid over two gains in which every gripper holds."""
+    units = {"stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
+    axes = {name: (name, values, {"units": units[name]}) for name, values in gains.items()}
+    shape = [len(values) for values in gains.values()]
+    none = {"detached_at": np.full(shape, np.nan), "diverged": np.zeros(shape)}
+    data = {name: (list(gains), np.reshape(values, shape)) for name, values in (metrics | none).items()}
+    limbs = (list(gains), np.full(shape, -1), {"flag_meanings": "none LF LH RH RF"})
+    return xr.Dataset(data | {"detached_limb": limbs}, axes)
+
+
+def histories_of(grid, lines):
+    return grid[["diverged"]].assign({name: ([*grid.dims, "extreme", "stretch"], lines) for name in LINES})
+
+
+ORIGIN = page.Origin("case", "mjx-climb ask", "mjx-climb again", "duration: 0.3")
+
+
+def test_what_matters_stands_first_and_the_rest_is_folded_away():
+    made = page.Page("", ORIGIN, "verdict", mc.Scenario(), ["matters"], ["one test", "two"])
+    with_more, without = (page.render(each) for each in (made, dataclasses.replace(made, more=[])))
+    open_part, folded = with_more[: with_more.index("</header>")].split("<details>")
+    assert "<li>matters</li>" in open_part and re.findall("<li>(.*)</li>", folded) == ["one test", "two"]
+    assert "<details>" not in without[: without.index("</header>")]
+
+
+def rows_of(made):
+    """Return the rows of each section of a table, by column."""
+    return [[dict(zip(made.columns, row, strict=True)) for row in rows] for _, rows in made.sections]
+
+
+def test_each_column_holds_the_walk_that_its_header_names():
+    """Of the walks side by side: values, changes against each of the others, and gains; the same of a fresh draw."""
+    values = {"best": 2.0, "config": 4.0, "pd": 8.0}
+    compared = {name: ({"stiffness": 10 * v}, {"force_variation": v}) for name, v in values.items()}
+    (gains,), (metrics,) = rows_of(comparison.table(compared, ""))
+    told = {"best": "2", "vs config %": "-50.0", "vs pd %": "-75.0", "config": "4", "pd": "8"}
+    assert metrics == {"metric": "force variation", "unit": "N", **told}
+    changes = dict.fromkeys(("vs config %", "vs pd %"), "")
+    assert gains == {"metric": "stiffness", "unit": "N/m", "best": "20", "config": "40", "pd": "80", **changes}
+
+    scores = np.array([[2.0, 3.0], [4.0, 5.0], [8.0, 9.0]])
+    data = {name: (("gains", "statistic"), scores) for name in pages.SHOWN} | {"objective": ("gains", scores[:, 0])}
+    summed = xr.Dataset(data, {"gains": [*values], "statistic": ["mean", "worst"]}, {"worst_share": 0.2})
+    (score,), (variation, worst), *_ = rows_of(pages.judged_table(summed))
+    del told["vs pd %"]
+    assert score == {"metric": "objective", "unit": "", "of the members": "mean and worst", **told}
+    assert variation == {"metric": "force variation", "unit": "N", "of the members": "mean", **told}
+    assert [worst[name] for name in (*values, "vs config %")] == ["3", "5", "9", "-40.0"]
+
+
+CHECKED = verification.Verification(
+    metrics={}, value=0.9, search_value=0.9, broken_limits=[], binding_limits=[], less={"damping": None},
+    more={"damping": 0.02}, shape={"damping": "cliff"}, slopes={"damping": 0.1}, grid_value=None,
+    grid_gains=None, spectral_radius=0.99, margins={}, warnings=[],
+)  # fmt: skip
+
+
+@pytest.fixture
+def tuned_page(named):
+    """Return what makes the page of a search whose result walks as the config does, beside a map or none."""
+    scenario, walks = named
+    walks, gains = {"tuned": walks["config"], **walks}, {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
+    rows = {name: (None if name == "pd" else gains, mc.metrics(walk)) for name, walk in walks.items()}
+    point = {"value": 0.9, "penalty": 0.0, "feasible": True, "env_steps": 1000}
+    data = xr.Dataset({name: ("point", [value]) for name, value in point.items()})
+
+    def made(over, **changed):
+        compared = results.TuneComparison(walks, rows, over, None, CHECKED, None)
+        found = result.Tuned(data, Problem(scenario), gains=mc.Gains(**gains | changed))
+        return pages.tune_page(found, compared, ["a line"], ["a test"], ORIGIN)
+
+    return made
+
+
+@pytest.fixture
+def over(swept):
+    """A map of an objective, its limit of stability between the cells."""
+    grid = swept[1]
+    radius = 1 + 1e-4 * (np.log10(grid["stiffness"]) - 3.1) + 0 * grid["damping"]
+    scores = grid["force_variation"] / grid["force_variation"].mean()
+    return grid.assign(objective=scores, feasible=scores < 2, spectral_radius=radius)
+
+
+@pytest.mark.slow
+def test_the_page_of_a_search(tuned_page, over):
+    for grid in (None, over):
+        made = tuned_page(grid)
+        text = page.render(made)
+        for words in ("Tuned gains score 0.9000 of pd", "every limit is kept", "breaks a limit", "mjx-climb again"):
+            assert words in text
+        assert made.notes[0] == "A line" and list(made.more) == ["A test"]
+        (cells,) = made.explorers.values()
+        assert [walk["name"] for walk in cells["walks"]] == ["pd", "config", "tuned"]
+        assert (cells["points"] is None) == (grid is None)
+    points = cells["points"]
+    assert points["begin"] == int(np.argmin(over["objective"].values))
+    assert {"objective", "feasible"} < set(points["values"])
+    assert cells["opens_on"] == "tuned"
+    assert {round(np.log10(x), 6) for x, _ in points["limit"][0]} == {3.1}
+    assert next(walk["metrics"] for walk in cells["walks"] if walk["name"] == "tuned")["objective"] == 0.9
+    (apart,) = tuned_page(over, stiffness=np.array([1e3, 2e3, 4e3, 10.0, 20.0, 40.0])).explorers.values()
+    stands = {mark["name"]: mark["at"] for mark in apart["points"]["marks"]}
+    assert stands["tuned, translations"] == pytest.approx([2e3, 1e2])
+    assert stands["tuned, rotations"] == pytest.approx([20.0, 1e2]) and "tuned" not in stands
+
+
+@pytest.mark.slow
+def test_the_page_of_a_search_opens_on_its_result(chromium, tuned_page, over, tmp_path):
+    chromium.get(page.write(tuned_page(over), tmp_path).as_uri())
+    assert find(chromium, ".readout caption").text == "tuned"
+    assert find(chromium, ".readout tr[data-metric='objective'] td").text == "0.9"
+    assert not chromium.find_elements("css selector", ".chart path[data-series=cell]")
+    point_at(chromium, ".map rect[data-cell='2']").click().perform()
+    assert find(chromium, ".readout table").get_attribute("data-cell") == "2"
+    assert chromium.find_elements("css selector", ".chart path[data-series=cell]")
+    assert chromium.get_log("browser") == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("held", [True, False])
+def test_the_page_of_a_sweep_says_which_walk_is_best(held):
+    """Or that none held; what a reader should know stands first, a sentence each."""
+    failures = {"detached_limb": None, "diverged": False, "min_tsm": 0.1}
+    values = {"best": (40.0, 0.02), "pd": (80.0, 0.01)} if held else {"pd": (80.0, 0.01)}
+    rows = {name: (None, {"force_variation": v, "base_deviation": d, **failures}) for name, (v, d) in values.items()}
+    grid = grid_of({"force_variation": np.zeros(4)}, stiffness=[1e2, 1e3], damping=[1.0, 2.0])
+    grid = grid.assign_attrs(dtype="float32", engine="limb", batch_size=4)
+    best = grid.isel(stiffness=1, damping=0) if held else None
+    scenario = mc.Scenario().with_overrides({"duration": 0.3, "control.controller": "pd"})
+    walks = dict.fromkeys(rows, mc.rollout(scenario))
+    compared = results.SweepComparison(grid, best, walks, rows, 1, [], None)
+    lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))
+    made = pages.sweep_page(Problem(scenario), compared, lines, {}, ["widen it"], ORIGIN)
+    expected = []
+    if held:
+        expected = ["1 of the 4 walks lost a gripper or diverged.", "Worse than pd: base deviation +100 %."]
+        assert "stiffness 1000 and damping 1 are best: force variation 40 N, 50.0 % below pd" in made.verdict
+        assert made.explorers["Maps and walks"]["points"]["begin"] == 2
+    else:
+        assert made.verdict == "None of the 4 walks held: every one lost a gripper or diverged."
+    cells = "The page holds the time histories of 2 of the cells; a click shows the nearest of them."
+    assert made.notes == ["Widen it.", *expected, cells]
+
+
+@pytest.mark.slow
+def test_the_page_of_a_front(swept, named):
+    flat = swept[1].stack(front=("stiffness", "damping"), create_index=False)
+    six = {name: ("front", flat[name].values) for name in ("stiffness", "damping")}
+    front = flat[list(mc.METRICS.names)].drop_vars(["stiffness", "damping"]).assign(six)
+    traded = ("base_deviation", "force_variation")
+    references = {f"reference_{name}": ("reference", [0.1, 0.2]) for name in traded}
+    front = front.assign(references).assign_coords(reference=["config", "pd"])
+    front = front.assign_attrs(better=traded[1], against=traded[0], searched="stiffness damping")
+    bend = pareto.knee(*(front[name].values for name in traded))
+    knee = front[traded[0]].values[bend]
+    without = {f"without_{traded[0]}": [0.5 * knee, 2 * knee], f"without_{traded[1]}": [7.0, 5.0]}
+    without |= {"without_kp": [30.0, 10.0], "without_kd": [0.5, 0.25]}
+    front = front.assign({name: ("without", np.array(values)) for name, values in without.items()})
+    kept = {name: flat[name].transpose("front", ...).values for name in LINES}
+    made = pages.pareto_page(Front(front, Problem(named[0])), kept, named[1], ORIGIN)
+    assert "The front of 9 points bends at" in page.render(made)
+    assert made.notes[0].endswith(", at no more base deviation.")
+    (_, on), (_, below) = made.tables[0].sections
+    assert [row[0] for row in on] == ["knee" if i == bend else "" for i in range(9)] and len(on[0]) == 5
+    assert [row[0] for row in below] == ["config", "pd", "pd, kp 30, kd 0.5"]
+    points = made.explorers["The front"]["points"]
+    assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == bend
+
+
+def test_folders_of_a_machine_are_left_out():
+    for text, expected in (
+        ("/home/me/configs/c.yaml", "c.yaml"),
+        ("robot: /a b/c d/r.xml", "robot: r.xml"),
+        ("robot: /a/b/r.xml\nspeed: 1 m/s", "robot: r.xml\nspeed: 1 m/s"),
+        ("~/runs/a.yaml", "a.yaml"),
+        ("configs/case_2.yaml", "configs/case_2.yaml"),
+        ("1e2:1e6:12", "1e2:1e6:12"),
+    ):
+        assert without_folders(text) == expected
+
+
+def test_cells_of_a_grid_that_is_not_square():
+    """Histories of one row only; gains in the order of the cells, in the unit of translations."""
+    grid = grid_of({"peak_foot_force": np.arange(6.0)}, stiffness=[1e2, 1e3, 1e4], damping=[1e1, 1e2])
+    lines = np.arange(24.0).reshape(3, 2, 2, 2)
+    points = explorer.grid_points(grid, histories_of(grid, lines).isel(damping=[1]), {}, {}, None)
+    assert points["stored"] == [1, 3, 5] and points["values"]["peak_foot_force"] == list(range(6))
+    assert points["gains"] == {"stiffness": [1e2, 1e2, 1e3, 1e3, 1e4, 1e4], "damping": [1e1, 1e2] * 3}
+    assert [axis["unit"] for axis in points["axes"]] == ["N/m", "N s/m"]
+    np.testing.assert_array_equal(unpacked(points["histories"]["foot_force_history"]), lines[:, 1].ravel())
+
+
+def test_a_coarser_grid_keeps_what_it_must():
+    grid = grid_of({}, stiffness=np.arange(48), damping=np.arange(5))
+    rows = explorer.coarser_grid(grid, grid.isel(stiffness=31, damping=4), 100).coords
+    assert len(rows["stiffness"]) * len(rows["damping"]) <= 100
+    assert 31 in rows["stiffness"] and 4 in rows["damping"]
+    assert rows["stiffness"][0] == 0 and rows["stiffness"][-1] == 47
+    assert (np.diff(rows["stiffness"]) > 0).all()
+
+
+def test_what_failed_says_so_and_nothing_is_compared_with_it():
+    """A robot that lost a grip and still stands has numbers; what flew off or diverged has none that mean anything."""
+    held = {"force_variation": 50.0, "base_deviation": 0.001, "detached_at": None, "detached_limb": None}
+    torn = {"force_variation": 80.0, "base_deviation": 0.2, "detached_at": 0.06, "detached_limb": "LF"}
+    flown = torn | {"force_variation": 3.928e86, "base_deviation": 1e12}
+    diverged = held | {"force_variation": 7.0, "diverged": True}
+    walks = {name: {"diverged": False, **own} for name, own in
+             {"best": held, "torn": torn, "flown": flown, "gone": diverged}.items()}  # fmt: skip
+    made = comparison.table({name: (None, own) for name, own in walks.items()}, "")
+    _, (gone, variation, _, at, limb) = rows_of(made)
+    assert [variation[name] for name in walks] == ["50", "80", "failed", "failed"]
+    assert {variation[f"vs {name} %"] for name in ("torn", "flown", "gone")} == {""}
+    assert [limb[name] for name in walks] == ["-", "LF", "LF", "-"]
+    assert (at["flown"], gone["gone"]) == ("0.06", "yes")
+    assert comparison.against("force_variation", "best", walks) == "50 N"
+    assert comparison.differences(held, torn) == ([], [])
+    assert comparison.differences(held | {"force_variation": 60.0}, held)[0]
+
+
+def test_words_say_which_way_metrics_went():
+    forces = {name: {"peak_foot_force": force} for name, force in {"best": 3.0, "pd": 4.0, "paper": None}.items()}
+    assert comparison.against("peak_foot_force", "best", forces) == "3 N, 25.0 % below pd"
+    metrics, baseline = {"force_variation": 1.0, "base_deviation": 2.0}, {"force_variation": 2.0, "base_deviation": 1.0}
+    worse, better = comparison.differences(metrics, baseline)
+    assert (worse, better) == (["base deviation +100 %"], ["force variation -50.0 %"])
+    assert comparison.differences(metrics, baseline, but=("force_variation",)) == (worse, [])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "base", "worse", "better"),
+    [
+        ("peak_pull_force", 1.021, 1.0, ["peak pull force +2.1 %"], []),
+        ("peak_pull_force", 1.019, 1.0, [], []),
+        ("min_gia_margin", 0.979, 1.0, ["min GIA margin -2.1 %"], []),
+        ("min_tsm", 0.5, 1.0, ["min TSM -50.0 %"], []),
+        ("min_gia_margin", -2.0, -1.0, ["min GIA margin -1 to -2"], []),  # no per cent of what is negative, or nothing
+        ("min_gia_margin", -1.0, -2.0, [], ["min GIA margin -2 to -1"]),
+        ("missed_grips", 3, 0, ["missed grips 0 to 3"], []),
+        ("missed_grips", 0, 0, [], []),
+        ("detached_at", None, 1.0, [], []),
+        ("diverged", True, False, [], []),
+    ],
+)
+def test_whatever_differs_by_more_than_two_per_cent_is_named(name, value, base, worse, better):
+    assert comparison.differences({name: value}, {name: base}) == (worse, better)
+
+
+def test_of_rounds_of_many_points_the_best_is_drawn():
+    many, few = pictures.CROWD + 1, 3
+    rounds = np.repeat([0, 1, 2, 3], [few, many, many, many])
+    value, penalty = np.full(rounds.size, 2.0), np.zeros(rounds.size)
+    value[few + 5], value[few + many + 7], value[few + many + 8] = 1.0, 0.5, np.nan
+    value[-many:] = np.nan  # nobody walked to the end
+    value[few + 6], penalty[few + 6] = 0.1, 9.0  # beyond a limit
+    history = xr.Dataset({"round": ("point", rounds), "value": ("point", value), "penalty": ("point", penalty)})
+    # so that the map below is seen
+    assert pictures.best_of_crowds(history).tolist() == [few + 5, few + many + 7]
+    assert pictures.crowded(history).tolist() == [False] * few + [True] * 3 * many
+    few_points = history.isel(point=slice(0, few))
+    assert not pictures.best_of_crowds(few_points).size and not pictures.crowded(few_points).any()
+
+
+JUMPY, MEASURED = {"gait.swing": "low_reaction"}, {"control.reading": "measured_pose"}
+UNSTUCK, OF_STEP = "contact.capture_distance", "0.0005 s, without a hardware.control_period"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, None),
+        (JUMPY, UNSTUCK),
+        (JUMPY | {"contact.capture_distance": 0.005}, None),
+        (JUMPY | {"gravity": [0.0, 0.0, 0.0]}, None),
+        (MEASURED | {"time_step": 5e-4}, OF_STEP),
+        (MEASURED | {"time_step": 5e-4, "hardware.control_period": 1e-3}, None),
+        (MEASURED, None),
+        ({"time_step": 5e-4}, None),
+    ],
+)
+def test_what_speaks_against_a_scenario_is_said_before_the_walk(changes, said):
+    """A low-reaction swing under weight where grippers hold at any distance, and gains of another control period.
+
+    Case 1.1, the paper's gains: COT 1.31 at 1 ms, 5.03 at 0.5 ms, 1.31 there with a period of 1 ms.
+    """
+    lines = numbers.ahead_of(mc.load_scenario("case_1_1", changes))
+    assert len(lines) == (said is not None) and all(said in line for line in lines)

@@ -1,0 +1,209 @@
+"""A folder belongs to one run's settings, and its result appears whole or not at all."""
+
+import os
+
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.files.dataset import OutputError
+from tests.shell import ROOT
+from tuning.command_line.session import Session
+from tuning.methods.parts import Parts
+from tuning.problem.evaluation import Problem
+from tuning.writing import record
+
+OURS, THEIRS = {"command": "run", "a": {"b": 1}}, {"command": "run", "a": {"b": 2}}
+
+
+def listed(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def fill(folder, *names, settings=OURS, text="", **how):
+    with record.whole(folder, settings, **how) as place:
+        for name in names:
+            (place / name).parent.mkdir(exist_ok=True)
+            (place / name).write_text(text or name)
+
+
+def test_a_result_appears_at_once_at_the_end(tmp_path):
+    home = tmp_path / "results" / "one"
+    with record.whole(home, OURS) as place:
+        (place / "gains.yaml").write_text("")
+        assert not home.parent.exists()
+    assert listed(home) == ["gains.yaml", "settings.json"]
+    assert record.read(home) == record.Record(OURS, ("gains.yaml",), True)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+@pytest.mark.parametrize("there", [False, True])
+def test_what_ends_early_leaves_all_as_it_was(tmp_path, error, there):
+    home = tmp_path / "results" / "one"
+    if there:
+        fill(home, "report.html", text="whole")
+    before = listed(tmp_path)
+    with pytest.raises(error), record.whole(home, OURS) as place:
+        (place / "report.html").write_text("half")
+        raise error
+    assert listed(tmp_path) == before and (there or not home.parent.exists())
+    assert not there or (home / "report.html").read_text() == "whole"
+
+
+def test_of_another_runs_files_none_is_left_and_of_foreign_ones_all(tmp_path):
+    """From Python, where the caller alone says whose folder it is; the same run keeps what it drew otherwise."""
+    fill(tmp_path, "report.html", "inputs/robot.xml", "walk.mp4")
+    (tmp_path / "notes.txt").write_text("mine")
+    fill(tmp_path, "report.html", "gains.yaml")
+    assert "walk.mp4" in listed(tmp_path)
+    Parts(tmp_path, {"a": 1})
+    fill(tmp_path, "report.html", "map.nc", settings=None, text="new")
+    assert listed(tmp_path) == ["map.nc", "notes.txt", "report.html", "settings.json"]
+    assert (tmp_path / "report.html").read_text() == "new"
+
+
+def test_unfinished_work_keeps_its_parts_and_is_no_whole_result(tmp_path):
+    Parts(tmp_path, {"a": 1})
+    fill(tmp_path, "gains.yaml", finished=False)
+    assert "parts/identity.json" in listed(tmp_path) and not record.read(tmp_path).whole
+
+
+def test_a_kill_between_two_files_shows(tmp_path, monkeypatch):
+    fill(tmp_path, "a", "b")
+    moved, replace = [], os.replace
+
+    def die(source, target):
+        if ".part" in str(source) and os.path.basename(target) in "ab":
+            moved.append(target)
+            if len(moved) == 2:
+                raise KeyboardInterrupt
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", die)
+    with pytest.raises(KeyboardInterrupt):
+        fill(tmp_path, "a", "b", settings=THEIRS)
+    assert not record.read(tmp_path).whole
+
+
+def test_each_run_has_a_folder_of_its_own(tmp_path):
+    base = tmp_path / "case_1_2-tune"
+    ours = record.own_folder(base, OURS)
+    assert ours == base
+    record.begin(ours, OURS)  # and is interrupted
+    theirs = record.own_folder(base, THEIRS)
+    assert theirs.name.startswith("case_1_2-tune-") and theirs != record.own_folder(base, OURS, varied=True)
+    fill(theirs, "gains.yaml", settings=THEIRS)
+    assert record.own_folder(base, OURS) == base
+    assert record.own_folder(base, THEIRS) == theirs
+
+
+@pytest.mark.parametrize(
+    ("prepare", "got"),
+    [
+        (lambda at: fill(at, "gains.yaml", settings=THEIRS), "the result of another run, which differs in a.b"),
+        (lambda at: record.begin(at, THEIRS), "unfinished work of another run, which differs in a.b"),
+        (lambda at: fill(at, "gains.yaml", settings=None), "the result of unknown settings"),
+        (lambda at: (at / "sweep.nc").write_text(""), r"a result without settings.json \(sweep.nc\)"),
+        (lambda at: (at / record.FILE).write_text("{"), "unfinished work of unknown settings"),
+    ],
+)
+def test_a_folder_of_another_run_is_refused(tmp_path, prepare, got):
+    prepare(tmp_path)
+    with pytest.raises(OutputError, match=f"^{tmp_path}: expected a folder of this run alone, got {got} "):
+        record.check(tmp_path, OURS)
+
+
+def test_settings_are_what_is_asked_for_not_where_it_is_computed(monkeypatch):
+    problem = Problem(mc.load_scenario("case_1_2"))
+    before = record.settings_of(problem, "run")
+    monkeypatch.setattr("jax.default_backend", lambda: "gpu")
+    assert record.settings_of(problem, "run") == before
+    assert record.settings_of(Problem(mc.load_scenario("case_2")), "run") != before
+
+
+CASE = str(ROOT / "configs" / "case_1_2.yaml")
+GAINS, MORE = "inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n", "inertia: 2.0\ndamping: 30.0\nstiffness: 501.0\n"
+OF_WALKS = ["--set duration=0.3", "--hardware dynamixel_x", "--engine mjx"]
+LAWS = ["--law LoadTransfer", "--controller end_effector_admittance"]
+FEW = ["--space split", "--search search.yaml"]
+OF_SEARCHES = [*FEW, "--seed 2", "--pin damping=150", "--limit base_deviation=0.01", "--bound stiffness=10:20"]
+GRID = "sweep {case} --stiffness 1e3:1e5:3 --damping 1e2:1e3:2"
+ASKED = {  # a command, and what changes its result
+    "run {case}": [*OF_WALKS, *LAWS, "--gains gains.yaml", "--gains more.yaml", "--compare pd"],
+    GRID: [*OF_WALKS, LAWS[1], "--law VirtualModelAdmittance", "--gains gains.yaml", "--gains more.yaml"],
+    "sweep {case} --stiffness 1e3:1e5:4 --damping 1e2:1e3:2": [],
+    "tune {case}": [
+        *OF_WALKS, *LAWS, *OF_SEARCHES, "--gains gains.yaml", "--method cmaes", "--ensemble ensemble",
+        "--ensemble ensemble --members 5", "--ensemble ensemble --judges 5",
+    ],
+    "judge {case} --gains gains.yaml": [*OF_WALKS, "--members 5", "--gains more.yaml", "--ensemble other.yaml"],
+    "compare {case} --laws base_admittance": [*OF_WALKS, *OF_SEARCHES, "--members 5", "--ensemble other.yaml"],
+    "compare {case} --laws end_effector_admittance": [],
+    "margins {case}": [
+        *OF_WALKS, *LAWS, "--gains gains.yaml", "--gains more.yaml", "--retuned-pd joint.yaml",
+    ],
+    "pareto {case}": [*OF_WALKS, *LAWS, *FEW, "--points 5", "--better peak_foot_force"],
+    "schedule {case}": [*OF_WALKS, *LAWS, *FEW, "--gravity 0.1,1", "--cargo 0.5"],
+}  # fmt: skip
+
+
+class Claimed(Exception):
+    """The command has come to where it takes its folder."""
+
+
+@pytest.fixture
+def claimed(monkeypatch, tmp_path):
+    """Return a function that gives the settings by which a command knows its folder, and the name of that."""
+    from tuning.command_line import program
+
+    monkeypatch.chdir(tmp_path)
+    files = {
+        "gains": GAINS,
+        "more": MORE,
+        "joint": f"{GAINS}kp: 60.0\nkd: 0.5\n",
+        "other": "seed: 5\n",
+        "search": "seed: 1\n",
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.yaml").write_text(text)
+    claim = Session.claim
+
+    def stop(self, *named, **how):
+        raise Claimed(how["settings"], claim(self, *named, **how))
+
+    monkeypatch.setattr(Session, "claim", stop)
+
+    def run(line):
+        with pytest.raises(Claimed) as stopped:
+            program.program(line.split()[0])(line.format(case=CASE).split(), standalone_mode=False)
+        return stopped.value.args
+
+    return run
+
+
+QUICK = ("run",)
+COMMANDS = [
+    pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow)
+    for name in dict.fromkeys(line.split()[0] for line in ASKED)
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_knows_its_folder_by_all_that_its_result_depends_on(command, claimed):
+    """Another value of each option is another run, with a folder of its own; how it is printed or drawn is none."""
+    lines = [f"{line} {more}" for line, options in ASKED.items() for more in ("", *options)]
+    found = {}
+    for line in (line for line in lines if line.split()[0] == command):
+        settings, folder = found[line] = claimed(line)
+        record.begin(folder, settings)
+    for one, (settings, folder) in found.items():
+        assert not [line for line, theirs in found.items() if line != one and settings == theirs[0]], one
+        assert not [line for line, theirs in found.items() if line != one and folder == theirs[1]], one
+    plain, last = next(iter(found)), next(reversed(found))
+    assert claimed(f"{plain} --figures svg --json") == found[plain] and claimed(last) == found[last]
+    if command in ("sweep", "judge"):
+        assert claimed(f"{plain} --shard 1/2") == found[plain]
+
+
+def test_members_of_an_ensemble_are_those_that_are_asked_for(claimed):
+    settings, _ = claimed("tune {case} --ensemble ensemble --members 5 --judges 7")
+    assert (settings["ensemble"]["members"], settings["judges"]) == (5, 7)

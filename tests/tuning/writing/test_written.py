@@ -1,0 +1,148 @@
+"""The folder of a result: what it holds is said, another command's result stays; from Python as at the shell."""
+
+import contextlib
+import json
+import types
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.files.dataset import OutputError
+from tuning import background
+from tuning.comparisons import begun as comparisons
+from tuning.comparisons import margins, retuned_pd
+from tuning.gains import gains_file
+from tuning.methods.parts import Parts
+from tuning.problem.evaluation import Problem
+from tuning.problem.search import Search
+from tuning.results import result
+from tuning.tune import tune
+from tuning.writing import contents as results
+from tuning.writing.folder import Contents, Folder
+
+SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
+    """Every file of the command, the user's objective in the tests, stages told, nothing printed."""
+    stages = []
+
+    @contextlib.contextmanager
+    def stage(name, **_):
+        stages.append(name)
+        yield lambda *_: None
+
+    def judge(metrics):
+        return metrics["peak_joint_torque"]
+
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    found = tune(scenario, objective=judge, starts=2, iterations=2, out=tmp_path)
+    written = found.write(tmp_path, stage=stage)
+    names = {file.name for file in tmp_path.iterdir()}
+    pictures = {f"{name}.png" for name in ("convergence", "path", "walks", "margins")}
+    files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
+    assert names == files | pictures | {"settings.json"}
+    walked = ["pd", "config", "tuned", "retuned_pd"]
+    tested = ["drawing", "map", "margins", "verification"]  # pictures of the walks while the tests go on
+    assert stages == ["retuned pd", *walked, *tested, "drawing", "report"]
+    summary = json.loads(written.summary)
+    torques = [summary[name]["metrics"]["peak_joint_torque"] for name in ("tuned", "retuned_pd")]
+    assert summary["force_sensor"]["objective"] == pytest.approx(torques[0] / torques[1] - 1)
+    assert set(summary["verification"]["margins"]) == set(margins.QUANTITIES)
+    assert sum(line.startswith("margin, ") for line in written.outcome) == len(margins.QUANTITIES)
+    assert names == {*written.files.split(", ")}
+    assert summary["force_sensor"]["in_words"] == written.outcome[0]
+    assert list(summary["retuned_pd"]["gains"]) == ["kp", "kd"] and list(written.compared) == [
+        "tuned", "retuned_pd", "config", "pd"
+    ]  # fmt: skip
+    assert json.loads((tmp_path / "summary.json").read_text()) == json.loads(written.summary)
+    assert summary["verification"]["value"] == pytest.approx(torques[0])
+    assert result.load(tmp_path / "search.nc").value == found.value
+    assert gains_file.load(tmp_path / "gains.yaml").stiffness == pytest.approx(found.gains.stiffness)
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("method", "more"), [("gradient", 0), ("cmaes", 1)])
+def test_a_search_without_gradients_has_the_program_of_the_tests_loaded_beside(monkeypatch, method, more):
+    asked = []
+    monkeypatch.setattr(comparisons.verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    problem = types.SimpleNamespace(scenario=scenario)
+    monkeypatch.setattr(comparisons, "start_of", lambda problem: np.zeros(2))
+    works = []
+    comparisons.load_tests(problem, Search(method=method), works.append)
+    for work in works:
+        work(lambda *_: None)
+    assert asked == [(2,)] * more
+
+
+def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
+    """Without walking: what the verdict on the force sensor is given."""
+
+    class Given(Exception):
+        pass
+
+    def worth(ours, theirs, step, **_):
+        raise Given(ours, theirs, step)
+
+    nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
+    scenario = mc.load_scenario("case_1_2")
+    for module, name, value in (
+        (results.verification, "tests", nothing), (results, "replaced", lambda *_: (scenario, None)),
+        (results.verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
+        (results.margins, "find", nothing), (results, "_with_joint_gains", nothing), (results, "differences", nothing),
+        (results, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
+        (retuned_pd, "rival_of", lambda found, retuned, step: step), (retuned_pd, "worth", worth),
+        (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, value)
+    found = types.SimpleNamespace(
+        scenario=scenario, problem=types.SimpleNamespace(law=None, engine="limb", objective=None, metrics=None),
+        law=None, gains=None,
+    )  # fmt: skip
+    begun = comparisons.OfSearch(lambda _: types.SimpleNamespace(feasible=True), {}, nothing, {})
+    with pytest.raises(Given) as given:
+        results.compare_tuned(found, types.SimpleNamespace(stage=background.silent, kept=None, draw=nothing), begun)
+    assert scenario.time_step == 1e-3 and given.value.args == (5e-4, 5e-4, 5e-4)
+
+
+def found_in(scenario):
+    """Return a result of two points, the second of which is the better one."""
+    columns = {"value": [0.9, 0.8], "penalty": [0.0, 0.0], "feasible": [True, True], "env_steps": [10, 20]}
+    data = xr.Dataset({name: ("point", values) for name, values in columns.items()})
+    data["theta"] = (("point", "coordinate"), np.log([[1e2, 1e3], [2e2, 2e3]]))
+    attrs = {"search": Search(seed=3).to_yaml(), "interrupted": 0, "scenario": scenario.to_yaml()}
+    attrs["gains"] = '{"inertia": 1.0, "damping": 200.0, "stiffness": 2000.0}'
+    return result.Tuned(data.assign_attrs(attrs), Problem(scenario), Search(seed=3), gains=mc.Gains(1.0, 2e2, 2e3))
+
+
+def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_path):
+    def tune(found, place, begun):
+        place.found(found)
+        return Contents(result.Written(), {"more.txt": "more"})
+
+    monkeypatch.setattr(results, "tune", tune)
+    found = found_in(mc.load_scenario("case_1_2"))
+    Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
+    written = found.write(tmp_path)
+    names = {*written.files.split(", "), "settings.json"}
+    assert names == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
+    read = result.load(tmp_path / "search.nc")
+    for name in ("scenario", "search", "value", "best_at", "env_steps", "feasible", "interrupted"):
+        assert getattr(read, name) == getattr(found, name), name
+    assert (read.value, read.best_at, read.env_steps) == (0.8, 20, 20)
+    np.testing.assert_array_equal(read.theta, np.log([2e2, 2e3]))
+    assert read.gains.stiffness == gains_file.load(tmp_path / "gains.yaml").stiffness == 2e3
+    assert "objective 0.8000 (pd: 1)" in (tmp_path / "gains.yaml").read_text()
+    with pytest.raises(OutputError, match=r"expected a folder without another command's result, got search\.nc in it"):
+        Folder(tmp_path, "sweep.nc")
+
+
+def test_an_interrupted_result_keeps_its_parts(tmp_path):
+    Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
+    found_in(mc.load_scenario("case_1_2")).write_found(tmp_path)
+    assert Parts(tmp_path, {"a": 1}).load(0) is not None and (tmp_path / "gains.yaml").is_file()

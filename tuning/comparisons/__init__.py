@@ -1,0 +1,1 @@
+"""What found gains are worth: rivals, fresh walks, margins, limits of stability, verdicts."""

@@ -1,0 +1,309 @@
+"""Laws side by side: each tuned alike, judged on the same unseen walks, beside pd retuned: `tuning.compare`."""
+
+import dataclasses
+import os
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb import execution
+from mjx_climb.control import PD, Measurement, Reference, Start, begin, law_of
+from mjx_climb.hardware.stages import given
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.resolve import resolve_in
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.robot_import.load import load_robot
+from mjx_climb.scenario.messages import ConfigError
+from tuning.background import Callback as Told
+from tuning.background import Stage, silent
+from tuning.comparisons import judge as judging
+from tuning.comparisons.retuned_pd import NAME
+from tuning.gains.own_section import load_law, without
+from tuning.methods import parts
+from tuning.methods.rounds import Callback
+from tuning.problem import spaces
+from tuning.problem.ensemble import FRICTION, Ensemble
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.search import Search
+from tuning.results.result import Result, Tuned
+from tuning.searches import tune
+from tuning.searches.shards import Rows
+
+METHODS = ("cmaes", "optuna")  # that evaluate as many points however many gains there are
+FEW, MANY = (16, 20), (256, 40)  # points and rounds; where a GPU's kernel walks them side by side
+CONTROLLERS = ("base_admittance", "end_effector_admittance")
+HARDWARE = {  # what retuned pd walks with besides: parameters and their factor
+    "half the delay": (("force_delay", "command_delay"), 0.5),
+    "half the friction": (FRICTION, 0.5),
+    "twice the rate": (("control_period",), 0.5),
+}
+_KEYS = ("also", "bounds", "pins", "frozen")  # settings that name gains
+
+
+Laws = Iterable[str | mc.Law] | Mapping[str, str | mc.Law]
+
+
+class Contestant(NamedTuple):
+    """A law, and the settings that it is tuned by: those of all, without the gains that it does not have."""
+
+    scenario: mc.Scenario
+    law: mc.Law | None  # the scenario's where None
+    search: Search
+    space: spaces.Space
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison(Result):
+    """Laws that were tuned alike, and their walks through members of an ensemble that no search has seen.
+
+    `data` holds every metric of every walk over `gains` (the laws, pd retuned, that on better hardware, and the
+    scenario's pd) and `member`, as of `tuning.judge`. `write` adds which differences from retuned pd are real.
+    """
+
+    FILE = "compared.nc"
+    KIND = "compare"
+
+    tuned: Mapping[str, Tuned] = dataclasses.field(default_factory=dict)  # by law, `retuned_pd` the last
+
+    @property
+    def laws(self) -> list[str]:
+        """The names of the laws, without pd's."""
+        return [name for name in self.tuned if name != NAME]
+
+    @property
+    def hardware(self) -> list[str]:
+        """The names of the walks of retuned pd with better hardware."""
+        return [name for name in self.data["gains"].values.tolist() if name in HARDWARE]
+
+
+def compare(
+    scenario: mc.Scenario,
+    laws: Laws,
+    ensemble: Ensemble,
+    search: Search | None = None,
+    *,
+    members: int = judging.MEMBERS,
+    out: str | os.PathLike[str] | None = None,
+    stage: Stage = silent,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    **settings: Any,
+) -> Comparison:
+    """Tune several laws for as many evaluations on the same draws, and judge them on the same unseen walks.
+
+    pd with kp and kd retuned is always among them. All search kp and kd too; a gain that `also`, `bounds`, `pins`
+    or `frozen` name is searched, bounded, pinned or frozen where a law has it.
+    `compare(scenario, laws, ensemble, out="results/mine").write("results/mine")` is `mjx-climb compare`.
+
+    Arguments:
+        scenario: what walks where.
+        laws: instances, or names: `base_admittance`, `end_effector_admittance`, or what `--law` takes; a mapping gives
+            them other names than their own.
+        ensemble: what the walks may meet; drawn again with another seed to judge.
+        search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it. The
+            method is cmaes or optuna; 16 points in 20 rounds where they do not say, on a GPU 256 in 40.
+        members: walks of each law that no search has seen.
+        out: a folder that keeps each finished round, so that an interrupted comparison goes on from there.
+        stage: opened for each longer work, see `tuning.background.Stage`.
+        metrics, engine: as of `tuning.tune`.
+
+    Raises:
+        ConfigError: an unknown law, a law twice, settings that make no sense, or a key of them that no law has.
+        KeyboardInterrupt: the user stopped it.
+        OutputError: the folder cannot be written, or holds unfinished searches for something else.
+    """
+    wanted = alike(tune.over_ensemble(search, settings, ensemble), search, settings)
+    laws_by_name = contestants(scenario, laws, wanted)
+    base = problem_of(scenario, laws_by_name, ensemble, metrics=mc.MetricTable(metrics), engine=engine)
+    return run(laws_by_name, base, wanted, members, out=out, stage=stage)
+
+
+def alike(wanted: Search, *given: Search | Mapping[str, Any] | None) -> Search:
+    """Return settings by which all laws are evaluated as often; `given` say whether the method was chosen.
+
+    Raises:
+        ConfigError: a method that evaluates some laws more often than others, or joint gains that are not searched.
+    """
+    said = [each.model_fields_set if isinstance(each, Search) else each or () for each in given]
+    if not any("method" in each for each in said):
+        wanted = wanted.model_copy(update={"method": "cmaes"})
+    if wanted.method not in METHODS:
+        expected = f"expected {' or '.join(METHODS)}, which evaluate all laws as often"
+        raise ConfigError(f"method: {expected}, got {wanted.method}")
+    if wanted.joint_gains is False:
+        raise ConfigError("joint_gains: expected true, as pd has no gains but kp and kd, got false")
+    points, rounds = MANY if execution.many_at_once(np.dtype(wanted.precision)) else FEW
+    how = {"starts": wanted.starts or points, "iterations": wanted.iterations or rounds, "joint_gains": True}
+    return wanted.model_copy(update=how)
+
+
+def named(scenario: mc.Scenario, laws: Laws) -> dict[str, tuple[mc.Scenario, mc.Law | None]]:
+    """Return scenario and law (None: the scenario's) by name, pd the last.
+
+    Raises:
+        ConfigError: an unknown law, a law twice, or none beside pd.
+    """
+    found: dict[str, tuple[mc.Scenario, mc.Law | None]] = {}
+    own = without(scenario)
+    for name, law in laws.items() if isinstance(laws, Mapping) else ((_name(law), law) for law in laws):
+        if name in found or name in HARDWARE:
+            raise ConfigError(f"laws: expected laws of different names, got {name.replace(NAME, 'pd')} twice")
+        if name == NAME:
+            found[name] = under_pd(scenario), None
+        elif isinstance(law, mc.Law):
+            found[name] = own, law
+        elif law in CONTROLLERS:
+            reading = scenario.control.reading if law == "base_admittance" else "virtual_model"
+            changes = {"control.controller": law, "control.reading": reading}
+            found[name] = own.with_overrides(changes), None
+        else:
+            try:
+                found[name] = own, load_law(law)
+            except ConfigError as error:
+                raise ConfigError(f"laws: expected pd, {', '.join(CONTROLLERS)} or a law: {error}") from None
+    if not found.keys() - {NAME}:
+        raise ConfigError("laws: expected a law to compare with pd, got none")
+    found.pop(NAME, None)
+    return found | {NAME: (under_pd(scenario), None)}
+
+
+def _name(law: str | mc.Law) -> str:
+    if law in ("pd", PD.__name__) or type(law) is PD:
+        return NAME
+    return law.rpartition(":")[2] if isinstance(law, str) else type(law).__name__
+
+
+def contestants(scenario: mc.Scenario, laws: Laws, search: Search) -> dict[str, Contestant]:
+    """Return the laws by name, pd the last, each with the settings that concern it; errors as of `compare`."""
+    found = {}
+    for name, (place, law) in named(scenario, laws).items():
+        own = _own(search, place, law)
+        found[name] = Contestant(place, law, own, spaces.space(place, own, law))
+        if search.method == "cmaes" and found[name].space.size == 1:
+            raise ConfigError(f"method: expected optuna where {name} has one gain to search, got cmaes")
+    for key in _KEYS:
+        there = {gain for each in found.values() for gain in getattr(each.search, key)}
+        for gain in (gain for gain in getattr(search, key) if gain not in there):
+            setting = key if key == "also" else f"{key}.{gain}"
+            raise ConfigError(f"{setting}: expected a gain that one of the laws has, got {gain}")
+    return found
+
+
+def problem_of(scenario: mc.Scenario, laws: Mapping[str, Contestant], ensemble: Ensemble, **walks: Any) -> Problem:
+    """Return the walks and the objective, which are the same for all laws; `walks` are metrics and engine."""
+    return tune.problem_of(scenario, laws[NAME].search, ensemble=ensemble, **walks)
+
+
+def _own(search: Search, scenario: mc.Scenario, law: mc.Law | None) -> Search:
+    """Return the settings without the gains that a law does not have."""
+    bare = search.model_copy(update={"bounds": {}, "pins": {}, "frozen": ()})
+
+    def has(gain: str) -> bool:
+        try:
+            spaces.space(scenario, bare.model_copy(update={"also": (gain,)}), law)
+        except ConfigError as error:
+            return not str(error).startswith("also: expected gains of the law")
+        return True
+
+    own = search.model_copy(update={"also": tuple(filter(has, search.also))})
+    while True:
+        try:
+            spaces.space(scenario, own, law)
+            return own
+        except ConfigError as error:
+            key, _, reason = str(error).partition(": ")
+            section, _, gain = key.partition(".")
+            if not reason.startswith("expected one of") or gain not in getattr(own, section, ()):
+                raise
+            named = getattr(own, section)
+            others = [name for name in named if name != gain]
+            left = {name: named[name] for name in others} if isinstance(named, dict) else tuple(others)
+            own = own.model_copy(update={section: left})
+
+
+def run(
+    laws: Mapping[str, Contestant],
+    base: Problem,
+    asked: Search,
+    members: int = judging.MEMBERS,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    stage: Stage = silent,
+) -> Comparison:
+    """Search and judge laws, see `contestants` and `problem_of`; other arguments, result and errors as of `compare`."""
+    below = None if out is None else Path(out) / parts.FOLDER
+    found: dict[str, Tuned] = {}
+    for name, (scenario, law, search, space) in laws.items():
+        problem = dataclasses.replace(base, scenario=scenario, law=law, space=space)
+        with stage(name, unit="rounds", keeps=True) as told:
+            kept = None if below is None else below / file_name(name)
+            found[name] = tune.run(problem, search, out=kept, progress=_telling(told))
+            if found[name].interrupted:
+                raise KeyboardInterrupt
+    assert base.ensemble is not None
+    unseen = judging.fresh(base.ensemble.model_copy(update={"members": members}))
+    draws = {name: judging.through(own.problem, {name: own.gains}, unseen) for name, own in found.items()}
+    pd = draws[NAME]
+    assert pd.problem.parameters is not None
+    for name, parameters in on_better_hardware(pd.problem.scenario, pd.problem.parameters).items():
+        better, gains = dataclasses.replace(pd.problem, parameters=parameters), {name: found[NAME].gains}
+        draws[name] = dataclasses.replace(pd, problem=better, gains=gains)
+    walks = []
+    for name, draw in draws.items():
+        with stage(f"unseen walks of {name}", unit="members") as told:
+            arrays = Rows(draw, None if below is None else below / f"judged-{file_name(name)}").walk(told)
+        walks.append(draw.dataset(arrays))
+    each = [data.sel(gains=[name]) for name, data in zip(draws, walks, strict=True)]
+    each.append(walks[0].sel(gains=[judging.PD]))  # every draw has walked it
+    data = xr.concat(each, "gains", data_vars="minimal", coords="minimal", compat="override", combine_attrs="override")
+    data.attrs[judging.LOST] = "; ".join(text for own in walks if (text := own.attrs[judging.LOST]))
+    return Comparison(data, base, asked, base.ensemble, tuned=found)
+
+
+def _telling(told: Told) -> Callback:
+    return lambda now: told(now.rounds, now.rounds_in_all)
+
+
+def on_better_hardware(scenario: mc.Scenario, drawn: mc.Parameters) -> dict[str, mc.Parameters]:
+    """Return the parameters of a draw with one thing bettered, by what that is, as far as the hardware has such.
+
+    Control periods stay whole time steps, one at least.
+    """
+    found = {}
+    for words, (names, factor) in HARDWARE.items():
+        changes = {name: factor * np.asarray(getattr(drawn, name), float) for name in names}
+        if "control_period" in changes:
+            period, step = changes["control_period"], scenario.time_step
+            changes["control_period"] = np.where(period > 0, np.maximum(np.round(period / step), 1) * step, 0.0)
+        if any(given(values) for values in changes.values()):
+            found[words] = dataclasses.replace(drawn, **changes)
+    return found
+
+
+def reads_forces(problem: Problem) -> bool:
+    """Tell whether what a law does depends on the forces that are measured, by its program."""
+    scenario, law = problem.scenario, problem.law or law_of(problem.scenario)
+    one = resolve_in(scenario, law, None, own_parameters(scenario), np.float64).law
+    robot = load_robot(scenario.robot)
+    # of any values: only the program is looked at
+    zero, feet, joints, each = map(jnp.zeros, (3, robot.foot_center.shape, robot.stance_joints.shape, len(robot.limbs)))
+    level = jnp.array([1.0, 0.0, 0.0, 0.0])
+    reference = Reference(zero, level, feet, each, each)
+    measured = Measurement(zero, level, zero, zero, feet, jnp.zeros(6), each > 0, joints, joints, joints)
+    state = begin(one, Start(scenario.time_step, reference, joints))
+    program = jax.make_jaxpr(one.step)(state, measured, reference)
+    still = [jax.tree.map(lambda _: False, tree) for tree in (state, measured, reference)]
+    still[1] = still[1]._replace(foot_force=True, wrench=True)
+    return any(execution.reached(program.jaxpr, jax.tree.leaves(still)))
+
+
+def file_name(law: str) -> str:
+    """Return what a law's files are called."""
+    return re.sub(r"[^\w.@+-]", "_", law)

@@ -1,0 +1,257 @@
+"""pd with joint gains of its own for the same goal: what can be had without a force sensor."""
+
+import dataclasses
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import mjx_climb as mc
+from mjx_climb.control import PD
+from mjx_climb.inputs.gait_values import GAIT, gait_of
+from mjx_climb.inputs.time_step import short_enough
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.scenario.messages import ConfigError
+from tuning.gains.gains_file import applied, by_name
+from tuning.methods import parts
+from tuning.methods.rounds import Callback
+from tuning.problem import spaces
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.search import OWN_METHOD, Search
+from tuning.problem.spaces import JOINT, default_bounds
+from tuning.results.result import Tuned
+from tuning.searches import tune
+
+NAME = "retuned_pd"  # in tables and files
+_COARSE = (12, 9)  # values of kp and kd
+FINE = (24, 18)
+_SEEN = ("force_variation", "detached_limb", "diverged")
+ROUNDS, POINTS = 2, 12  # of `least`: grids of so many values of kp and of kd, the next within a cell of the best
+HALVINGS = 2  # of the time step at most, for joint gains that it cannot follow
+ON_A_GRID = "on a grid alone"
+
+
+class Rival(NamedTuple):
+    """pd with kp and kd that were searched, and perhaps the gait, by the keys of a scenario."""
+
+    joint: Mapping[str, float]
+    value: float  # of what was searched for
+    spread: float = 0.0  # see `spread`; of two searches that are compared the larger one
+    lacks: str = ""  # in what it was searched less than it might be, nothing where all its bounds were
+    feasible: bool = True  # it keeps all limits
+    step: float | None = None  # s, the time step of a comparison, where it is not the scenario's
+
+
+def search(
+    problem: Problem,
+    settings: Search,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    progress: Callback | None = None,
+) -> Tuned | None:
+    """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same, and the gait.
+
+    A method of the caller's own is replaced by the default one, in its own number of rounds. The time step is one that
+    all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were searched, it is the one of theirs.
+    `out` keeps each finished round in a folder of its own. None where what was searched is itself pd.
+
+    Raises:
+        KeyboardInterrupt: the user stopped it; with `out` it goes on from there.
+    """
+    if problem.law is None and problem.scenario.control.controller == "pd":
+        return None
+    changed: dict[str, Any] = {"space": "isotropic", "inertia": False, "joint_gains": True}
+    changed["also"] = tuple(name for name in settings.also if name in GAIT)
+    changed["bounds"] = {name: span for name, span in settings.bounds.items() if name in JOINT or name in GAIT}
+    changed |= {"pins": gait_of(settings.pins), "frozen": ()}
+    if settings.method == OWN_METHOD:
+        changed |= {"method": "cmaes" if changed["also"] else "gradient", "starts": None, "iterations": None}
+    settings, scenario = settings.model_copy(update=changed), under_pd(problem.scenario)
+    space = spaces.space(scenario, settings)
+    if JOINT.keys().isdisjoint(problem.space.gains):
+        scenario = scenario.with_overrides({"time_step": time_step_for(problem.scenario, _highest(space))})
+    rival = dataclasses.replace(problem, scenario=scenario, space=space, law=None)
+    own = None if out is None else Path(out) / parts.FOLDER / NAME
+    again = tune.run(rival, settings, out=own, progress=progress)
+    if again.interrupted:
+        raise KeyboardInterrupt
+    return again
+
+
+def walked_on_grid(
+    scenario: mc.Scenario, counts: tuple[int, int] = _COARSE, parameters: mc.Parameters | None = None, **how: Any
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Simulate pd with kp and kd on a grid within the bounds of a search, and with the scenario's own.
+
+    `parameters` (P) walk in place of the scenario's, all of them with each; `how` as of `mc.rollout_metrics`.
+
+    Returns:
+        kp and kd, (N,) each, and the metrics of their walks, (N) or (N, P).
+    """
+    pd = under_pd(scenario)
+    bounds, own = default_bounds(pd, PD()), {"kp": pd.control.kp, "kd": pd.control.kd}
+    axes = [np.append(np.geomspace(*bounds[name], count), own[name]) for name, count in zip(own, counts, strict=True)]
+    gains = dict(zip(own, (values.ravel() for values in np.meshgrid(*axes)), strict=True))
+    each = gains if parameters is None else {name: values[:, None] for name, values in gains.items()}
+    walks = mc.rollout_metrics(pd, each, parameters, unsteady=True, **how)
+    return gains, {name: np.asarray(value) for name, value in walks.items()}
+
+
+def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFAULT_ENGINE) -> Rival | None:
+    """Search kp and kd with which pd has the least force variation and holds, None where it never does.
+
+    Over all of the bounds first, then closer and closer about the best: what a sweep, which looks for the same among
+    the gains of a law, is compared with. The time step is halved so many times at most for kp and kd that it cannot
+    follow; those that it then cannot are left out, which `Rival.lacks` says.
+    """
+    pd, table = under_pd(scenario), mc.MetricTable(mc.METRICS[name] for name in _SEEN)
+    how: dict[str, Any] = {"metrics": table, "engine": engine, "unsteady": True}
+    bounds = default_bounds(pd, PD())
+    highest = {name: high for name, (_, high) in bounds.items()}
+    pd = pd.with_overrides({"time_step": time_step_for(scenario, highest, halvings)})
+    lower, upper = np.log(list(bounds.values())).T
+    best, centre, half = np.log([pd.control.kp, max(pd.control.kd, 1e-12)]), (lower + upper) / 2, (upper - lower) / 2
+    offsets = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, POINTS)]), -1).reshape(-1, 2)
+    every = []
+    for _ in range(ROUNDS):
+        points = np.vstack([np.clip(centre + half * offsets, lower, upper), best])  # rounds of one size: one program
+        pairs = np.exp(points)
+        walks = mc.rollout_metrics(pd, dict(zip(JOINT, pairs.T, strict=True)), **how)
+        holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
+        values = np.where(holds, walks["force_variation"], np.inf)
+        while True:
+            place = values.argmin()
+            joint = dict(zip(JOINT, pairs[place].tolist(), strict=True))
+            if not np.isfinite(values[place]) or _follows(pd, joint):
+                break
+            values[place] = np.inf
+        every.append(values)
+        best = centre = points[place]
+        half = half * 2 / (POINTS - 1)
+    if not np.isfinite(values[place]):
+        return None
+    return Rival(joint, float(values[place]), spread(np.concatenate(every)), _lacks(pd, highest))
+
+
+def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: int = HALVINGS) -> float:
+    """Return a time step, s, that joint gains can follow: the scenario's, halved up to so many times.
+
+    It is the scenario's own where a law looks one time step ahead, and would be another one at another step.
+    """
+    control, step = scenario.control, scenario.time_step
+    if control.reading == "measured_pose" and not scenario.hardware.control_period:
+        return step
+    for _ in range(halvings):
+        try:
+            shorter = scenario.with_overrides({"time_step": step / 2})
+        except ConfigError:  # a delay of more time steps than are kept
+            break
+        if _follows(scenario.with_overrides({"time_step": step}), joint):
+            break
+        step = shorter.time_step
+    return step
+
+
+def walker(scenario: mc.Scenario, joint: Mapping[str, float]) -> mc.Scenario:
+    """Return the scenario with pd in place of its law, with joint gains and a time step that they can follow."""
+    return applied(under_pd(scenario), joint).with_overrides({"time_step": time_step_for(scenario, joint)})
+
+
+def joint_of(found: Tuned) -> dict[str, float]:
+    """Return kp and kd, and the gait where it was searched: pd has no other gains."""
+    gains = by_name(found.gains)
+    return {name: float(gains[name]) for name in (*JOINT, *GAIT) if name in gains}
+
+
+def spread(values: np.ndarray) -> float:
+    """Return by how much the second best of some values is worse than the best, relative; 0 where there are not two.
+
+    What gains differ by no more than is nothing that a search has found.
+    """
+    two = np.unique(values[np.isfinite(values)])[:2]
+    return float(np.ptp(two) / abs(two[0])) if two.size == 2 and two[0] else 0.0
+
+
+def rival_of(found: Tuned, retuned: Tuned, step: float | None = None) -> Rival:
+    """Return what `search` found, to be compared with what it was searched for, at a time step of both."""
+    lacks = _lacks(retuned.scenario, _highest(spaces.space(retuned.scenario, retuned.search)))
+    spreads = []
+    for each in (found, retuned):  # side by side: starts of a descent, a population, points of a grid
+        rows = each.data["row"].values
+        best = np.full(rows.max() + 1, np.inf)
+        np.fmin.at(best, rows, np.where(each.data["feasible"], each.data["value"], np.inf))
+        spreads.append(spread(best))
+    return Rival(joint_of(retuned), retuned.value, max(spreads), lacks, retuned.feasible, step)
+
+
+def _follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
+    return short_enough(scenario.with_overrides({f"control.{name}": float(joint[name]) for name in JOINT}))
+
+
+def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:
+    return "" if _follows(scenario, highest) else f"within what a time step of {scenario.time_step:g} s can follow"
+
+
+def _highest(space: spaces.Space) -> dict[str, float]:
+    return dict(zip(space.names, np.exp(space.upper), strict=True))
+
+
+class Worth(NamedTuple):
+    """What a force sensor changes: of gains found against pd retuned."""
+
+    changes: dict[str, float]  # relative, of what the gains were found for: -0.1 is a tenth less
+    in_words: str
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {"force_sensor": self.changes | {"in_words": self.in_words}}
+
+
+def worth(
+    values: Mapping[str, float],
+    without: Mapping[str, float],
+    rival: Rival,
+    *,
+    larger: bool = False,
+    place: str = "",
+    others: tuple[Sequence[str], Sequence[str]] = ((), ()),
+) -> Worth:
+    """Return what a force sensor is worth.
+
+    There is a verdict only where a further search of pd would not turn it round, as far as this one can tell.
+
+    Arguments:
+        values: first what the gains were found for, then what else is to be said of them.
+        without: the same of pd retuned, which is `rival`.
+        larger: whether more of the first value is better, not less.
+        place: where the gains were searched, if that is not all there is.
+        others: what else is worse, and what is better, in words.
+    """
+    own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
+    than = f"pd with {own}, which needs none"
+    than += "" if rival.feasible else " (and breaks a limit)"
+    changes = {name: values[name] / without[name] - 1 for name in values}
+    if not all(map(math.isfinite, changes.values())):
+        return Worth(changes, f"the force sensor: not to be compared with {than}: a walk failed")
+    first = next(iter(changes.values()))
+    if abs(first) <= rival.spread:
+        spread = f"the search's own spread of {100 * rival.spread:.1f} %"
+        verdict = f"the force sensor changes nothing{place} beyond {spread}"
+    elif not (first > 0 if larger else first < 0):
+        verdict = f"the force sensor does not pay{place}"
+    elif rival.lacks:
+        verdict = f"no verdict on the force sensor, since pd was searched {rival.lacks}"
+    else:
+        verdict = "the force sensor pays"
+    said = ""
+    for name, change in changes.items():  # the objective may be less though one of its terms is more
+        link = " and " if (change < 0) == (first < 0) else ", though "
+        more = "less" if change < 0 else "more"
+        said += f"{link if said else ''}{100 * abs(change):.1f} % {more} {name.replace('_', ' ')}"
+    step = "" if rival.step is None else f", both at a time step of {rival.step:g} s"
+    rest = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
+    return Worth(changes, "; ".join([f"{verdict}: {said} than {than}{step}", *rest]))

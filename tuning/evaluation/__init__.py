@@ -1,1 +1,0 @@
-"""What found gains and grids are worth: verification, limits of stability, maps, the paper's claims."""

@@ -1,0 +1,1 @@
+"""What a log would have recorded of a robot: held, gripped, or walked again."""

@@ -1,0 +1,29 @@
+"""What a log has of the force on a foot: a share of it, an offset, and a share of another axis."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+
+from tuning.identification.model.variables import Place
+
+_AXES = "xyz"
+
+
+def logged_force(places: Sequence[Place], x: Array, limbs: Sequence[str], force: Array) -> Array:
+    """Return what the log has of what force sensors read (..., limb, 3) N, at coordinates x of the variables."""
+    own = {place.key: value for place, value in zip(places, x, strict=True)}
+    if not any(key.startswith(f"log.{limb}.force.") for key in own for limb in limbs):
+        return force
+    one, none = jnp.ones_like(x[0]), jnp.zeros_like(x[0])
+    offset = [[own.get(f"log.{limb}.force.zero.{axis}", none) for axis in _AXES] for limb in limbs]
+    mixed = [
+        [
+            own.get(f"log.{limb}.force.gain", one) if axis == of else own.get(f"log.{limb}.force.{of}_in_{axis}", none)
+            for axis in _AXES
+            for of in _AXES
+        ]
+        for limb in limbs
+    ]
+    shares, zero = (jnp.stack([jnp.stack(row) for row in rows]) for rows in (mixed, offset))
+    return jnp.matvec(shares.reshape(-1, 3, 3), force) + zero

@@ -1,0 +1,282 @@
+"""What a log of a gripped robot would have recorded, its base free: window after window, with exact derivatives.
+
+Grips and servos damp what a robot of shut grippers begins with, so that no state is fitted: it stands under the log's
+commands for a window's length before the log begins, and goes on from window to window. Where its grips are is fitted.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+import mjx_climb as mc
+from mjx_climb import execution
+from mjx_climb.hardware.stages import hardware_of
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.parameter_types import Parameters
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.physics.state import State
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
+from mjx_climb.scenario.messages import ConfigError
+from tuning.identification.model import held_base as stands
+from tuning.identification.model import held_feet as grips
+from tuning.identification.model import predicted as model
+from tuning.identification.model.force_sensors import logged_force
+from tuning.identification.model.predicted import (
+    CLOCK,
+    DELAY,
+    LATENESS,
+    LEAD,
+    Fit,
+    Point,
+    Structure,
+    stages_for,
+    with_nuisances,
+)
+from tuning.identification.model.variables import Place, Variable, applied
+from tuning.identification.model.windows import KINDS, Windows, cut
+from tuning.identification.readers.log import Log, Signal, joints_of
+
+FORCE_DELAY = "hardware.force_sensor.delay"
+LATE = {  # kinds that are recorded late, by the keys of their delays
+    **{key: (kind,) for key, kind in model.LATE.items()},
+    FORCE_DELAY: ("force",), "log.force.delay": ("force",), "log.base.delay": KINDS[4:],
+}  # fmt: skip
+_GRIP = (0.0, 0.003, -0.1, 0.1)  # m, of a grip point from where the foot is seen
+_AXES = "xyz"
+
+
+class Given(NamedTuple):
+    """What the log says of a window."""
+
+    sent: stands.Sent  # (steps + 1, ...)
+    rates: stands.Sent  # of what is sent, over time
+    points: Any  # (limb, 3) m, where grips are seen
+    stood: State  # in which the robot was when it gripped
+
+
+def signals_beside(log: Log, robot: Robot) -> dict[str, tuple[int, int, int]]:
+    """Return the signals of feet and base in a log: limb, axis and kind of each."""
+    named = {
+        f"{limb}.force.{axis}": (n, column, KINDS.index("force"))
+        for n, limb in enumerate(robot.limbs)
+        for column, axis in enumerate(_AXES)
+    }
+    for kind in KINDS[4:]:
+        axes = "wxyz" if kind == "base_orientation" else _AXES
+        named |= {f"{kind.replace('_', '.', 1)}.{axis}": (0, n, KINDS.index(kind)) for n, axis in enumerate(axes)}
+    return {name: place for name, place in named.items() if name in log.signals}
+
+
+def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Windows:
+    """Return the windows of a gripped robot's log.
+
+    Raises:
+        ConfigError: joints without commands, a gripper that opens, a push, or too short a log.
+    """
+    for name in log.signals:
+        if name.endswith(".support") and not log.signals[name].value.all():
+            opened = float(log.signals[name].time[np.argmin(log.signals[name].value)])
+            raise ConfigError(f"{log.source}: expected all grippers shut (a sway), got {name} 0 at {opened:.4g} s")
+        if name.startswith(("base.force.", "base.moment.")) and log.signals[name].value.any():
+            raise ConfigError(f"{log.source}: expected no push on the base of a robot that is identified, got {name}")
+    if missing := [name for joint in joints_of(robot) if (name := f"{joint}.command") not in log.signals]:
+        expected = "the commands of all joints of a gripped robot"
+        raise ConfigError(f"{log.source}: expected {expected}, got none of {missing[0]} (--base held: some limbs)")
+    return cut(log, robot, time_step, held_out, signals_beside(log, robot))
+
+
+def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
+    """Return what would be recorded at steps 0 to `steps`, and the leaves of the state at the last one."""
+    dtype = point.x.dtype
+    nominal = load_robot(structure.robot)
+    parameters, robot = applied(structure.places, point.x, parameters, nominal)
+    # states are of the base's nominal centre of mass, but in the simulation itself
+    center = jnp.asarray(nominal.frame_position[0, 0] - robot.frame_position[0, 0], dtype)
+    robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
+    hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
+    points = given.points + _of_grips(structure.places, point.x, robot)
+    gripped = grips.Gripped(robot, hardware, grips.grips(robot, given.stood, hardware, points))
+    first = _about(point.start, center)
+    limbs = first.limbs._replace(state=execution.of_limbs(first.limbs.state))
+
+    def step(carry: Any, both: tuple[stands.Sent, stands.Sent]) -> tuple[Any, dict[str, Array]]:
+        moving, _ = carry
+        sent = jax.tree.map(lambda value, rate: value - point.late * rate, *both)
+        driven = stands.with_gains(stands.Stand(robot, hardware), sent).hardware
+        after, seen = grips.advance(gripped._replace(hardware=driven), moving, sent.targets)
+        # the rate as it stands, half a step before the angle: right where the target jumps too
+        arm = -quaternion_to_matrix(seen.base_orientation) @ center
+        seen = seen._replace(
+            velocity=moving.limbs.state.joint_rates, base_position=seen.base_position + arm,
+            base_linear_velocity=seen.base_linear_velocity + jnp.cross(seen.base_angular_velocity, arm),
+            force=logged_force(structure.places, point.x, robot.limbs, seen.force),
+        )  # fmt: skip
+        recorded = {kind: getattr(seen, kind) for kind in structure.kinds}
+        return (after, moving), {k: value[None] if k.startswith("base") else value for k, value in recorded.items()}
+
+    first = first._replace(limbs=limbs)
+    (_, last), seen = jax.lax.scan(step, (first, first), (given.sent, given.rates))
+    return seen | {f"end {n}": leaf for n, leaf in enumerate(jax.tree.leaves(_about(last, -center)))}
+
+
+def _about(moving: grips.Moving, by: Array) -> grips.Moving:
+    """Return a robot whose base's position and velocity are those of another point of it, `by` (3,) m off."""
+    state = moving.limbs.state
+    arm = quaternion_to_matrix(state.base_orientation) @ by
+    velocity = state.base_linear_velocity + jnp.cross(state.base_angular_velocity, arm)
+    state = dataclasses.replace(state, base_position=state.base_position + arm, base_linear_velocity=velocity)
+    return moving._replace(limbs=moving.limbs._replace(state=state))
+
+
+def _of_grips(places: Sequence[Place], x: Array, robot: Robot) -> Array:
+    """Return how far grip points (limb, 3) m are from where the log has them."""
+    own = {place.key: value for place, value in zip(places, x, strict=True)}
+    zero = jnp.zeros_like(x[0])
+    return jnp.stack([
+        jnp.stack([own.get(f"log.{limb}.grip.{axis}", zero) for axis in _AXES]) for limb in robot.limbs
+    ])  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class GrippedModel(Fit):
+    """The model of a gripped robot's log."""
+
+    points: Float[np.ndarray, "limb 3"]  # m, where grips are seen
+    stood: State  # at the beginning of the log
+    first: Sequence[State]  # at the beginning of each stretch
+
+    def evaluate(self, x: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, dict[str, Any], dict[str, Any]]]:
+        """Yield windows that run at the same time, what they and those before would have recorded, and the tangents.
+
+        Arguments:
+            x: (points, n).
+            count: how many windows, from the first on.
+
+        Yields:
+            Windows; by kind (points, windows, 2 steps + 1, limb, joint), from the beginning of the windows before
+            them; and the tangents along each variable, their axis behind that of the windows.
+        """
+        abuts, points, steps = self.windows.abuts[:count], len(x), self.windows.steps
+        firsts = np.flatnonzero(~abuts)
+        lengths = np.diff(np.r_[firsts, count])
+        moving = self._at_rest(x, len(firsts))
+        turned = jax.tree.map(lambda value: np.zeros((len(value), x.shape[1], *value.shape[1:])), moving)
+        kept: Any = None
+        for n in range(-1, int(lengths.max())):
+            which = firsts + np.clip(n, 0, lengths - 1)
+            given = self._given(x, which, before=n < 0)
+            values, tangents = self._run(x, Point(x, moving, 0.0), turned, given)
+            (moving, values), (turned, tangents) = (_parted(each, moving) for each in (values, tangents))
+            if n >= 0:
+                own = n < lengths
+                of_windows = [
+                    {
+                        kind: np.concatenate([before[kind][..., :steps, :, :], value], axis=-3).reshape(
+                            points, len(firsts), *value.shape[1:-3], -1, *value.shape[-2:]
+                        )[:, own]
+                        for kind, value in each.items()
+                    }
+                    for before, each in zip(kept, (values, tangents), strict=True)
+                ]
+                yield which[own], *of_windows
+            kept = values, tangents
+
+    def _given(self, x: np.ndarray, which: np.ndarray, before: bool) -> Given:
+        """Return what the log says of windows, or of as long before each, for all points."""
+        steps = self.windows.steps
+        span = slice(0, steps + 1) if before else slice(steps, None)
+        each = [self.sent(which, self.delay(point), steps) for point in x]
+        sent, rates = jax.tree.map(lambda *parts: np.concatenate(parts)[:, span], *each)
+        return Given(sent, rates, self.points, self.stood)
+
+    def _at_rest(self, x: np.ndarray, stretches: int) -> grips.Moving:
+        """Return the state in which each stretch begins, for all points."""
+        robot = load_robot(self.structure.robot)
+        with jax.enable_x64(True):
+            hardware = hardware_of(self.parameters, self.structure.stages, self.structure.time_step, robot)
+            each = [grips.begin(hardware, jax.tree.map(jnp.asarray, state)) for state in self.first[:stretches]]
+            stacked: grips.Moving = jax.tree.map(lambda *leaves: np.stack(leaves * len(x)), *each)
+        return stacked
+
+    def _run(self, x: np.ndarray, point: Point, turned: Any, given: Given) -> Any:
+        robots, count = len(given.sent.targets), x.shape[1]
+        late = np.array([float(v.key in (DELAY, CLOCK)) for v in self.variables])
+        along = Point(np.eye(count)[None], turned, late[None])
+        point = point._replace(x=np.repeat(x, robots // len(x), axis=0), late=np.zeros(robots))
+        own, sent, rates = jax.tree.map(lambda value: value.ndim - 1, (point, given.sent, given.rates))
+        shared: Any = jax.tree.map(np.ndim, (given.stood, self.parameters))
+        axes = (own, Given(sent, rates, 2, shared[0]), shared[1])
+        batch = execution.Robots((point, given, self.parameters), axes, (robots,), along)
+        return execution.run(simulate, self.structure, batch, batch_size=1)
+
+
+def _parted(found: dict[str, np.ndarray], like: grips.Moving) -> tuple[grips.Moving, dict[str, np.ndarray]]:
+    leaves = [found[f"end {n}"] for n in range(len(jax.tree.leaves(like)))]
+    state: grips.Moving = jax.tree.unflatten(jax.tree.structure(like), leaves)
+    return state, {kind: value for kind, value in found.items() if not kind.startswith("end ")}
+
+
+def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Sequence[Variable]) -> GrippedModel:
+    """Return the model of a gripped robot's log, with what no such log is free of beside what is asked for."""
+    robot, own = load_robot(scenario.robot), own_parameters(scenario)
+    nuisances = [v for v in with_nuisances(scenario, windows, chosen) if v.key != LEAD]
+    every = [*nuisances, *_delays(windows, chosen)]
+    every += [Variable(f"log.{limb}.grip.{a}", "m", 0.0, *_GRIP, beside=True) for limb in robot.limbs for a in _AXES]
+    stages = stages_for(scenario, chosen)._replace(
+        force_delay=0, force_noise=False, force_resolution=False, force_dead=False, base_delay=0, base_noise=False
+    )
+    kinds = tuple(KINDS[k] for k in sorted(set(windows.kind)))
+    places = tuple(Place(v.key, v.log) for v in every)
+    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, kinds)
+    angles = windows.start[~windows.abuts, :, :, 0]
+    position, orientation = _posed(log, robot, windows.begin[0])
+    feet = position + limb_frames(robot, np.asarray(quaternion_to_matrix(orientation), float), angles[0]).foot
+    # a foot hangs below its grip by what it carries
+    weight = float(robot.total_mass) * np.asarray(own.gravity) / len(robot.limbs)
+    states = [_state(*_registered(robot, each, feet), each) for each in angles]
+    points = feet - weight / float(own.contact_stiffness)
+    return GrippedModel(windows, tuple(every), structure, own, points, states[0], states)
+
+
+def _delays(windows: Windows, chosen: Sequence[Variable]) -> list[Variable]:
+    there, keys = {KINDS[k] for k in windows.kind}, {v.key for v in chosen}
+    if len(there) < 2:
+        return []
+    found = ["log.force.delay"] if "force" in there and FORCE_DELAY not in keys else []
+    found += ["log.base.delay"] if there & set(KINDS[4:]) else []
+    return [Variable(key, "s", 0.0, *LATENESS) for key in found]
+
+
+def _posed(log: Log, robot: Robot, moment: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return position (3,) m and orientation (4,) of the base as logged, the rest stance's where they are not."""
+    found = []
+    for what, axes in (("position", _AXES), ("orientation", "wxyz")):
+        rest = np.asarray(getattr(robot, f"stance_{what}"), float)
+        signals: list[Signal | None] = [log.signals.get(f"base.{what}.{axis}") for axis in axes]
+        own = [r if s is None else np.interp(moment, s.time, s.value) for s, r in zip(signals, rest, strict=True)]
+        found.append(np.array(own, float))
+    position, orientation = found
+    return position, orientation / np.linalg.norm(orientation)
+
+
+def _registered(robot: Robot, angles: np.ndarray, feet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return position and orientation of the base at which feet are nearest to where they grip, (limb, 3) m."""
+    seen = np.asarray(limb_frames(robot, None, angles).foot)
+    turn, _ = Rotation.align_vectors(feet - feet.mean(0), seen - seen.mean(0))
+    return feet.mean(0) - turn.apply(seen.mean(0)), turn.as_quat(scalar_first=True)
+
+
+def _state(*values: np.ndarray) -> State:
+    still: Any = np.zeros(3)
+    position, orientation, angles = values
+    given: Any = (position, orientation, still, still, angles, np.zeros_like(angles))
+    return State(*given)

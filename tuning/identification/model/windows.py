@@ -1,0 +1,247 @@
+"""A log cut into windows of equal length, and its samples as rows of what each window recorded."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mjx_climb.robot.constants import Robot
+from mjx_climb.scenario.messages import ConfigError
+from tuning.identification.model.held_base import targets_of
+from tuning.identification.model.schedule import Schedule
+from tuning.identification.readers.doubts import several
+from tuning.identification.readers.log import KP, OFF, Log, Signal, joints_of
+
+LENGTH = 1.0  # s, of a window
+SHORTEST = 0.2  # s, of what is left at the end of a stretch
+KINDS = (  # what is recorded; of a joint, of a foot, of the base
+    "position", "velocity", "effort", "force", "base_position", "base_orientation", "base_linear_velocity",
+    "base_angular_velocity",
+)  # fmt: skip
+UNITS = ("rad", "rad/s", "N m", "N", "m", "1", "m/s", "rad/s")
+_GAP, _PERIODS = 0.1, 5  # s, and periods of the log: a longer silence is a gap
+_USUAL, _MISSED, _FEW = 0.8, 1.6, 10  # quantile of the spacing of commands, how many of it lack one, least commands
+_NEAR = 0.05  # s, samples by which a rate is guessed
+
+
+class Rows(NamedTuple):
+    """The samples of all windows, in the order of windows; a window's end belongs to the next one."""
+
+    window: Int[np.ndarray, " rows"]
+    signal: Int[np.ndarray, " rows"]  # index into `Windows.names`
+    step: Int[np.ndarray, " rows"]  # of the window, before the sample
+    share: Float[np.ndarray, " rows"]  # of the way to the next step; the steps' rates stand half a step before angles
+    value: Float[np.ndarray, " rows"]
+    stamp: Int[np.ndarray, " rows"]  # which time of the log; signals that were sampled at once share one
+
+
+@dataclasses.dataclass(frozen=True)
+class Windows:
+    """A log as the fit sees it."""
+
+    begin: Float[np.ndarray, " windows"]  # s
+    abuts: np.ndarray  # (windows,) bool: it goes on where the one before ends
+    held_out: np.ndarray  # (windows,) bool: predicted, not fitted
+    steps: int  # of each window
+    time_step: float  # s
+    names: tuple[str, ...]  # of the signals that are predicted
+    limb: Int[np.ndarray, " signals"]  # 0 of the base
+    joint: Int[np.ndarray, " signals"]  # or the axis
+    kind: Int[np.ndarray, " signals"]  # index into KINDS
+    rows: Rows
+    start: Float[np.ndarray, "windows limb joint 2"]  # rad, rad/s: first guesses of angles and rates
+    commands: Mapping[tuple[int, int], Signal]  # by limb and joint
+    resting: Float[np.ndarray, "limb joint"]  # rad, targets of joints without commands
+    gains: Mapping[str, Signal]  # what the log says of P gains and torque off
+    unknown: Float[np.ndarray, "holes 2"]  # s, from when to when commands are missing
+    constant: tuple[str, ...]  # signals that never change: they say nothing of their noise, and are not predicted
+
+    def moments(self, which: np.ndarray, count: int, before: int = 0) -> np.ndarray:
+        """Return when steps of some windows begin, (windows, count) s, from `before` steps before each."""
+        return np.asarray(self.begin[which, None] + (np.arange(count) - before) * self.time_step)
+
+    def targets(
+        self, which: np.ndarray, delay: float, before: int = 0, schedule: Schedule | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return joint targets of some windows `delay` s late, rad, and their rates, rad/s.
+
+        Both are (windows, before + steps + 1, limb, joint), from `before` steps before each window. With a schedule of
+        gains they are weighed by it.
+        """
+        count = before + self.steps + 1
+        at = self.moments(which, count, before) - delay
+        values = np.broadcast_to(self.resting, (*at.shape, *self.resting.shape)).copy()
+        rates = np.zeros_like(values)
+        for (limb, joint), signal in self.commands.items():
+            if schedule is None:
+                found = targets_of(signal.time, signal.value, at, self.time_step)
+            else:
+                found = schedule.targets(signal, at, self.time_step)
+            values[..., limb, joint], rates[..., limb, joint] = found
+        return values, rates
+
+    def jumps(self, signal: np.ndarray, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how long before (negative) and after moments (rows,) s the torque of their signal's joint jumps, s.
+
+        It does where its command or a gain changes; infinite where it never does.
+        """
+        before, after = np.full((2, len(moments)), np.inf) * [[-1], [1]]
+        for number in np.unique(signal):
+            own, command = signal == number, self.commands[int(self.limb[number]), int(self.joint[number])]
+            each = (command, *self.gains.values())
+            changes = [s.time[1:][np.diff(s.value) != 0] for s in each]
+            jumps = np.concatenate([[-np.inf], np.unique(np.concatenate(changes)), [np.inf]])
+            next_one = np.searchsorted(jumps, moments[own] - 1e-6 * self.time_step)
+            before[own], after[own] = (jumps[next_one + n] - moments[own] for n in (-1, 0))
+        return before, after
+
+
+def cut(
+    log: Log, robot: Robot, time_step: float, held_out: float, beside: Mapping[str, tuple[int, int, int]] | None = None,
+    late: float = 0.0,
+) -> Windows:  # fmt: skip
+    """Return the windows of a log, joints and what stands beside them; the last share `held_out` is not fitted.
+
+    No window runs through a hole of the commands: the next one begins when the first command behind it has arrived.
+
+    Arguments:
+        log: its joints count where all of their limb have commands.
+        robot: whose log it is.
+        time_step: of the model, s.
+        held_out: share of the windows.
+        beside: by name, limb, axis and kind of further signals.
+        late: the longest time that a command takes to the motors, s.
+
+    Raises:
+        ConfigError: a log without commands, without anything that can be predicted, or too short.
+    """
+    commands = {
+        place: log.signals[name]
+        for joint, place in joints_of(robot).items()
+        if (name := f"{joint}.command") in log.signals
+    }
+    lacking = {limb for limb, joint in joints_of(robot).values() if (limb, joint) not in commands}
+    whole = set(range(len(robot.limbs))) - lacking
+    placed = {
+        f"{joint}.{kind}": (n, j, k)
+        for joint, (n, j) in joints_of(robot).items()
+        for k, kind in enumerate(KINDS[:3])
+        if n in whole and f"{joint}.{kind}" in log.signals
+    }
+    placed |= beside or {}
+    constant = tuple(name for name in placed if not np.ptp(log.signals[name].value))
+    placed = {name: place for name, place in placed.items() if name not in constant}
+    names = tuple(placed)
+    if constant and not names:
+        raise ConfigError(f"{log.source}: expected signals that change, got {several(constant)}, the same all the time")
+    if not names:
+        missing = "the commands of all joints of a limb" if not whole else "positions, velocities or efforts"
+        first = f"{robot.limbs[0]}.{robot.joint_names[0]}.{'position' if whole else 'command'}"
+        raise ConfigError(f"{log.source}: expected {missing}, as {first}, got {', '.join(list(log.signals)[:4])}")
+    signals, steps = [log.signals[name] for name in names], round(LENGTH / time_step)
+    length = steps * time_step
+    unknown = _unknown([each for place, each in commands.items() if place[0] in whole], log.signals.get(OFF))
+    begin, abuts, ends = _stretches(signals, length, unknown + np.array([0.0, late]))
+    # commands change when samples are taken, and a step holds one target: samples fall between steps
+    begin, ends = begin - time_step / 2, ends + time_step
+    if len(begin) < 2:
+        known = f"{(ends - begin).sum():.3g} s of {log.duration:.3g} s in stretches of {SHORTEST:g} s or more"
+        lost = f" (commands are missing in {len(unknown) - 1} holes)" if len(unknown) > 1 else ""
+        raise ConfigError(f"{log.source}: expected two seconds or more without gaps, got {known}{lost}")
+    count = len(begin) - min(round(held_out * len(begin)), len(begin) - 1)
+    limb, joint, kind = np.array(list(placed.values())).T
+    rows = _rows(signals, kind == 1, begin, ends, steps, time_step)
+    return Windows(
+        begin=begin, abuts=abuts, held_out=np.arange(len(begin)) >= count, steps=steps, time_step=time_step,
+        names=names, limb=limb, joint=joint, kind=kind, rows=rows,
+        start=_start(log, robot, begin), commands=commands, resting=np.asarray(robot.stance_joints, float),
+        gains={name: log.signals[name] for name in (KP, OFF) if name in log.signals},
+        unknown=unknown[1:], constant=constant,
+    )  # fmt: skip
+
+
+def _unknown(commands: Sequence[Signal], off: Signal | None) -> Float[np.ndarray, "holes 2"]:
+    """Return from when to when commands are not known, s: before the first one, and where some are missing.
+
+    Where the torque is off, by the signal `off`, none is needed.
+    """
+    spans = []
+    for time in (signal.time for signal in commands if len(signal.time) >= _FEW):
+        spacing = np.diff(time)
+        usual = float(np.quantile(spacing, _USUAL))  # a rate that the log's clock rounds has spacings of two kinds
+        for n in np.flatnonzero(spacing > _MISSED * usual).tolist():
+            between = [] if off is None else off.value[(off.time > time[n]) & (off.time < time[n + 1])] > 0.5
+            if not len(between) or not np.all(between):
+                spans.append((float(time[n]) + usual, float(time[n + 1])))
+    found = [(-np.inf, max(float(signal.time[0]) for signal in commands))] if commands else []
+    for start, end in sorted(set(spans)):
+        if start <= found[-1][1]:
+            found[-1] = (found[-1][0], max(end, found[-1][1]))
+        else:
+            found.append((start, end))
+    return np.reshape(found, (-1, 2))
+
+
+def _stretches(
+    signals: Sequence[Signal], length: float, unknown: Float[np.ndarray, "holes 2"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return begins of windows, which of them go on, and where their samples end, all in s; none is in a hole."""
+    time = np.unique(np.concatenate([signal.time for signal in signals]))
+    period = max(float(np.median(np.diff(signal.time))) for signal in signals)
+    stretch = np.cumsum(np.r_[0, np.diff(time) > max(_GAP, _PERIODS * period)])  # of each time
+    hole = np.searchsorted(unknown[:, 0], time - 1e-9, side="left")
+    known = time > np.r_[-np.inf, unknown[:, 1]][hole] - 1e-9
+    time, stretch, hole = time[known], stretch[known], hole[known]
+    breaks = np.flatnonzero((np.diff(stretch) != 0) | (np.diff(hole) != 0))
+    if not len(time):
+        return np.zeros(0), np.zeros(0, bool), np.zeros(0)
+    firsts, lasts = time[np.r_[0, breaks + 1]], time[np.r_[breaks, len(time) - 1]]
+    begin, abuts, ends = [], [], []
+    for first, last in zip(firsts, lasts, strict=True):
+        for n in range(int((last - first - SHORTEST) // length) + 1 if last - first >= SHORTEST else 0):
+            begin.append(first + n * length)
+            abuts.append(n > 0)
+            ends.append(min(first + (n + 1) * length, last + 1e-9))
+    return np.array(begin), np.array(abuts, bool), np.array(ends)
+
+
+def _rows(
+    signals: Sequence[Signal], rates: np.ndarray, begin: np.ndarray, ends: np.ndarray, steps: int, time_step: float
+) -> Rows:
+    parts, stamps = [], np.unique(np.concatenate([signal.time for signal in signals]))
+    for number, signal in enumerate(signals):
+        window = np.searchsorted(begin, signal.time + time_step / 2, side="right") - 1
+        inside = (window >= 0) & (signal.time + time_step / 2 < ends[window])
+        window, time, value = window[inside], signal.time[inside], signal.value[inside]
+        at = (time - begin[window]) / time_step + (0.5 if rates[number] else 0.0)  # rates stand half a step before
+        step = np.clip(np.floor(at), 0, steps - 1).astype(int)
+        parts.append((window, np.full(len(window), number), step, at - step, value, np.searchsorted(stamps, time)))
+    window, *rest = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(window, kind="stable")
+    return Rows(window[order], *(column[order] for column in rest))
+
+
+def _start(log: Log, robot: Robot, begin: np.ndarray) -> np.ndarray:
+    """Return first guesses of angles and rates, (window, limb, joint, 2): of the log, or at rest where it has none."""
+    start = np.zeros((len(begin), *robot.stance_joints.shape, 2))
+    start[..., 0] = robot.stance_joints
+    for joint, (n, j) in joints_of(robot).items():
+        position = log.signals.get(f"{joint}.position", log.signals.get(f"{joint}.command"))
+        velocity = log.signals.get(f"{joint}.velocity")
+        if position is not None:
+            start[:, n, j] = [_line(position, moment) for moment in begin]
+        if velocity is not None:
+            start[:, n, j, 1] = np.interp(begin, velocity.time, velocity.value)
+    return start
+
+
+def _line(signal: Signal, moment: float) -> tuple[float, float]:
+    """Return value and rate of a signal at a moment, by a line through the samples near it."""
+    near = np.abs(signal.time - moment) <= max(_NEAR, 2 * float(np.median(np.diff(signal.time))))
+    time, value = signal.time[near] - moment, signal.value[near]
+    if len(time) < 3:
+        return float(np.interp(moment, signal.time, signal.value)), 0.0
+    rate, at = np.polyfit(time, value, 1)
+    return float(at), float(rate)

@@ -1,0 +1,1 @@
+"""Motions to record a log of: what they tell, and how sure."""

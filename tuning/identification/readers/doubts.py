@@ -1,0 +1,255 @@
+"""What seems wrong with a log: each suspicion in one line, with what it rests on and how to say otherwise.
+
+Nothing is corrected here: the user does, in `signals.yaml`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from mjx_climb.robot.constants import Robot
+from tuning.identification.readers.log import Signal, joints_of
+from tuning.identification.readers.signals import Signals
+
+MOVES = 0.02  # rad: a command that moves by less tells nothing
+STILL = 1e-4  # rad: less than the resolution of any encoder
+FOLLOWS, APART = 0.8, 0.5  # correlations: position follows this command; it does not
+LONGEST_LAG = 0.3  # s, that a joint is late by
+PENALTY = 0.05  # of a second of lag, in correlation
+SHORTEST = 5 * LONGEST_LAG  # s, of a log in which commands and positions are set beside each other
+SLOWEST, FASTEST = 2.0, 2e4  # samples per second that logs have
+DEGREES = 180 / np.pi
+_MOST = 8192  # samples that are correlated
+_IS_STUCK = "suspected to be stuck (leave it out in signals.yaml)"
+
+Read = Mapping[str, Signal]
+
+
+def doubts(read: Read, recorded: Read, robot: Robot, signals: Signals) -> tuple[str, ...]:
+    """Return what seems wrong with signals, a line each.
+
+    Arguments:
+        read: by their names, SI units.
+        recorded: the same with stale repeats.
+        robot: whose joints they are, for their limits.
+        signals: where they stand, for the rates that the user knows.
+    """
+    joints = list(joints_of(robot))
+    found = [*_spacing(recorded, signals), *_clock_unit(recorded), *_beyond_limits(read, robot), *_rates(read, joints)]
+    return (*found, *_stuck(read, robot), *_against_commands(read, joints))
+
+
+def several(some: Iterable[str]) -> str:
+    """Return the first of some names, and how many others there are."""
+    first, *others = some
+    return f"{first} and {len(others)} more" if others else first
+
+
+def _together(lines: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield one line for all signals of which the same is said."""
+    by_words: dict[str, list[str]] = {}
+    for name, words in lines:
+        by_words.setdefault(words, []).append(name)
+    yield from (f"{several(some)}: {words}" for words, some in by_words.items())
+
+
+def _spacing(recorded: Read, signals: Signals) -> Iterator[str]:
+    def lines() -> Iterator[tuple[str, str]]:
+        for name, signal in recorded.items():
+            if len(signal.time) < 3:
+                continue
+            spacing, rate = np.diff(signal.time), signals.signals[name].rate
+            usual = float(np.median(spacing)) if rate is None else 1 / rate
+            gaps = spacing > signals.longest_gap * usual
+            if gaps.any():
+                at = int(np.argmax(spacing))
+                start, end = signal.time[at : at + 2] - signal.time[0]
+                yield (
+                    name,
+                    f"{gaps.sum()} gaps, the longest from {start:.4g} to {end:.4g} s, where samples come every "
+                    f"{usual:.3g} s (longest_gap in signals.yaml says what is one)",
+                )
+            elif (spread := float(np.std(spacing[spacing < 5 * usual]) / usual)) > 0.2:
+                yield (
+                    name,
+                    f"samples come every {usual:.3g} s with a jitter of {100 * spread:.0f} % (standard deviation; "
+                    "time: header in signals.yaml takes the sender's clock, if it has one)",
+                )
+
+    return _together(lines())
+
+
+def _clock_unit(recorded: Read) -> Iterator[str]:
+    usual = min(float(np.median(np.diff(signal.time))) for signal in recorded.values())
+    if usual > 1 / SLOWEST:
+        smaller = next((unit for unit, size in (("ms", 1e-3), ("us", 1e-6)) if usual * size < 1 / SLOWEST), "ns")
+        yield f"times: a sample every {usual:.4g} s, suspected to be {smaller} (time_unit: {smaller} in signals.yaml)"
+    elif usual < 1 / FASTEST:
+        yield f"times: a sample every {usual:.3g} s, suspected to be of a larger unit (time_unit in signals.yaml)"
+
+
+def _beyond_limits(read: Read, robot: Robot) -> Iterator[str]:
+    def lines() -> Iterator[tuple[str, str]]:
+        for joint, place in joints_of(robot).items():
+            if robot.sliding is not None and robot.sliding[place]:
+                continue
+            for name in (f"{joint}.position", f"{joint}.command"):
+                if (signal := read.get(name)) is not None:
+                    if words := _range(signal.value, float(robot.joint_lower[place]), float(robot.joint_upper[place])):
+                        yield name, words
+
+    return _together(lines())
+
+
+def _range(value: Float[np.ndarray, " samples"], low: float, high: float) -> str:
+    """Return what is wrong with the range of a joint angle, "" for nothing."""
+    span, least, most = high - low, float(value.min()), float(value.max())
+    if least >= low - 0.1 * span and most <= high + 0.1 * span:
+        return ""
+    if np.array_equal(value, value.round()) and max(-least, most) > 180:
+        return (
+            "whole numbers far beyond the joint's limits, suspected to be encoder counts (unit: counts in signals.yaml)"
+        )
+    if least / DEGREES >= low - 0.1 * span and most / DEGREES <= high + 0.1 * span and max(-least, most) > 2 * np.pi:
+        return "beyond the joint's limits by some 57 times, suspected to be degrees (unit: deg in signals.yaml)"
+    return (
+        "beyond the joint's limits by more than a tenth of its range, suspected to have another zero or axis (zero, "
+        "sign in signals.yaml)"
+    )
+
+
+def _rates(read: Read, joints: Iterable[str]) -> Iterator[str]:
+    """Yield where recorded rates are not those of the recorded angles."""
+
+    def lines() -> Iterator[tuple[str, str]]:
+        for joint in joints:
+            position, velocity = read.get(f"{joint}.position"), read.get(f"{joint}.velocity")
+            if position is None or velocity is None or np.ptp(position.value) < MOVES or len(position.time) < 10:
+                continue
+            if not np.ptp(velocity.value):
+                continue
+            rate = np.interp(velocity.time, position.time, np.gradient(position.value, position.time))
+            ratio = float(rate @ velocity.value / (rate @ rate))
+            if np.corrcoef(rate, velocity.value)[0, 1] ** 2 < FOLLOWS**2:
+                continue
+            for factor, words in (
+                (-1.0, "the other way round than the angle's rate, suspected axis (sign: -1 in signals.yaml)"),
+                (DEGREES, "57 times the angle's rate, suspected to be deg/s (unit: deg/s in signals.yaml)"),
+                (30 / np.pi, "9.5 times the angle's rate, suspected to be rpm (unit: rpm in signals.yaml)"),
+                (1e3, "1000 times the angle's rate, suspected times in ms (time_unit: ms in signals.yaml)"),
+            ):
+                if 0.8 < ratio / factor < 1.25:
+                    yield f"{joint}.velocity", words
+
+    return _together(lines())
+
+
+def _stuck(read: Read, robot: Robot) -> Iterator[str]:
+    """Yield which measured signals stay the same while what they depend on moves."""
+
+    def moved(joint: str, *kinds: str) -> float:
+        there = [read[name].value for kind in kinds if (name := f"{joint}.{kind}") in read]
+        return max((float(np.ptp(value)) for value in there), default=0.0)
+
+    def same(name: str, resolution: float = 0.0) -> bool:
+        return name in read and float(np.ptp(read[name].value)) <= resolution
+
+    def lines() -> Iterator[tuple[str, str]]:
+        for joint in (joints := list(joints_of(robot))):
+            by = moved(joint, "command")
+            if by > MOVES and same(f"{joint}.position", STILL):
+                yield f"{joint}.position", f"the same all the time while its command moves by {by:.3g} rad, {_IS_STUCK}"
+        moving = [joint for joint in joints if moved(joint, "command", "position") > MOVES]
+        for name in (f"{joint}.{kind}" for kind in ("velocity", "effort") for joint in moving):
+            if same(name):
+                yield name, f"the same all the time while its joint moves, {_IS_STUCK}"
+        limbs = dict.fromkeys(joint.rpartition(".")[0] for joint in moving)
+        for name in (f"{limb}.force.{axis}" for limb in limbs for axis in "xyz"):
+            if same(name) and read[name].value[0] != 0:  # of a foot in the air
+                yield name, f"the same all the time while its limb moves, {_IS_STUCK}"
+
+    return _together(lines())
+
+
+def _against_commands(read: Read, joints: Iterable[str]) -> Iterator[str]:
+    """Yield what comes of setting positions beside commands: axes, swapped limbs, and the clocks."""
+    both = [joint for joint in joints if f"{joint}.position" in read and f"{joint}.command" in read]
+    moved = [joint for joint in both if np.ptp(read[f"{joint}.command"].value) > MOVES]
+    moved = [joint for joint in moved if np.ptp(read[f"{joint}.position"].value) >= STILL]
+    if not moved:
+        return
+    start, end = _overlap(read, moved)
+    if end < start:
+        yield "commands and positions do not overlap in time, suspected clocks (time, shift in signals.yaml)"
+    if end - start < SHORTEST:
+        return
+    step, table = _correlations(read, moved, start, end)
+    lags = np.arange(-round(SHORTEST / 2 / step), round(SHORTEST / 2 / step) + 1)
+    own = np.array([table[place, place, lags] for place in range(len(moved))])
+    best = np.argmax(np.abs(own) * (1 - PENALTY * np.abs(step * lags)), axis=1)  # of two alike the one nearer to none
+    peak, lag = own[np.arange(len(moved)), best], step * lags[best]
+    usual = float(np.median(lag))
+    near = table[:, :, lags[np.abs(step * lags - usual) < LONGEST_LAG / 2 + step]].max(2)
+    yield from _together(
+        (f"{joint}.position", "goes against its command, suspected to have the other axis (sign: -1 in signals.yaml)")
+        for place, joint in enumerate(moved)
+        if peak[place] < -FOLLOWS and near[place, place] < FOLLOWS
+    )
+    yield from _swapped(near, moved)
+    if (usual < -max(step, 0.002) or usual > LONGEST_LAG) and np.median(np.abs(peak)) > FOLLOWS:
+        way = "before" if usual < 0 else "after"
+        yield (
+            f"positions: come {abs(usual):.3g} s {way} their commands, suspected to be another clock (shift: "
+            f"{-usual:.3g} of the positions in signals.yaml, or time: header)"
+        )
+
+
+def _overlap(read: Read, joints: list[str]) -> tuple[float, float]:
+    """Return from when to when commands and positions are all there, s."""
+    times = [read[f"{joint}.{what}"].time for joint in joints for what in ("command", "position")]
+    return float(max(time[0] for time in times)), float(min(time[-1] for time in times))
+
+
+def _correlations(read: Read, joints: list[str], start: float, end: float) -> tuple[float, np.ndarray]:
+    """Return a time step, s, and the correlations of commands and positions, (command, position, lag in steps).
+
+    A lag is how much later the position comes; negative ones stand at the end, as in `np.fft`.
+    """
+    signals = [read[f"{joint}.{what}"] for joint in joints for what in ("command", "position")]
+    step = min(float(np.median(np.diff(signal.time))) for signal in signals)
+    step = max(step, (end - start) / _MOST)
+    grid = np.arange(start, end, step)
+
+    def spectrum(what: str, sampled: Callable[[Signal], np.ndarray]) -> np.ndarray:
+        values = np.array([sampled(read[f"{joint}.{what}"]) for joint in joints])
+        values = values - values.mean(1, keepdims=True)
+        values /= np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-12)
+        return np.fft.rfft(values, 2 * len(grid))
+
+    def held(signal: Signal) -> np.ndarray:
+        return signal.value[np.searchsorted(signal.time, grid + 1e-6 * step, side="right") - 1]
+
+    command = spectrum("command", held)
+    position = spectrum("position", lambda signal: np.interp(grid, signal.time, signal.value))
+    return step, np.fft.irfft(command.conj()[:, None] * position, 2 * len(grid), axis=2)
+
+
+def _swapped(best: np.ndarray, joints: list[str]) -> Iterator[str]:
+    """Yield which positions follow the commands of others, and not their own; by limbs where limbs do."""
+    follows = {}
+    for place, joint in enumerate(joints):
+        first = int(np.argmax(best[:, place]))
+        if best[first, place] > FOLLOWS and best[place, place] < APART:
+            follows[joint] = joints[first]
+    limbs = {(a.split(".")[0], b.split(".")[0]) for a, b in follows.items() if a.split(".")[1] == b.split(".")[1]}
+    for limb, other in sorted(limbs):
+        pairs = [joint for joint in joints if joint.split(".")[0] == limb]
+        if len(pairs) > 1 and all(follows.get(joint, "").split(".")[0] == other for joint in pairs):
+            yield (
+                f"{limb}: its positions follow the commands of {other}, suspected to be swapped limbs (exchange them "
+                "in signals.yaml)"
+            )
+            follows = {joint: leader for joint, leader in follows.items() if joint not in pairs}
+    for joint, other in follows.items():
+        yield f"{joint}.position: follows the command of {other}, suspected to be swapped (exchange in signals.yaml)"

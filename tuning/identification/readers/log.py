@@ -1,0 +1,83 @@
+"""What a robot recorded: signals in SI units, each at its own times.
+
+Names: `LF.coxa.command` and `.position` in rad, `.velocity` rad/s, `.effort` N m (limb and joint as `mjx-climb robot`
+prints them); `LF.force.x` N, world axes; `LF.support` 1; `base.position.x` m, `base.orientation.w` 1; `base.force.x` N
+and `base.moment.x` N m, world axes, what pushes the base from outside; `control.kp` N m/rad and `torque_off` 1, of all
+servos.
+"""
+
+import dataclasses
+import hashlib
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from mjx_climb.robot.constants import Robot
+from tuning.identification.readers.signals import Signals
+
+KP, OFF = "control.kp", "torque_off"  # P gain that the servos were given; 1 where their torque is off
+JOINT = ("command", "position", "velocity", "effort")
+UNITS = {
+    "command": "rad", "position": "rad", "velocity": "rad/s", "effort": "N m", "force": "N", "support": "1",
+    "kp": "N m/rad", OFF: "1",
+}  # fmt: skip
+BASE = {
+    "position": "m", "orientation": "1", "linear_velocity": "m/s", "angular_velocity": "rad/s", "force": "N",
+    "moment": "N m",
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Signal:
+    """One recorded number over time; times increase, what was not recorded is not there."""
+
+    time: Float[np.ndarray, " samples"]  # s, from the log's first sample
+    value: Float[np.ndarray, " samples"]  # SI units
+
+
+@dataclasses.dataclass(frozen=True)
+class Log:
+    """The signals of one recording, by name."""
+
+    signals: Mapping[str, Signal]
+    source: str  # the file, as the user named it
+    warnings: tuple[str, ...] = ()  # what was found odd on reading, a line each
+    guessed: Signals | None = None  # where each signal was taken from, if the file's own names did not say
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all samples and their names."""
+        found = hashlib.sha256()
+        for name, signal in sorted(self.signals.items()):
+            found.update(name.encode() + np.asarray([signal.time, signal.value], "<f8").tobytes())
+        return found.hexdigest()
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample, s."""
+        return max(float(signal.time[-1]) for signal in self.signals.values())
+
+
+def names(robot: Robot) -> Iterator[str]:
+    """Return the names of all signals that a robot can record, limb after limb, then base and servos."""
+    own = joints_of(robot)
+    for n, limb in enumerate(robot.limbs):
+        yield from (f"{joint}.{what}" for joint, place in own.items() if place[0] == n for what in JOINT)
+        yield from (f"{limb}.force.{axis}" for axis in "xyz")
+        yield f"{limb}.support"
+    for what in BASE:
+        yield from (f"base.{what}.{axis}" for axis in ("wxyz" if what == "orientation" else "xyz"))
+    yield from (KP, OFF)
+
+
+def joints_of(robot: Robot) -> dict[str, tuple[int, int]]:
+    """Return limb and joint of each joint, by its name in a log; of none that only fill up a limb."""
+    places = sorted(robot.places_in_file().values())
+    return {f"{robot.limbs[n]}.{robot.joint_names[j]}": (n, j) for n, j in places}
+
+
+def unit_of(name: str) -> str:
+    """Return the SI unit of a signal that a robot can record."""
+    first, last = (parts := name.split("."))[0], parts[-1]
+    return BASE[parts[1]] if first == "base" else UNITS.get(last) or UNITS[parts[1]]

@@ -1,0 +1,76 @@
+"""What is changed of a log before it is used, each change said in one line: signals of drivers that do not measure
+them are left out, and angles that jump by whole turns are made continuous.
+"""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from mjx_climb.robot.constants import Robot
+from tuning.identification.readers.doubts import MOVES, several
+from tuning.identification.readers.log import Signal, joints_of
+
+TURN = 2 * np.pi
+NOTHING = 1e-100  # SI units: no sensor measures less, but for 0
+_LEFT = 1.0  # rad, that an angle may move by beside its jump, or be behind its command
+_MOSTLY, _BEYOND = 0.9, 0.1  # quantile of samples; rad, noise of an angle that is cut at whole turns
+_MEASURED = ("position", "velocity", "effort")
+
+Repaired = tuple[dict[str, Signal], tuple[str, ...]]  # signals, and what was changed of them
+
+
+def without_unmeasured(read: Mapping[str, Signal], robot: Robot) -> Repaired:
+    """Return signals without those that are 0 all along though their joint moves, and what was left out."""
+    left_out = [name for name in _measured_of_moving(read, robot) if np.abs(read[name].value).max() < NOTHING]
+    words = "0 all along while the joint moves, not measured: left out"
+    return (
+        {name: signal for name, signal in read.items() if name not in left_out},
+        (f"{several(left_out)}: {words}",) if left_out else (),
+    )
+
+
+def _measured_of_moving(read: Mapping[str, Signal], robot: Robot) -> Iterator[str]:
+    for joint in joints_of(robot):
+        angles = [read[name].value for what in ("command", "position") if (name := f"{joint}.{what}") in read]
+        if any(np.ptp(each) > MOVES for each in angles):
+            yield from (name for what in _MEASURED if (name := f"{joint}.{what}") in read)
+
+
+def without_turns(read: Mapping[str, Signal], robot: Robot) -> Repaired:
+    """Return signals whose angles do not jump by whole turns, nor are whole turns off their command."""
+    found, jumps, off = dict(read), [], []
+    for joint, place in joints_of(robot).items():
+        if robot.sliding is not None and robot.sliding[place]:
+            continue
+        for name in (f"{joint}.command", f"{joint}.position"):
+            if name in read and (turns := _turns(read[name].value)).any():
+                found[name] = Signal(read[name].time, read[name].value - TURN * turns)
+                jumps.append((name, int(np.count_nonzero(np.diff(turns)))))
+        position, command = found.get(f"{joint}.position"), found.get(f"{joint}.command")
+        if position is not None and command is not None:
+            apart = position.value - np.interp(position.time, command.time, command.value)
+            whole = round(float(np.median(apart)) / TURN)
+            if whole and np.quantile(np.abs(apart - TURN * whole), _MOSTLY) < _LEFT:
+                found[f"{joint}.position"] = Signal(position.time, position.value - TURN * whole)
+                off.append(f"{joint}.position")
+    said = []
+    if jumps:
+        names, counts = zip(*jumps, strict=True)
+        said.append(
+            f"{several(names)}: {sum(counts)} jumps of 2 pi between neighbours, unwrapped (turns: keep in signals.yaml "
+            "keeps them)"
+        )
+    if off:
+        said.append(f"{several(off)}: whole turns off the command, taken away (turns: keep in signals.yaml keeps them)")
+    return found, tuple(said)
+
+
+def _turns(value: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+    """Return by how many whole turns an angle in rad has jumped up to each sample; 0 where it was not cut at turns."""
+    change = np.diff(value)
+    if np.ptp(value) > TURN + _BEYOND:
+        return np.zeros(len(value))
+    turns = np.round(change / TURN)
+    turns[np.abs(change - TURN * turns) > _LEFT] = 0.0
+    return np.concatenate([[0.0], np.cumsum(turns)])

@@ -1,0 +1,89 @@
+"""CMA-ES, by the package `cmaes`: a population drawn from a Gaussian that learns the shape of the valley."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mjx_climb import execution
+from mjx_climb.scenario.messages import ConfigError
+from tuning.methods.rounds import Points, Request, Task, check_size
+
+if TYPE_CHECKING:
+    from cmaes import CMA
+
+MOST = 100  # numbers to search
+GENERATIONS = 60
+MANY, OF_MANY = 150, 64  # generations at most, and points per gain, where a GPU's kernel walks them
+WALKS = 32_768  # at a time there, of all members of an ensemble
+FLAT, PATIENCE = 1e-4, 10  # the last of so many generations whose best differ by less is the last of all there
+TRIES = 100  # to draw a point between the bounds, before it is taken to the nearest one that is
+SPREAD = 0.2  # of the first population, relative to the width of the box
+
+
+def rounds(task: Task) -> int:
+    """Return how many generations a run takes at most.
+
+    Raises:
+        ConfigError: more numbers than so few generations learn a covariance of.
+    """
+    check_size(task, MOST)
+    return task.search.iterations or (MANY if execution.many_at_once(task.problem.dtype) else GENERATIONS)
+
+
+def population(task: Task) -> int:
+    """Return how many points a generation has: the package's own number, many where they walk side by side on a GPU.
+
+    Raises:
+        ConfigError: fewer than two, which cannot be compared.
+    """
+    size = task.problem.space.size
+    if task.search.starts == 1:
+        raise ConfigError("starts: expected a population of 2 or more for cmaes, got 1")
+    few = 4 + math.floor(3 * math.log(size))
+    if task.search.starts or not execution.many_at_once(task.problem.dtype):
+        return task.search.starts or few
+    return max(few, min(OF_MANY * size, WALKS // task.problem.members))
+
+
+def run(task: Task) -> Points:
+    """Draw populations about the scenario's own gains until they agree or the generations are spent.
+
+    The first point of the first population is the scenario's own gains: no result is worse than these.
+    """
+    from cmaes import CMA
+
+    space, by_kernel = task.problem.space, execution.many_at_once(task.problem.dtype)
+    width, box = space.upper - space.lower, np.tile([0.0, 1.0], (space.size, 1))
+    mean, size = (task.start - space.lower) / width, population(task)
+    optimizer = CMA(mean=mean, sigma=SPREAD, bounds=box, seed=task.search.seed, population_size=size)
+    best: list[float] = []
+    for generation in range(rounds(task)):
+        unit = drawn(optimizer)
+        if generation == 0:
+            unit[0] = mean
+        found = yield Request(space.lower + width * unit, None, "population")
+        optimizer.tell(list(zip(unit, found.merit.astype(float).tolist(), strict=True)))
+        best = [*best, float(found.merit.min())][-PATIENCE:]
+        flat = by_kernel and len(best) == PATIENCE and max(best) - min(best) < FLAT
+        if optimizer.should_stop() or flat:
+            return
+
+
+def drawn(optimizer: "CMA") -> np.ndarray:
+    """Return a generation (B, n) of an optimizer between 0 and 1: the points that its `ask` would give one by one.
+
+    Asked for one by one, hundreds of them take longer than their walks on a GPU. So this reaches into the package,
+    whose versions are bounded for it.
+    """
+    basis, lengths = optimizer._eigen_decomposition()
+    spread = optimizer._sigma * basis * lengths
+    inside = outside = np.zeros((0, optimizer.dim))
+    for _ in range(TRIES):
+        missing = optimizer.population_size - len(inside)
+        points = optimizer.mean + optimizer._rng.randn(missing, optimizer.dim) @ spread.T
+        good = ((points >= 0) & (points <= 1)).all(1)
+        inside, outside = np.concatenate([inside, points[good]]), points[~good]
+        if not len(outside):
+            return inside
+    return np.concatenate([inside, np.clip(outside, 0, 1)])

@@ -1,0 +1,86 @@
+"""A report as one HTML page: what stands on it, and how it becomes a file."""
+
+import base64
+import dataclasses
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jinja2
+
+import mjx_climb as mc
+from mjx_climb.files import dataset
+from tuning.pages.numbers import plain
+
+NAME = "report.html"
+HERE = Path(__file__).parent
+_ENVIRONMENT = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
+    lstrip_blocks=True,
+)  # fmt: skip
+_ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}  # keeps the order of keys
+_ENVIRONMENT.filters["plain"] = plain
+_ENVIRONMENT.filters["base64"] = lambda file: base64.b64encode(file.read_bytes()).decode()
+
+
+class Table(NamedTuple):
+    """A table as text; sections are runs of rows with a heading. The first `words` columns are not numbers."""
+
+    caption: str
+    columns: Sequence[str]
+    sections: Sequence[tuple[str, Sequence[Sequence[str]]]]
+    words: int = 2
+
+
+class Origin(NamedTuple):
+    """Where a page comes from."""
+
+    name: str  # of the config
+    asked: str  # the command, as it was typed
+    again: str  # the command that repeats it, in the folder of the report
+    config: str = ""  # the scenario in full
+    pictures: Mapping[str, Path] = {}  # PNG files in that folder, by their captions
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """What a report says, in the order in which it says it; `page.html.jinja` lays it out."""
+
+    title: str
+    origin: Origin
+    verdict: str  # one sentence
+    scenario: mc.Scenario
+    notes: Sequence[str] = ()  # what matters first
+    more: Sequence[str] = ()  # notes that are folded away
+    explorers: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)  # by heading
+    tables: Sequence[Table] = ()
+    prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
+
+
+def write(page: Page, folder: Path) -> Path:
+    """Write the page into a folder and return its path; a crash leaves the old file or the new one.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    return dataset.write_text_atomically(folder / NAME, render(page))
+
+
+def render(page: Page) -> str:
+    """Return the page as HTML that holds all it needs."""
+    import jax
+
+    made = dataset.provenance(page.scenario)
+    made.pop("scenario")
+    versions = {name.removesuffix("_version"): made.pop(name) for name in list(made) if name.endswith("_version")}
+    versions["python"] = platform.python_version()
+    device = jax.devices()[0]
+    facts = {
+        "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
+        **{name.replace("_", " "): value for name, value in made.items()},
+        "device": f"{len(jax.devices())} x {device.device_kind} ({device.platform})",
+        **page.facts,
+    }
+    return _ENVIRONMENT.get_template("page.html.jinja").render(page=page, facts=facts)

@@ -1,0 +1,1 @@
+"""The folder of a result: it appears whole or not at all."""

@@ -1,0 +1,194 @@
+"""Whose result a folder holds: it belongs to one run's settings, and its files appear together or not at all.
+
+`settings.json` says what was asked for, by which a command knows its own folder again, and which files are the
+result's. Versions and machine are none of it: the same command replaces its own result after an update.
+"""
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+import mjx_climb as mc
+from mjx_climb.execution.contents import Unidentifiable
+from mjx_climb.files.dataset import OutputError, write_text_atomically
+from tuning.methods import parts
+from tuning.problem.evaluation import Problem
+
+FILE = "settings.json"
+_OF_THE_MACHINE = ("versions", "platform", "batch_size")  # of an identity: how it is computed, not what is asked
+
+# by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
+RESULTS = (
+    "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json",
+    "excitation.csv", "replay.json", "result.json", "compared.nc", "judged.nc",
+)  # fmt: skip
+
+Settings = Mapping[str, Any]
+
+
+class Record(NamedTuple):
+    """What a folder's settings.json says."""
+
+    settings: Settings | None  # what was asked for; None where Python wrote the result
+    files: tuple[str, ...] = ()  # of the result, by their paths in the folder; none before there is one
+    whole: bool = False  # nothing of the result is missing
+
+
+def settings_of(problem: Problem, command: str, **asked: Any) -> dict[str, Any]:
+    """Return all that a command's result depends on, as plain JSON values, without versions and machine."""
+    try:
+        known = parts.identity_of(problem, {})
+    except Unidentifiable as error:  # a law of the user's own that holds a lock, for example: known by its text alone
+        bare = Problem(problem.scenario, engine=problem.engine, ensemble=problem.ensemble)
+        known = {**parts.identity_of(bare, {}), "law": repr(problem.law), "unidentified": str(error)}
+    text = json.dumps({"command": command, **without_machine(known), **asked}, default=_plain)
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """Return an array, a gain of a file, as lists of numbers."""
+    if isinstance(value, (np.ndarray, np.generic, jax.Array)):
+        return value.tolist()
+    raise TypeError(f"expected an array, got {type(value).__name__}")
+
+
+def without_machine(identity: Settings) -> dict[str, Any]:
+    """Return an identity of walks without what the same settings may differ in."""
+    return {name: value for name, value in identity.items() if name not in _OF_THE_MACHINE}
+
+
+def read(folder: Path) -> Record | None:
+    """Return the record of a folder, None without one; one that is damaged has neither settings nor files."""
+    try:
+        found = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        return Record(found["settings"], tuple(map(str, found["files"])), found["whole"] is True)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError, TypeError, LookupError, RecursionError):
+        return Record(None)
+
+
+def begin(folder: Path, settings: Settings) -> None:
+    """Write whose folder it is, before there is a result, where nothing says so yet."""
+    if read(folder) is None:
+        _write(folder, Record(settings))
+
+
+def give_up(folder: Path) -> None:
+    """Remove what `begin` wrote where nothing else is in the folder: the command was refused before it did any work."""
+    if folder.is_dir() and [path.name for path in folder.iterdir()] == [FILE]:
+        (folder / FILE).unlink()
+        folder.rmdir()
+
+
+def another(folder: Path, settings: Settings | None) -> str:
+    """Return in words whose result, or unfinished work, a folder holds; nothing where it is free or these settings'."""
+    record, there = read(folder), [name for name in RESULTS if (folder / name).exists()]
+    if record is None:
+        return f"a result without {FILE} ({there[0]})" if there else ""
+    if record.settings == settings:
+        return ""
+    kind = "the result" if record.files or there else "unfinished work"
+    if record.settings is None or settings is None:
+        return f"{kind} of unknown settings"
+    return f"{kind} of another run, which differs in {', '.join(parts.differences(record.settings, settings))}"
+
+
+def check(folder: Path, settings: Settings | None) -> None:
+    """Raise OutputError where a folder holds another run's result, or its unfinished work."""
+    if got := another(folder, settings):
+        raise OutputError(
+            f"{folder}: expected a folder of this run alone, got {got} (remove it, or choose another --out)"
+        )
+
+
+def own_folder(base: Path, settings: Settings, *, varied: bool = False) -> Path:
+    """Return a folder that belongs to some settings: `base`, or where that is another run's, one with their digest.
+
+    `varied`: what was asked for is not plain to see in the name, which takes the digest at once.
+    """
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:6]
+    by_digest = base.with_name(f"{base.name}-{digest}")
+    taken = varied or by_digest.exists() or another(base, settings)
+    return by_digest if taken else base
+
+
+@contextlib.contextmanager
+def whole(folder: Path, settings: Settings | None = None, *, finished: bool = True) -> Iterator[Path]:
+    """Give an empty folder, whose files become those of `folder` once the block ends well.
+
+    They take the place of an earlier result's files there, of which none is left where it was another run's. Files that
+    are no result's stay. Kept parts are removed where the result is `finished`.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    target = Path(os.path.realpath(folder))
+    there = next(each for each in (target, *target.parents) if each.is_dir())
+    place = there / f".{target.name}.{os.getpid()}.part"
+    try:
+        with _refused(folder):
+            place.mkdir()
+        yield place
+        files = tuple(sorted(f.relative_to(place).as_posix() for f in place.rglob("*") if not f.is_dir()))
+        with _refused(folder):
+            if target.is_dir():
+                _replace(place, target, Record(settings, files, finished))
+            else:
+                _write(place, Record(settings, files, finished))
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.rename(place, target)
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+    if finished:
+        parts.clear(target)
+
+
+def at_home(scenario: mc.Scenario, place: Path, home: Path) -> mc.Scenario:
+    """Return a scenario whose files were moved from one folder to another."""
+    return scenario.relative_to(place).beside(home)
+
+
+def walks_at_home(walks: Mapping[str, mc.Trajectory], place: Path, home: Path) -> dict[str, mc.Trajectory]:
+    """Return walks of scenarios whose files were moved from one folder to another."""
+    return {
+        name: dataclasses.replace(walk, scenario=at_home(walk.scenario, place, home)) for name, walk in walks.items()
+    }
+
+
+@contextlib.contextmanager
+def _refused(folder: Path) -> Iterator[None]:
+    """Raise OutputError in one line where the system refuses what is done with a folder."""
+    try:
+        yield
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise OutputError(f"{folder}: expected a folder that can be written to, got {reason}") from None
+
+
+def _replace(place: Path, target: Path, record: Record) -> None:
+    """Move the files of a result to their folder; until all are there its record says that it is not whole."""
+    before = read(target)
+    old, every = () if before is None else before.files, tuple(sorted({*(before or record).files, *record.files}))
+    own = before is not None and record.settings is not None and before.settings == record.settings
+    _write(target, Record(record.settings, every))
+    for name in record.files:
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(place / name, target / name)
+    for name in () if own else {*old} - {*record.files}:
+        (target / name).unlink(missing_ok=True)
+    _write(target, record._replace(files=every) if own else record)
+
+
+def _write(folder: Path, record: Record) -> None:
+    write_text_atomically(folder / FILE, json.dumps(record._asdict(), indent=1) + "\n")

@@ -1,0 +1,91 @@
+"""The pictures of a result, drawn again from its folder: nothing is walked."""
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from mjx_climb.files import dataset
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.viz import plots
+from tuning.comparisons import paired
+from tuning.pages import pictures
+from tuning.pages.comparison import Compared
+from tuning.pages.explorer import axes_of
+from tuning.results import result
+from tuning.writing import contents as results
+
+RESULTS = ("trajectory.nc", "sweep.nc", "map.nc", "search.nc", "judged.nc", "compared.nc", "front.nc", "schedule.nc")
+OF_METRICS = ("sweep.nc", "map.nc", "judged.nc", "compared.nc")
+MAPS = {"sweep.nc": ("maps", "comparison.json"), "map.nc": ("map", "summary.json")}  # picture, walks to mark on it
+
+
+def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Figure]]:
+    """Yield every picture of a folder and what its file is called, without an ending.
+
+    Arguments:
+        folder: of a walk, a sweep, or any search.
+        metrics: the maps, or the panels of an ensemble, that are wanted; where there are none, what the result drew.
+
+    Raises:
+        ConfigError: no result there, or none of a metric.
+    """
+    there = [name for name in RESULTS if os.path.isfile(folder / name)]
+    if not there:
+        raise ConfigError(f"{folder}: expected a folder with a result ({', '.join(RESULTS)}), got none")
+    of_metrics = [name for name in there if name in OF_METRICS]
+    if metrics and not of_metrics:
+        raise ConfigError(f"{folder}: expected a result with maps or an ensemble to draw metrics of, got {there[0]}")
+    for name in of_metrics if metrics else there:
+        if name == "trajectory.nc":
+            trajectory = dataset.load_trajectory(folder / name)
+            yield "walk", plots.plot_walk(trajectory)
+            yield "feet", plots.plot_feet(trajectory)
+            continue
+        data = dataset.load(folder / name)
+        if name in OF_METRICS:
+            dims = axes_of(data) if name in MAPS else ("gains", "member")
+            of_both = [str(n) for n, v in data.items() if set(v.dims) == set(dims) and v.dtype.kind in "fi"]
+            for metric in metrics:
+                if metric not in of_both:
+                    raise ConfigError(f"--metric: expected one of {', '.join(of_both)}, got {metric!r}")
+        if name in MAPS:
+            stem, compared = MAPS[name][0], _compared(folder / MAPS[name][1])
+            if not metrics:
+                yield stem, results.sheet(data, compared)
+            for metric in metrics:
+                baseline = compared["pd"][1].get(metric) if "pd" in compared else None
+                yield f"{stem}-{metric}", plots.plot_map(data, metric, results.marks(data, compared), baseline=baseline)
+        elif name == "search.nc" and "law" not in data.attrs:  # the file of a law of one's own is not here
+            found = result.load(folder / name)
+            yield "convergence", pictures.plot_convergence(found)
+            if "map.nc" in there:
+                yield "path", pictures.plot_path(found, dataset.load(folder / "map.nc"))
+        elif name == "judged.nc":
+            yield "judged", pictures.plot_judged(data, *([metrics] if metrics else []))
+        elif name == "compared.nc" and metrics:
+            yield "judged", pictures.plot_judged(data, metrics)
+        elif name == "compared.nc":
+            yield "compared", pictures.plot_laws(paired.taken(data))
+        elif name == "front.nc":
+            yield "front", pictures.plot_front(data)
+        elif name == "schedule.nc":
+            yield "schedule", pictures.plot_schedule(data)
+
+
+def _compared(file: Path) -> Compared:
+    """Return gains and metrics of the walks that a summary holds; none where it cannot be read."""
+    try:
+        found: dict[str, Any] = {}
+        for name, entry in json.loads(file.read_text()).items():
+            if isinstance(entry, dict) and "metrics" in entry:
+                gains = entry.get("gains")
+                arrays = None if gains is None else {n: np.asarray(v) for n, v in gains.items() if v is not None}
+                found[name] = arrays, entry["metrics"]
+        return found
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return {}
