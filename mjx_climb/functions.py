@@ -198,7 +198,7 @@ class Environment:
     def step(
         self, state: SimulationState, action: Action = None, gains: AnyGains | None = None
     ) -> tuple[SimulationState, Sample]:
-        """Return what `Simulation.step` does, of all robots: a sample has their batch axes in place of time.
+        """Return the next state and the sample of all robots, as `Simulation.step`: batch axes in place of time.
 
         An action, and gains from this step on as `Simulation.with_gains` takes them, `kp` and `kd` too, are for all
         robots or have the batch axes of the state.

@@ -380,7 +380,7 @@ class Simulation:
     def _checked(
         self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike, unsteady: bool
     ) -> WalkInputs:
-        """Return what is walked as arrays of NumPy; refuse a time step too long for a robot, unless `unsteady`."""
+        """Return the inputs of the walks as arrays of NumPy; refuse too long a time step, unless `unsteady`."""
         resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
         check_time_step(self.scenario, parameters=None if unsteady else resolved.walked)
         return resolved

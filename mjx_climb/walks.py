@@ -75,7 +75,7 @@ def gradients_of(
 
 
 def _checkpointed(step: Callable[..., PyTree], begun: PyTree, length: int) -> tuple[PyTree, tuple[()]]:
-    """Return what a scan carries to its end, and none of its records, by stretches that reverse mode walks again.
+    """Return the last carry of a scan, without records; reverse mode walks it again by stretches.
 
     Reverse mode stores all values of a step, some 20 kB a robot. So it keeps the begin of each stretch alone, and the
     steps of one: with stretches of about the square root of the length both are few.

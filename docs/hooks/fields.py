@@ -43,7 +43,7 @@ def _kind(annotation: str) -> str:
 
 
 def _help(code: str) -> str:
-    """Return what `setting(default, "help")`, `Field(..., description="help")`, `parameter` or `_of` say."""
+    """Return the help text in `setting(default, "help")`, `Field(..., description="help")`, `parameter` or `_of`."""
     call = getattr(ast.parse(textwrap.dedent(code)).body[0], "value", None)
     called = getattr(getattr(call, "func", None), "id", "")
     if isinstance(call, ast.Call) and called in ("_of", "quantity"):  # the first has a key before the unit

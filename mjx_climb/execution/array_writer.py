@@ -90,7 +90,7 @@ class ArrayWriter(Writer):
         return self.value(functools.reduce(combine.bind, rows))
 
     def _lane(self, number: Number, lane: int) -> Number:
-        """Return what a lane has of a number, as one that all lanes have."""
+        """Return one lane's number, broadcast to all lanes."""
         if not isinstance(number, Value) or len(number.content) == 1:
             return number
         return self.value(lax.slice_in_dim(number.content, lane, lane + 1))
@@ -149,7 +149,7 @@ _LARGEST = np.float32(0.8)  # above pi / 4: of angles so large that nothing is l
 
 
 def in_single(name: str, operands: Sequence[Array]) -> Array | None:
-    """Return what a primitive of JAX's gives, by operations on vectors; None where there are none for it."""
+    """Return the result of a primitive in single precision by vector operations, None where there are none."""
     if name not in _SINGLE or any(operand.dtype != np.float32 for operand in operands):
         return None
     result: Array = _SINGLE[name].bind(*operands)

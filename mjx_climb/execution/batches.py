@@ -172,7 +172,7 @@ def _program(path: str, device: str | None, briefly: bool) -> Callable[..., dict
 
 
 def _identity(call: _Call, *trees: PyTree) -> str | None:
-    """Return what an executable depends on, None where it cannot be told."""
+    """Return the identity of a call, None where its function cannot be identified."""
     package = sys.modules[call.function.__module__.partition(".")[0]]
     try:
         known = identity((call.function, call.structure, [type(tree) for tree in trees]))

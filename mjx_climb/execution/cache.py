@@ -110,7 +110,7 @@ def cache_in(folder: str) -> Iterator[None]:
 
 @functools.cache
 def machine() -> str:
-    """Return what all entries of this process depend on, as text: versions, processor, devices, flags of XLA."""
+    """Return the key of all entries of this process, as text: versions, processor, devices, flags of XLA."""
     known = [importlib.metadata.version(name) for name in ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx")]
     known += [platform.python_version(), platform.machine(), platform.processor()]
     with contextlib.suppress(OSError), open("/proc/cpuinfo") as lines:  # instruction sets, where the system tells
@@ -170,7 +170,7 @@ def cached_jit(
 
 
 def _kind(leaf: Array | np.ndarray) -> tuple[Hashable, ...]:
-    """Return what executables depend on of an argument: shape, type and devices."""
+    """Return an argument's part of the key of an executable: shape, type and devices."""
     return leaf.shape, leaf.dtype, getattr(leaf, "sharding", None)
 
 

@@ -66,7 +66,7 @@ class _Digests:
         return self._known[id(value)][0]
 
     def _parts(self, value: object) -> Iterable[object]:
-        """Return what a value is known by."""
+        """Return the parts that identify a value."""
         if name := _name_in_library(value):
             return "library", name, _version(name)
         if isinstance(value, types.ModuleType):
@@ -121,7 +121,7 @@ class _Digests:
         yield from self._code(function.__code__, {} if in_library(home) else function.__globals__)
 
     def _code(self, code: types.CodeType, space: dict[str, object]) -> Iterator[object]:
-        """Return what code says of itself, and what it takes from its module and by imports."""
+        """Yield the instructions of code, and the values that it takes from its module and by imports."""
         for said in _said(code):
             if isinstance(said, _Taken):
                 yield from self._taken(said, space)
@@ -180,7 +180,7 @@ def _hash(*parts: object) -> str:
 
 
 def _members(module: object, names: tuple[str, ...]) -> Iterator[tuple[str, object]]:
-    """Return what a module of the user's own holds under some names; nothing of any other value."""
+    """Yield the members of a user's module by their names; none of any other value."""
     if isinstance(module, types.ModuleType) and not in_library(module.__name__):
         for name in names:
             if (value := vars(module).get(name, module)) is not module:

@@ -85,7 +85,7 @@ class Operations:
         return False
 
     def of_lane(self, value: Shared, lane: int) -> Number:
-        """Return what a lane has of a number, the same object each time."""
+        """Return a lane's number, the same object each time."""
         if isinstance(value, np.generic):
             return value
         return cast(OfLane, self._once(("of lane", id(value), lane), value, lambda: OfLane(value, lane)))
@@ -258,7 +258,7 @@ Shortcut = Callable[..., Number | None]  # of the operands: the result, None whe
 
 
 def _name_of(element: Number) -> Hashable:
-    """Return what two elements share where they are the same number."""
+    """Return a key that is equal for elements that are the same number."""
     return (element.dtype, element.tobytes()) if isinstance(element, np.generic) else id(element)
 
 

@@ -263,7 +263,7 @@ def _condition(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -
 def _written_out(
     do: Operations, loop: Parameters, common: list[Elements], carried: list[Elements], read: list[Elements]
 ) -> list[Elements]:
-    """Return what a loop of a few steps carries in the end and what it writes at each step."""
+    """Return the last carry of a short loop and its records at each step."""
     steps = loop["length"]
     if not 0 < steps <= MOST_STEPS:
         raise Unsupported(f"a loop of {steps} steps that reads or writes something at each")

@@ -64,11 +64,11 @@ class Writer(Protocol):
         """Return a value of which each lane has what another lane, that of its place, has of `value`."""
 
     def over_lanes(self, combine: core.Primitive, value: Value) -> Value | None:
-        """Return what all lanes have of a value, combined; None: by exchanges between lanes."""
+        """Return a value reduced over all lanes; None: the caller exchanges between lanes."""
         return None
 
     def loop(self, steps: int, start: Sequence[Shared], step: Callable[[list[Value]], Sequence[Shared]]) -> list[Value]:
-        """Return what a loop carries in the end: `step` makes what it carries next from what it carried before."""
+        """Return the last carry of a loop; `step` maps a carry to the next."""
         raise Unsupported("a loop")
 
 

@@ -102,7 +102,7 @@ class Stacks(NamedTuple):
     groups: tuple[tuple[int, ...], ...]
 
     def stacked(self, values: Sequence[Item], stack: Callable[[list[Item]], Item]) -> list[Item]:
-        """Return what `stack` makes of each group, and then the values that are in none."""
+        """Return each group stacked by `stack`, and then the values of no group."""
         within = set(itertools.chain.from_iterable(self.groups))
         made = [stack([values[place] for place in group]) for group in self.groups]
         return made + [value for place, value in enumerate(values) if place not in within]

@@ -116,7 +116,7 @@ def _of_one(
 
 
 def body_of(program: core.ClosedJaxpr) -> Body:
-    """Return what is written of a program of one robot."""
+    """Return the body of the kernel of a program of one robot."""
     whole = flat(program)
     return Body(whole, LimbAxes(whole))
 

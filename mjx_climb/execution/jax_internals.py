@@ -27,7 +27,7 @@ LAUNCH = "__gpu$xla.gpu.ptx"  # the custom call by which XLA launches a kernel i
 
 
 def inner_program(equation: core.JaxprEqn) -> core.ClosedJaxpr | None:
-    """Return what an equation calls once with its operands, None where it calls nothing.
+    """Return the program that an equation calls once with its operands, None where it calls none.
 
     The jaxpr of a call with a derivative of its own (`custom_jvp_call`, `custom_vjp_call`) is its values.
     """
@@ -167,7 +167,7 @@ def as_one_kernel(program: core.ClosedJaxpr) -> Callable[..., list[Array]]:
 
 
 def launched(ptx: str, name: str, blocks: int, threads: int, made: jax.ShapeDtypeStruct, *arguments: Array) -> Array:
-    """Return what a kernel in PTX makes of its arguments on a GPU, in so many blocks of so many threads."""
+    """Return the results of a kernel in PTX, launched on a GPU with `blocks` of `threads`."""
     launch = {"grid_x": blocks, "block_x": threads, "shared_mem_bytes": 0}
     launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
     numbers = {name: np.int32(number) for name, number in launch.items()}

@@ -108,12 +108,12 @@ _Result = TypeVar("_Result")
 
 @functools.cache
 def _refused() -> set[Hashable]:
-    """Return what fast paths could not do in this process, a set to add to."""
+    """Return the programs that fast paths refused in this process, a set to add to."""
     return set()
 
 
 def first_possible(by: Callable[[str], _Result], path: str, what: Hashable) -> _Result:
-    """Return what `by` gives of a path, or of the plain one where that cannot be; of the same `what` it never can."""
+    """Return `by(path)`, or `by("plain")` where the path refuses `what`, which it is not asked again."""
     if path != "plain" and (path, what) not in _refused():
         try:
             return by(path)

@@ -2,4 +2,4 @@
 
 
 class Refused(ValueError):
-    """A request that cannot be carried out; in one line: what, what was expected, what was got."""
+    """A request that cannot be carried out. Its message is one line: the name, expected, got."""

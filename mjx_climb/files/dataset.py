@@ -158,7 +158,7 @@ def scenario_of(dataset: xr.Dataset) -> Scenario:
 
 
 def provenance(scenario: Scenario) -> dict[str, str]:
-    """Return what is needed to repeat a computation."""
+    """Return the attributes by which a computation can be repeated: scenario, versions, revision."""
     attrs = {"scenario": scenario.to_yaml()}
     for name, distribution in PACKAGES.items():
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -211,7 +211,7 @@ def save(dataset: xr.Dataset, path: str | os.PathLike[str]) -> Path:
 
 
 def _seal(content: bytes) -> bytes:
-    """Return what stands behind a netCDF file, where readers do not look: its digest, over and over."""
+    """Return the bytes after the end of a netCDF file, which readers ignore: its digest, repeated."""
     return f"sha256 {hashlib.sha256(content).hexdigest()}\n".encode() * _TIMES
 
 

@@ -82,7 +82,7 @@ def reference_to(named: OwnObject, key: str, source: str) -> str:
 
 
 def named_by(text: str, place: str, option: str) -> dict[str, Any]:
-    """Return what the section says of a shipped class, or of FILE.py:NAME; `option` is where it was typed.
+    """Return the section of a shipped class, or of FILE.py:NAME; `option` is where it was typed.
 
     Raises:
         ConfigError: in one line, neither of them.

@@ -143,7 +143,7 @@ def _own_springs(parameters: Parameters, h: float) -> list[Own]:
 
 
 def _words(scenario: Scenario, own: Own, parameters: Parameters | None) -> tuple[str, str]:
-    """Return what a refusal says of the springs of feet and of joints."""
+    """Return the descriptions of the springs of feet and joints, for a refusal."""
     contact, control, friction = scenario.contact, scenario.control, scenario.hardware.servo.coulomb_friction
     emf = _of_loop(scenario)[1] - control.kd
     driven = f", a back EMF of {emf:.3g} N m s/rad" if emf else ""
