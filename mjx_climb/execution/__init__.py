@@ -1,6 +1,6 @@
 """How a function of one robot is carried out for a batch: all that leans on the insides of JAX and XLA.
 
-What the rest of the program uses is named here; docs/execution.md explains the whole.
+What the rest of the program uses is named here; docs/explanation/execution.md explains the whole.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""A program of one robot for a batch, cut into regions that XLA:CPU compiles as one kernel each (docs/execution.md).
+"""A program of one robot for a batch, cut into regions that XLA:CPU compiles as one kernel each.
 
 A function call with the attribute `xla_cpu_small_call` becomes a single kernel. In it there are no matrices, as XLA
 fuses and computes again what is broadcast: each component is a row of robots, or of the limbs of robots, as

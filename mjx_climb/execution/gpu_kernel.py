@@ -1,4 +1,4 @@
-"""A function of one robot as one GPU kernel for a batch of them, with a thread for each limb (docs/execution.md).
+"""A function of one robot as one GPU kernel for a batch of them, with a thread for each limb.
 
 The kernel is written in CUDA C (`cuda_writer`), compiled by NVRTC, a library that every installation of JAX for
 NVIDIA's GPUs brings, and launched by a custom call of XLA's. Tangents are asked for beforehand: each direction has

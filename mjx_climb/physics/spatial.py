@@ -97,7 +97,7 @@ def solve_symmetric(
 ) -> Float[AnyArray, "... n k"]:
     """Return the solution of symmetric positive definite systems, by `L D L^T` written out element by element.
 
-    XLA calls a library for `jnp.linalg.solve`, which takes longer than these few operations (docs/performance.md).
+    XLA calls a library for `jnp.linalg.solve`, which takes longer than these few operations (docs/studies/speed.md).
     """
     size = matrix.shape[-1]
     lower: dict[tuple[int, int], AnyArray] = {}  # by row and column

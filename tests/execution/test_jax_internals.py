@@ -1,6 +1,6 @@
 """What JAX does not document, as this package needs it: the tests that fail first when JAX changes.
 
-Quick, so that they run with every JAX that pyproject.toml lets in: see docs/execution.md.
+Quick, so that they run with every JAX that pyproject.toml lets in: see docs/explanation/execution.md.
 """
 
 import inspect

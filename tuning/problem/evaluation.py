@@ -20,7 +20,7 @@ from tuning.problem.objectives import NO_OBJECTIVE, Goal, OwnObjective
 from tuning.problem.spaces import NO_SPACE, Space, to_gains64
 
 # Directions above which derivatives are taken in reverse mode: of one robot it takes as long as 60 tangents, of several
-# as long as fewer, and twice as long to compile (docs/performance.md). All gains with axes stay below.
+# as long as fewer, and twice as long to compile (docs/studies/speed.md). All gains with axes stay below.
 REVERSE_ABOVE = 48
 
 

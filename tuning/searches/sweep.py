@@ -254,7 +254,7 @@ def default_batch_size(walks: int, steps: int, platform: str | None = None) -> i
 
 
 def expected_duration(walks: int, steps: int, platform: str) -> float:
-    """Return about how long some walks take, in s, by the rates that docs/performance.md measured."""
+    """Return about how long some walks take, in s, by the rates that docs/studies/speed.md measured."""
     rate = 2.2e6 * devices.usable_cores() if platform == "cpu" else 1e9  # environment steps a second
     return walks * steps / rate
 
