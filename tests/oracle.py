@@ -1,4 +1,4 @@
-"""A stored walk worked out again, row by row, in NumPy and MuJoCo's C code: from docs/physics.md, not from the package.
+"""A stored walk worked out again, row by row, in NumPy and MuJoCo's C code: from docs/explanation/, not the package.
 
 Each row starts from the state that the walk has there; the state of the next row is part of what must come out.
 """
@@ -149,7 +149,7 @@ class Grips:
 
 
 class Law:
-    """The paper's Eqs. 2 and 3 in the ways of docs/physics.md, and pd."""
+    """The paper's Eqs. 2 and 3 in the ways of docs/explanation/two_readings.md, and pd."""
 
     def __init__(self, scenario, reference, limbs):
         self.control, self.reference = scenario.control, reference

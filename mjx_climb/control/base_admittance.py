@@ -47,7 +47,7 @@ class VirtualModelAdmittance(SixAxes):
     def step(self, mass: VirtualMass, measured: Measurement, reference: Reference) -> tuple[VirtualMass, Command]:
         """Let the mass move under the wrench for one period, and shift the base by where it is."""
         to_reference = quaternion_to_matrix(reference.base_orientation).T
-        # Eq. 3 driven by -w: driven by +w the base leans into a push (docs/physics.md, departure 1)
+        # Eq. 3 driven by -w: driven by +w the base leans into a push (docs/explanation/departures.md, 1)
         mass = advance(mass, -_turned(to_reference, measured.wrench), self.motion)
         return mass, shifted(reference, mass.displacement)
 

@@ -274,7 +274,7 @@ def _more_transport(running: _Transport, sample: Sample, context: Context) -> _T
 def _cost_of_transport(running: _Transport, context: Context) -> Array:
     """Return work by weight and travel; without gravity, or without travel, there is none: NaN."""
     work, mass, way = running
-    # the paper does not define its average: work over weight times travel (docs/physics.md, departure 13)
+    # the paper does not define its average: work over weight times travel (docs/explanation/departures.md, 13)
     weight_travel = mass * norm(jnp.asarray(context.gravity)) * jnp.abs(_travel(way, context))
     defined = weight_travel > 0
     return jnp.where(defined, work / jnp.where(defined, weight_travel, 1.0), jnp.nan)

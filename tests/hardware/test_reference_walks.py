@@ -72,7 +72,7 @@ def deviations(key, walked):
     """Return for each metric by how much it is off, as a share of what is allowed (1e-4), and of the reference.
 
     Under dry friction alone the force variation may be 30 % off: the reference's friction gives way like a viscosity
-    that depends on its time step, ours holds, and is the same at a quarter of the step (docs/physics.md).
+    that depends on its time step, ours holds, and is the same at a quarter of the step (docs/explanation/hardware.md).
     """
     case, entry, gains = key
     expected, ours = REFERENCE["cases"][case][entry][gains], walked[key]

@@ -110,7 +110,7 @@ class Gripper(Contact):
         below = jnp.concatenate([feet.position[:, :2], ground[:, None]], axis=1)
         grip_point = jnp.where(fresh[:, None], below, memory.grip_point)
         # paper Eq. 5, with the true velocity of the foot: ClimbLab's damper takes the free-floating Jacobian's, which
-        # adds energy (docs/physics.md, departure 3)
+        # adds energy (docs/explanation/departures.md, 3)
         force = self.stiffness * (grip_point - feet.position) - self.damping * feet.velocity
         force = jnp.where(touching[:, None], force, 0.0)
         if reach is not None:
@@ -126,7 +126,7 @@ class Gripper(Contact):
 
     def overloaded(self, force: Array) -> Array:
         """Whether forces of the ground on the feet (limb, 3) N are more than a grip holds, (limb,) bool."""
-        # ClimbLab's rule with the 15 N of the paper (docs/physics.md, departure 11)
+        # ClimbLab's rule with the 15 N of the paper (docs/explanation/departures.md, 11)
         return jnp.asarray((force[:, 2] < 0) & (norm(force) > self.holding_limit))
 
     def holding_force(self) -> Array:
