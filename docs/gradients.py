@@ -1,4 +1,4 @@
-"""Draw docs/gradients.png: two metrics and their derivatives across changes of a grip and of the instant that counts.
+"""Draw docs/images/gradients.png: two metrics and their derivatives across grip changes and a change of the peak.
 
 Run from the repository's root: `python docs/gradients.py`.
 """
@@ -92,7 +92,7 @@ def main() -> None:
             before, after = (contacts(scenario, DAMPING[at + side]) for side in (0, 1))
             change = values[name][at + 1] - values[name][at]
             print(f"{name}: {change:+.4f} N at D = {DAMPING[at]:.2f}; {before - after} -> {after - before}")
-    draw(values, slopes).savefig(ROOT / "docs" / "gradients.png", dpi=160)
+    draw(values, slopes).savefig(ROOT / "docs" / "images" / "gradients.png", dpi=160)
 
 
 if __name__ == "__main__":
