@@ -187,7 +187,7 @@ class Law:
 
 
 class Watch:
-    """Which force sensors are believed, by the rules of docs/laws.md, in a loop of some period in s."""
+    """Which force sensors are believed, by the rules of docs/explanation/hardware.md, in a loop of some period in s."""
 
     def __init__(self, period, limbs):
         self.period, self.share = period, 0.0
@@ -299,7 +299,7 @@ class Servos:
 
 
 class VelocityCommanded:
-    """Motors that follow the rates of a manager, by the equations of docs/actuators.md."""
+    """Motors that follow the rates of a manager, by the equations of docs/guides/actuator.md."""
 
     def __init__(self, drive, scenario, joints):
         self.drive, self.step = drive, scenario.time_step

@@ -1,4 +1,4 @@
-"""Laws that move the feet, in plain NumPy from their equations in docs/laws.md; `tests.oracle` walks under them."""
+"""Laws that move the feet, in plain NumPy by docs/explanation/laws.md; `tests.oracle` walks under them."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""A law whose gains are the weights of a network, as `docs/laws.md` shows it: searched, written, read, refused."""
+"""A law whose gains are the weights of a network, of `docs/guides/learned_law.md`: searched, written, read, refused."""
 
 import importlib.util
 import time
@@ -21,7 +21,7 @@ from tuning.searches import tune as searches
 from tuning.searches.sweep import sweep
 from tuning.tune import tune
 
-SCRIPT = Path(__file__).parents[2] / "docs" / "network_law.py"
+SCRIPT = Path(__file__).parents[2] / "docs" / "guides" / "network_law.py"
 QUICK = {"duration": 0.3, "gait.cycle": 0.4, "gait.stride": 0.01, "gait.step_height": 0.01}
 
 
@@ -53,7 +53,7 @@ def random():
 def test_the_script_is_short_and_the_page_shows_it():
     text = SCRIPT.read_text()
     assert len(text.splitlines()) <= 40
-    assert text in (SCRIPT.parent / "laws.md").read_text()
+    assert text in (SCRIPT.parent / "learned_law.md").read_text()
 
 
 @pytest.mark.slow

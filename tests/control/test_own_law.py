@@ -1,4 +1,4 @@
-"""A control law from a user's script, as `docs/laws.md` shows it: walked, batched, differentiated, swept and tuned."""
+"""A control law from a user's script, of `docs/guides/law.md`: walked, batched, differentiated, swept and tuned."""
 
 import dataclasses
 import importlib.util
@@ -21,7 +21,7 @@ from tuning.gains import gains_file, own_section
 from tuning.searches.sweep import sweep
 from tuning.tune import tune
 
-SCRIPT = Path(__file__).parents[2] / "docs" / "filtered_law.py"
+SCRIPT = Path(__file__).parents[2] / "docs" / "guides" / "filtered_law.py"
 SHORT = (("duration", 0.1), ("gait.cycle", 0.5), ("disturbance.cargo.start", 0.02), ("disturbance.cargo.mass", 0.5))
 
 
@@ -49,12 +49,12 @@ def law():
 def test_the_script_is_short_and_the_page_shows_it():
     text = SCRIPT.read_text()
     assert len(text.splitlines()) <= 40
-    assert text in (SCRIPT.parent / "laws.md").read_text()
+    assert text in (SCRIPT.parent / "law.md").read_text()
 
 
 def test_the_small_law_of_the_page_yields_to_what_pushes_the_base(tmp_path):
     """Written as the page says: the ground pushes the feet with +x, so something pushes the base along -x."""
-    (block,) = re.findall(r"```python\n(.*?class Yielding.*?)```", (SCRIPT.parent / "laws.md").read_text(), re.DOTALL)
+    (block,) = re.findall(r"```python\n(.*?class Yielding.*?)```", (SCRIPT.parent / "law.md").read_text(), re.DOTALL)
     (tmp_path / "page.py").write_text(block)
     law = own_section.load_law(f"{tmp_path / 'page.py'}:Yielding")
     zero, feet, up = jnp.zeros(3), jnp.zeros((4, 3)), jnp.array([1.0, 0.0, 0.0, 0.0])

@@ -14,9 +14,9 @@ from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
 from tests.pages import fences
 
-DOCS = Path(__file__).parents[2] / "docs"
-PAGES = {"contacts": "Magnet", "actuators": "SeriesElastic", "disturbances": "ThermalBending"}
-ALONE = {"contacts": 2, "actuators": 2, "disturbances": 1}  # where the batch of the page has the value of its one walk
+DOCS = Path(__file__).parents[2] / "docs" / "guides"
+PAGES = {"contact": "Magnet", "actuator": "SeriesElastic", "disturbance": "ThermalBending"}
+ALONE = {"contact": 2, "actuator": 2, "disturbance": 1}  # where the batch of the page has the value of its one walk
 OPEN = jnp.zeros(4, bool)
 
 
@@ -61,12 +61,12 @@ def test_the_page_walks_its_example_alone_and_in_a_batch(page, own, plain, monke
     alone = mc.metrics(walk)
     for name in ("peak_foot_force", "force_variation", "travel"):
         np.testing.assert_allclose(batch[name][ALONE[page]], alone[name], rtol=1e-3, atol=1e-5, err_msg=name)
-    if page != "contacts":  # magnets that hold are alike
+    if page != "contact":  # magnets that hold are alike
         assert len({*batch["force_variation"]}) == 3
 
 
 def test_the_magnet_slides_and_lets_go(own):
-    magnet = own["contacts"](pull=10.0, friction=0.5, stiffness=1e3, damping=0.0)
+    magnet = own["contact"](pull=10.0, friction=0.5, stiffness=1e3, damping=0.0)
     # pushed with 10 N and sheared with 5 and 20 N; pulled with 9 and 11 N
     position = jnp.array([[-0.005, 0.0, -0.01], [0.0, 0.02, -0.01], [0.0, 0.0, 0.009], [0.0, 0.0, 0.011]])
     still = jnp.zeros((4, 3))
@@ -81,7 +81,7 @@ def test_the_magnet_slides_and_lets_go(own):
 
 
 def test_the_motor_behind_the_spring_lags_and_has_a_largest_rate(own):
-    drive = own["actuators"](stiffness=40.0, damping=0.0, lag=0.1, largest_rate=2.0)
+    drive = own["actuator"](stiffness=40.0, damping=0.0, lag=0.1, largest_rate=2.0)
     angles, targets = jnp.zeros((4, 3)), jnp.zeros((4, 3)).at[0, 0].set(0.05).at[1, 1].set(-1.0)
     memory, done = drive.step(drive.init(angles), targets, None, mc.Joints(angles, angles, None), 1e-3)
     expected = np.zeros((4, 3))
@@ -97,7 +97,7 @@ def test_the_bending_has_no_wrench_and_loads_the_joints_between_its_links(own):
     state = State(still, jnp.array([1.0, 0.0, 0.0, 0.0]), still, still, joints, jnp.zeros_like(joints))
     frames = limb_frames(robot, None, robot.stance_joints)
     body = mc.Body(robot, frames, state)
-    external = own["disturbances"](limb=2.0, moment=0.3, warming=10.0).act(jnp.asarray(5.0), body)
+    external = own["disturbance"](limb=2.0, moment=0.3, warming=10.0).act(jnp.asarray(5.0), body)
     axes = np.asarray(frames.rotation)[2, :, :, 2]
     torque = np.zeros((4, 3))
     torque[2, 1:] = 0.3 * (1 - np.exp(-0.5)) * axes[1:] @ axes[1]

@@ -16,7 +16,7 @@ from tuning.pages import comparison
 from tuning.pages.explorer import explorer, grid_points
 from tuning.problem.objectives import Limit, Objective, Term
 
-PAGE = Path(__file__).parents[3] / "docs" / "metrics.md"
+PAGE = Path(__file__).parents[3] / "docs" / "guides" / "metric.md"
 SHORT = {"duration": 0.3, "gait.cycle": 0.4, "disturbance.cargo.start": 0.05}
 
 

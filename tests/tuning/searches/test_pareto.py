@@ -19,7 +19,7 @@ from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Pareto, Search
 from tuning.searches import pareto
 
-LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"
+LAW = Path(__file__).parents[3] / "docs" / "guides" / "filtered_law.py"
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from tuning.pages import pictures
 from tuning.problem.search import Schedule, Search
 from tuning.searches import schedule
 
-LAW = Path(__file__).parents[3] / "docs" / "filtered_law.py"
+LAW = Path(__file__).parents[3] / "docs" / "guides" / "filtered_law.py"
 
 
 @pytest.fixture(scope="module")
