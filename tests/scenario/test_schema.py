@@ -1,5 +1,6 @@
 """The schema for editors: it takes what the loader takes, and refuses what the loader refuses."""
 
+import importlib.util
 import json
 import re
 from pathlib import Path
@@ -12,7 +13,8 @@ import mjx_climb as mc
 from tuning.command_line import main
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-BLOCKS = re.findall(r"```yaml\n(.*?)```", (CONFIGS.parent / "docs" / "scenarios.md").read_text(), re.DOTALL)
+PAGES = [CONFIGS.parent / "docs" / "guides" / f"{name}.md" for name in ("scenario", "robot", "hardware_keys")]
+BLOCKS = [block for page in PAGES for block in re.findall(r"```yaml\n(.*?)```", page.read_text(), re.DOTALL)]
 CASES = ["case_1_1", "case_1_2", "case_2"]
 LIMB = {"joints": ["a", "b", "c"], "foot": "d", "foothold": [0.1, 0.1]}
 ROBOT = {"file": "robot.urdf", "height": 0.1, "limbs": dict.fromkeys(("LF", "LH", "RH", "RF"), LIMB)}
@@ -31,6 +33,18 @@ def schema(capsys):
 @pytest.mark.parametrize("text", [*BLOCKS, *((CONFIGS / f"{case}.yaml").read_text() for case in CASES)])
 def test_shipped_configs_and_every_example_of_the_how_to_are_valid(schema, text):
     schema.validate(yaml.safe_load(mc.Scenario.from_yaml(text).to_yaml()))
+
+
+def test_the_page_of_the_keys_has_each_with_its_meaning():
+    spec = importlib.util.spec_from_file_location("keys", CONFIGS.parent / "docs" / "hooks" / "keys.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    text = module.on_page_markdown((CONFIGS.parent / "docs" / "reference" / "scenario.md").read_text())
+    rows = dict(re.findall(r"^\| `([\w.]+)` \| .* \| (.*) \|$", text, re.MULTILINE))
+    models = mc.Scenario.model_json_schema()["$defs"].values()
+    known = {name for model in models for name in model.get("properties", ())}
+    assert known <= {key.rpartition(".")[2] for key in rows} and "hardware.servo.register_scale.p" in rows
+    assert all(rows.values()) and module.MARK not in text
 
 
 @pytest.mark.parametrize(
