@@ -4,7 +4,8 @@ In `"... limbs 3 K"` the axes of one robot follow any batch axes; what a name st
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Hashable, Mapping, Sequence
 from typing import get_args
 
 import numpy as np
@@ -25,6 +26,11 @@ def check_fields(of: str, tree: object, sizes: Sizes) -> None:
 
 def dims_of(annotation: object) -> str:
     """Return the shape in an annotation, or in the first member of a union of some, "" where there is none."""
+    return _dims_of(annotation)
+
+
+@functools.lru_cache(maxsize=1024)
+def _dims_of(annotation: Hashable) -> str:
     members = (annotation, *get_args(annotation))
     return next((member.dim_str for member in members if hasattr(member, "dim_str")), "")
 

@@ -4,6 +4,7 @@ A tree here is a dataclass, or has some in it, with `AXES`: how many axes one ro
 no scalar.
 """
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -26,6 +27,14 @@ def is_traced(tree: PyTree) -> bool:
 
 def own_axes(tree: Tree) -> Tree:
     """Return in place of each value how many axes one robot's value has."""
+    own: Tree = _axes_of(jax.tree.structure(tree))
+    return own
+
+
+@functools.lru_cache(maxsize=256)
+def _axes_of(structure: jax.tree_util.PyTreeDef) -> PyTree:
+    """Return `own_axes` of all trees of a structure: types say it, values do not."""
+    tree: PyTree = jax.tree.unflatten(structure, range(structure.num_leaves))
 
     def of(path: Sequence[PyTree], _: PyTree) -> int:
         owner: PyTree = tree  # the dataclass that has the value
@@ -33,8 +42,7 @@ def own_axes(tree: Tree) -> Tree:
             owner = owner[key.idx] if hasattr(key, "idx") else getattr(owner, key.name)
         return int(owner.AXES.get(path[-1].name, 0))
 
-    own: Tree = jax.tree_util.tree_map_with_path(of, tree)
-    return own
+    return jax.tree_util.tree_map_with_path(of, tree)
 
 
 def axes_behind(tree: Tree, shape: Sequence[int]) -> Tree:

@@ -85,7 +85,7 @@ def resolve(
     others = {name: jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS}
     shape = batch_shape(law, parameters, others=others)
     check_robots(shape)
-    if shape != batch_shape(law, parameters):
+    if others and shape != batch_shape(law, parameters):
         parameters = dataclasses.replace(parameters, kp=xp.broadcast_to(parameters.kp, shape))
     return WalkInputs(law, parameters, shape, own, walked, called)
 
