@@ -1,7 +1,7 @@
-"""Print what worse hardware takes from laws: two tables of docs/hardware_gains.md.
+"""Print what worse hardware takes from laws: the tables of docs/studies/worse_hardware.md.
 
 Run from the repository's root, with the gains that a comparison left, `gains-retuned_pd.yaml` among them:
-`python docs/degradation.py case_1_2 results/case_1_2-compare`, with `pose` behind for a worse pose of the base.
+`python docs/studies/degradation.py case_1_2 results/case_1_2-compare`, with `pose` behind for a worse pose of the base.
 """
 
 import sys
@@ -12,7 +12,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 import mjx_climb as mc  # noqa: E402

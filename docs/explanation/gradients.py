@@ -1,6 +1,6 @@
 """Draw docs/images/gradients.png: two metrics and their derivatives across grip changes and a change of the peak.
 
-Run from the repository's root: `python docs/gradients.py`.
+Run from the repository's root: `python docs/explanation/gradients.py`.
 """
 
 import sys
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 import mjx_climb as mc  # noqa: E402
