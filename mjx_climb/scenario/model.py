@@ -156,7 +156,7 @@ class Control(v.Section):
     inertia: v.Gain = setting(1.0, "virtual inertia M, kg (translations), kg m^2 (rotations)")
     damping: v.Gain = setting(5.0e3, "virtual damping D, N s/m (translations), N m s/rad (rotations)")
     stiffness: v.Gain = setting(5.0e4, "virtual stiffness K, N/m (translations), N m/rad (rotations)")
-    # the paper's pd: docs/paper.md tells how far softer joints alone would go
+    # the paper's pd: docs/studies/paper.md tells how far softer joints alone would go
     kp: v.Positive = setting(50.0, "proportional gain of the joint loop, N m/rad")
     kd: v.NonNegative = setting(0.2, "derivative gain of the joint loop, N m s/rad")
     ki: v.NonNegative = setting(0.0, "integral gain of the joint loop, N m/(rad s); 0: no integral term")
