@@ -387,7 +387,7 @@ def export(asked: Export) -> None:
     ros2_control's admittance_controller integrates the law with explicit damping, so gains that are fine here may
     diverge there: those are refused, and you are told which update rate or virtual inertia would do. The library
     admittance_control has one mass, damping and stiffness for forces and one for moments: gains that differ between
-    their axes are refused. docs/ros2_control.md has the mapping of parameters and frames to the law used here.
+    their axes are refused. docs/guides/ros2_control.md has the mapping of parameters and frames to the law used here.
 
     Gains of load transfer (`law: LoadTransfer` in GAINS) have one form: load_transfer.yaml, load_transfer_gains.hpp,
     and load_transfer.hpp, which is the law in C++.
