@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from tuning.comparisons.compare import compare as compare
     from tuning.comparisons.judge import judge as judge
     from tuning.comparisons.judge import judge_shard as judge_shard
+    from tuning.comparisons.merge import merge as merge
     from tuning.identification.fit.identify import identify as identify
     from tuning.identification.plan.excitation import excite as excite
     from tuning.searches.pareto import pareto as pareto
     from tuning.searches.schedule import schedule as schedule
-    from tuning.searches.shards import merge as merge
     from tuning.searches.sweep import sweep as sweep
     from tuning.searches.sweep import sweep_shard as sweep_shard
     from tuning.searches.tune import robust as robust
-    from tuning.tune import tune as tune
+    from tuning.searches.tune import tune as tune
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

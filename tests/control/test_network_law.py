@@ -19,7 +19,7 @@ from tuning.problem.evaluation import REVERSE_ABOVE
 from tuning.problem.search import Search
 from tuning.searches import tune as searches
 from tuning.searches.sweep import sweep
-from tuning.tune import tune
+from tuning.searches.tune import tune
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "guides" / "network_law.py"
 QUICK = {"duration": 0.3, "gait.cycle": 0.4, "gait.stride": 0.01, "gait.step_height": 0.01}

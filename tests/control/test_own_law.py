@@ -19,7 +19,7 @@ from mjx_climb.walk.metrics import total
 from tuning.command_line import options
 from tuning.gains import gains_file, own_section
 from tuning.searches.sweep import sweep
-from tuning.tune import tune
+from tuning.searches.tune import tune
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "guides" / "filtered_law.py"
 SHORT = (("duration", 0.1), ("gait.cycle", 0.5), ("disturbance.cargo.start", 0.02), ("disturbance.cargo.mass", 0.5))

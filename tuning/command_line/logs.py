@@ -199,7 +199,7 @@ def replay(
     """
     with output.session() as shell:
         from tuning.identification.model import replay as replays
-        from tuning.writing.folder import write_config
+        from tuning.results.config_file import write_config
         from tuning.writing.record import settings_of
 
         loaded = walk.load_with_gains()

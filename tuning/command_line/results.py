@@ -159,7 +159,7 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         from tuning.comparisons import margins as evaluation
         from tuning.gains.gains_file import apart, by_name
         from tuning.pages.pictures import plot_margins
-        from tuning.writing.folder import write_config
+        from tuning.results.config_file import write_config
         from tuning.writing.record import settings_of
 
         loaded = walk.load()

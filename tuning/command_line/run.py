@@ -177,7 +177,7 @@ def _written(
     from mjx_climb.files import dataset, scenario_files
     from mjx_climb.viz.recording import save_mcap
     from tuning.pages.numbers import to_json
-    from tuning.writing.folder import write_config
+    from tuning.results.config_file import write_config
 
     scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
     shell.opening(scenario)

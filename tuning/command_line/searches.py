@@ -207,9 +207,9 @@ def schedule(
 
         devices.begin()
         from tuning.command_line.session import plain_table
-        from tuning.comparisons.retuned_pd import NAME
         from tuning.pages.numbers import change, gain, number
         from tuning.searches import schedule as schedules
+        from tuning.searches.retuned_pd import NAME
         from tuning.writing.record import settings_of
 
         loaded = walk.load()
@@ -311,7 +311,8 @@ class Grid(Options):
 
         from mjx_climb.execution.paths import device_for
         from tuning.command_line.session import duration
-        from tuning.searches.sweep import HISTORIES, expected_duration
+        from tuning.results.swept import HISTORIES
+        from tuning.searches.sweep import expected_duration
 
         steps, sizes = work.walked.scenario.steps, " x ".join(f"{len(each)} {name}" for name, each in work.axes.items())
         device = jax.devices(device_for(work.rows, 0, kernel=work.rows > HISTORIES))[0]  # too few for a GPU
@@ -565,7 +566,8 @@ def merge(asked: Merge, output: Output) -> None:
       mjx-climb merge node1/shard-1-of-2 node2/shard-2-of-2 --out results/both
     """
     with output.session() as shell:
-        from tuning.comparisons import judge as judging
+        from tuning.comparisons.merge import merged
+        from tuning.results.judged import Judged
         from tuning.searches import shards
 
         law, table = own_objects(asked.law, asked.metrics)
@@ -573,8 +575,8 @@ def merge(asked: Merge, output: Output) -> None:
         target, about = output.out or shards.home(kept), kept[0].about
         if target is None:
             raise InputError("--out: expected a folder for the result, as the shards lie in several places")
-        kind = "judge" if kept[0].identity["kind"] == judging.Judged.KIND else "sweep"
+        kind = "judge" if kept[0].identity["kind"] == Judged.KIND else "sweep"
         settings = loads(about["settings"]) if "settings" in about else None
         shell.claim(ROWS[kind][0], about.get("name", "the scenario"), settings=settings, at=target)
-        found = shards.merged(kept, law, table)
+        found = merged(kept, law, table)
         shell.result(found, about.get("repeat") or "the same command", before=f"{len(kept)} shards, ")

@@ -10,12 +10,13 @@ import mjx_climb as mc
 from mjx_climb.inputs.gait_values import GAIT
 from mjx_climb.inputs.resolve import AnyGains
 from tuning.background import Begin, Work
-from tuning.comparisons import margins, retuned_pd, stability_limit, verification
+from tuning.comparisons import margins, stability_limit, verification
 from tuning.gains.gains_file import replaced
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import BY_GRADIENTS, Search
 from tuning.problem.spaces import INTEGRAL, JOINT
-from tuning.results.result import Tuned
+from tuning.results.tuned import Tuned
+from tuning.searches import retuned_pd
 from tuning.searches.sweep import Axes
 from tuning.searches.tune import start_of
 

@@ -24,7 +24,6 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Callback as Told
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
-from tuning.comparisons.retuned_pd import NAME
 from tuning.gains.own_section import load_law, without
 from tuning.methods import parts
 from tuning.methods.rounds import Callback
@@ -32,8 +31,10 @@ from tuning.problem import spaces
 from tuning.problem.ensemble import FRICTION, Ensemble
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import Search
-from tuning.results.result import Result, Tuned
+from tuning.results.judged import Comparison
+from tuning.results.tuned import Tuned
 from tuning.searches import tune
+from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Rows
 
 METHODS = ("cmaes", "optuna")  # that evaluate as many points however many gains there are
@@ -57,30 +58,6 @@ class Contestant(NamedTuple):
     law: mc.Law | None  # the scenario's where None
     search: Search
     space: spaces.Space
-
-
-@dataclasses.dataclass(frozen=True)
-class Comparison(Result):
-    """Laws that were tuned alike, and their walks through members of an ensemble that no search has seen.
-
-    `data` holds every metric of every walk over `gains` (the laws, pd retuned, that on better hardware, and the
-    scenario's pd) and `member`, as of `tuning.judge`. `write` adds which differences from retuned pd are real.
-    """
-
-    FILE = "compared.nc"
-    KIND = "compare"
-
-    tuned: Mapping[str, Tuned] = dataclasses.field(default_factory=dict)  # by law, `retuned_pd` the last
-
-    @property
-    def laws(self) -> list[str]:
-        """The names of the laws, without pd's."""
-        return [name for name in self.tuned if name != NAME]
-
-    @property
-    def hardware(self) -> list[str]:
-        """The names of the walks of retuned pd with better hardware."""
-        return [name for name in self.data["gains"].values.tolist() if name in HARDWARE]
 
 
 def compare(

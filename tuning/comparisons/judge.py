@@ -32,7 +32,8 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import BINDING, Objective, Term, in_words, violation
 from tuning.problem.search import Judge
-from tuning.results.result import Result
+from tuning.results.config_file import write_config
+from tuning.results.judged import Judged
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
 from tuning.searches.sweep import default_batch_size
 
@@ -56,17 +57,6 @@ OF_HARDWARE = {
     "coulomb_friction": ("N m", "dry friction"),
     "armature": ("kg m^2", "armature"),
 }
-
-
-@dataclasses.dataclass(frozen=True)
-class Judged(Result):
-    """The walks of several gains, and of pd, through members of an ensemble that no search of it has seen.
-
-    `data` holds every metric of every walk over `gains` (the names, `pd` last) and `member`; with what was drawn.
-    """
-
-    FILE = "judged.nc"
-    KIND = "judge"
 
 
 def judge(
@@ -198,8 +188,6 @@ class Draw:
 
     def write_asked(self, folder: Path) -> None:
         """Write scenario, law, ensemble and gains for `read_asked`."""
-        from tuning.writing.folder import write_config
-
         assert self.ensemble is not None
         write_config(self.problem.scenario, folder, self.problem.law, self.problem.metrics)
         dataset.write_text_atomically(folder / "ensemble.yaml", self.ensemble.to_yaml())

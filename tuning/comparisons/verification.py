@@ -19,7 +19,7 @@ from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal
 from tuning.problem.spaces import kind_of
-from tuning.results.result import Tuned
+from tuning.results.tuned import Tuned
 from tuning.searches.sweep import sweep
 from tuning.searches.tune import problem_of
 

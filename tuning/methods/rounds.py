@@ -110,7 +110,7 @@ class Rounds(Parts):
 
     @property
     def evaluated(self) -> dict[str, np.ndarray]:
-        """Every point evaluated so far, in order: the columns of `tuning.results.result.Tuned.data`."""
+        """Every point evaluated so far, in order: the columns of `tuning.results.tuned.Tuned.data`."""
         return {name: np.concatenate(values) for name, values in self._columns.items()}
 
     def evaluate(self, problem: Problem, request: Request) -> Evaluation:

@@ -22,8 +22,8 @@ from tuning.pages.explorer import SCALES, axes_of
 from tuning.pages.numbers import axis_values, has_axes
 from tuning.problem import ensemble
 from tuning.problem.spaces import kind_of
-from tuning.results.result import Tuned
-from tuning.searches.pareto import knee
+from tuning.results.front import knee
+from tuning.results.tuned import Tuned
 
 CROWD = 100  # points of a round; more would hide the map
 _COLORS = {"config": plots.VERMILLION, "paper": plots.VERMILLION, "pd": "0.6", "retuned pd": plots.BLACK}

@@ -10,9 +10,9 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.walks import LINES
-from tuning.comparisons.compare import HARDWARE, Comparison
+from tuning.comparisons.compare import HARDWARE
 from tuning.comparisons.judge import PD
-from tuning.comparisons.retuned_pd import NAME
+from tuning.comparisons.worth import of_front
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import labels
 from tuning.pages import comparison
@@ -20,9 +20,12 @@ from tuning.pages.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, g
 from tuning.pages.numbers import axis_values, change, failed, gain, number, remarks, unit
 from tuning.pages.page import Origin, Page, Table
 from tuning.problem.evaluation import Problem
-from tuning.results.result import Tuned
+from tuning.results.front import Front, without_sensor
+from tuning.results.judged import Comparison
+from tuning.results.swept import HISTORIES
+from tuning.results.tuned import Tuned
 from tuning.searches import sweep as sweeps
-from tuning.searches.pareto import Front, without_sensor
+from tuning.searches.retuned_pd import NAME
 
 if TYPE_CHECKING:
     from tuning.writing.contents import SweepComparison, TuneComparison
@@ -41,7 +44,7 @@ def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset |
     if all(name in result for name in LINES):
         return result
     # out of the cells that the page shows
-    kept = coarser_grid(coarser_grid(result, best, MOST_CELLS), best, sweeps.HISTORIES)
+    kept = coarser_grid(coarser_grid(result, best, MOST_CELLS), best, HISTORIES)
     return sweeps.sweep(scenario, {name: kept[name].values for name in axes_of(kept)}, **how).data
 
 
@@ -332,7 +335,7 @@ def pareto_page(
     return Page(
         title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}", origin=origin,
         verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
-        scenario=found.scenario, notes=sentences([found.worth]),
+        scenario=found.scenario, notes=sentences([of_front(found)]),
         tables=[front_table(front, knee, found.asked.points, about)],
         explorers={"The front": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
         facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},

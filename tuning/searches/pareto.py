@@ -15,10 +15,8 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
-from tuning.comparisons import retuned_pd
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.methods import Request, Task
@@ -28,60 +26,14 @@ from tuning.problem import objectives
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Objective
 from tuning.problem.search import Pareto, Search
-from tuning.problem.spaces import as_gains, refuse_gait, to_gains64
-from tuning.results.result import Result
-from tuning.searches import tune
+from tuning.problem.spaces import refuse_gait, to_gains64
+from tuning.results.front import Front, gains_of, sign
+from tuning.searches import retuned_pd, tune
 
 CANDIDATES = 64  # random points, the scenario's own gains among them
 STAGES = 3  # descents; between them every row starts again from the best point within its limit
 ITERATIONS = 6  # of a descent
 _MARGIN = 0.002  # relative: where the penalty of a row's limit begins, inside it
-
-
-@dataclasses.dataclass(frozen=True)
-class Front(Result):
-    """A Pareto front of two metrics; `gains` are those at its knee.
-
-    `data` holds along `point` both metrics of all that was walked in the search, nothing torn off. Along `front` the
-    gains on the front (those of six axes along `six`, of three along `three`) and all their metrics, in float64 with
-    grippers that tear off. Along `reference` the metrics of the law's own gains (`config`) and of `pd`, likewise. Along
-    `without` the front of pd over kp and kd, which needs no force sensor, from a grid of them (`without_kp`,
-    `without_kd`, and both metrics).
-    """
-
-    FILE = "front.nc"
-    KIND = "pareto"
-
-    search: Search = dataclasses.field(default_factory=Search)
-    asked: Pareto = dataclasses.field(default_factory=Pareto)
-
-    @property
-    def knee(self) -> int:
-        """The index of the point where the front bends, the furthest from the line between its ends."""
-        return knee(self.data[self.asked.against].values, self.data[self.asked.better].values)
-
-    @property
-    def without(self) -> xr.Dataset | None:
-        """Of the front of pd over kp and kd the point that costs no more than the knee, None where all cost more."""
-        return without_sensor(self.data, self.knee, self.problem.metrics)
-
-    @property
-    def worth(self) -> str:
-        """What the force sensor is worth at the knee, in words."""
-        metrics, without = self.problem.metrics, self.without
-        better, against = (metrics.in_words(name) for name in (self.asked.better, self.asked.against))
-        if without is None:
-            return f"pd has more {against} than the knee with any kp and kd of its grid"
-        found = {better: self.data[self.asked.better].values[self.knee].item()}
-        theirs = {better: without[f"without_{self.asked.better}"].item()}
-        joint = {name: without[f"without_{name}"].item() for name in ("kp", "kd")}
-        rival = retuned_pd.Rival(joint, theirs[better], lacks=retuned_pd.ON_A_GRID)
-        worth = retuned_pd.worth(found, theirs, rival, larger=metrics[self.asked.better].larger_is_better)
-        return f"{worth.in_words}, at no more {against}"
-
-    def comment(self, name: str) -> str:
-        """Return what is traded for what."""
-        return f"mjx-climb pareto {name}: {self.asked.better} against {self.asked.against}, the knee of the front"
 
 
 def pareto(
@@ -157,12 +109,12 @@ def run(
         rows = dataclasses.replace(problem, objective=dataclasses.replace(plain, limits=(*others, ceiling)))
         for number in range(STAGES):
             walked = _walked(problem, asked, rounds)  # from the best within each limit, else what comes closest to it
-            inside = walked.x <= _sign(about) * limits[:, None]
+            inside = walked.x <= sign(about) * limits[:, None]
             best = np.where(inside, walked.y, np.inf).argmin(1)
             theta = walked.theta[np.where(inside.any(1), best, walked.x.argmin())]
             moves = again(Task(rows, settings, start), theta, ITERATIONS, number, STAGES, rng)
             follow(moves, lambda request: rounds.evaluate(rows, request))
-    data = _dataset(problem, asked, _walked(problem, asked, rounds), _sign(about) * limits[-1])
+    data = _dataset(problem, asked, _walked(problem, asked, rounds), sign(about) * limits[-1])
     data = data.assign_attrs(search=settings.to_yaml(), env_steps=rounds.env_steps)
     found = Front(data, problem, search, asked=asked)
     return dataclasses.replace(found, gains=gains_of(data, found.knee)) if data.sizes["front"] else found
@@ -176,31 +128,6 @@ def nondominated(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     order = np.lexsort((y, x))
     best = np.minimum.accumulate(np.concatenate([[np.inf], y[order][:-1]]))
     return order[y[order] < best]
-
-
-def knee(x: np.ndarray, y: np.ndarray) -> int:
-    """Return the index of the point of a front that lies furthest from the line between its ends."""
-    if len(x) < 3:
-        return 0
-    across, down = (x - x[0]) / (x[-1] - x[0]), (y - y[-1]) / (y[0] - y[-1])
-    return int(np.argmin(across + down))
-
-
-def gains_of(front: xr.Dataset, index: int) -> AnyGains:
-    """Return the gains of one point of the front."""
-    row = front.isel(front=index)
-    return as_gains({name: row[name].values for name in front.attrs["gains"].split()})
-
-
-def without_sensor(front: xr.Dataset, index: int, about: mc.MetricTable = mc.METRICS) -> xr.Dataset | None:
-    """Return the point of pd's front that costs no more than a point of the front, None where all cost more."""
-    against, better = front.attrs["against"], front.attrs["better"]
-    cost = _sign(about[against]) * front[f"without_{against}"].values
-    within = np.flatnonzero(cost <= _sign(about[against]) * front[against].values[index])
-    if not within.size:
-        return None
-    values = _sign(about[better]) * front[f"without_{better}"].values[within]
-    return front.isel(without=int(within[values.argmin()]))
 
 
 class Walked(NamedTuple):
@@ -220,19 +147,15 @@ def _walked(problem: Problem, asked: Pareto, rounds: Rounds) -> Walked:
     held = np.all([np.isfinite(found["descent"]), *slacks], axis=0)
     values = {name: found[name] for name in (asked.against, asked.better)}
     fine = held & np.all([np.isfinite(value) for value in values.values()], axis=0)
-    x, y = (np.where(fine, _sign(problem.metrics[name]) * value, np.inf) for name, value in values.items())
+    x, y = (np.where(fine, sign(problem.metrics[name]) * value, np.inf) for name, value in values.items())
     return Walked(found["theta"], values, held, x, y)
-
-
-def _sign(metric: mc.Metric) -> float:
-    return -1.0 if metric.larger_is_better else 1.0
 
 
 def _limits(problem: Problem, asked: Pareto, walked: Walked) -> np.ndarray:
     """Return the rows' limits (points,) on what is traded away, in its own sign."""
-    sign = _sign(problem.metrics[asked.against])
+    factor = sign(problem.metrics[asked.against])
     own: Sequence[Limit] = problem.objective.limits
-    widest = [sign * float(np.asarray(limit.value)) for limit in own if limit.metric == asked.against]
+    widest = [factor * float(np.asarray(limit.value)) for limit in own if limit.metric == asked.against]
     within = np.isfinite(walked.x) & (walked.x <= min(widest, default=np.inf))
     if not within.any():
         raise ConfigError("limits: expected a walk that meets them all, got none of the first points")
@@ -242,7 +165,7 @@ def _limits(problem: Problem, asked: Pareto, walked: Walked) -> np.ndarray:
     if not low < high:
         high = low + 0.1 * abs(low)
     spaced = np.geomspace if low > 0 else np.linspace
-    return np.asarray(sign * spaced(low, high, asked.points))
+    return np.asarray(factor * spaced(low, high, asked.points))
 
 
 def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> xr.Dataset:
@@ -275,7 +198,7 @@ def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> 
 
 def _front(table: mc.MetricTable, asked: Pareto, walks: Mapping[str, np.ndarray], held: np.ndarray) -> np.ndarray:
     """Return the indices of the walks on the front of those that held."""
-    return nondominated(*(np.where(held, _sign(table[n]) * walks[n], np.inf) for n in (asked.against, asked.better)))
+    return nondominated(*(np.where(held, sign(table[n]) * walks[n], np.inf) for n in (asked.against, asked.better)))
 
 
 def _front_of_pd(problem: Problem, asked: Pareto) -> dict[str, Any]:

@@ -6,7 +6,6 @@ Then every point tries the gains of all others, takes them where they are better
 
 import dataclasses
 import functools
-import math
 import os
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
@@ -23,19 +22,18 @@ from mjx_climb.functions import STANDARD_GRAVITY as EARTH
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
-from tuning.comparisons import retuned_pd
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.methods import Request, Task
 from tuning.methods.descents import again
 from tuning.methods.rounds import Callback, Rounds, follow
-from tuning.problem import objectives, spaces
+from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem, pd_of, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Schedule, Search
 from tuning.problem.spaces import refuse_gait, to_gains64
-from tuning.results.result import Result
-from tuning.searches import tune
+from tuning.results.scheduled import Scheduled
+from tuning.searches import retuned_pd, tune
 
 G = -EARTH[2]  # m/s^2
 CANDIDATES = 24  # random points per operating point
@@ -44,24 +42,6 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviatio
 _VARIED = ("gravity", "cargo_mass")
 _SHARED = ("metric", "weight", "margin", "reason", "larger_is_better")  # of terms and limits, by all operating points
 _Row = TypeVar("_Row", Term, Limit)
-
-
-@dataclasses.dataclass(frozen=True)
-class Scheduled(Result):
-    """Gains for pairs of gravity and cargo.
-
-    `data` holds over `gravity` and `cargo` the gains, `value` (1 for pd at that point), `feasible`; with `walk` (tuned,
-    config, retuned_pd, pd) every metric, in float64 with grippers that tear off; `retuned_kp`, `retuned_kd` and
-    `retuned_value` of pd with the best of a grid of joint gains at each point; with `gravity_of` and `cargo_of` the
-    `value` (`transfer`) that the gains of another operating point have here, NaN where they break a constraint.
-    """
-
-    FILE = "schedule.nc"
-    KIND = "schedule"
-
-    def lookup(self, gravity: float, cargo: float) -> AnyGains:
-        """Return the gains for a gravity in G and a cargo in kg, between the operating points too."""
-        return lookup(self.data, gravity, cargo)
 
 
 def schedule(
@@ -235,34 +215,6 @@ def _retuned(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
     best = np.nan_to_num(ranks, nan=np.inf).argmin(0)
     here = best, np.arange(len(best))
     return {name: values[best] for name, values in gains.items()}, np.where(feasible[here], value[here], np.nan)
-
-
-def worth(table: xr.Dataset) -> str:
-    """Return in a sentence what a force sensor is worth: the gains against pd with joint gains for each point."""
-    ratio = (table["value"] / table["retuned_value"]).values
-    known = ratio[np.isfinite(ratio)]
-    if not known.size:
-        return "the force sensor: not to be compared with pd, which keeps the limits at no operating point"
-    none = f"no verdict on the force sensor, since pd was searched {retuned_pd.ON_A_GRID}"
-    verdict = none if (known < 1).any() else "the force sensor does not pay"
-    span = " to ".join(dict.fromkeys(f"{end:.3f}" for end in (known.min(), known.max())))
-    found = f"{verdict}: less objective at {(known < 1).sum()} of {known.size} operating points"
-    return f"{found}, {span} times that of pd with kp and kd for each, which needs none"
-
-
-def lookup(table: xr.Dataset, gravity: float, cargo: float) -> AnyGains:
-    """Return the gains between the operating points: linear in log gravity and in cargo, held at the ends.
-
-    Logarithms are, of gains above 0 at all points; `table` is what `schedule` gave, gravity is in G, cargo in kg.
-    """
-    loads, levels, level = table["cargo"].values, np.log(table["gravity"].values), math.log(gravity)
-    found = {}
-    for name in table.attrs["gains"].split():
-        values = table[name].values
-        to, back = (np.log, np.exp) if (values > 0).all() else (np.asarray, np.asarray)
-        at_cargo = np.apply_along_axis(lambda along: np.interp(cargo, loads, along), 1, to(values))
-        found[name] = back(np.apply_along_axis(lambda along: np.interp(level, levels, along), 0, at_cargo))
-    return spaces.as_gains(found)
 
 
 def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:

@@ -6,27 +6,20 @@ together. On a CPU each row has the bits that it has in one process. `tuning.mer
 
 import dataclasses
 import fnmatch
-import importlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.files.dataset import OutputError, write_text_atomically
 from mjx_climb.scenario.messages import ConfigError
-from tuning.gains.own_section import taken
 from tuning.methods import parts as finished_parts
 from tuning.methods.parts import Parts
-
-if TYPE_CHECKING:
-    from tuning.comparisons.judge import Judged
-    from tuning.searches.sweep import Swept
 
 FILE = "shard.json"
 SHARD = "{shard}"  # in the command that walks a shard
@@ -183,35 +176,6 @@ def _walk_part(work: Work, part: range) -> dict[str, np.ndarray]:
     last = min(work.size, work.rows - begin) - 1
     arrays = work.walk(begin + np.minimum(np.array(walking), last))
     return {name: values[own.start - walking.start : own.stop - walking.start] for name, values in arrays.items()}
-
-
-def merge(
-    folders: Sequence[str | os.PathLike[str]], *, law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS
-) -> "Swept | Judged":
-    """Return what shards in some folders were part of, as `sweep` or `judge` return it: on CPUs bit by bit.
-
-    `merge([folder]).write(folder)` is `mjx-climb merge`.
-
-    Arguments:
-        folders: those of the shards, or one that holds them all; nothing in them is changed.
-        law: the user's own, where the shards had one whose file they do not name.
-        metrics: those of the shards, likewise.
-
-    Raises:
-        ConfigError: no shards there, shards of different things, of another law, other metrics or versions, or not all
-            of them: in one line which are missing and what would finish them.
-    """
-    return merged(find([Path(folder) for folder in folders]), law, mc.MetricTable(metrics))
-
-
-def merged(found: Sequence[Kept], law: mc.Law | None, metrics: mc.MetricTable) -> "Swept | Judged":
-    """Return what shards that `find` found were part of; `merge` with its errors."""
-    config = found[0].folder / "config.yaml"
-    own = taken(mc.load_scenario(config), law, metrics, str(config))
-    kind = importlib.import_module(f"tuning.searches.{found[0].identity['kind']}")
-    work = kind.read_asked(found[0], *own)
-    result: Swept | Judged = work.result(joined(work, found))
-    return result
 
 
 def find(folders: Sequence[Path]) -> list[Kept]:

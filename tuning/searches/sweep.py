@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, DTypeLike
 import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.execution import devices
-from mjx_climb.files.dataset import larger_is_better, sweep_dataset
+from mjx_climb.files.dataset import sweep_dataset
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.walks import LINES, stretches
@@ -24,43 +24,18 @@ from tuning.gains.gains_file import replaced
 from tuning.methods.parts import identity_of
 from tuning.problem.evaluation import Problem
 from tuning.problem.spaces import INTEGRAL, JOINT
-from tuning.results.result import Result
+from tuning.results.config_file import write_config
+from tuning.results.swept import HISTORIES, Swept
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
 
 Axes = Mapping[str, ArrayLike]  # two gains by name
 
 MOST = 10**9  # walks: their metrics alone are some 80 GB
-HISTORIES = 256  # walks up to which a grid keeps time histories
 GAINS_FILE = "gains.yaml"  # beside a shard
 
 # robots per part and environment steps per part: some seconds on two cores, and on one accelerator
 _CPU = (64, 1024, 4_000_000)
 _ACCELERATOR = (1024, 262_144, 3_000_000_000)
-
-
-@dataclasses.dataclass(frozen=True)
-class Swept(Result):
-    """A grid of walks over two gains; `gains` are those in place of the scenario's or the law's own, where given.
-
-    `data` holds the metrics over both gains. A grid of up to `HISTORIES` walks keeps time histories as well: for each
-    name in `mjx_climb.walks.LINES` the least and the largest value in each stretch of time, over both
-    gains, extreme and stretch.
-    """
-
-    FILE = "sweep.nc"
-    KIND = "sweep"
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """The names of both gains, that of the horizontal axis first."""
-        return tuple(str(name) for name in self.data["diverged"].dims)
-
-    def walker(self, gains: AnyGains | None = None) -> tuple[mc.Scenario, mc.Law | None]:
-        """Return scenario and law of the grid, with further gains in place of theirs."""
-        walked = self.scenario, self.problem.law
-        for each in (self.gains, gains):
-            walked = walked if each is None else replaced(*walked, each)
-        return walked
 
 
 def sweep(
@@ -200,8 +175,6 @@ class Grid:
 
     def write_asked(self, folder: Path) -> None:
         """Write scenario, law and gains for `read_asked`."""
-        from tuning.writing.folder import write_config
-
         write_config(self.problem.scenario, folder, self.problem.law, self.problem.metrics)
         if self.gains is not None:
             gains_file.save(self.gains, folder / GAINS_FILE, "of the sweep in this folder", self.problem.law)
@@ -257,19 +230,3 @@ def expected_duration(walks: int, steps: int, platform: str) -> float:
     """Return about how long some walks take, in s, by the rates that docs/studies/speed.md measured."""
     rate = 2.2e6 * devices.usable_cores() if platform == "cpu" else 1e9  # environment steps a second
     return walks * steps / rate
-
-
-def holding(data: xr.Dataset, metric: str) -> xr.DataArray:
-    """Return a metric of those walks that neither let go nor diverge, NaN elsewhere."""
-    return data[metric].where((data["detached_limb"] < 0) & ~data["diverged"].astype(bool))
-
-
-def best_cell(data: xr.Dataset, metric: str = "force_variation") -> xr.Dataset | None:
-    """Return the cell with the least `metric` among those that neither let go nor diverge, None where all fail.
-
-    Its coordinates are the best gains. Margins and other metrics that should be large are maximised.
-    """
-    values = holding(data, metric)
-    if larger_is_better(data[metric]):
-        values = -values
-    return data.isel(values.argmin(dim=...)) if np.isfinite(values).any() else None

@@ -28,7 +28,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
 from tuning.problem.search import BY_GRADIENTS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
-from tuning.results.result import Robust, Tuned, from_rounds
+from tuning.results.tuned import Robust, Tuned, from_rounds
 
 
 def tune(
@@ -178,7 +178,7 @@ def problem_of(
     """
     if objective is None and scenario.own is not None and scenario.own.objective is not None:
         name = scenario.own.objective.name
-        raise ConfigError(f"own.objective: expected {name} again, in tuning.tune.tune(objective=...), got none")
+        raise ConfigError(f"own.objective: expected {name} again, in tuning.tune(objective=...), got none")
     problem = dataclasses.replace(without_goal(scenario, search, **walks), own_objective=objective)
     if isinstance(objective, Goal):
         return dataclasses.replace(problem, objective=objective)

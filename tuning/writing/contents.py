@@ -20,10 +20,11 @@ from mjx_climb.viz import plots
 from tuning.background import Callback, Stage, Work, background, ignore
 from tuning.comparisons import begun as comparisons
 from tuning.comparisons import judge as judging
-from tuning.comparisons import maps, margins, paired, retuned_pd, stability_limit, verification
+from tuning.comparisons import maps, margins, paired, stability_limit, verification
 from tuning.comparisons.begun import GIVEN, OfGrid, OfSearch, beside_retuned, one_walk
-from tuning.comparisons.compare import Comparison, file_name, reads_forces
+from tuning.comparisons.compare import file_name, reads_forces
 from tuning.comparisons.remedies import remedies
+from tuning.comparisons.worth import Worth, of_front, of_schedule, worth_of
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name, replaced
 from tuning.pages import page, pictures
@@ -34,12 +35,17 @@ from tuning.pages.numbers import failed, number, remarks, to_json
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal, Objective
 from tuning.problem.spaces import INTEGRAL, JOINT, searches_gait
-from tuning.results.result import Robust, Tuned, Written
+from tuning.results.config_file import write_config
+from tuning.results.front import Front
+from tuning.results.judged import Comparison, Judged
+from tuning.results.result import Written
+from tuning.results.scheduled import Scheduled
+from tuning.results.swept import HISTORIES, Swept, best_cell, holding
+from tuning.results.tuned import Robust, Tuned
+from tuning.searches import retuned_pd
 from tuning.searches import schedule as schedules
-from tuning.searches.pareto import Front
 from tuning.searches.shards import Rows
-from tuning.searches.sweep import HISTORIES, Swept, best_cell, holding
-from tuning.writing.folder import Contents, Folder, write_config
+from tuning.writing.folder import Contents, Folder
 
 MAPS = "All metrics over both gains; brighter is better."
 CONVERGENCE = "How the search converged."
@@ -59,7 +65,7 @@ _VARIATION = "force_variation"
 # Fresh draws, schedules and fronts
 
 
-def judge(found: judging.Judged, folder: Folder, _: None = None) -> Contents:
+def judge(found: Judged, folder: Folder, _: None = None) -> Contents:
     """Every walk, means and worst, the picture, the page."""
     ensemble = found.ensemble
     assert ensemble is not None
@@ -80,14 +86,14 @@ def judge(found: judging.Judged, folder: Folder, _: None = None) -> Contents:
     )  # fmt: skip
 
 
-def schedule(found: schedules.Scheduled, folder: Folder, _: None = None) -> Contents:
+def schedule(found: Scheduled, folder: Folder, _: None = None) -> Contents:
     """The table, all metrics, and a picture; no report."""
     data = folder.found(found).data
     level, load, loss = schedules.one_for_all(data)
     one = "every set of gains breaks a limit at some other operating point"
     if loss < np.inf:
         one = f"the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
-    outcome = [schedules.worth(data), f"one for all: {one}"]
+    outcome = [of_schedule(data), f"one for all: {one}"]
     return Contents(
         Written(data=data, outcome=outcome, summary=to_json(schedules.rows(data))),
         {"schedule.csv": schedules.to_csv(data), "schedule.yaml": schedules.to_yaml(data)},
@@ -100,7 +106,7 @@ def pareto(found: Front, folder: Folder, _: None = None) -> Contents:
     found = folder.found(found)
     problem, data, asked, scenario = found.problem, found.data, found.asked, found.scenario
     how: dict[str, Any] = {"law": problem.law, "engine": problem.engine}
-    names, metrics = data.attrs["gains"].split(), (asked.against, asked.better)
+    names, metrics, worth = data.attrs["gains"].split(), (asked.against, asked.better), of_front(found)
     with folder.stage("walks along the front"):
         walks = {"pd": mc.rollout(under_pd(scenario), engine=problem.engine), "config": mc.rollout(scenario, **how)}
         on_front = {name: data[name].values for name in names}
@@ -114,13 +120,13 @@ def pareto(found: Front, folder: Folder, _: None = None) -> Contents:
         {
             "front": rows((*metrics, *names), "front"), "knee": found.knee, "config": config, "pd": pd,
             "pd_over_kp_and_kd": rows(("kp", "kd", *metrics), "without", "without_"),
-            "force_sensor": {"in_words": found.worth},
+            "force_sensor": {"in_words": worth},
         }
     )  # fmt: skip
     again = "mjx-climb pareto config.yaml --search search.yaml "
     again += f"--better {asked.better} --against {asked.against} --points {asked.points} --out again"
     return Contents(
-        Written(walks=walks, data=data, outcome=[found.worth], summary=summary),
+        Written(walks=walks, data=data, outcome=[worth], summary=summary),
         {"summary.json": summary + "\n"},
         {"front": (FRONT, lambda: pictures.plot_front(data))},
         lambda origin: pages.pareto_page(found, histories, walks, origin),
@@ -193,7 +199,7 @@ def robust(found: Robust, folder: Folder, _: None = None) -> Contents:
     )
 
 
-def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Dataset, retuned_pd.Worth | None, list[str]]:
+def _compare_robust(found: Robust, folder: Folder) -> tuple[xr.Dataset, xr.Dataset, Worth | None, list[str]]:
     """Simulate a result, the scenario's own gains, pd and pd retuned on walks that the search never saw.
 
     Returns: the walks, their mean and worst (see `tuning.comparisons.judge`), what a force sensor is worth, and all in
@@ -308,7 +314,7 @@ class SweepComparison(NamedTuple):
     rows: Compared  # gains and metrics of these, all at one time step
     failed: int  # walks of the grid
     at_edge: list[str]  # gains whose end of the axis the best cell lies on
-    worth: retuned_pd.Worth | None  # of a force sensor: the best against pd retuned
+    worth: Worth | None  # of a force sensor: the best against pd retuned
     step: float | None = None  # s, the time step of the rows, where it is not the scenario's
 
 
@@ -377,11 +383,11 @@ def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]
 
 def _worth(
     metrics: Iterable[Metrics], scored: Iterable[Metrics], rival: retuned_pd.Rival, problem: Problem, place: str = ""
-) -> retuned_pd.Worth:
+) -> Worth:
     """Return what a force sensor is worth, from the metrics of ours and of pd retuned, and what both are scored by."""
     (ours, theirs), (values, without) = metrics, scored
     others = differences(ours, theirs, problem.metrics, but=(_VARIATION,))
-    return retuned_pd.worth(values, without, rival, place=place, others=others)
+    return worth_of(values, without, rival, place=place, others=others)
 
 
 # ------------------------------------------------------------------------------------------------------------
@@ -435,7 +441,7 @@ class TuneComparison(NamedTuple):
     over: xr.Dataset | None  # the map around it
     hardware: margins.Found  # on worse hardware
     checked: verification.Verification
-    worth: retuned_pd.Worth | None  # of a force sensor: the result against pd retuned
+    worth: Worth | None  # of a force sensor: the result against pd retuned
     step: float | None = None  # s, the time step of the rows, where it is not the scenario's
 
 

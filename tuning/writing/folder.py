@@ -2,23 +2,21 @@
 
 import dataclasses
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import xarray as xr
 
-import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.files import dataset, scenario_files
-from mjx_climb.inputs.own_objects import with_digests
+from mjx_climb.files import dataset
 from tuning.background import Stage, silent
 from tuning.gains import gains_file
-from tuning.gains.own_section import section
 from tuning.methods import parts
 from tuning.pages import page
 from tuning.pages.page import Origin, Page
+from tuning.results.config_file import write_config
 from tuning.results.result import Result, Written
 from tuning.writing.record import RESULTS
 
@@ -136,23 +134,6 @@ def check_own(folder: Path, result: str) -> None:
         raise dataset.OutputError(
             f"{folder}: expected a folder without another command's result, got {there} in it (choose another folder)"
         )
-
-
-def write_config(
-    scenario: mc.Scenario,
-    folder: Path,
-    law: mc.Law | None = None,
-    metrics: Iterable[mc.Metric] = (),
-    objective: Any = None,
-) -> mc.Scenario:
-    """Write config.yaml, and return the scenario with the files that it names copied to the folder.
-
-    `law`, `metrics` and `objective` are the user's own, where there are any: config.yaml names them.
-    """
-    own, scenario = section(law, metrics, objective), with_digests(scenario)
-    written = scenario_files.copied(scenario if own is None else scenario.with_own(**own), folder)
-    dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(written, folder))
-    return written if own is None else written.with_own(law=None, metrics=[], objective=None)
 
 
 def without_folders(text: str) -> str:

@@ -16,7 +16,7 @@ from tuning.comparisons import paired
 from tuning.pages import pictures
 from tuning.pages.comparison import Compared
 from tuning.pages.explorer import axes_of
-from tuning.results import result
+from tuning.results import tuned
 from tuning.writing import contents as results
 
 RESULTS = ("trajectory.nc", "sweep.nc", "map.nc", "search.nc", "judged.nc", "compared.nc", "front.nc", "schedule.nc")
@@ -61,7 +61,7 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Fi
                 baseline = compared["pd"][1].get(metric) if "pd" in compared else None
                 yield f"{stem}-{metric}", plots.plot_map(data, metric, results.marks(data, compared), baseline=baseline)
         elif name == "search.nc" and "law" not in data.attrs:  # the file of a law of one's own is not here
-            found = result.load(folder / name)
+            found = tuned.load(folder / name)
             yield "convergence", pictures.plot_convergence(found)
             if "map.nc" in there:
                 yield "path", pictures.plot_path(found, dataset.load(folder / "map.nc"))

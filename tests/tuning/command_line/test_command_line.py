@@ -27,7 +27,7 @@ from tuning.comparisons import begun as comparisons
 from tuning.gains import gains_file
 from tuning.identification.readers import read_log
 from tuning.pages import numbers, page
-from tuning.searches import sweep as sweeps
+from tuning.results.swept import best_cell
 from tuning.searches.shards import Rows
 
 CONFIG = str(ROOT / "configs" / "case_1_2.yaml")
@@ -299,7 +299,7 @@ def test_sweep_prints_json_alone_on_stdout_and_writes_grid_maps_and_config(swept
     assert names == {"report.html", "sweep.nc", "config.yaml", "comparison.json", "maps.png", "settings.json"}
     result = xr.load_dataset(folder / "sweep.nc", engine="h5netcdf")
     np.testing.assert_allclose(result["stiffness"], [1e3, 1e4, 1e5])
-    assert sweeps.best_cell(result)["stiffness"].item() == found["best"]["gains"]["stiffness"]
+    assert best_cell(result)["stiffness"].item() == found["best"]["gains"]["stiffness"]
     assert mc.load_scenario(folder / "config.yaml") == mc.load_scenario(CONFIG, ["duration=0.3"])
 
 

@@ -51,7 +51,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.identification.model.replay_picture": "plot_replay",
     "tuning.comparisons.begun": "load_tests of_grid of_search",
     "tuning.identification.plan.output": "limits notes summary table",
-    "tuning.writing.folder": "write_config",
+    "tuning.results.config_file": "write_config",
     "tuning.writing.redrawn": "figures",
     "tuning.pages.numbers": "ahead_of number to_json",
     "tuning.pages.page": "write",
@@ -62,7 +62,8 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.comparisons.judge": "Draw.result",
     "tuning.searches.pareto": "problem_of run",
     "tuning.searches.schedule": "operating_points rows run",
-    "tuning.searches.shards": "Rows find home merged",
+    "tuning.comparisons.merge": "merged",
+    "tuning.searches.shards": "Rows find home",
     "tuning.searches.sweep": "Grid.result",
     "tuning.searches.tune": "problem_of run",
 }
@@ -257,21 +258,21 @@ def traced(monkeypatch, tmp_path, folder):
         "mjx_climb_robot_import_proposal_propose": SimpleNamespace(
             sections=scenario.model_dump(exclude={"time_step"}), notes=[("a", "b", "c")]
         ),
-        "tuning_evaluation_first_walks_heavy_load": "",
-        "tuning_evaluation_first_walks_on_ceiling": None,
-        "tuning_evaluation_first_walks_slow_enough": (scenario, True, "as it is", 0.5),
-        "tuning_evaluation_first_walks_with_joint_gains": (scenario, "as they are"),
+        "tuning_comparisons_first_walks_heavy_load": "",
+        "tuning_comparisons_first_walks_on_ceiling": None,
+        "tuning_comparisons_first_walks_slow_enough": (scenario, True, "as it is", 0.5),
+        "tuning_comparisons_first_walks_with_joint_gains": (scenario, "as they are"),
         "tuning_benchmarks_measure_measure": defaultdict(float, devices=["cpu"]),
         "tuning_command_line_machine_cache": [SimpleNamespace(text="")],
         "tuning_command_line_machine_examine": [],
         "tuning_command_line_results__margins_in_words": ("", "{}"),
-        "tuning_evaluation_linear_margins_warnings": [],
-        "tuning_evaluation_margins_warnings": [],
+        "tuning_comparisons_linear_margins_warnings": [],
+        "tuning_comparisons_margins_warnings": [],
         "tuning_identification_readers_read_log": log,
-        "tuning_output_folder_write_config": scenario,
-        "tuning_output_redrawn_figures": [("map", calls.figure)],
-        "tuning_report_numbers_number": "1",
-        "tuning_report_numbers_to_json": "{}",
+        "tuning_results_config_file_write_config": scenario,
+        "tuning_writing_redrawn_figures": [("map", calls.figure)],
+        "tuning_pages_numbers_number": "1",
+        "tuning_pages_numbers_to_json": "{}",
         "tuning_reproduce_results_as_markdown": "",
         "tuning_searches_shards_find": [SimpleNamespace(about={}, identity={"kind": "sweep"})],
         "tuning_searches_shards_home": tmp_path / "home",
@@ -279,13 +280,14 @@ def traced(monkeypatch, tmp_path, folder):
             rows=(), there=0, folder=None, shard=None, walk=lambda _: None
         ),
     }  # fmt: skip
-    for name in ("compare_run", "judge_Draw_result", "pareto_run", "schedule_run", "shards_merged",
-                 "sweep_Grid_result", "tune_run"):  # fmt: skip
-        returned[f"tuning_searches_{name}"] = found
+    for name in ("comparisons_compare_run", "comparisons_judge_Draw_result", "comparisons_merge_merged",
+                 "searches_pareto_run", "searches_schedule_run", "searches_sweep_Grid_result",
+                 "searches_tune_run"):  # fmt: skip
+        returned[f"tuning_{name}"] = found
     for name, value in returned.items():
         getattr(calls, name).return_value = value
-    calls.tuning_identification_identify_identify.return_value.as_json.return_value = {}
-    calls.tuning_identification_replay_simulate.return_value.scenario = scenario
+    calls.tuning_identification_fit_identify_identify.return_value.as_json.return_value = {}
+    calls.tuning_identification_model_replay_simulate.return_value.scenario = scenario
     loaded, load_scenario = {}, mc.load_scenario
 
     def load_once(source, changes=()):

@@ -12,8 +12,7 @@ import tuning
 from mjx_climb.scenario.shipped import config_path
 from tests.shell import ROOT, finish, killed
 from tuning.problem import ensemble
-from tuning.results import result
-from tuning.tune import tune
+from tuning.searches.tune import tune
 
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.3", "--set", "disturbance.cargo.start=0.1"]
@@ -113,6 +112,6 @@ def test_tuned_gains_go_from_file_to_file(quiet, tmp_path):
     for metrics in (run, sweep["gains file"]["metrics"]):
         assert {name: metrics[name] for name in tuned} == tuned
 
-    stored = result.load(folder / "search.nc")
+    stored = tuned.load(folder / "search.nc")
     again = tune(stored.scenario, stored.search)
     np.testing.assert_array_equal(again.gains.stiffness, stored.gains.stiffness)

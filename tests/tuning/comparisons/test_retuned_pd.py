@@ -7,7 +7,8 @@ import mjx_climb as mc
 from mjx_climb.inputs.time_step import short_enough
 from tuning.background import ignore
 from tuning.comparisons import begun as comparisons
-from tuning.comparisons import retuned_pd
+from tuning.comparisons.worth import worth_of
+from tuning.searches import retuned_pd
 
 CASE = mc.load_scenario("case_1_2")
 OURS, THEIRS = {"force_variation": 30.0}, {"force_variation": 40.0}
@@ -96,7 +97,7 @@ def test_a_further_search_of_pd_finds_nothing_better():
 
 
 def test_a_verdict_only_where_pd_was_searched_as_well():
-    worth = retuned_pd.worth
+    worth = worth_of
     assert worth(OURS, THEIRS, RIVAL).in_words == (
         "the force sensor pays: 25.0 % less force variation than pd with kp 17, kd 1, which needs none"
     )

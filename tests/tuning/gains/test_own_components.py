@@ -18,7 +18,7 @@ from tuning.command_line import options
 from tuning.comparisons.stability_limit import spectral_radius
 from tuning.methods import parts
 from tuning.problem.evaluation import under_pd
-from tuning.writing.folder import write_config
+from tuning.results.config_file import write_config
 
 TEXT = """
 import mjx_climb as mc

@@ -15,8 +15,8 @@ from tuning.command_line.program import InputError
 from tuning.gains import own_section
 from tuning.gains.own_section import taken
 from tuning.problem.search import Search
+from tuning.results.config_file import write_config
 from tuning.searches import tune
-from tuning.writing.folder import write_config
 
 TEXT = """
 import helper

@@ -16,9 +16,10 @@ from tuning.comparisons import verification
 from tuning.pages import comparison, explorer, numbers, page, pictures
 from tuning.pages import sections as pages
 from tuning.problem.evaluation import Problem
-from tuning.results import result
+from tuning.results import front as fronts
+from tuning.results import tuned
+from tuning.results.front import Front
 from tuning.searches import pareto
-from tuning.searches.pareto import Front
 from tuning.writing import contents as results
 from tuning.writing.folder import without_folders
 
@@ -278,7 +279,7 @@ def tuned_page(named):
 
     def made(over, **changed):
         compared = results.TuneComparison(walks, rows, over, None, CHECKED, None)
-        found = result.Tuned(data, Problem(scenario), gains=mc.Gains(**gains | changed))
+        found = tuned.Tuned(data, Problem(scenario), gains=mc.Gains(**gains | changed))
         return pages.tune_page(found, compared, ["a line"], ["a test"], ORIGIN)
 
     return made
@@ -363,7 +364,7 @@ def test_the_page_of_a_front(swept, named):
     references = {f"reference_{name}": ("reference", [0.1, 0.2]) for name in traded}
     front = front.assign(references).assign_coords(reference=["config", "pd"])
     front = front.assign_attrs(better=traded[1], against=traded[0], searched="stiffness damping")
-    bend = pareto.knee(*(front[name].values for name in traded))
+    bend = fronts.knee(*(front[name].values for name in traded))
     knee = front[traded[0]].values[bend]
     without = {f"without_{traded[0]}": [0.5 * knee, 2 * knee], f"without_{traded[1]}": [7.0, 5.0]}
     without |= {"without_kp": [30.0, 10.0], "without_kd": [0.5, 0.25]}

@@ -11,14 +11,15 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.inputs import gait_values
 from mjx_climb.scenario.messages import ConfigError
-from tuning.comparisons import retuned_pd
 from tuning.comparisons.judge import draw_of, judge, read_asked
+from tuning.comparisons.worth import worth_of
 from tuning.gains import gains_file
 from tuning.problem import spaces
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
-from tuning.results.result import load
+from tuning.results.tuned import load
+from tuning.searches import retuned_pd
 from tuning.searches.pareto import pareto
 from tuning.searches.schedule import schedule
 from tuning.searches.shards import Kept, Shard
@@ -134,7 +135,7 @@ def test_the_rival_of_a_law_has_the_same_freedom(monkeypatch):
     joint = {"kp": 17.0, "kd": 1.0, "gait.duty": 0.8, "gait.cycle": 0.9}
     walked = retuned_pd.walker(SHORT, joint)
     assert (walked.gait.duty, walked.gait.cycle, walked.control.kp) == (0.8, 0.9, 17.0)
-    told = retuned_pd.worth({"objective": 0.8}, {"objective": 1.0}, retuned_pd.Rival(joint, 1.0)).in_words
+    told = worth_of({"objective": 0.8}, {"objective": 1.0}, retuned_pd.Rival(joint, 1.0)).in_words
     assert "than pd with kp 17, kd 1, duty 0.8, cycle 0.9, which needs none" in told
 
 

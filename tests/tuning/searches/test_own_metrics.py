@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-import tuning.tune
+import tuning
 from mjx_climb.viz.plots.maps import plot_map
 from tuning.pages import comparison
 from tuning.pages.explorer import explorer, grid_points
@@ -25,14 +25,14 @@ def example(monkeypatch, tmp_path):
     """Return a function that runs the first block of the page, with a short walk and few rounds, in a folder."""
     block = re.search(r"^```python\n(.*?)^```$", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)[1]
     assert sum(bool(line.strip()) for line in block.splitlines()) <= 15
-    load, tune = mc.load_scenario, tuning.tune.tune
+    load, tune = mc.load_scenario, tuning.tune
     monkeypatch.setattr(mc, "load_scenario", lambda name: load(name, SHORT))
 
     def run(folder, progress=None):
         (tmp_path / folder).mkdir(exist_ok=True)
         monkeypatch.chdir(tmp_path / folder)
         short = functools.partial(tune, iterations=2, space="isotropic", starts=3, progress=progress)
-        monkeypatch.setattr(tuning.tune, "tune", short)
+        monkeypatch.setattr(tuning, "tune", short)
         scope = {}
         exec(compile(block, PAGE.name, "exec"), scope)
         return scope
@@ -46,7 +46,7 @@ def test_the_example_is_resumed_bit_for_bit_and_seen_everywhere(example, stop):
     assert cut.interrupted
     scope = example("one")
     found, asked = scope["found"], {"metrics": scope["metrics"], "objective": scope["calm"]}
-    undisturbed = tuning.tune.tune(scope["scenario"], limits={"peak_base_speed": 0.5}, **asked)  # the same programs
+    undisturbed = tuning.tune(scope["scenario"], limits={"peak_base_speed": 0.5}, **asked)  # the same programs
     assert not found.interrupted and cut.data.sizes["point"] < found.data.sizes["point"]
     for name in ("theta", "value", "descent", "peak_base_speed"):
         np.testing.assert_array_equal(found.data[name], undisturbed.data[name])

@@ -9,7 +9,6 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.shipped import config_path
-from tuning.comparisons import retuned_pd
 from tuning.gains.own_section import load_law
 from tuning.pages import pictures
 from tuning.pages.sections import front_table
@@ -17,7 +16,8 @@ from tuning.problem import spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Pareto, Search
-from tuning.searches import pareto
+from tuning.results.front import gains_of, knee, without_sensor
+from tuning.searches import pareto, retuned_pd
 
 LAW = Path(__file__).parents[3] / "docs" / "guides" / "filtered_law.py"
 
@@ -56,8 +56,8 @@ def test_the_table_of_a_front_has_as_many_points_as_were_asked_for():
 
 
 def test_knee_is_furthest_from_the_line_between_the_ends():
-    assert pareto.knee(np.array([0.0, 1.0, 5.0, 10.0]), np.array([10.0, 2.0, 1.0, 0.0])) == 1
-    assert pareto.knee(np.array([1.0]), np.array([1.0])) == 0
+    assert knee(np.array([0.0, 1.0, 5.0, 10.0]), np.array([10.0, 2.0, 1.0, 0.0])) == 1
+    assert knee(np.array([1.0]), np.array([1.0])) == 0
 
 
 def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(few, monkeypatch):
@@ -101,7 +101,7 @@ def test_a_front_of_a_law_of_ones_own(few):
     assert front.attrs["searched"].split() == ["stiffness", "damping", "cutoff", "share"]
     assert front["cutoff"].dims == ("front", "six") and front["share"].dims == ("front",)
     assert front["cutoff"].attrs["units"] == "Hz"
-    gains = pareto.gains_of(front, 0)
+    gains = gains_of(front, 0)
     alone = mc.metrics(mc.rollout(scenario, gains, law=law))
     assert alone["force_variation"] == pytest.approx(front["force_variation"].values[0], rel=1e-6)
     own = mc.metrics(mc.rollout(scenario, law=law))["force_variation"]
@@ -118,7 +118,7 @@ def test_front_and_resume(few, tmp_path, stop):
     for i in range(whole.sizes["front"]):  # nothing that was walked beats the front, up to the walks' precision
         beaten = (whole["walked_base_deviation"] < 0.99 * x[i]) & (whole["walked_force_variation"] < 0.99 * y[i])
         assert not (beaten & whole["held"].astype(bool)).any()
-    alone = mc.metrics(mc.rollout(scenario, pareto.gains_of(whole, 0)))
+    alone = mc.metrics(mc.rollout(scenario, gains_of(whole, 0)))
     assert alone["force_variation"] == pytest.approx(y[0], rel=1e-6)
 
     pd = scenario.with_overrides({"control.controller": "pd"})
@@ -130,7 +130,7 @@ def test_front_and_resume(few, tmp_path, stop):
     reference = whole["reference_force_variation"].sel(reference="pd").item()  # it was among them
     assert without[1][-1] <= reference * (1 + 1e-9)
     for i in range(whole.sizes["front"]):
-        rival, within = pareto.without_sensor(whole, i), without[0] <= x[i]
+        rival, within = without_sensor(whole, i), without[0] <= x[i]
         assert (rival is None) == (not within.any())
         if rival is not None:
             assert rival["without_force_variation"].item() == without[1][within].min()

@@ -13,9 +13,11 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.shipped import config_path
+from tuning.comparisons.worth import of_schedule
 from tuning.gains.own_section import load_law
 from tuning.pages import pictures
 from tuning.problem.search import Schedule, Search
+from tuning.results.scheduled import lookup
 from tuning.searches import schedule
 
 LAW = Path(__file__).parents[3] / "docs" / "guides" / "filtered_law.py"
@@ -74,7 +76,7 @@ def test_a_schedule_of_a_law_of_ones_own(scenario, few):
     table = made(scenario, law=law)
     assert table["cutoff"].dims == ("gravity", "cargo", "six") and table["share"].dims == ("gravity", "cargo")
     there = scenario.with_overrides({"gravity": [0, 0, -9.81], "disturbance.cargo.mass": 1.0})
-    alone = mc.metrics(mc.rollout(there, schedule.lookup(table, 1.0, 1.0), law=law))
+    alone = mc.metrics(mc.rollout(there, lookup(table, 1.0, 1.0), law=law))
     tuned = table["force_variation"].sel(walk="tuned", gravity=1.0, cargo=1.0).item()
     assert tuned == pytest.approx(alone["force_variation"], rel=1e-6)
     [head, *_] = schedule.to_csv(table).splitlines()
@@ -139,17 +141,17 @@ def test_values_are_relative_to_pd_there(table):
     ],
 )  # fmt: skip
 def test_what_a_force_sensor_is_worth_over_the_points(ours, theirs, expected):
-    assert expected in schedule.worth(xr.Dataset({"value": ("gravity", ours), "retuned_value": ("gravity", theirs)}))
+    assert expected in of_schedule(xr.Dataset({"value": ("gravity", ours), "retuned_value": ("gravity", theirs)}))
 
 
 @pytest.mark.slow
 def test_lookup(table):
     for g, level in enumerate(table["gravity"].values):
-        at = schedule.lookup(table, level, 1.0)
+        at = lookup(table, level, 1.0)
         np.testing.assert_allclose(at.stiffness, table["stiffness"].values[g, 1], rtol=1e-9)
     ends = table["damping"].values[:, 0]
-    np.testing.assert_allclose(schedule.lookup(table, 0.1, 0.0).damping, np.sqrt(ends[0] * ends[1]), rtol=1e-9)
-    np.testing.assert_allclose(schedule.lookup(table, 50.0, 0.0).damping, ends[1], rtol=1e-9)
+    np.testing.assert_allclose(lookup(table, 0.1, 0.0).damping, np.sqrt(ends[0] * ends[1]), rtol=1e-9)
+    np.testing.assert_allclose(lookup(table, 50.0, 0.0).damping, ends[1], rtol=1e-9)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from mjx_climb.files.dataset import OutputError
 from mjx_climb.walks import LINES
 from tuning.methods import parts
 from tuning.problem.evaluation import Problem
+from tuning.results.swept import best_cell
 from tuning.searches import sweep as sweeps
 from tuning.searches.shards import Rows
 from tuning.searches.sweep import sweep
@@ -123,10 +124,10 @@ def test_best_is_the_least_among_walks_that_hold(whole):
     limb[0, 0], diverged[0, 1] = 0, True  # the first limb has number 0
     cells = {"force_variation": values, "min_tsm": values, "detached_limb": limb, "diverged": diverged}
     made = whole.assign({name: (("stiffness", "damping"), each) for name, each in cells.items()})
-    best = sweeps.best_cell(made)
+    best = best_cell(made)
     assert (best["stiffness"], best["damping"], best["force_variation"]) == (1e4, 1e2, 3)
-    assert sweeps.best_cell(made, "min_tsm")["min_tsm"] == 6
-    assert sweeps.best_cell(made.assign(diverged=made["diverged"] | True)) is None
+    assert best_cell(made, "min_tsm")["min_tsm"] == 6
+    assert best_cell(made.assign(diverged=made["diverged"] | True)) is None
 
 
 _LONG_SWEEP = f"""

@@ -19,9 +19,8 @@ from tuning.methods import METHODS, Method, Request, Task, descents, refined_gri
 from tuning.methods.rounds import follow
 from tuning.problem import evaluation, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
-from tuning.results import result
-from tuning.searches.tune import problem_of, start_of
-from tuning.tune import tune
+from tuning.results import tuned
+from tuning.searches.tune import problem_of, start_of, tune
 
 SHORT = {"duration": 0.3, "disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.05}
 
@@ -83,12 +82,12 @@ def test_joint_gains_that_shake_at_the_time_step_are_no_result(scenario):
         "theta": np.array([space.from_gains(each) for each in gains]), "value": np.array([0.1, 0.4, 0.2, 0.3]),
         "penalty": np.zeros(4), "feasible": np.ones(4, bool), "env_steps": np.arange(4),
     }  # fmt: skip
-    found = result.from_rounds(problem, settings, arrays, interrupted=False)
+    found = tuned.from_rounds(problem, settings, arrays, interrupted=False)
     assert float(found.gains.kd) == pytest.approx(0.2) and found.feasible
     assert found.data["feasible"].values.tolist() == [False, True, False, True]
-    assert result.best_of({name: found.data[name].values for name in ("value", "penalty", "feasible")}) == 3
+    assert tuned.best_of({name: found.data[name].values for name in ("value", "penalty", "feasible")}) == 3
     none = {**arrays, "theta": np.repeat(arrays["theta"][:1], 4, axis=0)}
-    assert not result.from_rounds(problem, settings, none, interrupted=False).feasible
+    assert not tuned.from_rounds(problem, settings, none, interrupted=False).feasible
 
 
 def test_bounds_are_those_of_the_robot(scenario):
@@ -299,7 +298,7 @@ def test_a_search_betters_pd_and_can_be_repeated_from_its_file(scenario, undistu
     found = undisturbed
     assert found.value < 1
     assert found.env_steps == scenario.steps * (24 + 3 * 3 * 3)
-    read = result.load(found.save(tmp_path / "search.nc"))
+    read = tuned.load(found.save(tmp_path / "search.nc"))
     for name in ("scenario", "search", "value", "env_steps"):
         assert getattr(read, name) == getattr(found, name)
     again = tune(read.scenario, read.search)
@@ -369,7 +368,7 @@ def test_a_method_of_ones_own_searches_and_is_taken_up_again(scenario, tmp_path)
 _KILLED = f"""
 import sys
 import mjx_climb as mc
-from tuning.tune import tune
+from tuning.searches.tune import tune
 scenario = mc.load_scenario(sys.argv[1])
 print("begun", flush=True)
 tune(scenario, out=sys.argv[2], progress=lambda now: print(now.rounds, flush=True), **{HOW})

@@ -12,13 +12,14 @@ import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
 from tuning import background
 from tuning.comparisons import begun as comparisons
-from tuning.comparisons import margins, retuned_pd
+from tuning.comparisons import margins
 from tuning.gains import gains_file
 from tuning.methods.parts import Parts
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
-from tuning.results import result
-from tuning.tune import tune
+from tuning.results import tuned
+from tuning.searches import retuned_pd
+from tuning.searches.tune import tune
 from tuning.writing import contents as results
 from tuning.writing.folder import Contents, Folder
 
@@ -61,7 +62,7 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     ]  # fmt: skip
     assert json.loads((tmp_path / "summary.json").read_text()) == json.loads(written.summary)
     assert summary["verification"]["value"] == pytest.approx(torques[0])
-    assert result.load(tmp_path / "search.nc").value == found.value
+    assert tuned.load(tmp_path / "search.nc").value == found.value
     assert gains_file.load(tmp_path / "gains.yaml").stiffness == pytest.approx(found.gains.stiffness)
     assert capsys.readouterr().out == ""
 
@@ -96,7 +97,7 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
         (results.verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
         (results.margins, "find", nothing), (results, "_with_joint_gains", nothing), (results, "differences", nothing),
         (results, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
-        (retuned_pd, "rival_of", lambda found, retuned, step: step), (retuned_pd, "worth", worth),
+        (retuned_pd, "rival_of", lambda found, retuned, step: step), (results, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
@@ -117,7 +118,7 @@ def found_in(scenario):
     data["theta"] = (("point", "coordinate"), np.log([[1e2, 1e3], [2e2, 2e3]]))
     attrs = {"search": Search(seed=3).to_yaml(), "interrupted": 0, "scenario": scenario.to_yaml()}
     attrs["gains"] = '{"inertia": 1.0, "damping": 200.0, "stiffness": 2000.0}'
-    return result.Tuned(data.assign_attrs(attrs), Problem(scenario), Search(seed=3), gains=mc.Gains(1.0, 2e2, 2e3))
+    return tuned.Tuned(data.assign_attrs(attrs), Problem(scenario), Search(seed=3), gains=mc.Gains(1.0, 2e2, 2e3))
 
 
 def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_path):
@@ -131,7 +132,7 @@ def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_p
     written = found.write(tmp_path)
     names = {*written.files.split(", "), "settings.json"}
     assert names == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
-    read = result.load(tmp_path / "search.nc")
+    read = tuned.load(tmp_path / "search.nc")
     for name in ("scenario", "search", "value", "best_at", "env_steps", "feasible", "interrupted"):
         assert getattr(read, name) == getattr(found, name), name
     assert (read.value, read.best_at, read.env_steps) == (0.8, 20, 20)

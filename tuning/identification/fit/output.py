@@ -25,8 +25,9 @@ from tuning.identification.model.windows import KINDS, UNITS
 from tuning.pages import page
 from tuning.pages.numbers import number
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
+from tuning.results.config_file import write_config
 from tuning.results.result import Written
-from tuning.writing.folder import Contents, Folder, check_own, write_config
+from tuning.writing.folder import Contents, Folder, check_own
 from tuning.writing.record import Settings, whole
 
 if TYPE_CHECKING:

@@ -17,8 +17,9 @@ from tuning.identification.readers.csv_file import csv_of
 from tuning.identification.readers.log import joints_of
 from tuning.pages.numbers import to_json
 from tuning.pages.page import Origin, Page, Table
+from tuning.results.config_file import write_config
 from tuning.results.result import Written
-from tuning.writing.folder import Contents, Folder, check_own, write_config
+from tuning.writing.folder import Contents, Folder, check_own
 from tuning.writing.record import Settings, whole
 
 FILE = "excitation.csv"  # by it the folder is known

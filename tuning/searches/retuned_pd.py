@@ -1,9 +1,8 @@
 """pd with joint gains of its own for the same goal: what can be had without a force sensor."""
 
 import dataclasses
-import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +21,7 @@ from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT, default_bounds
-from tuning.results.result import Tuned
+from tuning.results.tuned import Tuned
 from tuning.searches import tune
 
 NAME = "retuned_pd"  # in tables and files
@@ -197,61 +196,3 @@ def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:
 
 def _highest(space: spaces.Space) -> dict[str, float]:
     return dict(zip(space.names, np.exp(space.upper), strict=True))
-
-
-class Worth(NamedTuple):
-    """What a force sensor changes: of gains found against pd retuned."""
-
-    changes: dict[str, float]  # relative, of what the gains were found for: -0.1 is a tenth less
-    in_words: str
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        return {"force_sensor": self.changes | {"in_words": self.in_words}}
-
-
-def worth(
-    values: Mapping[str, float],
-    without: Mapping[str, float],
-    rival: Rival,
-    *,
-    larger: bool = False,
-    place: str = "",
-    others: tuple[Sequence[str], Sequence[str]] = ((), ()),
-) -> Worth:
-    """Return what a force sensor is worth.
-
-    There is a verdict only where a further search of pd would not turn it round, as far as this one can tell.
-
-    Arguments:
-        values: first what the gains were found for, then what else is to be said of them.
-        without: the same of pd retuned, which is `rival`.
-        larger: whether more of the first value is better, not less.
-        place: where the gains were searched, if that is not all there is.
-        others: what else is worse, and what is better, in words.
-    """
-    own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
-    than = f"pd with {own}, which needs none"
-    than += "" if rival.feasible else " (and breaks a limit)"
-    changes = {name: values[name] / without[name] - 1 for name in values}
-    if not all(map(math.isfinite, changes.values())):
-        return Worth(changes, f"the force sensor: not to be compared with {than}: a walk failed")
-    first = next(iter(changes.values()))
-    if abs(first) <= rival.spread:
-        spread = f"the search's own spread of {100 * rival.spread:.1f} %"
-        verdict = f"the force sensor changes nothing{place} beyond {spread}"
-    elif not (first > 0 if larger else first < 0):
-        verdict = f"the force sensor does not pay{place}"
-    elif rival.lacks:
-        verdict = f"no verdict on the force sensor, since pd was searched {rival.lacks}"
-    else:
-        verdict = "the force sensor pays"
-    said = ""
-    for name, change in changes.items():  # the objective may be less though one of its terms is more
-        link = " and " if (change < 0) == (first < 0) else ", though "
-        more = "less" if change < 0 else "more"
-        said += f"{link if said else ''}{100 * abs(change):.1f} % {more} {name.replace('_', ' ')}"
-    step = "" if rival.step is None else f", both at a time step of {rival.step:g} s"
-    rest = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
-    return Worth(changes, "; ".join([f"{verdict}: {said} than {than}{step}", *rest]))

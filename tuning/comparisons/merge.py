@@ -1,0 +1,43 @@
+"""Shards of a sweep or of judge, put together: `tuning.merge`."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+import mjx_climb as mc
+from tuning.comparisons import judge
+from tuning.gains.own_section import taken
+from tuning.results.judged import Judged
+from tuning.results.swept import Swept
+from tuning.searches import sweep
+from tuning.searches.shards import Kept, find, joined
+
+Read = Callable[[Kept, mc.Scenario, mc.Law | None, mc.MetricTable], sweep.Grid | judge.Draw]
+KINDS: Mapping[str, Read] = {Swept.KIND: sweep.read_asked, Judged.KIND: judge.read_asked}  # what may be cut
+
+
+def merge(
+    folders: Sequence[str | os.PathLike[str]], *, law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS
+) -> Swept | Judged:
+    """Return what shards in some folders were part of, as `sweep` or `judge` return it: on CPUs bit by bit.
+
+    `merge([folder]).write(folder)` is `mjx-climb merge`.
+
+    Arguments:
+        folders: those of the shards, or one that holds them all; nothing in them is changed.
+        law: the user's own, where the shards had one whose file they do not name.
+        metrics: those of the shards, likewise.
+
+    Raises:
+        ConfigError: no shards there, shards of different things, of another law, other metrics or versions, or not all
+            of them: in one line which are missing and what would finish them.
+    """
+    return merged(find([Path(folder) for folder in folders]), law, mc.MetricTable(metrics))
+
+
+def merged(found: Sequence[Kept], law: mc.Law | None, metrics: mc.MetricTable) -> Swept | Judged:
+    """Return what shards that `find` found were part of; `merge` with its errors."""
+    config = found[0].folder / "config.yaml"
+    own = taken(mc.load_scenario(config), law, metrics, str(config))
+    work = KINDS[found[0].identity["kind"]](found[0], *own)
+    return work.result(joined(work, found))

@@ -1,0 +1,96 @@
+"""What a force sensor is worth: gains that were found against pd with joint gains of its own, in words."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from tuning.results.front import Front, without_sensor
+from tuning.searches.retuned_pd import ON_A_GRID, Rival
+
+
+class Worth(NamedTuple):
+    """What a force sensor changes: of gains found against pd retuned."""
+
+    changes: dict[str, float]  # relative, of what the gains were found for: -0.1 is a tenth less
+    in_words: str
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {"force_sensor": self.changes | {"in_words": self.in_words}}
+
+
+def worth_of(
+    values: Mapping[str, float],
+    without: Mapping[str, float],
+    rival: Rival,
+    *,
+    larger: bool = False,
+    place: str = "",
+    others: tuple[Sequence[str], Sequence[str]] = ((), ()),
+) -> Worth:
+    """Return what a force sensor is worth.
+
+    There is a verdict only where a further search of pd would not turn it round, as far as this one can tell.
+
+    Arguments:
+        values: first what the gains were found for, then what else is to be said of them.
+        without: the same of pd retuned, which is `rival`.
+        larger: whether more of the first value is better, not less.
+        place: where the gains were searched, if that is not all there is.
+        others: what else is worse, and what is better, in words.
+    """
+    own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
+    than = f"pd with {own}, which needs none"
+    than += "" if rival.feasible else " (and breaks a limit)"
+    changes = {name: values[name] / without[name] - 1 for name in values}
+    if not all(map(math.isfinite, changes.values())):
+        return Worth(changes, f"the force sensor: not to be compared with {than}: a walk failed")
+    first = next(iter(changes.values()))
+    if abs(first) <= rival.spread:
+        spread = f"the search's own spread of {100 * rival.spread:.1f} %"
+        verdict = f"the force sensor changes nothing{place} beyond {spread}"
+    elif not (first > 0 if larger else first < 0):
+        verdict = f"the force sensor does not pay{place}"
+    elif rival.lacks:
+        verdict = f"no verdict on the force sensor, since pd was searched {rival.lacks}"
+    else:
+        verdict = "the force sensor pays"
+    said = ""
+    for name, change in changes.items():  # the objective may be less though one of its terms is more
+        link = " and " if (change < 0) == (first < 0) else ", though "
+        more = "less" if change < 0 else "more"
+        said += f"{link if said else ''}{100 * abs(change):.1f} % {more} {name.replace('_', ' ')}"
+    step = "" if rival.step is None else f", both at a time step of {rival.step:g} s"
+    rest = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
+    return Worth(changes, "; ".join([f"{verdict}: {said} than {than}{step}", *rest]))
+
+
+def of_front(found: Front) -> str:
+    """Return in a sentence what a force sensor is worth at the knee of a front."""
+    metrics, without = found.problem.metrics, without_sensor(found.data, found.knee, found.problem.metrics)
+    better, against = (metrics.in_words(name) for name in (found.asked.better, found.asked.against))
+    if without is None:
+        return f"pd has more {against} than the knee with any kp and kd of its grid"
+    ours = {better: found.data[found.asked.better].values[found.knee].item()}
+    theirs = {better: without[f"without_{found.asked.better}"].item()}
+    joint = {name: without[f"without_{name}"].item() for name in ("kp", "kd")}
+    rival = Rival(joint, theirs[better], lacks=ON_A_GRID)
+    worth = worth_of(ours, theirs, rival, larger=metrics[found.asked.better].larger_is_better)
+    return f"{worth.in_words}, at no more {against}"
+
+
+def of_schedule(table: xr.Dataset) -> str:
+    """Return in a sentence what a force sensor is worth: the gains against pd with joint gains for each point."""
+    ratio = (table["value"] / table["retuned_value"]).values
+    known = ratio[np.isfinite(ratio)]
+    if not known.size:
+        return "the force sensor: not to be compared with pd, which keeps the limits at no operating point"
+    none = f"no verdict on the force sensor, since pd was searched {ON_A_GRID}"
+    verdict = none if (known < 1).any() else "the force sensor does not pay"
+    span = " to ".join(dict.fromkeys(f"{end:.3f}" for end in (known.min(), known.max())))
+    found = f"{verdict}: less objective at {(known < 1).sum()} of {known.size} operating points"
+    return f"{found}, {span} times that of pd with kp and kd for each, which needs none"

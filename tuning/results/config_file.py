@@ -1,0 +1,27 @@
+"""config.yaml of a result's folder: the scenario, with the files and the user's own objects that it names."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import mjx_climb as mc
+from mjx_climb.files import dataset, scenario_files
+from mjx_climb.inputs.own_objects import with_digests
+from tuning.gains.own_section import section
+
+
+def write_config(
+    scenario: mc.Scenario,
+    folder: Path,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = (),
+    objective: Any = None,
+) -> mc.Scenario:
+    """Write config.yaml, and return the scenario with the files that it names copied to the folder.
+
+    `law`, `metrics` and `objective` are the user's own, where there are any: config.yaml names them.
+    """
+    own, scenario = section(law, metrics, objective), with_digests(scenario)
+    written = scenario_files.copied(scenario if own is None else scenario.with_own(**own), folder)
+    dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(written, folder))
+    return written if own is None else written.with_own(law=None, metrics=[], objective=None)

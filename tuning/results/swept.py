@@ -1,0 +1,55 @@
+"""What a sweep returns: the metrics of walks over a grid of two gains."""
+
+import dataclasses
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.files.dataset import larger_is_better
+from mjx_climb.inputs.resolve import AnyGains
+from tuning.gains.gains_file import replaced
+from tuning.results.result import Result
+
+HISTORIES = 256  # walks up to which a grid keeps time histories
+
+
+@dataclasses.dataclass(frozen=True)
+class Swept(Result):
+    """A grid of walks over two gains; `gains` are those in place of the scenario's or the law's own, where given.
+
+    `data` holds the metrics over both gains. A grid of up to `HISTORIES` walks keeps time histories as well: for each
+    name in `mjx_climb.walks.LINES` the least and the largest value in each stretch of time, over both
+    gains, extreme and stretch.
+    """
+
+    FILE = "sweep.nc"
+    KIND = "sweep"
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The names of both gains, that of the horizontal axis first."""
+        return tuple(str(name) for name in self.data["diverged"].dims)
+
+    def walker(self, gains: AnyGains | None = None) -> tuple[mc.Scenario, mc.Law | None]:
+        """Return scenario and law of the grid, with further gains in place of theirs."""
+        walked = self.scenario, self.problem.law
+        for each in (self.gains, gains):
+            walked = walked if each is None else replaced(*walked, each)
+        return walked
+
+
+def holding(data: xr.Dataset, metric: str) -> xr.DataArray:
+    """Return a metric of those walks that neither let go nor diverge, NaN elsewhere."""
+    return data[metric].where((data["detached_limb"] < 0) & ~data["diverged"].astype(bool))
+
+
+def best_cell(data: xr.Dataset, metric: str = "force_variation") -> xr.Dataset | None:
+    """Return the cell with the least `metric` among those that neither let go nor diverge, None where all fail.
+
+    Its coordinates are the best gains. Margins and other metrics that should be large are maximised.
+    """
+    values = holding(data, metric)
+    if larger_is_better(data[metric]):
+        values = -values
+    return data.isel(values.argmin(dim=...)) if np.isfinite(values).any() else None

@@ -1,0 +1,171 @@
+"""What a search for gains returns: every point that was evaluated, and the best."""
+
+import dataclasses
+import functools
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.files import dataset
+from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.inputs.time_step import short_enough
+from mjx_climb.scenario.messages import ConfigError
+from tuning.gains.gains_file import by_name
+from tuning.gains.own_section import check_reference, reference
+from tuning.problem.ensemble import Ensemble
+from tuning.problem.evaluation import Problem
+from tuning.problem.search import Judge, Search
+from tuning.problem.spaces import INTEGRAL, JOINT, as_gains, to_gains64
+from tuning.results.result import Result
+
+
+@dataclasses.dataclass(frozen=True)
+class Tuned(Result):
+    """The gains that a search found.
+
+    `data` holds every point that was evaluated, in order: dimensions `point` and `coordinate` (names of the space);
+    variables `theta` (the natural logarithm of a gain, or the gain by its `unit`), `value`, `descent`, `penalty`,
+    `feasible`, `gradient_norm`, `round`, `row` (place in its batch), `phase`, `env_steps` (spent so far) and the
+    metrics.
+    """
+
+    FILE = "search.nc"
+    KIND = "tune"
+
+    search: Search = dataclasses.field(default_factory=Search)
+    gains: AnyGains = dataclasses.field(default_factory=dict)  # the best found: `mc.Gains`, or by name for other laws
+
+    @functools.cached_property
+    def best(self) -> int:
+        """The index of the best point."""
+        return best_of({name: self.data[name].values for name in ("value", "penalty", "feasible")})
+
+    @property
+    def theta(self) -> np.ndarray:
+        """The best point (n,)."""
+        return np.asarray(self.data["theta"].values[self.best])
+
+    @property
+    def value(self) -> float:
+        """The objective of the best point, 1 for pd."""
+        return float(self.data["value"][self.best])
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the best point keeps every limit."""
+        return bool(self.data["feasible"][self.best])
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The metrics of the best point, as the search saw it: nothing torn off."""
+        return {name: float(self.data[name][self.best]) for name in self.problem.metrics.names if name in self.data}
+
+    @property
+    def env_steps(self) -> int:
+        """What the search cost; a forward-mode step with n tangents counts 1 + n."""
+        return int(self.data["env_steps"][-1])
+
+    @property
+    def best_at(self) -> int:
+        """Environment steps spent when the best was found."""
+        return int(self.data["env_steps"][self.best])
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user ended the search."""
+        return bool(self.data.attrs["interrupted"])
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the data as netCDF, from which `load` makes the result again, and return its path."""
+        return dataset.save(self.data, path)
+
+    def comment(self, name: str) -> str:
+        return f"mjx-climb tune {name}: {self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
+
+
+@dataclasses.dataclass(frozen=True)
+class Robust(Tuned):
+    """The gains that a search over an ensemble found."""
+
+    KIND = "robust"
+
+    ensemble: Ensemble = dataclasses.field(default_factory=Ensemble)
+    judges: int = Judge().members  # walks of each set of gains in the fresh draw that tests the result
+
+    def comment(self, name: str) -> str:
+        how = f"{self.search.method}, {self.search.space}, {self.ensemble.members} members"
+        return f"mjx-climb tune {name} --ensemble: {how}, objective {self.value:.4f} (pd: 1)"
+
+
+def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarray], *, interrupted: bool) -> Tuned:
+    """Return the result of the points evaluated so far.
+
+    The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
+    Joint gains shake at a long time step. A search may see little of it in one walk, but nobody can walk with them: a
+    point that would be the best, were its time step short enough, is infeasible and has a penalty without end.
+
+    Raises:
+        ValueError: nothing was evaluated.
+    """
+    if not arrays or not len(arrays["value"]):
+        raise ValueError("expected a point that was evaluated, got none")
+    metrics, scenario, space = problem.metrics, problem.scenario, problem.space
+    arrays = {**arrays, "penalty": np.array(arrays["penalty"], float), "feasible": np.array(arrays["feasible"])}
+    while True:
+        best = best_of(arrays)
+        gains = to_gains64(space, np.asarray(arrays["theta"][best], float))
+        joint = {
+            f"control.{name}": float(value) for name, value in by_name(gains).items() if name in (*JOINT, INTEGRAL)
+        }
+        steady = not joint or short_enough(scenario.with_overrides(joint))
+        if steady or not np.isfinite(arrays["penalty"][best]):
+            break
+        arrays["penalty"][best], arrays["feasible"][best] = np.inf, False
+    data: dict[str, Any] = {}
+    for name, values in arrays.items():
+        about = {"units": "1", "long_name": name.replace("_", " ")}
+        data[name] = ("point", values, dataset.metric_attributes(metrics[name]) if name in metrics.names else about)
+    data["theta"] = (("point", "coordinate"), arrays["theta"], {"units": "1", "long_name": "coordinates of gains"})
+    data["unit"] = ("coordinate", space.units, {"long_name": "gain at 1; 0: theta is its natural logarithm"})
+    attrs: dict[str, Any] = {"title": "search for gains", **dataset.provenance(scenario), "search": search.to_yaml()}
+    attrs |= {"interrupted": int(interrupted), "gains": dataset.fields_as_json(by_name(gains))}
+    if problem.law is not None:
+        attrs["law"] = reference(problem.law)
+    coordinates = {"coordinate": list(space.names), "point": np.arange(len(arrays["value"]))}
+    made = xr.Dataset(data, coordinates, attrs)
+    if problem.ensemble is None:
+        return Tuned(made, problem, search, gains=gains)
+    return Robust(made, problem, search, problem.ensemble, gains)
+
+
+def best_of(arrays: Mapping[str, np.ndarray]) -> int:
+    """Return the index of the best point."""
+    value, penalty, feasible = (np.asarray(arrays[name]) for name in ("value", "penalty", "feasible"))
+    ranked = np.where(feasible, value, np.inf) if feasible.any() else value + penalty
+    return int(np.argmin(np.where(np.isfinite(ranked), ranked, np.inf)))
+
+
+def load(path: str | os.PathLike[str], law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS) -> Tuned:
+    """Read the result that `Tuned.save` wrote; its scenario, law, metrics and settings repeat the search.
+
+    Arguments:
+        path: the file.
+        law: the one whose gains were searched, where it was not the scenario's.
+        metrics: those of its walks.
+
+    Raises:
+        ConfigError: no such file, or another one, or a search of another law.
+    """
+    data, source = dataset.load(path), os.fspath(path)
+    if "search" not in data.attrs or "interrupted" not in data.attrs:
+        raise ConfigError(f"{source}: expected the result of a search, got another dataset")
+    check_reference(law, data.attrs.get("law"), source)
+    gains = as_gains({name: np.asarray(v) for name, v in json.loads(data.attrs["gains"]).items() if v is not None})
+    problem = Problem(dataset.scenario_of(data), law=law, metrics=mc.MetricTable(metrics))
+    return Tuned(data, problem, Search.parse(data.attrs["search"], source), gains=gains)
