@@ -44,7 +44,7 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
         from tuning.command_line.session import from_page
         from tuning.identification.plan import excitation
         from tuning.identification.plan import output as written
-        from tuning.pages.numbers import to_json
+        from tuning.numbers import to_json
         from tuning.writing.record import settings_of
 
         loaded = fitted(walk, "excite")
@@ -224,9 +224,9 @@ def replay(
 
 def _judged(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, dict[str, Any]]:
     """Walk under the law with the pushes that were logged, and print and return the metrics of both walks."""
+    from tuning import numbers
     from tuning.command_line.run import verdict
     from tuning.command_line.session import plain_table
-    from tuning.pages import numbers
 
     with shell.stage("law on the logged pushes"):
         pushes = [push.model_dump() for push in found.scenario.disturbance.pushes]
@@ -248,10 +248,10 @@ def _write(
     """Write a replay into a folder and print its errors; return the names of the files, and the errors as JSON."""
     from mjx_climb.files import dataset
     from mjx_climb.viz import plots
+    from tuning import numbers
     from tuning.command_line.session import plain_table
     from tuning.identification.model.replay_picture import plot_replay
     from tuning.identification.readers.log import unit_of
-    from tuning.pages import numbers
 
     table = plain_table("signal", "rms error", "largest", "at s", "moved", "unit")
     for name, error in found.errors.items():

@@ -76,9 +76,9 @@ def bench(asked: Bench, output: Annotated[Output, "json_only"]) -> None:
     with output.session() as shell:
         if asked.batch % 4:
             raise InputError(f"--batch: expected a multiple of 4, got {asked.batch}")
+        from tuning import numbers
         from tuning.benchmarks import measure
         from tuning.command_line.session import duration, plain_table
-        from tuning.pages import numbers
 
         begin = time.perf_counter()
 

@@ -200,7 +200,7 @@ def _margins_in_words(found: "Margins", stable: "dict[str, Stable]", warnings: l
     """Return margins beside the scenario's hardware, by walks and of the linearised loop: a table, and JSON in SI."""
     from tuning.command_line.session import plain_table
     from tuning.comparisons.margins import QUANTITIES, in_words, needed, with_unit
-    from tuning.pages.numbers import to_json
+    from tuning.numbers import to_json
 
     table, each = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"), {}
     for name, margin in found.margins.items():
@@ -235,8 +235,8 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
     with output.session() as shell:
         from mjx_climb.files import dataset
         from tuning.command_line.session import WIDTH, console
+        from tuning.numbers import to_json
         from tuning.pages import page
-        from tuning.pages.numbers import to_json
         from tuning.reproduce import results
 
         shell.claim("reproduce.json", "reproduce", settings={"command": "reproduce"})

@@ -159,7 +159,7 @@ def _walked(
     loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording
 ) -> tuple[Walks, dict[str, Any]]:
     """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
-    from tuning.pages.numbers import to_json
+    from tuning.numbers import to_json
     from tuning.writing.record import walks_at_home
 
     with shell.whole() as place:
@@ -176,7 +176,7 @@ def _written(
     """Walk and write into a folder; return the walks, their metrics, and the names of the files."""
     from mjx_climb.files import dataset, scenario_files
     from mjx_climb.viz.recording import save_mcap
-    from tuning.pages.numbers import to_json
+    from tuning.numbers import to_json
     from tuning.results.config_file import write_config
 
     scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
@@ -208,10 +208,10 @@ def _written(
 
 def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:
     """Print the metrics of a walk, and of the one beside it where there is one, and how they went."""
+    from tuning import numbers
     from tuning.command_line.session import comparison_table, plain_table
     from tuning.comparisons.judge import without_sensors
     from tuning.comparisons.remedies import remedies
-    from tuning.pages import numbers
     from tuning.pages.comparison import gains_of
 
     (name, *rivals), about, law = metrics, loaded.metrics, loaded.law

@@ -207,7 +207,7 @@ def schedule(
 
         devices.begin()
         from tuning.command_line.session import plain_table
-        from tuning.pages.numbers import change, gain, number
+        from tuning.numbers import change, gain, number
         from tuning.searches import schedule as schedules
         from tuning.searches.retuned_pd import NAME
         from tuning.writing.record import settings_of

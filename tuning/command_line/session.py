@@ -174,8 +174,8 @@ class Session:
 
     def opening(self, scenario: "mc.Scenario | None" = None) -> None:
         """Say where compiled programs are kept, and what to know of a scenario before it is walked."""
+        from tuning import numbers
         from tuning.command_line import machine
-        from tuning.pages import numbers
 
         (cache,) = machine.cache()
         warnings = numbers.ahead_of(scenario) if scenario else ()

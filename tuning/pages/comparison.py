@@ -9,7 +9,7 @@ from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
 from mjx_climb.files.dataset import SIX
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import JOINT_UNITS, labels
-from tuning.pages.numbers import (
+from tuning.numbers import (
     axis_values,
     change,
     change_of,

@@ -12,7 +12,7 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.viz import plots
 from mjx_climb.walks import LINES, histories, stretches
-from tuning.pages.numbers import failed, gain, plain, plain_unit, presentable
+from tuning.numbers import failed, gain, plain, plain_unit, presentable
 
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
 BASELINE = "pd"  # the walk that all others are compared with; disturbances and grip changes are its own

@@ -11,7 +11,7 @@ import jinja2
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from tuning.pages.numbers import plain
+from tuning.numbers import plain
 
 NAME = "report.html"
 HERE = Path(__file__).parent

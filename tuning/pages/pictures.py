@@ -18,8 +18,8 @@ from mjx_climb.viz.plots import key
 from tuning.comparisons import margins
 from tuning.comparisons.judge import WORST_SHARE
 from tuning.gains.gains_file import by_name
+from tuning.numbers import axis_values, has_axes
 from tuning.pages.explorer import SCALES, axes_of
-from tuning.pages.numbers import axis_values, has_axes
 from tuning.problem import ensemble
 from tuning.problem.spaces import kind_of
 from tuning.results.front import knee

@@ -15,9 +15,9 @@ from tuning.comparisons.judge import PD
 from tuning.comparisons.worth import of_front
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import labels
+from tuning.numbers import axis_values, change, failed, gain, number, remarks, unit
 from tuning.pages import comparison
 from tuning.pages.explorer import MOST_CELLS, axes_of, coarser_grid, explorer, grid_points, listed_points
-from tuning.pages.numbers import axis_values, change, failed, gain, number, remarks, unit
 from tuning.pages.page import Origin, Page, Table
 from tuning.problem.evaluation import Problem
 from tuning.results.front import Front, without_sensor

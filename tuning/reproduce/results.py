@@ -9,8 +9,8 @@ from mjx_climb.files import dataset
 from mjx_climb.scenario import shipped
 from mjx_climb.viz import plots
 from tuning.background import Stage
+from tuning.numbers import number, unit
 from tuning.pages.explorer import explorer
-from tuning.pages.numbers import number, unit
 from tuning.pages.page import Origin, Page, Table
 from tuning.reproduce import claims
 from tuning.reproduce.claims import BASELINE, CASES, CLAIMS, METHODS, READINGS, Case, Verdict, Walk

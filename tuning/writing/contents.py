@@ -27,11 +27,11 @@ from tuning.comparisons.remedies import remedies
 from tuning.comparisons.worth import Worth, of_front, of_schedule, worth_of
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name, replaced
+from tuning.numbers import failed, number, remarks, to_json
 from tuning.pages import page, pictures
 from tuning.pages import sections as pages
 from tuning.pages.comparison import Compared, differences, gains_of
 from tuning.pages.explorer import axes_of
-from tuning.pages.numbers import failed, number, remarks, to_json
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal, Objective
 from tuning.problem.spaces import INTEGRAL, JOINT, searches_gait

@@ -20,13 +20,14 @@ from mjx_climb.execution import devices
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
 from tests.shell import PROGRAM, ROOT, environment, finish
+from tuning import numbers
 from tuning.command_line import main, options, searches, session
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
 from tuning.comparisons import begun as comparisons
 from tuning.gains import gains_file
 from tuning.identification.readers import read_log
-from tuning.pages import numbers, page
+from tuning.pages import page
 from tuning.results.swept import best_cell
 from tuning.searches.shards import Rows
 

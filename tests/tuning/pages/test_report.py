@@ -12,8 +12,9 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.walks import LINES, histories
 from tests.shell import finish
+from tuning import numbers
 from tuning.comparisons import verification
-from tuning.pages import comparison, explorer, numbers, page, pictures
+from tuning.pages import comparison, explorer, page, pictures
 from tuning.pages import sections as pages
 from tuning.problem.evaluation import Problem
 from tuning.results import front as fronts

@@ -165,7 +165,7 @@ def test_nothing_is_said_of_a_walk_that_diverges():
 
 def test_all_claims_are_judged_and_shown():
     """The baseline that follows the actual base is judged where the paper's baseline fails; tables hold it all."""
-    from tuning.pages import numbers
+    from tuning import numbers
 
     baseline = Walk(torn(2, 0.5), rippling(1.0))
     walks = {name: Walk(rippling(0.5)) for name in claims.METHODS} | {"pd": baseline, "pd_actual": baseline}

@@ -22,8 +22,8 @@ from tuning.identification.fit.inference import suspicious
 from tuning.identification.fit.least_squares import scaled_residuals
 from tuning.identification.model.variables import begin
 from tuning.identification.model.windows import KINDS, UNITS
+from tuning.numbers import number
 from tuning.pages import page
-from tuning.pages.numbers import number
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.results.config_file import write_config
 from tuning.results.result import Written

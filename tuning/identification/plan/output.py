@@ -15,7 +15,7 @@ from tuning.identification.plan.information import SEEN
 from tuning.identification.plan.rig import SPEED
 from tuning.identification.readers.csv_file import csv_of
 from tuning.identification.readers.log import joints_of
-from tuning.pages.numbers import to_json
+from tuning.numbers import to_json
 from tuning.pages.page import Origin, Page, Table
 from tuning.results.config_file import write_config
 from tuning.results.result import Written
