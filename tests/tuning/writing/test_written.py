@@ -18,6 +18,7 @@ from tuning.methods.parts import Parts
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.results import tuned
+from tuning.results.result import Written
 from tuning.searches import retuned_pd
 from tuning.searches.tune import tune
 from tuning.writing import contents as results
@@ -124,7 +125,7 @@ def found_in(scenario):
 def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_path):
     def tune(found, place, begun):
         place.found(found)
-        return Contents(result.Written(), {"more.txt": "more"})
+        return Contents(Written(), {"more.txt": "more"})
 
     monkeypatch.setattr(results, "tune", tune)
     found = found_in(mc.load_scenario("case_1_2"))
