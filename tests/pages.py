@@ -5,7 +5,7 @@ file that this command wrote. Lines may be left out there, and long ones are wra
 standard error. A page whose figures depend on the processor says "differ by up to N %": numbers may be off by so much,
 and those with a sign or a per cent sign by so many points.
 
-    python -m tests.pages docs/tutorial.md --write
+    python -m tests.pages docs/start/tutorial.md --write
 
 carries a page out and rewrites its blocks by what was printed. With --folder what was printed there before is taken, so
 that a long page goes on where it was interrupted. Blocks that have no output yet get theirs by hand the first time.

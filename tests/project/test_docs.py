@@ -180,10 +180,10 @@ def test_every_dependency_has_its_line():
     declared = {(bare(name), "") for name in PROJECT["dependencies"]}
     for extra, names in PROJECT["optional-dependencies"].items():
         declared |= {(bare(name), extra) for name in names if bare(name) != PROJECT["name"]}
-    section = README.split("\n## Dependencies\n")[1].split("\n## ")[0]
+    page = (ROOT / "docs" / "project" / "dependencies.md").read_text("utf-8")
     listed = [
         (name, extra)
-        for names, extra in re.findall(r"^\| ([\w ,-]+?)(?: \(`(\w+)`\))? \| [^|]+ \|$", section, re.MULTILINE)
+        for names, extra in re.findall(r"^\| ([\w ,-]+?)(?: \(`(\w+)`\))? \| [^|]+ \|$", page, re.MULTILINE)
         for name in names.split(", ")
         if name != "package"
     ]
@@ -226,9 +226,9 @@ def test_names_that_users_write_are_those_registered():
     assert set(search.METHODS) == set(METHODS)
 
 
-def test_the_readme_names_every_command():
-    shown = {arguments[0] for block in fences(README, "sh") for arguments in commands(block)}
-    assert shown == set(PROGRAM.commands)
+def test_the_pages_show_every_command():
+    blocks = [block for page in PAGES for block in fences(page.read_text("utf-8"), "sh")]
+    assert {arguments[0] for block in blocks for arguments in commands(block)} == set(PROGRAM.commands)
 
 
 def test_what_an_index_shows_needs_no_other_file():

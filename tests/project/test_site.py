@@ -73,14 +73,14 @@ def test_the_search_works_from_disk(site, chromium):
     from selenium.webdriver.support.wait import WebDriverWait
 
     resize(chromium, 1300)
-    chromium.get((site / "tutorial.html").as_uri())
+    chromium.get((site / "start" / "tutorial.html").as_uri())
     field = chromium.find_element("css selector", "input.md-search__input")
     field.click()
     field.send_keys("capture distance")
     found = WebDriverWait(chromium, 60).until(
         lambda page: [e.get_attribute("href") for e in page.find_elements("css selector", ".md-search-result__link")]
     )
-    assert any("physics.html" in link or "scenarios.html" in link for link in found)
+    assert any("physics.html" in link or "scenario.html" in link for link in found)
 
 
 # which parts are wider than what shows them: the page itself, and what scrolls by itself
