@@ -36,27 +36,27 @@ HARDWARE = setting(
 )
 LAW = setting(
     None,
-    "control law in place of the config's: a shipped one, as LoadTransfer, or one's own, whose file is run",
+    "control law in place of the config's: a shipped one, as LoadTransfer, or your own, whose file is run",
     metavar="NAME|FILE.py:NAME",
 )
 CONTACT = setting(
     None,
-    "what holds feet to the ground, in place of the config's: a shipped one, as PolyhedralGripper, or one's own",
+    "what holds feet to the ground, in place of the config's: a shipped one, as PolyhedralGripper, or your own",
     metavar="NAME|FILE.py:NAME",
 )
 DRIVE = setting(
     None,
-    "what turns the joints, in place of the config's: a shipped one, as VelocityCommanded, or one's own",
+    "what turns the joints, in place of the config's: a shipped one, as VelocityCommanded, or your own",
     metavar="NAME|FILE.py:NAME",
 )
 DISTURBANCES = setting(
     (),
-    "what acts from outside, in place of the config's beside cargo and pushes: shipped, as LinkWrench, or one's own",
+    "what acts from outside, in place of the config's beside cargo and pushes: shipped, as LinkWrench, or your own",
     flag="--disturbance",
     metavar="NAME|FILE.py:NAME",
 )
 METRICS = setting(
-    (), "metric of one's own beside the shipped ones; the file is run", flag="--metric", metavar="FILE.py:NAME"
+    (), "metric of your own beside the shipped ones; the file is run", flag="--metric", metavar="FILE.py:NAME"
 )
 ENSEMBLE = "an ensemble of walks: a YAML file, or ensemble, which comes with the program"
 SHARD = setting(None, "walk this shard alone, as 3/16, for merge; 1/1: all; null: a Slurm array's task", metavar="I/N")
@@ -105,7 +105,7 @@ class Walk(Options):
     def load(self) -> "Problem":
         """Return scenario, law, metrics and engine, from options or the config, without the gains file but for its law.
 
-        A change of `control.NAME`, a gain of a law of one's own, is the law's.
+        A change of `control.NAME`, a gain of your own law, is the law's.
         """
         from mjx_climb.inputs.from_scenario import own_parameters
         from mjx_climb.scenario.yaml_text import pairs

@@ -1,0 +1,43 @@
+"""Plain words: pages use none of the patterns that `words.txt` replaces, and no endless sentence."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.pages import FENCE
+
+ROOT = Path(__file__).parents[2]
+RULES = [
+    re.split(r" {2,}", line.strip(), maxsplit=1)
+    for line in (Path(__file__).parent / "words.txt").read_text("utf-8").splitlines()
+    if line.strip() and not line.startswith("#")
+]
+MADE = "paper_run.md"  # a command writes it
+PAGES = sorted(page for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")] if page.name != MADE)
+LONGEST = 45  # words of a sentence
+# tables, headings and equations hold no sentences
+NO_SENTENCE = re.compile(r"^[|#].*$|(?s:\$\$.*?\$\$)", re.MULTILINE)
+END = re.compile(r"(?<=[.:;?])\s|\n\n|\n *(?:[-*]|\d+\.) ")
+
+
+def found(text: str) -> list[tuple[str, str]]:
+    """Return what a text has of the list, and what to write."""
+    matches = [(re.search(pattern, text, re.IGNORECASE), advice) for pattern, advice in RULES]
+    return [(text[max(0, match.start() - 30) : match.end() + 30], advice) for match, advice in matches if match]
+
+
+def endless(text: str) -> list[str]:
+    return [part for part in END.split(NO_SENTENCE.sub("\n\n", text)) if len(part.split()) > LONGEST]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_uses_plain_words(page):
+    text = FENCE.sub("\n\n", page.read_text("utf-8"))
+    assert found(" ".join(text.split())) == [] and endless(text) == []
+
+
+def test_the_list_finds_what_it_holds():
+    assert found("a law of one's own") == [("a law of one's own", "your own"), ("a law of one's own", "your own")]
+    assert len(RULES) > 20 and found("a law of your own") == []
+    assert endless("word " * 46) and not endless("word " * 30 + "end. " + "word " * 30)
