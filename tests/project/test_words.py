@@ -16,6 +16,7 @@ RULES = [
 MADE = "paper_run.md"  # a command writes it
 PAGES = sorted(page for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")] if page.name != MADE)
 LONGEST = 45  # words of a sentence
+MOST = 25_500  # words: 25,000, and some for what is under way
 # tables, headings and equations hold no sentences
 NO_SENTENCE = re.compile(r"^[|#].*$|(?s:\$\$.*?\$\$)", re.MULTILINE)
 END = re.compile(r"(?<=[.:;?])\s|\n\n|\n *(?:[-*]|\d+\.) ")
@@ -35,6 +36,22 @@ def endless(text: str) -> list[str]:
 def test_a_page_uses_plain_words(page):
     text = FENCE.sub("\n\n", page.read_text("utf-8"))
     assert found(" ".join(text.split())) == [] and endless(text) == []
+
+
+def test_pages_of_users_are_short_and_begin_with_what_they_are_for():
+    """Start, guides and explanation: three screens each, 25,000 words in all, code and tables among them."""
+    pages = [page for kind in ("start", "guides", "explanation") for page in (ROOT / "docs" / kind).glob("*.md")]
+    texts = {page.name: page.read_text("utf-8") for page in pages}
+    assert len(pages) > 40 and sum(len(text.split()) for text in texts.values()) <= MOST
+    assert [name for name, text in texts.items() if text.count("\n") > 130] == []
+    assert [name for name, text in texts.items() if not text.split("\n\n")[1].startswith("After this page")] == []
+
+
+def test_a_study_has_its_parts():
+    parts = ("**Question.**", "**Answer.**", "\n|", "## What it rests on")
+    for page in (ROOT / "docs" / "studies").glob("*.md"):
+        text = page.read_text("utf-8")
+        assert page.name == MADE or (all(part in text for part in parts) and text.count("\n") < 90), page
 
 
 def test_the_list_finds_what_it_holds():
