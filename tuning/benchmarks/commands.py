@@ -74,10 +74,10 @@ def _python(arguments: Sequence[str], cache: str, **how: Any) -> str:
 
 def _time_a_walk(what: str, batch: int, steps: int, engine: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a terminal interrupts its whole family: the parent says it
-    from tuning.benchmarks import measure as benchmark
+    from tuning.benchmarks import walks
 
     begin = time.perf_counter()
-    run = benchmark.walk(batch, steps, engine) if what == "value" else benchmark.gradient(2, batch, steps, engine)
+    run = walks.walk(batch, steps, engine) if what == "value" else walks.gradient(2, batch, steps, engine)
     run()
     first, done = time.perf_counter() - begin, time.time()
     begin = time.perf_counter()

@@ -56,7 +56,7 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
         options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
         where = origin(walk.config.stem, repeated(("excite",), *options))
         how: dict[str, Any] = {"figures": output.figures, "stage": shell.stage, "settings": settings}
-        files = found.write(shell.out, origin=where, **how)
+        files = written.write(found, shell.out, origin=where, **how).files
         shell.show(from_page(written.table(found)), from_page(written.limits(found)))
         shell.show(*written.notes(found), found.best.information.unseen())
         shell.written(files, to_json(written.summary(found)))
@@ -135,10 +135,9 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
     with output.session() as shell:
         from tuning.command_line.session import from_page
         from tuning.identification.fit import identify as fitting
-        from tuning.identification.fit.output import FILE, table
+        from tuning.identification.fit.output import FILE, table, write
         from tuning.methods.parts import FOLDER
-        from tuning.writing.folder import check_own
-        from tuning.writing.record import settings_of
+        from tuning.writing.record import check_own, settings_of
 
         if output.out is not None:
             check_own(output.out, FILE)  # before the log is read
@@ -160,7 +159,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
             again = repeated(["identify", *asked.files_from(output.out)], *options)
             where = origin(walk.config.stem, again)
             how: dict[str, Any] = {"figures": output.figures, "stage": shell.stage, "settings": settings}
-            files = found.write(output.out, origin=where, **how)
+            files = write(found, output.out, origin=where, **how).files
             shell.written(files, json.dumps(found.as_json(), indent=2))
         else:
             shell.print_json(json.dumps(found.as_json(), indent=2))

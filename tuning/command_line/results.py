@@ -90,7 +90,7 @@ def plot(asked: Plot) -> None:
       mjx-climb plot results/case_2-pd --size 180x200 --style journal.mplstyle
     """
     from mjx_climb.viz import plots
-    from tuning.writing import redrawn
+    from tuning.pages import redrawn
 
     folder, out = asked.folder, asked.out or asked.folder
     with plots.over_style(asked.style):
@@ -158,7 +158,7 @@ def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> 
         from tuning.comparisons import linear_margins
         from tuning.comparisons import margins as evaluation
         from tuning.gains.gains_file import apart, by_name
-        from tuning.pages.pictures import plot_margins
+        from tuning.pages.margins import plot_margins
         from tuning.results.config_file import write_config
         from tuning.writing.record import settings_of
 

@@ -212,7 +212,7 @@ def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Probl
     from tuning.command_line.session import comparison_table, plain_table
     from tuning.comparisons.judge import without_sensors
     from tuning.comparisons.remedies import remedies
-    from tuning.pages.comparison import gains_of
+    from tuning.comparisons.side_by_side import gains_of
 
     (name, *rivals), about, law = metrics, loaded.metrics, loaded.law
     verdicts = {name: verdict(walks[name], values) for name, values in metrics.items()}

@@ -88,7 +88,7 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
     """
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
-        from tuning.comparisons import begun as comparisons
+        from tuning.comparisons import of_search
         from tuning.searches import tune as searches
         from tuning.writing import record
 
@@ -115,23 +115,25 @@ def tune(search: Search, file: SearchFile, ensemble: Many, walk: Walk, output: O
         with shell.stage("baseline"), file.naming(search):
             problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.walks)
         files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
-        again, compared = repeated(["tune", *files], "--engine"), None
+        again, begun = repeated(["tune", *files], "--engine"), None
         with shell.keeping("rounds"), background(busy=1) as begin:
-            begin(lambda _: importlib.import_module("tuning.writing.contents"))  # matplotlib takes half a second
+            begin(lambda _: importlib.import_module("tuning.kinds"))  # matplotlib takes half a second
             if drawn is None:
-                comparisons.load_tests(problem, wanted, begin)
-                compared = comparisons.of_search(problem, wanted, begin, out=out)
+                of_search.load_tests(problem, wanted, begin)
+                begun = of_search.begin(problem, wanted, begin, out=out)
             with shell.rounds("search") as show:
                 found: Any = searches.run(problem, wanted, out=out, progress=show)
             if ensemble.judges is not None:
                 found = dataclasses.replace(found, judges=ensemble.judges)
             if found.interrupted:
+                from tuning import kinds
+
                 if (before := record.read(out)) is not None and before.whole:  # it stays until all of this one is there
                     raise KeyboardInterrupt
-                found.write_found(out, origin(name, again), settings)
+                kinds.write_found(found, out, origin(name, again), settings)
                 best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
                 raise Interrupted(f"the best of {shell.done} rounds is in {out}: {best}")
-            shell.result(found, again, compared)
+            shell.result(found, again, begun)
 
 
 @command("results/<config>-pareto")
@@ -156,8 +158,6 @@ def pareto(
         from mjx_climb.execution import devices
 
         devices.begin()
-        from tuning.command_line.session import from_page
-        from tuning.pages.sections import front_table
         from tuning.searches import pareto as fronts
         from tuning.writing.record import settings_of
 
@@ -177,9 +177,7 @@ def pareto(
             with shell.rounds("front") as show:
                 found = fronts.run(problem, wanted, asked, out=out, progress=show)
             again = repeated(["pareto", "--search", "search.yaml"], "--better", "--against", "--points", "--engine")
-            shell.result(
-                found, again, table=from_page(front_table(found.data, found.knee, asked.points, loaded.metrics))
-            )
+            shell.result(found, again)
 
 
 @command("results/<config>-schedule")
@@ -208,6 +206,7 @@ def schedule(
         devices.begin()
         from tuning.command_line.session import plain_table
         from tuning.numbers import change, gain, number
+        from tuning.pages.schedule import rows
         from tuning.searches import schedule as schedules
         from tuning.searches.retuned_pd import NAME
         from tuning.writing.record import settings_of
@@ -228,7 +227,7 @@ def schedule(
             gains, beside = found.data.attrs["searched"].split(), ("vs\nconfig %", "vs\nretuned %", "vs\npd %")
             table = plain_table("gravity\nG", "cargo\nkg", *gains, "variation\nN", *beside, "")
             table.columns[-1].no_wrap = False  # words give way to numbers
-            for row in schedules.rows(found.data):
+            for row in rows(found.data):
                 tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))
                 cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
                 verdict = "" if row["feasible"] else "breaks limits"
@@ -376,12 +375,12 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
         shell.opening(work.problem.scenario)
         team.begin(folder, work.identity())
         with shell.keeping(f"of {here} {unit}", folder, there), background() as begin:
-            compared = None
+            begun = None
             if kind == "sweep" and rows.shard is None:
-                from tuning.comparisons import begun as comparisons
+                from tuning.comparisons import of_sweep
 
-                begin(lambda _: importlib.import_module("tuning.writing.contents"))  # matplotlib takes half a second
-                compared = comparisons.of_grid(work.problem, work.gains, work.axes, begin)
+                begin(lambda _: importlib.import_module("tuning.kinds"))  # matplotlib takes half a second
+                begun = of_sweep.begin(work.problem, work.gains, work.axes, begin)
             with shell.stage(stage, unit=unit, keeps=True) as show:
                 arrays = rows.walk(show)
             if rows.shard is not None:
@@ -389,7 +388,7 @@ def _walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) ->
                 shell.say(f"{folder} is whole; once all {rows.shard.count} are: {merge}")
                 shell.print_json(dumps({"shard": rows.shard.number, "of": rows.shard.count, unit: here}))
                 return
-            shell.result(work.result(arrays), again, compared)
+            shell.result(work.result(arrays), again, begun)
 
 
 @command("results/<config>-sweep")

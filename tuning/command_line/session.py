@@ -23,9 +23,10 @@ from tuning.command_line.program import origin
 if TYPE_CHECKING:
     from tuning.command_line.options import Output
     from tuning.command_line.processes import Team
+    from tuning.comparisons.side_by_side import Compared
+    from tuning.kinds import Begun
     from tuning.methods.rounds import Progress as Rounds
     from tuning.pages import page
-    from tuning.pages.comparison import Compared
     from tuning.results.result import Result
 
 WIDTH = 100  # of tables in a file
@@ -139,7 +140,7 @@ class Session:
             OutputError: it cannot be written, or holds another run's result.
         """
         from tuning.writing import record
-        from tuning.writing.folder import check_own
+        from tuning.writing.record import check_own
 
         out, base = at or self.output.out, Path("results") / "-".join((name, *kind))
         if out is None:
@@ -192,19 +193,25 @@ class Session:
         self.print_json(json)
 
     def result(
-        self, found: "Result", again: str, compared: Any = None, *, table: Table | None = None, before: str = ""
+        self,
+        found: "Result",
+        again: str,
+        begun: "Begun | None" = None,
+        *,
+        table: Table | None = None,
+        before: str = "",
     ) -> None:
         """Write a result with its report, in which `again` repeats it, and print it: a table, or that of its walks."""
+        from tuning import kinds
         from tuning.pages import comparison
-        from tuning.pages.sections import summed_table
 
-        how: dict[str, Any] = {"figures": self.output.figures, "stage": self.stage, "compared": compared}
+        how: dict[str, Any] = {"figures": self.output.figures, "stage": self.stage, "begun": begun}
         how |= {"origin": origin(self.name, again), "settings": self.settings}
-        written, problem = found.write(self.out, **how), found.problem
+        written, problem = kinds.write(found, self.out, **how), found.problem
         if table is not None:
             self.show(table)
-        elif written.summed is not None:
-            self.show(from_page(summed_table(written.summed, problem.metrics)))
+        elif written.tables:
+            self.show(*map(from_page, written.tables))
         else:
             self.show(comparison_table(written.compared, "pd", self.tables.width, problem.metrics, problem.law))
             if found.search is not None:

@@ -74,7 +74,8 @@ def judge(
     """Simulate several gains with members that no search over the ensemble has seen, beside the scenario's own and pd.
 
     Nothing is torn off, so that every walk counts to its end; one whose peak pulling force passes the holding limit, or
-    that diverges, has failed, see `summary`. `judge(scenario, gains, ensemble).write(folder)` is `mjx-climb judge`.
+    that diverges, has failed, see `summary`. `tuning.write(tuning.judge(scenario, gains, ensemble), folder)` is
+    `mjx-climb judge`.
 
     Arguments:
         scenario: what walks where, under an admittance law.

@@ -1,12 +1,14 @@
 """What a force sensor is worth: gains that were found against pd with joint gains of its own, in words."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from tuning.comparisons.side_by_side import VARIATION, Values, differences
+from tuning.problem.evaluation import Problem
 from tuning.results.front import Front, without_sensor
 from tuning.searches.retuned_pd import ON_A_GRID, Rival
 
@@ -67,6 +69,15 @@ def worth_of(
     step = "" if rival.step is None else f", both at a time step of {rival.step:g} s"
     rest = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
     return Worth(changes, "; ".join([f"{verdict}: {said} than {than}{step}", *rest]))
+
+
+def between(
+    metrics: Iterable[Values], scored: Iterable[Values], rival: Rival, problem: Problem, place: str = ""
+) -> Worth:
+    """Return what a force sensor is worth, from the metrics of ours and of pd retuned, and what both are scored by."""
+    (ours, theirs), (values, without) = metrics, scored
+    others = differences(ours, theirs, problem.metrics, but=(VARIATION,))
+    return worth_of(values, without, rival, place=place, others=others)
 
 
 def of_front(found: Front) -> str:

@@ -1,22 +1,18 @@
 """Walks side by side: a table, and what it says in words."""
 
-from collections.abc import Container, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mjx_climb import METRICS, Gains, Law, MetricTable, Trajectory
+from mjx_climb import METRICS, Law, MetricTable
 from mjx_climb.files.dataset import SIX
-from tuning.gains.gains_file import by_name
+from tuning.comparisons.side_by_side import Compared, Values
 from tuning.gains.gains_tables import JOINT_UNITS, labels
 from tuning.numbers import (
     axis_values,
-    change,
     change_of,
-    failed,
     gain,
     has_axes,
-    is_number,
     number,
     plain_unit,
     presentable,
@@ -24,17 +20,7 @@ from tuning.numbers import (
 )
 from tuning.pages.page import Table
 
-Values = Mapping[str, Any]
-Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
 Column = tuple[str, str | None]  # a walk, and the walk that it is given as change against; None: its own values
-
-
-def gains_of(walk: Trajectory) -> dict[str, Any] | None:
-    """Return the gains of a walk as they were given, None where its controller has none."""
-    if walk.law:
-        return by_name(walk.gains)
-    control = walk.scenario.control
-    return None if control.controller == "pd" else {name: getattr(control, name) for name in Gains.AXES}
 
 
 def _gain_units(compared: Compared, law: Law | None) -> dict[str, tuple[str, str]]:
@@ -111,20 +97,3 @@ def against(name: str, walk: str, walks: Mapping[str, Values], about: MetricTabl
         if other != walk and (percent := change_of(own, values, name)):
             text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {whose.get(other, other)}"
     return text
-
-
-def differences(
-    metrics: Values, baseline: Values, about: MetricTable = METRICS, but: Container[str] = ()
-) -> tuple[list[str], list[str]]:
-    """Return which metrics are worse than under the baseline, as "base deviation +414 %", and which are better.
-
-    All but some, where they differ by more than 2 %; none where either walk failed.
-    """
-    found: tuple[list[str], list[str]] = [], []  # worse, better
-    for name, value in metrics.items() if not (failed(metrics) or failed(baseline)) else ():
-        base = baseline[name]
-        if name not in but and is_number(value) and is_number(base) and abs(value - base) > 0.02 * abs(base):
-            text = f"{change(value, base)} %" if base > 0 else f"{number(base)} to {number(value)}"
-            better = (value > base) == about[name].larger_is_better
-            found[better].append(f"{about.in_words(name)} {text}")
-    return found

@@ -13,8 +13,8 @@ from mjx_climb.files import dataset
 from mjx_climb.viz import plots
 from mjx_climb.walks import LINES, histories, stretches
 from tuning.numbers import failed, gain, plain, plain_unit, presentable
+from tuning.results.swept import MOST_CELLS, axes_of, coarser_grid, place_of
 
-MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
 BASELINE = "pd"  # the walk that all others are compared with; disturbances and grip changes are its own
 SCALES = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}  # how people read a line or a metric
 # of the maps from worst to best, six hexadecimal digits each
@@ -91,7 +91,7 @@ def grid_points(
     for name in axes:
         label, units = grid[name].attrs.get("long_name", name), grid[name].attrs["units"].split(",")
         drawn.append({"name": name, "label": label, "unit": units[0], "values": _values(shown[name])})
-    begin = dict.fromkeys(axes, 0) if chosen is None else _place_of(shown, chosen)
+    begin = dict.fromkeys(axes, 0) if chosen is None else place_of(shown, chosen)
     return {
         "count": flat.sizes["cell"], "left_out": grid["diverged"].size - flat.sizes["cell"],
         "axes": drawn,
@@ -124,31 +124,6 @@ def listed_points(
         "texts": {}, "scales": {}, "failed": [None] * count, "marks": [], "begin": chosen, "stored": list(range(count)),
         "histories": {name: packed(histories[name]) for name in LINES}, "colors": COLORS,
     }  # fmt: skip
-
-
-def axes_of(grid: xr.Dataset) -> tuple[str, str]:
-    """Return the names of the two gains of a grid, the horizontal one first."""
-    x, y = map(str, grid["diverged"].dims)
-    return x, y
-
-
-def _place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
-    """Return the indices of a cell along the axes of a grid."""
-    return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in axes_of(grid)}
-
-
-def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
-    """Return a grid with at most about `most` of its cells, evenly, the chosen one among them."""
-    places = {} if chosen is None else _place_of(grid, chosen)
-    rows = {name: np.arange(grid.sizes[name]) for name in axes_of(grid)}
-    while np.prod([len(index) for index in rows.values()]) > most:
-        longest = max(rows, key=lambda name: len(rows[name]))
-        fewer = max(1, int(0.95 * len(rows[longest])))
-        index = np.linspace(0, grid.sizes[longest] - 1, fewer).round().astype(int)
-        if longest in places:  # the nearest gives way
-            index[np.argmin(abs(index - places[longest]))] = places[longest]
-        rows[longest] = np.unique(index)
-    return grid.isel(rows)
 
 
 def packed(values: np.ndarray) -> str:

@@ -12,6 +12,7 @@ from tuning.gains.gains_file import replaced
 from tuning.results.result import Result
 
 HISTORIES = 256  # walks up to which a grid keeps time histories
+MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,3 +54,28 @@ def best_cell(data: xr.Dataset, metric: str = "force_variation") -> xr.Dataset |
     if larger_is_better(data[metric]):
         values = -values
     return data.isel(values.argmin(dim=...)) if np.isfinite(values).any() else None
+
+
+def axes_of(grid: xr.Dataset) -> tuple[str, str]:
+    """Return the names of the two gains of a grid, the horizontal one first."""
+    x, y = map(str, grid["diverged"].dims)
+    return x, y
+
+
+def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
+    """Return the indices of a cell along the axes of a grid."""
+    return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in axes_of(grid)}
+
+
+def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
+    """Return a grid with at most about `most` of its cells, evenly, the chosen one among them."""
+    places = {} if chosen is None else place_of(grid, chosen)
+    rows = {name: np.arange(grid.sizes[name]) for name in axes_of(grid)}
+    while np.prod([len(index) for index in rows.values()]) > most:
+        longest = max(rows, key=lambda name: len(rows[name]))
+        fewer = max(1, int(0.95 * len(rows[longest])))
+        index = np.linspace(0, grid.sizes[longest] - 1, fewer).round().astype(int)
+        if longest in places:  # the nearest gives way
+            index[np.argmin(abs(index - places[longest]))] = places[longest]
+        rows[longest] = np.unique(index)
+    return grid.isel(rows)

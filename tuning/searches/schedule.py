@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-import yaml
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
@@ -38,7 +37,6 @@ from tuning.searches import retuned_pd, tune
 G = -EARTH[2]  # m/s^2
 CANDIDATES = 24  # random points per operating point
 ITERATIONS = (10, 8)  # of the two descents
-SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation")  # in tables
 _VARIED = ("gravity", "cargo_mass")
 _SHARED = ("metric", "weight", "margin", "reason", "larger_is_better")  # of terms and limits, by all operating points
 _Row = TypeVar("_Row", Term, Limit)
@@ -59,7 +57,7 @@ def schedule(
 ) -> Scheduled:
     """Tune gains for every pair of gravity and cargo.
 
-    `schedule(scenario, out="results/mine").write("results/mine")` is `mjx-climb schedule`.
+    `tuning.write(tuning.schedule(scenario, out="results/mine"), "results/mine")` is `mjx-climb schedule`.
 
     Arguments:
         scenario: what walks where; its gravity gives the direction alone, its cargo the window of time alone.
@@ -215,59 +213,3 @@ def _retuned(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
     best = np.nan_to_num(ranks, nan=np.inf).argmin(0)
     here = best, np.arange(len(best))
     return {name: values[best] for name, values in gains.items()}, np.where(feasible[here], value[here], np.nan)
-
-
-def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
-    """Return the operating point, gravity G and cargo kg, whose gains serve all others best, and the most they lose.
-
-    The loss is the largest `transfer` less the tuned `value` over all operating points; infinite where every set of
-    gains breaks a constraint somewhere.
-    """
-    loss = table["transfer"].values - table["value"].values[:, :, None, None]
-    worst = np.where(np.isfinite(loss), loss, np.inf).max((0, 1))
-    g, c = np.unravel_index(np.argmin(worst), worst.shape)
-    return float(table["gravity"][g]), float(table["cargo"][c]), float(worst[g, c])
-
-
-def rows(table: xr.Dataset) -> list[dict[str, Any]]:
-    """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd.
-
-    A metric of a walk that failed is None.
-    """
-    result = []
-    for g, c in np.ndindex(table["value"].shape):
-        point = table.isel(gravity=g, cargo=c)
-        row: dict[str, Any] = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
-        for name in table.attrs["gains"].split():
-            values = np.unique(np.round(point[name].values.ravel(), 12))
-            row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
-        row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
-        for name in SHOWN:
-            holds = (point["detached_limb"] < 0) & ~point["diverged"].astype(bool)
-            each = zip(point["walk"].values.tolist(), point[name].values.tolist(), holds.values, strict=True)
-            row[name] = {walk: value if held else None for walk, value, held in each}
-        row[retuned_pd.NAME] = {name: float(point[f"retuned_{name}"]) for name in ("kp", "kd", "value")}
-        result.append(row)
-    return result
-
-
-def to_csv(table: xr.Dataset) -> str:
-    """Return the schedule as CSV: one line per operating point, a column per number of each gain."""
-    lines = []
-    for g, c in np.ndindex(table["value"].shape):
-        point = table.isel(gravity=g, cargo=c)
-        cells = {"gravity_G": point["gravity"], "cargo_kg": point["cargo"]}
-        for name in table.attrs["gains"].split():
-            labels = [point[dim].values for dim in point[name].dims]
-            for place in np.ndindex(point[name].shape):
-                axes = (str(label[number]) for label, number in zip(labels, place, strict=True))
-                cells["_".join([name, *axes])] = point[name][place]
-        cells["feasible"] = point["feasible"]
-        cells |= {f"{name}_{walk}": point[name].sel(walk=walk) for name in SHOWN for walk in table["walk"].values}
-        lines.append(",".join(f"{float(value):.6g}" for value in cells.values()))
-    return "\n".join([",".join(cells), *lines]) + "\n"
-
-
-def to_yaml(table: xr.Dataset) -> str:
-    """Return the schedule as YAML: a list of operating points with their gains."""
-    return yaml.safe_dump({"operating_points": rows(table)}, sort_keys=False, default_flow_style=None, width=110)

@@ -53,7 +53,8 @@ def sweep(
 ) -> Swept:
     """Simulate a grid of two gains, the same on all axes of one walk.
 
-    `sweep(scenario, {"stiffness": k, "damping": d}, out="results/mine").write("results/mine")` is `mjx-climb sweep`.
+    `tuning.write(tuning.sweep(scenario, {"stiffness": k, "damping": d}, out="results/mine"), "results/mine")` is
+    `mjx-climb sweep`.
 
     Arguments:
         scenario: what walks where.

@@ -47,7 +47,7 @@ def tune(
 ) -> Tuned:
     """Search the gains of a control law.
 
-    `tune(scenario, space="diagonal", out="results/mine").write("results/mine")` is `mjx-climb tune`.
+    `tuning.write(tuning.tune(scenario, space="diagonal", out="results/mine"), "results/mine")` is `mjx-climb tune`.
 
     Arguments:
         scenario: what walks where.
@@ -103,7 +103,8 @@ def robust(
 
     Where no weights are given, those of a plain search and the peak pulling force count alike. `judges` is how many
     walks of a fresh draw test the result.
-    `robust(scenario, ensemble, out="results/mine").write("results/mine")` is `mjx-climb tune --ensemble`.
+    `tuning.write(tuning.robust(scenario, ensemble, out="results/mine"), "results/mine")` is
+    `mjx-climb tune --ensemble`.
     """
     walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine}
     wanted = over_ensemble(search, settings, ensemble)

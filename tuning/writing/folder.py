@@ -1,139 +1,106 @@
-"""The folder of a result: the one place that knows what it holds, and that writes it."""
+"""The folder of a result: what it is to hold is drawn and written, and appears there together."""
 
+import contextlib
 import dataclasses
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import xarray as xr
 
-from mjx_climb.control import law_of
+import mjx_climb as mc
 from mjx_climb.files import dataset
+from mjx_climb.viz import plots
 from tuning.background import Stage, silent
-from tuning.gains import gains_file
-from tuning.methods import parts
 from tuning.pages import page
+from tuning.pages.contents import Contents, Files, Picture, Written
 from tuning.pages.page import Origin, Page
 from tuning.results.config_file import write_config
-from tuning.results.result import Result, Written
-from tuning.writing.record import RESULTS
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_Found = TypeVar("_Found", bound=Result)
-Pictures = Mapping[str, tuple[str, "Callable[[], Figure]"]]  # by name: caption, and what draws it
-
-_WITHOUT_PARTS = ("trajectory.nc", "margins.json", "reproduce.json", "excitation.csv", "replay.json")
+from tuning.writing.record import Settings, at_home, whole
 
 
-class Contents(NamedTuple):
-    """What a kind of result leaves in its folder beside what was asked for, its gains and its data."""
+def write(
+    made: Contents,
+    folder: Path,
+    call: str,
+    *,
+    origin: Origin | None = None,
+    figures: Collection[str] = ("png",),
+    stage: Stage = silent,
+    settings: Settings | None = None,
+    finished: bool = True,
+) -> Written:
+    """Write a result, in place of an earlier one, and return what is told of it, with the names of the files.
 
-    written: Written
-    files: Mapping[str, str | xr.Dataset] = MappingProxyType({})  # by name
-    pictures: Pictures = MappingProxyType({})
-    page: Callable[[Origin], Page] | None = None
-    again: str = ""  # the command or call that repeats it in the folder
-
-
-@dataclasses.dataclass
-class Folder:
-    """A folder that a result is written to, and what has been written there; OutputError where it cannot be.
-
-    The files may be written elsewhere first, to appear together: see `tuning.writing.record.whole`.
-    """
-
-    path: Path
-    result: str  # the file by which it is known
-    origin: Origin | None = None  # this and the rest are as of `Result.write`
-    figures: Collection[str] = ("png",)
-    stage: Stage = silent
-    kept: Path | None = None  # where rounds are kept, and where the files will be; `path` where None
-
-    def __post_init__(self) -> None:
-        self.kept = self.kept or self.path
-        check_own(self.kept, self.result)
-        self._pictures: dict[str, Path] = {}  # PNG by caption
-        self._files: list[str] = []
-
-    def write(self, found: Result, begun: Any = None) -> Written:
-        """Write a result as its kind declares it, and say what was written."""
-        from tuning.writing import contents as results  # which imports matplotlib
-
-        made: Contents = getattr(results, found.KIND)(found, self, begun)
-        return dataclasses.replace(made.written, files=self.fill(made, f"tuning.{found.KIND}(...)"))
-
-    def fill(self, made: Contents, call: str) -> str:
-        """Write what is declared, the page last, and return the names of the files; `call` made it.
-
-        The folder has its config.yaml already.
-        """
-        for name, content in made.files.items():
-            self.add(name, content)
-        self.draw(made.pictures)
-        if made.page is not None:
-            with self.stage("report", compiles=False):
-                origin = self.origin or Origin("the scenario", call, made.again or call)
-                config = without_folders((self.path / "config.yaml").read_text(encoding="utf-8"))
-                named = page.write(made.page(origin._replace(config=config, pictures=self._pictures)), self.path).name
-                self._files.insert(0, named)
-        return ", ".join(dict.fromkeys([*self._files, "config.yaml"]))
-
-    def found(self, found: _Found) -> _Found:
-        """Write what was asked for, gains and data; return the result of the scenario with its files copied here."""
-        problem = found.problem
-        scenario = write_config(problem.scenario, self.path, problem.law, problem.metrics, problem.own_objective)
-        if found.gains is not None and found.search is not None:
-            name = "from Python" if self.origin is None else self.origin.name
-            gains, law = gains_file.completed(scenario, found.gains), problem.law or law_of(scenario)
-            gains_file.save(gains, self.path / "gains.yaml", found.comment(name), law)
-            self._files.append("gains.yaml")
-        data = found.data.assign_attrs(scenario=scenario.to_yaml())
-        self.add(self.result, data)
-        for name, settings in (("search.yaml", found.search), ("ensemble.yaml", found.ensemble)):
-            if settings is not None:
-                self.add(name, settings.to_yaml())
-        return dataclasses.replace(found, data=data, problem=dataclasses.replace(problem, scenario=scenario))
-
-    def add(self, name: str, content: str | xr.Dataset) -> None:
-        """Write a text or a dataset."""
-        if isinstance(content, str):
-            dataset.write_text_atomically(self.path / name, content)
-        else:
-            dataset.save(content, self.path / name)
-        self._files.append(name)
-
-    def draw(self, pictures: Pictures) -> None:
-        """Draw pictures into files of all formats that are wanted."""
-        if not pictures:
-            return
-        from mjx_climb.viz import plots  # which imports matplotlib
-
-        with self.stage("drawing", compiles=False):
-            for name, (caption, picture) in pictures.items():
-                plots.save_figure(picture(), self.path / name, {"png", *self.figures})
-                self._pictures[caption] = self.path / f"{name}.png"
-                self._files.append(f"{name}.png")
-
-
-def check_own(folder: Path, result: str) -> None:
-    """Check, before a long computation, that a folder can be written to and holds no other command's result.
-
-    Commands write files of the same names: config.yaml would be another's than the report's beside it.
+    Arguments:
+        made: what the folder is to hold.
+        folder: where to; it is made.
+        call: what made the result.
+        origin: what the report says of where it comes from.
+        figures: formats of the pictures, of `mjx_climb.viz.plots.FORMATS`; reports hold them as PNG anyway.
+        stage: opened for each longer work, see `tuning.background.Stage`.
+        settings: what a command was asked for, by which it knows its folder again.
+        finished: whether what is kept there of unfinished work is removed.
 
     Raises:
-        OutputError: it cannot, or does.
+        OutputError: a file cannot be written.
     """
-    dataset.check_folder(folder)
-    kept = (parts.FOLDER,) if result in _WITHOUT_PARTS else ()
-    there = next((name for name in (*kept, *RESULTS) if (folder / name).exists()), result)
-    if there != result:
-        raise dataset.OutputError(
-            f"{folder}: expected a folder without another command's result, got {there} in it (choose another folder)"
-        )
+    problem, told = made.problem, made.written
+    with whole(folder, settings, finished=finished) as place:
+        copied = write_config(problem.scenario, place, problem.law, problem.metrics, problem.own_objective)
+        files = {
+            name: _naming(each, copied) if isinstance(each, xr.Dataset) else each for name, each in made.files.items()
+        }
+        where = origin or Origin("the scenario", call, made.again or call)
+        names = fill(place, files, made.page, where, figures, stage)
+    copied = at_home(copied, place, folder)
+    walks = {
+        name: dataclasses.replace(walk, scenario=_beside(walk.scenario, copied)) for name, walk in told.walks.items()
+    }
+    data = None if told.data is None else _naming(told.data, copied)
+    return dataclasses.replace(told, files=names, walks=walks, data=data)
+
+
+def fill(
+    place: Path,
+    files: Files,
+    report: Callable[[Origin], Page] | None,
+    origin: Origin,
+    figures: Collection[str] = ("png",),
+    stage: Stage = silent,
+) -> str:
+    """Write files, pictures and the page beside a config.yaml that is there, and return their names."""
+    pictures, names = {}, []
+    drawing = any(isinstance(content, Picture) for content in files.values())
+    with stage("drawing", compiles=False) if drawing else contextlib.nullcontext():
+        for name, content in files.items():
+            if isinstance(content, str):
+                dataset.write_text_atomically(place / name, content)
+            elif isinstance(content, Picture):
+                plots.save_figure(content.draw(), place / name, {"png", *figures})
+                name = f"{name}.png"
+                pictures[content.caption] = place / name
+            else:
+                dataset.save(content, place / name)
+            names.append(name)
+    if report is not None:
+        with stage("report", compiles=False):
+            config = without_folders((place / "config.yaml").read_text(encoding="utf-8"))
+            made = page.write(report(origin._replace(config=config, pictures=pictures)), place)
+            names.insert(0, made.name)
+    return ", ".join([*names, "config.yaml"])
+
+
+def _beside(scenario: mc.Scenario, copied: mc.Scenario) -> mc.Scenario:
+    """Return a scenario that names the copies of its files, as that of the folder does."""
+    return scenario.model_copy(update={name: getattr(copied, name) for name in ("robot", "ground", "own")})
+
+
+def _naming(data: xr.Dataset, copied: mc.Scenario) -> xr.Dataset:
+    """Return data of a scenario that names the copies of its files; as they are where they tell of no scenario."""
+    if "scenario" not in data.attrs:
+        return data
+    return data.assign_attrs(scenario=_beside(dataset.scenario_of(data), copied).to_yaml())
 
 
 def without_folders(text: str) -> str:

@@ -19,18 +19,13 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.execution.contents import Unidentifiable
-from mjx_climb.files.dataset import OutputError, write_text_atomically
+from mjx_climb.files.dataset import OutputError, check_folder, write_text_atomically
 from tuning.methods import parts
 from tuning.problem.evaluation import Problem
+from tuning.results.result import RESULTS, WITHOUT_PARTS
 
 FILE = "settings.json"
 _OF_THE_MACHINE = ("versions", "platform", "batch_size")  # of an identity: how it is computed, not what is asked
-
-# by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
-RESULTS = (
-    "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json",
-    "excitation.csv", "replay.json", "result.json", "compared.nc", "judged.nc",
-)  # fmt: skip
 
 Settings = Mapping[str, Any]
 
@@ -112,6 +107,23 @@ def check(folder: Path, settings: Settings | None) -> None:
         )
 
 
+def check_own(folder: Path, result: str) -> None:
+    """Check, before a long computation, that a folder can be written to and holds no other command's result.
+
+    Commands write files of the same names: config.yaml would be another's than the report's beside it.
+
+    Raises:
+        OutputError: it cannot, or does.
+    """
+    check_folder(folder)
+    kept = (parts.FOLDER,) if result in WITHOUT_PARTS else ()
+    there = next((name for name in (*kept, *RESULTS) if (folder / name).exists()), result)
+    if there != result:
+        raise OutputError(
+            f"{folder}: expected a folder without another command's result, got {there} in it (choose another folder)"
+        )
+
+
 def own_folder(base: Path, settings: Settings, *, varied: bool = False) -> Path:
     """Return a folder that belongs to some settings: `base`, or where that is another run's, one with their digest.
 
@@ -143,7 +155,8 @@ def whole(folder: Path, settings: Settings | None = None, *, finished: bool = Tr
         files = tuple(sorted(f.relative_to(place).as_posix() for f in place.rglob("*") if not f.is_dir()))
         with _refused(folder):
             if target.is_dir():
-                _replace(place, target, Record(settings, files, finished))
+                with _alone(target):
+                    _replace(place, target, Record(settings, files, finished))
             else:
                 _write(place, Record(settings, files, finished))
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -174,6 +187,22 @@ def _refused(folder: Path) -> Iterator[None]:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise OutputError(f"{folder}: expected a folder that can be written to, got {reason}") from None
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Wait until no other process replaces the files of a folder; of one that is killed the system lets go."""
+    try:
+        import fcntl
+    except ModuleNotFoundError:  # Windows has none
+        yield
+        return
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(held)
 
 
 def _replace(place: Path, target: Path, record: Record) -> None:

@@ -24,7 +24,7 @@ from tuning import numbers
 from tuning.command_line import main, options, searches, session
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
-from tuning.comparisons import begun as comparisons
+from tuning.comparisons import of_sweep
 from tuning.gains import gains_file
 from tuning.identification.readers import read_log
 from tuning.pages import page
@@ -264,7 +264,7 @@ def test_engine_and_batch_size_reach_the_rollouts(command, engine, files, monkey
 
     for name in ("rollout", "rollout_metrics", "rollout_histories"):
         monkeypatch.setattr(mc, name, rollout)
-    monkeypatch.setattr(comparisons, "of_grid", lambda *_: None)
+    monkeypatch.setattr(of_sweep, "begin", lambda *_: None)
     name, *options = command.format(files=files).split()
     with pytest.raises(_Called):
         main([name, CONFIG, *options, "--engine", engine, "--out", str(tmp_path / "out")])
@@ -315,7 +315,7 @@ from mjx_climb.viz import plots
 plots.save_figure = lambda figure, stem, _: stem.with_suffix(".png").write_bytes(b"")
 axes = {{"stiffness": np.geomspace(1e3, 1e5, 3), "damping": np.geomspace(1e2, 1e3, 2)}}
 found = tuning.sweep(mc.load_scenario({CONFIG!r}, ["duration=0.3"]), axes, batch_size=4, out=sys.argv[1])
-print(found.write(sys.argv[1]).summary)
+print(tuning.write(found, sys.argv[1]).summary)
 """
 
 
@@ -385,7 +385,7 @@ def test_a_long_sweep_says_before_how_long_it_takes(count, said, monkeypatch, ca
         raise _Called
 
     monkeypatch.setattr(devices, "usable_cores", lambda: 2)
-    monkeypatch.setattr(comparisons, "of_grid", lambda *_: None)
+    monkeypatch.setattr(of_sweep, "begin", lambda *_: None)
     monkeypatch.setattr(Rows, "walk", walk)
     monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices(backend="cpu"))
     with pytest.raises(_Called):

@@ -27,7 +27,7 @@ def valid_input_stops_here(monkeypatch):
 
     for name in (
         "mjx_climb.rollout", "mjx_climb.rollout_metrics", "mjx_climb.rollout_histories",
-        "tuning.comparisons.begun.of_grid", "tuning.problem.evaluation.baseline", "tuning.problem.evaluation.pd_of",
+        "tuning.comparisons.of_sweep.begin", "tuning.problem.evaluation.baseline", "tuning.problem.evaluation.pd_of",
         "tuning.searches.schedule.pd_of", "tuning.comparisons.deployment.check", "tuning.benchmarks.measure.measure",
         "tuning.command_line.machine.examine", "tuning.identification.plan.excitation.chosen",
         "tuning.identification.model.replay.simulate", "tuning.identification.fit.identify.model_of",

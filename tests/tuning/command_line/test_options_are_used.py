@@ -3,11 +3,11 @@
 import contextlib
 import dataclasses
 import functools
+import importlib
 import io
 import re
 from collections import defaultdict
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
@@ -45,23 +45,25 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.comparisons.margins": "find warnings",
     "tuning.identification.plan.excitation": "chosen set_up",
     "tuning.identification.fit.identify": "identify",
-    "tuning.identification.fit.output": "table",
+    "tuning.identification.fit.output": "table write",
     "tuning.identification.readers": "read_log",
     "tuning.identification.model.replay": "prepare simulate",
     "tuning.identification.model.replay_picture": "plot_replay",
-    "tuning.comparisons.begun": "load_tests of_grid of_search",
-    "tuning.identification.plan.output": "limits notes summary table",
+    "tuning.comparisons.of_search": "begin load_tests",
+    "tuning.comparisons.of_sweep": "begin",
+    "tuning.kinds": "write write_found",
+    "tuning.identification.plan.output": "limits notes summary table write",
     "tuning.results.config_file": "write_config",
-    "tuning.writing.redrawn": "figures",
+    "tuning.pages.redrawn": "figures",
     "tuning.numbers": "ahead_of number to_json",
     "tuning.pages.page": "write",
-    "tuning.pages.sections": "front_table summed_table",
-    "tuning.pages.pictures": "plot_margins",
+    "tuning.pages.margins": "plot_margins",
+    "tuning.pages.schedule": "rows",
     "tuning.reproduce.results": "as_json as_markdown overall page reproduced sentences tables",
     "tuning.comparisons.compare": "problem_of run",
     "tuning.comparisons.judge": "Draw.result",
     "tuning.searches.pareto": "problem_of run",
-    "tuning.searches.schedule": "operating_points rows run",
+    "tuning.searches.schedule": "operating_points run",
     "tuning.comparisons.merge": "merged",
     "tuning.searches.shards": "Rows find home",
     "tuning.searches.sweep": "Grid.result",
@@ -203,13 +205,9 @@ PLACED = {  # arguments and required options in place of those of the line
 class Found:
     """A result that is written to nowhere."""
 
-    record: Any
     judges: int | None = None
     interrupted = False
     data = problem = search = knee = MagicMock()
-
-    def write(self, *arguments, **how):
-        return self.record(self.judges, *arguments, **how)
 
 
 @pytest.fixture(scope="module")
@@ -239,6 +237,8 @@ def traced(monkeypatch, tmp_path, folder):
     """Return a function that runs a command: all that it asks for, prints and ends with, in one text."""
     monkeypatch.chdir(tmp_path)
     calls = MagicMock()
+    for module in RECORDED:  # before any is patched: what they import by name stays as it is
+        importlib.import_module(module)
     for module, names in RECORDED.items():
         for name in names.split():
             monkeypatch.setattr(f"{module}.{name}", getattr(calls, f"{module}.{name}".replace(".", "_")))
@@ -247,10 +247,10 @@ def traced(monkeypatch, tmp_path, folder):
     monkeypatch.setattr("tuning.writing.record.settings_of", lambda *_, **__: {})
     monkeypatch.setattr("tuning.writing.record.own_folder", lambda *_, **__: tmp_path / "out")
     monkeypatch.setattr("tuning.writing.record.walks_at_home", lambda walks, *_: walks)
-    scenario, found = mc.load_scenario(CONFIG), Found(calls.write)
+    scenario, found = mc.load_scenario(CONFIG), Found()
     log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.force.x": ()}, source="log.csv")
     returned = {
-        "write": SimpleNamespace(summed=1, outcome=(), files="files", summary="{}"),
+        "tuning_kinds_write": SimpleNamespace(tables=(1,), outcome=(), files="files", summary="{}"),
         "mjx_climb_metrics": dict.fromkeys(mc.METRICS.names, 1.0) | {"detached_limb": None, "diverged": False},
         "mjx_climb_inputs_time_step_largest_time_step": 0.001,
         "mjx_climb_viz_rendering_save_image": "picture",
@@ -270,7 +270,7 @@ def traced(monkeypatch, tmp_path, folder):
         "tuning_comparisons_margins_warnings": [],
         "tuning_identification_readers_read_log": log,
         "tuning_results_config_file_write_config": scenario,
-        "tuning_writing_redrawn_figures": [("map", calls.figure)],
+        "tuning_pages_redrawn_figures": [("map", calls.figure)],
         "tuning_numbers_number": "1",
         "tuning_numbers_to_json": "{}",
         "tuning_reproduce_results_as_markdown": "",

@@ -9,7 +9,7 @@ from PIL import Image
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from tuning.writing import redrawn
+from tuning.pages import redrawn
 
 
 @pytest.fixture

@@ -82,7 +82,7 @@ def from_python(search, folder):
 @pytest.mark.parametrize("search", ["pareto", "schedule", "ensemble"])
 def test_a_search_from_python_writes_what_the_command_writes(search, quiet, tmp_path):
     found = from_python(search, tmp_path)
-    found.write(tmp_path)
+    tuning.write(found, tmp_path)
     shell = quiet(search)
     assert {file.name for file in tmp_path.iterdir()} == {file.name for file in shell.iterdir()} - {"printed.json"}
     for file in tmp_path.glob("*.nc"):

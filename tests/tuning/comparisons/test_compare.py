@@ -282,7 +282,7 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     found = run(tmp_path)
     assert made_up.count((2, 8)) == in_all - 7
     xr.testing.assert_identical(found.data, whole.data)
-    written = found.write(tmp_path)
+    written = tuning.write(found, tmp_path)
     assert not (tmp_path / "parts").exists()
     assert " is better than retuned pd, by " in written.outcome[-1]
     assert found.laws == ["base_admittance", "Shared"] and found.hardware == list(compare.HARDWARE)

@@ -6,7 +6,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.inputs.time_step import short_enough
 from tuning.background import ignore
-from tuning.comparisons import begun as comparisons
+from tuning.comparisons import side_by_side
 from tuning.comparisons.worth import worth_of
 from tuning.searches import retuned_pd
 
@@ -127,7 +127,7 @@ def test_all_that_is_compared_with_pd_walks_at_the_time_step_that_it_needs(kd, e
     monkeypatch.setattr(mc, "rollout", lambda scenario, **_: scenario.time_step)
     walkers = {"best": (CASE, None), "pd": (CASE.with_overrides({"control.controller": "pd"}), None)}
     joint = {"kp": 17.0, "kd": kd}
-    own, step, level = comparisons.beside_retuned(CASE, joint, walkers, "limb", lambda work: work)
+    own, step, level = side_by_side.beside_retuned(CASE, joint, walkers, "limb", lambda work: work)
     assert step == expected and own(ignore) == (step or CASE.time_step)
     assert {name: walk(ignore) for name, walk in level.items()} == (
         {} if step is None else dict.fromkeys(walkers, step)

@@ -141,7 +141,7 @@ def test_information_is_that_of_central_differences_in_mujoco():
 
 @pytest.mark.slow
 def test_what_is_written_is_read_back(found, tmp_path):
-    names = found.write(tmp_path / "a").split(", ")
+    names = tuning.write(found, tmp_path / "a").files.split(", ")
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted([*names, "settings.json"])
     log = read_log(tmp_path / "a" / "excitation.csv", ROBOT)
     assert set(log.signals) == {*(f"{joint}.command" for joint in JOINTS), "control.kp", "torque_off"}

@@ -338,7 +338,7 @@ def test_what_a_log_with_the_torque_off_or_a_p_gain_of_nothing_cannot_tell_keeps
     assert not any(each.seen for each in found.estimates.values())
     assert found.known.keys() <= {"control.kp", "control.kd", "hardware.command_delay"}
     assert any("control.kp is 0 all the while" in line for line in found.warnings)
-    found.write(tmp_path / "out")
+    tuning.write(found, tmp_path / "out")
     written = mc.load_scenario(tmp_path / "out" / "identified.yaml")
     assert written.hardware.servo.armature == SCENARIO.hardware.servo.armature
 
@@ -433,7 +433,7 @@ def test_a_fit_that_is_interrupted_goes_on_where_it_stopped_and_ends_alike(tmp_p
     np.testing.assert_array_equal(found.posterior.covariance, whole.posterior.covariance)
     with pytest.raises(mc.files.dataset.OutputError, match="another that differs in starts"):
         tuning.identify(scenario, log, fit, starts=3, out=tmp_path)
-    found.write(tmp_path)
+    tuning.write(found, tmp_path)
     made = json.loads((tmp_path / "result.json").read_text())
     assert made["log_sha256"] == log.digest and made["provenance"]["jax_version"]
     assert "tuning.identify" in made["command"]

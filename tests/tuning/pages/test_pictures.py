@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tuning.pages import pictures
+from tuning.pages.laws import plot_laws
+from tuning.pages.pareto import plot_front
+from tuning.pages.schedule import plot_schedule
 
 AXES = ("gravity", "cargo")
 
@@ -51,7 +53,7 @@ def numbers_of(axis):
     ("gravity", "spread"), [([1e-6, 1e-2, 1 / 6, 0.38, 1.0], 1.0), ([1 / 6, 1.0], 2e4), ([1 / 6], 1.0)], ids=str
 )
 def test_words_and_numbers_of_a_schedule_do_not_collide(gravity, spread):
-    figure = pictures.plot_schedule(schedule_over(gravity, spread))
+    figure = plot_schedule(schedule_over(gravity, spread))
     figure.draw_without_rendering()
     below = figure.axes[-1]
     for axis in (below.xaxis, *(panel.yaxis for panel in figure.axes)):
@@ -77,7 +79,7 @@ def test_the_whole_front_of_pd_is_on_the_picture_of_a_front():
     }
     attributes = {"against": "base_deviation", "better": "force_variation"}
     front = xr.Dataset(data, {"reference": ["config", "pd"]}, attributes)
-    (panel,) = pictures.plot_front(front).axes
+    (panel,) = plot_front(front).axes
     (left, right), (bottom, top) = panel.get_xlim(), panel.get_ylim()
     for line in panel.lines:
         if line.get_label() != "walked":
@@ -97,6 +99,6 @@ def test_no_panel_of_a_comparison_of_laws_is_empty():
     data = {name: (dims, shift + change) for name, shift in {"difference": 0.0, "low": -0.02, "high": 0.02}.items()}
     data |= {"value": (dims, value), "real": (dims, change < 0), "larger_is_better": ("metric", [False] * 4)}
     coordinates = {"metric": metrics, "statistic": ["mean", "worst"], "gains": names}
-    figure = pictures.plot_laws(xr.Dataset(data, coordinates, {"baseline": "retuned_pd"}))
+    figure = plot_laws(xr.Dataset(data, coordinates, {"baseline": "retuned_pd"}))
     shown = [panel.get_title(loc="left") for panel in figure.axes if panel.get_visible()]
     assert shown == ["objective", "force variation"]

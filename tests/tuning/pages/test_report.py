@@ -14,14 +14,18 @@ from mjx_climb.walks import LINES, histories
 from tests.shell import finish
 from tuning import numbers
 from tuning.comparisons import verification
-from tuning.pages import comparison, explorer, page, pictures
-from tuning.pages import sections as pages
+from tuning.comparisons.of_ensemble import SHOWN
+from tuning.comparisons.of_front import FrontComparison
+from tuning.comparisons.of_search import TuneComparison
+from tuning.comparisons.of_sweep import SweepComparison
+from tuning.comparisons.side_by_side import differences
+from tuning.comparisons.worth import of_front
+from tuning.pages import comparison, explorer, judge, page, pareto, sweep, tune
 from tuning.problem.evaluation import Problem
 from tuning.results import front as fronts
 from tuning.results import tuned
 from tuning.results.front import Front
-from tuning.searches import pareto
-from tuning.writing import contents as results
+from tuning.searches.pareto import nondominated
 from tuning.writing.folder import without_folders
 
 CONFIG = "duration: 0.3\ngravity: [0.0, 0.0, -1.635]\ndisturbance: {cargo: {mass: 1.0, start: 0.05}}\n"
@@ -185,7 +189,7 @@ def test_the_front_is_what_nothing_beats(opened, swept):
     flat = swept[1].stack(cell=("stiffness", "damping"), create_index=False)
     held = np.flatnonzero((flat["detached_limb"] < 0) & (flat["diverged"] == 0))
     x, y = (flat[name].values[held] for name in ("base_deviation", "force_variation"))
-    assert drawn == held[pareto.nondominated(x, y)].tolist()
+    assert drawn == held[nondominated(x, y)].tolist()
 
 
 @pytest.mark.slow
@@ -253,9 +257,9 @@ def test_each_column_holds_the_walk_that_its_header_names():
     assert gains == {"metric": "stiffness", "unit": "N/m", "best": "20", "config": "40", "pd": "80", **changes}
 
     scores = np.array([[2.0, 3.0], [4.0, 5.0], [8.0, 9.0]])
-    data = {name: (("gains", "statistic"), scores) for name in pages.SHOWN} | {"objective": ("gains", scores[:, 0])}
+    data = {name: (("gains", "statistic"), scores) for name in SHOWN} | {"objective": ("gains", scores[:, 0])}
     summed = xr.Dataset(data, {"gains": [*values], "statistic": ["mean", "worst"]}, {"worst_share": 0.2})
-    (score,), (variation, worst), *_ = rows_of(pages.judged_table(summed))
+    (score,), (variation, worst), *_ = rows_of(judge.judged_table(summed))
     del told["vs pd %"]
     assert score == {"metric": "objective", "unit": "", "of the members": "mean and worst", **told}
     assert variation == {"metric": "force variation", "unit": "N", "of the members": "mean", **told}
@@ -279,9 +283,9 @@ def tuned_page(named):
     data = xr.Dataset({name: ("point", [value]) for name, value in point.items()})
 
     def made(over, **changed):
-        compared = results.TuneComparison(walks, rows, over, None, CHECKED, None)
+        compared = TuneComparison(walks, rows, over, None, CHECKED, None)
         found = tuned.Tuned(data, Problem(scenario), gains=mc.Gains(**gains | changed))
-        return pages.tune_page(found, compared, ["a line"], ["a test"], ORIGIN)
+        return tune.page_of(found, compared, ["a line"], ["a test"], ORIGIN)
 
     return made
 
@@ -342,9 +346,9 @@ def test_the_page_of_a_sweep_says_which_walk_is_best(held):
     best = grid.isel(stiffness=1, damping=0) if held else None
     scenario = mc.Scenario().with_overrides({"duration": 0.3, "control.controller": "pd"})
     walks = dict.fromkeys(rows, mc.rollout(scenario))
-    compared = results.SweepComparison(grid, best, walks, rows, 1, [], None)
     lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))
-    made = pages.sweep_page(Problem(scenario), compared, lines, {}, ["widen it"], ORIGIN)
+    compared = SweepComparison(grid, best, walks, rows, 1, [], None, None, lines)
+    made = sweep.page_of(Problem(scenario), compared, ["widen it"], ORIGIN)
     expected = []
     if held:
         expected = ["1 of the 4 walks lost a gripper or diverged.", "Worse than pd: base deviation +100 %."]
@@ -371,7 +375,9 @@ def test_the_page_of_a_front(swept, named):
     without |= {"without_kp": [30.0, 10.0], "without_kd": [0.5, 0.25]}
     front = front.assign({name: ("without", np.array(values)) for name, values in without.items()})
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
-    made = pages.pareto_page(Front(front, Problem(named[0])), kept, named[1], ORIGIN)
+    found = Front(front, Problem(named[0]))
+    compared = FrontComparison(named[1], kept, of_front(found))
+    made = pareto.page_of(found, compared, pareto.front_table(front, bend, found.asked.points), ORIGIN)
     assert "The front of 9 points bends at" in page.render(made)
     assert made.notes[0].endswith(", at no more base deviation.")
     (_, on), (_, below) = made.tables[0].sections
@@ -428,17 +434,17 @@ def test_what_failed_says_so_and_nothing_is_compared_with_it():
     assert [limb[name] for name in walks] == ["-", "LF", "LF", "-"]
     assert (at["flown"], gone["gone"]) == ("0.06", "yes")
     assert comparison.against("force_variation", "best", walks) == "50 N"
-    assert comparison.differences(held, torn) == ([], [])
-    assert comparison.differences(held | {"force_variation": 60.0}, held)[0]
+    assert differences(held, torn) == ([], [])
+    assert differences(held | {"force_variation": 60.0}, held)[0]
 
 
 def test_words_say_which_way_metrics_went():
     forces = {name: {"peak_foot_force": force} for name, force in {"best": 3.0, "pd": 4.0, "paper": None}.items()}
     assert comparison.against("peak_foot_force", "best", forces) == "3 N, 25.0 % below pd"
     metrics, baseline = {"force_variation": 1.0, "base_deviation": 2.0}, {"force_variation": 2.0, "base_deviation": 1.0}
-    worse, better = comparison.differences(metrics, baseline)
+    worse, better = differences(metrics, baseline)
     assert (worse, better) == (["base deviation +100 %"], ["force variation -50.0 %"])
-    assert comparison.differences(metrics, baseline, but=("force_variation",)) == (worse, [])
+    assert differences(metrics, baseline, but=("force_variation",)) == (worse, [])
 
 
 @pytest.mark.parametrize(
@@ -457,11 +463,11 @@ def test_words_say_which_way_metrics_went():
     ],
 )
 def test_whatever_differs_by_more_than_two_per_cent_is_named(name, value, base, worse, better):
-    assert comparison.differences({name: value}, {name: base}) == (worse, better)
+    assert differences({name: value}, {name: base}) == (worse, better)
 
 
 def test_of_rounds_of_many_points_the_best_is_drawn():
-    many, few = pictures.CROWD + 1, 3
+    many, few = tune.CROWD + 1, 3
     rounds = np.repeat([0, 1, 2, 3], [few, many, many, many])
     value, penalty = np.full(rounds.size, 2.0), np.zeros(rounds.size)
     value[few + 5], value[few + many + 7], value[few + many + 8] = 1.0, 0.5, np.nan
@@ -469,10 +475,10 @@ def test_of_rounds_of_many_points_the_best_is_drawn():
     value[few + 6], penalty[few + 6] = 0.1, 9.0  # beyond a limit
     history = xr.Dataset({"round": ("point", rounds), "value": ("point", value), "penalty": ("point", penalty)})
     # so that the map below is seen
-    assert pictures.best_of_crowds(history).tolist() == [few + 5, few + many + 7]
-    assert pictures.crowded(history).tolist() == [False] * few + [True] * 3 * many
+    assert tune.best_of_crowds(history).tolist() == [few + 5, few + many + 7]
+    assert tune.crowded(history).tolist() == [False] * few + [True] * 3 * many
     few_points = history.isel(point=slice(0, few))
-    assert not pictures.best_of_crowds(few_points).size and not pictures.crowded(few_points).any()
+    assert not tune.best_of_crowds(few_points).size and not tune.crowded(few_points).any()
 
 
 JUMPY, MEASURED = {"gait.swing": "low_reaction"}, {"control.reading": "measured_pose"}

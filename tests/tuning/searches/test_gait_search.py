@@ -14,6 +14,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.comparisons.judge import draw_of, judge, read_asked
 from tuning.comparisons.worth import worth_of
 from tuning.gains import gains_file
+from tuning.kinds import write_found
 from tuning.problem import spaces
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
@@ -107,7 +108,7 @@ def found():
 @pytest.mark.slow
 def test_pd_with_its_gait_retuned_is_better_and_walks_again_from_its_file(found, tmp_path, call):
     assert found.value < 0.9 and found.feasible
-    found.write_found(tmp_path)
+    write_found(found, tmp_path)
     text = yaml.safe_load((tmp_path / "gains.yaml").read_text())
     assert text["law"] == "PD" and set(text) == {"law", "kp", "kd", "gait"}
     assert set(text["gait"]) == {key.removeprefix("gait.") for key in gait_values.GAIT}

@@ -10,8 +10,7 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.shipped import config_path
 from tuning.gains.own_section import load_law
-from tuning.pages import pictures
-from tuning.pages.sections import front_table
+from tuning.pages.pareto import front_table, plot_front
 from tuning.problem import spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
@@ -141,4 +140,4 @@ def test_front_and_resume(few, tmp_path, stop):
     for name in ("theta", "walked_force_variation", "force_variation", "stiffness"):
         np.testing.assert_array_equal(resumed[name], whole[name])
     dataset.save(whole, tmp_path / "front.nc")
-    assert pictures.plot_front(dataset.load(tmp_path / "front.nc")).axes
+    assert plot_front(dataset.load(tmp_path / "front.nc")).axes

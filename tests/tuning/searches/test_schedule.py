@@ -15,7 +15,8 @@ from mjx_climb.files.dataset import OutputError
 from mjx_climb.scenario.shipped import config_path
 from tuning.comparisons.worth import of_schedule
 from tuning.gains.own_section import load_law
-from tuning.pages import pictures
+from tuning.pages import schedule as pages
+from tuning.pages.schedule import plot_schedule
 from tuning.problem.search import Schedule, Search
 from tuning.results.scheduled import lookup
 from tuning.searches import schedule
@@ -79,9 +80,9 @@ def test_a_schedule_of_a_law_of_ones_own(scenario, few):
     alone = mc.metrics(mc.rollout(there, lookup(table, 1.0, 1.0), law=law))
     tuned = table["force_variation"].sel(walk="tuned", gravity=1.0, cargo=1.0).item()
     assert tuned == pytest.approx(alone["force_variation"], rel=1e-6)
-    [head, *_] = schedule.to_csv(table).splitlines()
+    [head, *_] = pages.to_csv(table).splitlines()
     assert "cutoff_rz" in head and ",share," in head
-    assert pictures.plot_schedule(table).axes
+    assert plot_schedule(table).axes
 
 
 @pytest.mark.parametrize("other", [{"gravity": (0.5,)}, {"cargo": (0.5,)}])
@@ -112,10 +113,10 @@ def test_one_for_all():
     dims = ("gravity", "cargo")
     data = {"value": (dims, value), "transfer": ((*dims, "gravity_of", "cargo_of"), transfer)}
     table = xr.Dataset(data, {"gravity": [1.0], "cargo": [0.0, 2.0]})
-    assert schedule.one_for_all(table) == (1.0, 2.0, pytest.approx(0.2))
+    assert pages.one_for_all(table) == (1.0, 2.0, pytest.approx(0.2))
     table["transfer"][0, 0, 0, 1] = np.nan
-    assert schedule.one_for_all(table) == (1.0, 0.0, pytest.approx(0.3))
-    assert schedule.one_for_all(table.assign(transfer=np.nan * table["transfer"]))[2] == np.inf
+    assert pages.one_for_all(table) == (1.0, 0.0, pytest.approx(0.3))
+    assert pages.one_for_all(table.assign(transfer=np.nan * table["transfer"]))[2] == np.inf
 
 
 @pytest.mark.slow
@@ -168,11 +169,11 @@ def test_an_interrupted_schedule_goes_on_with_the_same_result(scenario, table, t
 
 @pytest.mark.slow
 def test_tables(table, tmp_path):
-    lines = list(csv.DictReader(io.StringIO(schedule.to_csv(table))))
+    lines = list(csv.DictReader(io.StringIO(pages.to_csv(table))))
     there = [(float(row["gravity_G"]), float(row["cargo_kg"])) for row in lines]
     assert there == [(0.01, 0.0), (0.01, 1.0), (1.0, 0.0), (1.0, 1.0)]
     assert float(lines[3]["stiffness_rz"]) == pytest.approx(table["stiffness"].values[1, 1, 5], rel=1e-5)
-    read = yaml.safe_load(schedule.to_yaml(table))["operating_points"]
+    read = yaml.safe_load(pages.to_yaml(table))["operating_points"]
     assert read[0]["force_variation"].keys() == {"tuned", "config", "retuned_pd", "pd"}
     dataset.save(table, tmp_path / "schedule.nc")
-    assert pictures.plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes
+    assert plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes

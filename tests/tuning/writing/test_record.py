@@ -1,6 +1,7 @@
 """A folder belongs to one run's settings, and its result appears whole or not at all."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import pytest
 
@@ -82,6 +83,16 @@ def test_a_kill_between_two_files_shows(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         fill(tmp_path, "a", "b", settings=THEIRS)
     assert not record.read(tmp_path).whole
+
+
+def test_two_that_write_one_folder_take_turns(tmp_path):
+    fill(tmp_path, "a", text="first")
+    with ThreadPoolExecutor(1) as pool:
+        with record._alone(tmp_path):
+            second = pool.submit(fill, tmp_path, "a", text="second")
+            assert wait([second], timeout=0.2).not_done and (tmp_path / "a").read_text() == "first"
+        second.result()
+    assert (tmp_path / "a").read_text() == "second"
 
 
 def test_each_run_has_a_folder_of_its_own(tmp_path):

@@ -9,20 +9,20 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+import tuning
 from mjx_climb.files.dataset import OutputError
-from tuning import background
-from tuning.comparisons import begun as comparisons
-from tuning.comparisons import margins
+from tuning.comparisons import margins, of_search, verification
+from tuning.comparisons import worth as worths
 from tuning.gains import gains_file
+from tuning.kinds import KINDS, Kind, write_found
 from tuning.methods.parts import Parts
+from tuning.pages.contents import Contents, Written, files_of
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.results import tuned
-from tuning.results.result import Written
 from tuning.searches import retuned_pd
 from tuning.searches.tune import tune
-from tuning.writing import contents as results
-from tuning.writing.folder import Contents, Folder
+from tuning.writing.record import check_own
 
 SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
 
@@ -43,14 +43,13 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
 
     scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
     found = tune(scenario, objective=judge, starts=2, iterations=2, out=tmp_path)
-    written = found.write(tmp_path, stage=stage)
+    written = tuning.write(found, tmp_path, stage=stage)
     names = {file.name for file in tmp_path.iterdir()}
     pictures = {f"{name}.png" for name in ("convergence", "path", "walks", "margins")}
     files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
     assert names == files | pictures | {"settings.json"}
     walked = ["pd", "config", "tuned", "retuned_pd"]
-    tested = ["drawing", "map", "margins", "verification"]  # pictures of the walks while the tests go on
-    assert stages == ["retuned pd", *walked, *tested, "drawing", "report"]
+    assert stages == ["retuned pd", *walked, "map", "margins", "verification", "drawing", "report"]
     summary = json.loads(written.summary)
     torques = [summary[name]["metrics"]["peak_joint_torque"] for name in ("tuned", "retuned_pd")]
     assert summary["force_sensor"]["objective"] == pytest.approx(torques[0] / torques[1] - 1)
@@ -71,12 +70,12 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
 @pytest.mark.parametrize(("method", "more"), [("gradient", 0), ("cmaes", 1)])
 def test_a_search_without_gradients_has_the_program_of_the_tests_loaded_beside(monkeypatch, method, more):
     asked = []
-    monkeypatch.setattr(comparisons.verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
+    monkeypatch.setattr(verification, "slopes_at", lambda problem, theta: asked.append(theta.shape))
     scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
     problem = types.SimpleNamespace(scenario=scenario)
-    monkeypatch.setattr(comparisons, "start_of", lambda problem: np.zeros(2))
+    monkeypatch.setattr(of_search, "start_of", lambda problem: np.zeros(2))
     works = []
-    comparisons.load_tests(problem, Search(method=method), works.append)
+    of_search.load_tests(problem, Search(method=method), works.append)
     for work in works:
         work(lambda *_: None)
     assert asked == [(2,)] * more
@@ -94,11 +93,11 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
     nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
     scenario = mc.load_scenario("case_1_2")
     for module, name, value in (
-        (results.verification, "tests", nothing), (results, "replaced", lambda *_: (scenario, None)),
-        (results.verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
-        (results.margins, "find", nothing), (results, "_with_joint_gains", nothing), (results, "differences", nothing),
-        (results, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
-        (retuned_pd, "rival_of", lambda found, retuned, step: step), (results, "worth_of", worth),
+        (verification, "tests", nothing), (of_search, "replaced", lambda *_: (scenario, None)),
+        (verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
+        (margins, "find", nothing), (of_search, "_with_joint_gains", nothing), (worths, "differences", nothing),
+        (of_search, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
+        (retuned_pd, "rival_of", lambda found, retuned, step: step), (worths, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
@@ -106,9 +105,9 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
         scenario=scenario, problem=types.SimpleNamespace(law=None, engine="limb", objective=None, metrics=None),
         law=None, gains=None,
     )  # fmt: skip
-    begun = comparisons.OfSearch(lambda _: types.SimpleNamespace(feasible=True), {}, nothing, {})
+    begun = of_search.Begun(lambda _: types.SimpleNamespace(feasible=True), {}, nothing, {})
     with pytest.raises(Given) as given:
-        results.compare_tuned(found, types.SimpleNamespace(stage=background.silent, kept=None, draw=nothing), begun)
+        of_search.compare(found, begun=begun)
     assert scenario.time_step == 1e-3 and given.value.args == (5e-4, 5e-4, 5e-4)
 
 
@@ -123,14 +122,13 @@ def found_in(scenario):
 
 
 def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_path):
-    def tune(found, place, begun):
-        place.found(found)
-        return Contents(Written(), {"more.txt": "more"})
+    def contents(found, compared, name):
+        return Contents(Written(), found.problem, files_of(found, name) | {"more.txt": compared})
 
-    monkeypatch.setattr(results, "tune", tune)
+    monkeypatch.setitem(KINDS, tuned.Tuned, Kind(lambda *_: "more", contents))
     found = found_in(mc.load_scenario("case_1_2"))
     Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
-    written = found.write(tmp_path)
+    written = tuning.write(found, tmp_path)
     names = {*written.files.split(", "), "settings.json"}
     assert names == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
     read = tuned.load(tmp_path / "search.nc")
@@ -141,10 +139,10 @@ def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_p
     assert read.gains.stiffness == gains_file.load(tmp_path / "gains.yaml").stiffness == 2e3
     assert "objective 0.8000 (pd: 1)" in (tmp_path / "gains.yaml").read_text()
     with pytest.raises(OutputError, match=r"expected a folder without another command's result, got search\.nc in it"):
-        Folder(tmp_path, "sweep.nc")
+        check_own(tmp_path, "sweep.nc")
 
 
 def test_an_interrupted_result_keeps_its_parts(tmp_path):
     Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
-    found_in(mc.load_scenario("case_1_2")).write_found(tmp_path)
+    write_found(found_in(mc.load_scenario("case_1_2")), tmp_path)
     assert Parts(tmp_path, {"a": 1}).load(0) is not None and (tmp_path / "gains.yaml").is_file()

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -17,7 +16,6 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
-from tuning.background import Stage, silent
 from tuning.identification.fit import inference
 from tuning.identification.fit.chain import Chain
 from tuning.identification.fit.inference import Posterior, Whiteness
@@ -36,7 +34,7 @@ from tuning.methods.parts import Parts, identity_of
 from tuning.problem.evaluation import Problem as Walks
 
 if TYPE_CHECKING:
-    from tuning.pages.page import Origin
+    pass
 
 HELD_OUT = 0.2
 STARTS = 4
@@ -121,26 +119,6 @@ class Identified:
             _, robot = applied(places, jnp.asarray(x), self.model.parameters, nominal)
         constants: Robot = jax.tree.map(np.asarray, robot)
         return constants
-
-    def write(
-        self,
-        folder: str | os.PathLike[str],
-        *,
-        origin: "Origin | None" = None,
-        figures: Collection[str] = ("png",),
-        stage: Stage = silent,
-        settings: Mapping[str, Any] | None = None,
-    ) -> str:
-        """Write the result as `mjx-climb identify --out` does, and return the names of the files.
-
-        `settings` as of `tuning.results.result.Result.write`.
-
-        Raises:
-            OutputError: a file cannot be written.
-        """
-        from tuning.identification.fit.output import write
-
-        return write(self, Path(folder), origin, figures, stage, settings)
 
 
 def turned(angles: Sequence[float]) -> np.ndarray:

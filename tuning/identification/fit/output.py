@@ -3,9 +3,9 @@
 import dataclasses
 import functools
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
@@ -16,24 +16,23 @@ from mjx_climb.files import dataset
 from mjx_climb.files.scenario_files import portable_yaml
 from mjx_climb.parameter_types import KEYS
 from mjx_climb.viz import plots
-from tuning.background import Stage
+from tuning.background import Stage, silent
 from tuning.identification.fit import robot_files
+from tuning.identification.fit.identify import Estimate, Identified
 from tuning.identification.fit.inference import suspicious
 from tuning.identification.fit.least_squares import scaled_residuals
 from tuning.identification.model.variables import begin
 from tuning.identification.model.windows import KINDS, UNITS
 from tuning.numbers import number
 from tuning.pages import page
+from tuning.pages.contents import Files, Picture, Written
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.results.config_file import write_config
-from tuning.results.result import Written
-from tuning.writing.folder import Contents, Folder, check_own
-from tuning.writing.record import Settings, whole
-
-if TYPE_CHECKING:
-    from tuning.identification.fit.identify import Estimate, Identified
+from tuning.writing.folder import fill
+from tuning.writing.record import Settings, check_own, whole
 
 FILE = "result.json"
+CALL = "tuning.identify(...)"
 RESIDUALS = "Residuals over the noise of their signal, over time; grey: held out, predicted only."
 CORRELATION = "Autocorrelation of the residuals of each signal; outside the band by chance once in twenty."
 PREDICTION = (
@@ -49,38 +48,38 @@ COLUMNS = ("parameter", "unit", "before", "after", "95 % interval", "remark")
 
 
 def write(
-    found: "Identified",
+    found: Identified,
     folder: Path,
-    origin: "page.Origin | None",
-    figures: Collection[str],
-    stage: Stage,
+    *,
+    origin: page.Origin | None = None,
+    figures: Collection[str] = ("png",),
+    stage: Stage = silent,
     settings: Settings | None = None,
-) -> str:
-    """Write all files of a result into a folder and return their names."""
+) -> Written:
+    """Write what `mjx-climb identify --out` does; arguments and errors as of `tuning.write`."""
     check_own(folder, FILE)
+    where, report = origin or page.Origin("the scenario", CALL, CALL), functools.partial(page_of, found)
     with whole(folder, settings) as place:
-        return _filled(found, Folder(place, FILE, origin, figures, stage, folder))
+        return Written(fill(place, _files(found, place, where.asked), report, where, figures, stage))
 
 
-def _filled(found: "Identified", place: Folder) -> str:
-    call, origin = "tuning.identify(...)", place.origin
-    scenario = write_config(found.scenario, place.path)
-    identified = identified_scenario(found, scenario, place.path)
+def _files(found: Identified, place: Path, asked: str) -> Files:
+    scenario = write_config(found.scenario, place)
+    identified = identified_scenario(found, scenario, place)
     texts = {
-        "identified.yaml": portable_yaml(identified, place.path),
+        "identified.yaml": portable_yaml(identified, place),
         "hardware.yaml": _yaml({"hardware": identified.hardware.model_dump(mode="json")}),
         **({"posterior.yaml": ensemble_of(found).to_yaml()} if found.known else {}),
-        FILE: json.dumps(_result(found, call if origin is None else origin.asked), indent=2) + "\n",
+        FILE: json.dumps(_result(found, asked), indent=2) + "\n",
     }
-    drawn = {
-        "residuals": (RESIDUALS, lambda: plot_residuals(found)),
-        "autocorrelation": (CORRELATION, lambda: plot_correlation(found)),
-        "prediction": (PREDICTION, lambda: plot_prediction(found)),
+    return texts | {
+        "residuals": Picture(RESIDUALS, lambda: plot_residuals(found)),
+        "autocorrelation": Picture(CORRELATION, lambda: plot_correlation(found)),
+        "prediction": Picture(PREDICTION, lambda: plot_prediction(found)),
     }
-    return place.fill(Contents(Written(), texts, drawn, functools.partial(page_of, found)), call)
 
 
-def identified_scenario(found: "Identified", scenario: mc.Scenario, folder: Path) -> mc.Scenario:
+def identified_scenario(found: Identified, scenario: mc.Scenario, folder: Path) -> mc.Scenario:
     """Return the scenario with what was identified; a robot that was is written into the folder."""
     scenario = scenario.with_overrides(found.overrides())
     if any(key.startswith("robot.") for key in found.estimates):
@@ -89,7 +88,7 @@ def identified_scenario(found: "Identified", scenario: mc.Scenario, folder: Path
     return scenario
 
 
-def ensemble_of(found: "Identified") -> Ensemble:
+def ensemble_of(found: Identified) -> Ensemble:
     """Return the ensemble whose members are drawn from the posterior; all else is the scenario's own."""
     of_scenario = set(KEYS.values()) | set(TILTS)
     told = {key: each for key, each in {**found.beside, **found.estimates}.items() if each.low is not None}
@@ -112,7 +111,7 @@ def _yaml(data: Any) -> str:
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
 
 
-def _result(found: "Identified", command: str) -> dict[str, Any]:
+def _result(found: Identified, command: str) -> dict[str, Any]:
     made = dataset.provenance(found.scenario)
     made.pop("scenario")
     told = {
@@ -128,14 +127,14 @@ def _result(found: "Identified", command: str) -> dict[str, Any]:
 # ----------------------------------------------------------------------------------------------- tables, page, pictures
 
 
-def table(found: "Identified") -> page.Table:
+def table(found: Identified) -> page.Table:
     """Return what was fitted: before, after, interval, and bound or prior where one was reached."""
     beside = {key: each for key, each in found.beside.items() if each.seen}
     sections = [("", _rows(found.estimates)), ("beside these", _rows(beside))]
     return page.Table("Parameters", COLUMNS, [(name, rows) for name, rows in sections if rows])
 
 
-def _rows(estimates: "dict[str, Estimate] | Any") -> list[list[str]]:
+def _rows(estimates: Mapping[str, Estimate]) -> list[list[str]]:
     return [
         [key, e.unit, number(e.before), number(e.value),
          "none" if e.low is None or e.high is None else f"{number(e.low)} to {number(e.high)}",
@@ -144,7 +143,7 @@ def _rows(estimates: "dict[str, Estimate] | Any") -> list[list[str]]:
     ]  # fmt: skip
 
 
-def noise_table(found: "Identified") -> page.Table:
+def noise_table(found: Identified) -> page.Table:
     """Return the noise of each signal, how what was held out is predicted, and what its residuals look like."""
     by_signal, rows = found.held_out.get("signals", {}), []
     wrong = {test.signal: test for test in suspicious(found.tests)}
@@ -159,7 +158,7 @@ def noise_table(found: "Identified") -> page.Table:
     return page.Table("Signals", columns, [("", rows)])
 
 
-def page_of(found: "Identified", origin: page.Origin) -> page.Page:
+def page_of(found: Identified, origin: page.Origin) -> page.Page:
     """Return the page of a result."""
     prose = {"What the log tells of combinations": list(found.combined)} if found.combined else {}
     return page.Page(
@@ -169,13 +168,13 @@ def page_of(found: "Identified", origin: page.Origin) -> page.Page:
     )  # fmt: skip
 
 
-def _times(found: "Identified") -> np.ndarray:
+def _times(found: Identified) -> np.ndarray:
     rows, windows = found.problem.rows, found.model.windows
     return np.asarray(windows.begin[rows.window] + (rows.step + rows.share) * windows.time_step)
 
 
 @plots.style()
-def plot_residuals(found: "Identified") -> Figure:
+def plot_residuals(found: Identified) -> Figure:
     """Return residuals over time by kind of signal."""
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
     scaled = scaled_residuals(found.problem, found.fitted.normal)
@@ -194,7 +193,7 @@ def plot_residuals(found: "Identified") -> Figure:
 
 
 @plots.style()
-def plot_correlation(found: "Identified") -> Figure:
+def plot_correlation(found: Identified) -> Figure:
     """Return the autocorrelation of each signal's residuals, those that are wrong by name."""
     figure = Figure(figsize=(7.0, 2.4), layout="constrained")
     axis, wrong = figure.subplots(), {test.signal for test in suspicious(found.tests)[:5]}
@@ -215,7 +214,7 @@ def plot_correlation(found: "Identified") -> Figure:
 
 
 @plots.style()
-def plot_prediction(found: "Identified") -> Figure:
+def plot_prediction(found: Identified) -> Figure:
     """Return log and model, before and after the fit, where the signal with the largest error over its noise is worst.
 
     Two seconds are shown, and below what the model misses of the log, in units of the noise.

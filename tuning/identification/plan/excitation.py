@@ -7,9 +7,7 @@ beside it.
 
 import dataclasses
 import itertools
-import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -38,7 +36,7 @@ from tuning.identification.plan.rig import RATE, SETTLING, Rig, Segment
 from tuning.identification.plan.settings import Excitation as Settings
 
 if TYPE_CHECKING:
-    from tuning.pages.page import Origin
+    pass
 
 FORCE_NOISE = 0.1  # N, of a force sensor, where the config has none
 MIXES = (("multisine",), ("multisine", "reversals"), ("chirp", "reversals"), ("multisine", "steps", "reversals"))
@@ -87,23 +85,6 @@ class Excited:
         """How many times smaller the deviations are than after the plain chirp, geometric mean with a 100 % prior."""
         better = self.best.information.score - self.plain.information.score
         return float(np.exp(better / (2 * len(self.chosen))))
-
-    def write(
-        self,
-        folder: str | os.PathLike[str],
-        *,
-        origin: "Origin | None" = None,
-        figures: Collection[str] = ("png",),
-        stage: Stage = silent,
-        settings: Mapping[str, Any] | None = None,
-    ) -> str:
-        """Write what the command writes, and return the names of the files; OutputError where it cannot be.
-
-        `settings` as of `tuning.results.result.Result.write`.
-        """
-        from tuning.identification.plan.output import write
-
-        return write(self, Path(folder), origin, figures, stage, settings)
 
 
 def excite(

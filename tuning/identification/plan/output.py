@@ -8,19 +8,20 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+import mjx_climb as mc
 from mjx_climb.viz import plots
-from tuning.background import Stage
+from tuning.background import Stage, silent
 from tuning.identification.plan.excitation import PLAIN, Excited, scale
 from tuning.identification.plan.information import SEEN
 from tuning.identification.plan.rig import SPEED
 from tuning.identification.readers.csv_file import csv_of
 from tuning.identification.readers.log import joints_of
 from tuning.numbers import to_json
+from tuning.pages.contents import Files, Picture, Written
 from tuning.pages.page import Origin, Page, Table
 from tuning.results.config_file import write_config
-from tuning.results.result import Written
-from tuning.writing.folder import Contents, Folder, check_own
-from tuning.writing.record import Settings, whole
+from tuning.writing.folder import fill
+from tuning.writing.record import Settings, check_own, whole
 
 FILE = "excitation.csv"  # by it the folder is known
 TRAJECTORY = "excitation_trajectory.yaml"
@@ -32,33 +33,33 @@ BINS = 150  # of a picture's envelopes
 def write(
     found: Excited,
     folder: Path,
-    origin: Origin | None,
-    figures: Collection[str],
-    stage: Stage,
+    *,
+    origin: Origin | None = None,
+    figures: Collection[str] = ("png",),
+    stage: Stage = silent,
     settings: Settings | None = None,
-) -> str:
-    """Write everything and return the names of the files; OutputError where it cannot be."""
+) -> Written:
+    """Write what `mjx-climb excite` does; arguments and errors as of `tuning.write`."""
     check_own(folder, FILE)
-    with whole(folder, settings) as place:
-        return _filled(found, Folder(place, FILE, origin, figures, stage, folder))
-
-
-def _filled(found: Excited, place: Folder) -> str:
-    scenario = write_config(found.scenario, place.path)
-
-    def report(origin: Origin) -> Page:
-        return Page(
-            title=f"What to command to identify {origin.name}", origin=origin, verdict=found.best.information.unseen(),
-            scenario=scenario, notes=notes(found), tables=[table(found), limits(found)],
-            facts={"seed": found.asked.seed, "candidates": len(found.candidates)},
-        )  # fmt: skip
-
-    texts = {
+    asked = found.asked.model_dump(exclude_unset=True)
+    call = f"tuning.excite(mjx_climb.load_scenario('config.yaml'), **{asked})"
+    files: Files = {
         FILE: csv_of(columns(found)), TRAJECTORY: trajectory(found), "excitation.json": to_json(summary(found)) + "\n",
+        "excitation": Picture("Commands, rates and torques of the nominal robot", lambda: plot(found)),
     }  # fmt: skip
-    drawn = {"excitation": ("Commands, rates and torques of the nominal robot", lambda: plot(found))}
-    call = f"tuning.excite(mjx_climb.load_scenario('config.yaml'), **{found.asked.model_dump(exclude_unset=True)})"
-    return place.fill(Contents(Written(), texts, drawn, report), call)
+    where = origin or Origin("the scenario", call, call)
+    with whole(folder, settings) as place:
+        scenario = write_config(found.scenario, place)
+        return Written(fill(place, files, lambda origin: page_of(found, scenario, origin), where, figures, stage))
+
+
+def page_of(found: Excited, scenario: mc.Scenario, origin: Origin) -> Page:
+    """Return the page of an excitation."""
+    return Page(
+        title=f"What to command to identify {origin.name}", origin=origin, verdict=found.best.information.unseen(),
+        scenario=scenario, notes=notes(found), tables=[table(found), limits(found)],
+        facts={"seed": found.asked.seed, "candidates": len(found.candidates)},
+    )  # fmt: skip
 
 
 def columns(found: Excited) -> dict[str, np.ndarray]:

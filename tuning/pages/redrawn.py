@@ -13,11 +13,15 @@ from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.viz import plots
 from tuning.comparisons import paired
-from tuning.pages import pictures
-from tuning.pages.comparison import Compared
-from tuning.pages.explorer import axes_of
+from tuning.comparisons.side_by_side import Compared
+from tuning.pages.judge import plot_judged
+from tuning.pages.laws import plot_laws
+from tuning.pages.pareto import plot_front
+from tuning.pages.schedule import plot_schedule
+from tuning.pages.sweep import marks, sheet
+from tuning.pages.tune import plot_convergence, plot_path
 from tuning.results import tuned
-from tuning.writing import contents as results
+from tuning.results.swept import axes_of
 
 RESULTS = ("trajectory.nc", "sweep.nc", "map.nc", "search.nc", "judged.nc", "compared.nc", "front.nc", "schedule.nc")
 OF_METRICS = ("sweep.nc", "map.nc", "judged.nc", "compared.nc")
@@ -56,25 +60,25 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Fi
         if name in MAPS:
             stem, compared = MAPS[name][0], _compared(folder / MAPS[name][1])
             if not metrics:
-                yield stem, results.sheet(data, compared)
+                yield stem, sheet(data, compared)
             for metric in metrics:
                 baseline = compared["pd"][1].get(metric) if "pd" in compared else None
-                yield f"{stem}-{metric}", plots.plot_map(data, metric, results.marks(data, compared), baseline=baseline)
+                yield f"{stem}-{metric}", plots.plot_map(data, metric, marks(data, compared), baseline=baseline)
         elif name == "search.nc" and "law" not in data.attrs:  # the file of a law of one's own is not here
             found = tuned.load(folder / name)
-            yield "convergence", pictures.plot_convergence(found)
+            yield "convergence", plot_convergence(found)
             if "map.nc" in there:
-                yield "path", pictures.plot_path(found, dataset.load(folder / "map.nc"))
+                yield "path", plot_path(found, dataset.load(folder / "map.nc"))
         elif name == "judged.nc":
-            yield "judged", pictures.plot_judged(data, *([metrics] if metrics else []))
+            yield "judged", plot_judged(data, *([metrics] if metrics else []))
         elif name == "compared.nc" and metrics:
-            yield "judged", pictures.plot_judged(data, metrics)
+            yield "judged", plot_judged(data, metrics)
         elif name == "compared.nc":
-            yield "compared", pictures.plot_laws(paired.taken(data))
+            yield "compared", plot_laws(paired.taken(data))
         elif name == "front.nc":
-            yield "front", pictures.plot_front(data)
+            yield "front", plot_front(data)
         elif name == "schedule.nc":
-            yield "schedule", pictures.plot_schedule(data)
+            yield "schedule", plot_schedule(data)
 
 
 def _compared(file: Path) -> Compared:

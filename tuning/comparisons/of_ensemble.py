@@ -1,0 +1,71 @@
+"""Gains that a search over an ensemble found, on walks that it never saw, beside pd, pd retuned and the scenario's."""
+
+import dataclasses
+from pathlib import Path
+
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.inputs.from_scenario import gains as scenario_gains
+from tuning.background import Stage, silent
+from tuning.comparisons import judge as judging
+from tuning.comparisons.side_by_side import VARIATION, retuned
+from tuning.comparisons.worth import Worth, between
+from tuning.problem.objectives import Objective
+from tuning.results.tuned import Robust
+from tuning.searches import retuned_pd
+from tuning.searches.shards import Rows
+
+SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",
+         "base_deviation", "joint_limit_margin")  # fmt: skip
+
+
+def shown(metrics: mc.MetricTable) -> list[str]:
+    """Return the names of the metrics that the table has: the main ones, and those of the user's own."""
+    return [*SHOWN, *(name for name in metrics.names if name not in mc.METRICS.names)]
+
+
+@dataclasses.dataclass(frozen=True)
+class RobustComparison:
+    """A result beside the scenario's own gains, pd and pd retuned on walks that the search never saw."""
+
+    walks: xr.Dataset
+    # mean and worst of these (see `tuning.comparisons.judge.summary`), with `objective`, and as `broken` the share of
+    # walks that break each limit
+    summed: xr.Dataset
+    worth: Worth | None  # of a force sensor: the result against pd retuned
+    binding: list[str]  # limits that hold the gains where they are, in words
+
+
+def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> RobustComparison:
+    """Simulate a result and what it is compared with; `out` keeps the rounds in which pd is retuned."""
+    problem, ensemble, goal = found.problem, found.ensemble, found.problem.objective
+    assert isinstance(goal, Objective)
+    with stage("retuned pd", unit="rounds") as told:
+        rival = retuned(problem, found.search, out)(told)
+    walked, pd, step = problem, {}, None
+    if rival is not None:  # as short a time step as it needs, for all that are compared
+        pd = {retuned_pd.NAME: rival.gains}
+        shortest = retuned_pd.time_step_for(found.scenario, retuned_pd.joint_of(rival))
+        step = None if shortest == found.scenario.time_step else shortest
+        walked = dataclasses.replace(problem, scenario=found.scenario.with_overrides({"time_step": shortest}))
+    rivals = {"robust": found.gains, "config": problem.law or scenario_gains(found.scenario)}
+    fresh = judging.fresh(ensemble.model_copy(update={"members": found.judges}))
+    draws = {
+        "fresh draw": judging.through(walked, rivals, fresh, pd),
+        "its own draw": judging.through(problem, {"robust": found.gains}, ensemble),
+    }
+    drawn = {}
+    for name, draw in draws.items():
+        with stage(name, unit="members") as told:
+            drawn[name] = draw.dataset(Rows(draw).walk(told))
+    walks, seen = drawn.values()
+    broken, scores = judging.broken(walks, goal), judging.scores(walks, goal)
+    summed = judging.summary(walks).assign(objective=scores, broken=broken)
+    worth = None
+    if rival is not None:
+        means = judging.plain(summed, shown(problem.metrics))
+        both = {name: means[name]["mean"] for name in ("robust", retuned_pd.NAME)}
+        values = [{"objective": float(scores.sel(gains=n)), VARIATION: mean[VARIATION]} for n, mean in both.items()]
+        worth = between(both.values(), values, retuned_pd.rival_of(found, rival, step), problem)
+    return RobustComparison(walks, summed, worth, judging.binding(seen, goal, "robust"))

@@ -1,0 +1,41 @@
+"""Which differences between laws are real, and what that says of the force sensor and of better hardware."""
+
+import dataclasses
+from pathlib import Path
+
+import xarray as xr
+
+import mjx_climb as mc
+from tuning.background import Stage, silent
+from tuning.comparisons import paired
+from tuning.comparisons.compare import reads_forces
+from tuning.problem.objectives import Objective
+from tuning.results.judged import Comparison
+from tuning.searches import retuned_pd
+
+SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
+
+
+def shown(metrics: mc.MetricTable) -> list[str]:
+    """Return the names of the metrics by which laws are compared: the main ones, and those of the user's own."""
+    return [*SHOWN, *(name for name in metrics.names if name not in mc.METRICS.names)]
+
+
+@dataclasses.dataclass(frozen=True)
+class LawsComparison:
+    """Laws beside pd retuned, by their walks."""
+
+    table: xr.Dataset  # see `tuning.comparisons.paired.compared`
+    verdict: paired.Verdict
+    reading: list[str]  # laws that read forces
+
+
+def compare(found: Comparison, stage: Stage = silent, out: Path | None = None) -> LawsComparison:
+    """Work out which differences are real; nothing walks, and nothing is kept in `out`."""
+    problem = found.problem
+    assert isinstance(problem.objective, Objective)
+    reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]
+    with stage("intervals", compiles=False):
+        table = paired.compared(found.data, shown(problem.metrics), retuned_pd.NAME, problem.objective)
+    outside = [name for name, own in found.tuned.items() if not own.feasible]
+    return LawsComparison(table, paired.verdict(table, found.laws, reading, found.hardware, outside), reading)

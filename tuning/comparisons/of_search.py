@@ -1,0 +1,149 @@
+"""Gains that a search found beside pd, pd retuned and the scenario's own: walks, the map around them, their tests."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.control import PD
+from mjx_climb.inputs.gait_values import GAIT
+from tuning.background import Begin, Callback, Stage, Work, background, ignore, silent
+from tuning.comparisons import maps, margins, verification
+from tuning.comparisons.side_by_side import VARIATION, Compared, Values, beside_retuned, gains_of, one_walk, retuned
+from tuning.comparisons.worth import Worth, between
+from tuning.gains.gains_file import replaced
+from tuning.numbers import failed
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.objectives import Goal
+from tuning.problem.search import BY_GRADIENTS, Search
+from tuning.problem.spaces import INTEGRAL, JOINT, searches_gait
+from tuning.results.tuned import Tuned
+from tuning.searches import retuned_pd
+from tuning.searches.tune import start_of
+
+
+class Begun(NamedTuple):
+    """What a search is compared with, independent of what it finds: works that may begin before it."""
+
+    retuned: Work[Tuned | None]  # pd retuned
+    walks: Mapping[str, Work[mc.Trajectory]]  # pd, config
+    over: Work[xr.Dataset | None] | None  # the map; None where it depends on the result
+    on_hardware: Mapping[str, Work[xr.Dataset]]  # pd, config: the first walks on worse hardware
+
+
+def begin(problem: Problem, search: Search, start: Begin, *, out: Path | None = None) -> Begun:
+    """Begin what a search is compared with; `out` holds the rounds in which pd is retuned until the result is there."""
+    scenario, law, engine = problem.scenario, problem.law, problem.engine
+    on_the_map = law is None and {*JOINT, INTEGRAL, *GAIT}.isdisjoint(
+        problem.space.index
+    )  # then one map serves all results
+    return Begun(
+        start(retuned(problem, search, out)),
+        {"pd": start(one_walk(under_pd(scenario), None, engine)), "config": start(one_walk(scenario, law, engine))},
+        start(lambda report: verification.map_with(problem, scenario, None, progress=report)) if on_the_map else None,
+        {
+            "pd": start(lambda report: margins.on_the_grid(scenario, margins.pd_of(scenario), engine, report)),
+            "config": start(lambda report: margins.on_the_grid(scenario, margins.Walker(law, {}), engine, report)),
+        },
+    )
+
+
+def load_tests(problem: Problem, search: Search, start: Begin) -> None:
+    """Begin to load the executable of a result's tests, which takes long, where the search does not use it."""
+    if search.method not in BY_GRADIENTS:
+        start(lambda _: verification.slopes_at(problem, start_of(problem)))
+
+
+@dataclasses.dataclass(frozen=True)
+class TuneComparison:
+    """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
+
+    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
+    rows: Compared  # tuned, retuned_pd, config, pd, all at one time step
+    over: xr.Dataset | None  # the map around it
+    hardware: margins.Found  # on worse hardware
+    checked: verification.Verification
+    worth: Worth | None  # of a force sensor: the result against pd retuned
+    step: float | None = None  # s, the time step of the rows, where it is not the scenario's
+
+
+def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None) -> TuneComparison:
+    """Simulate a result, what it is compared with and the map around it, and test it.
+
+    Arguments:
+        found: the result.
+        stage: opened for each longer work.
+        out: a folder that keeps the rounds in which pd is retuned.
+        begun: what `begin` gave, where it was begun before the search.
+    """
+    scenario, problem = found.scenario, found.problem
+    ours, engine = (replaced(found.scenario, found.law, found.gains)[0], found.law), problem.engine
+    with background() as start:
+        tested = start(lambda _: verification.tests(found, problem))  # the longest to compile
+        others = begun or begin(problem, found.search, start, out=out)
+        mapped = others.over or start(lambda told: verification.map_of(found, problem, progress=told))
+        walking = {**others.walks, "tuned": start(one_walk(*ours, engine))}
+        with stage("retuned pd", unit="rounds") as told:
+            rival = others.retuned(told)
+        rivals = {"config": margins.Walker(problem.law, {})}
+        step, level = None, dict[str, Work[mc.Trajectory]]()
+        if rival is not None:
+            joint = retuned_pd.joint_of(rival)
+            walkers = {"tuned": ours, "config": (scenario, found.law), "pd": (under_pd(scenario), None)}
+            walking[retuned_pd.NAME], step, level = beside_retuned(scenario, joint, walkers, engine, start)
+            if step is None:
+                rivals["retuned pd"] = margins.Walker(PD(), joint)
+
+        def find_margins(told: Callback) -> margins.Found:
+            walked = {name: asked(ignore) for name, asked in others.on_hardware.items()}  # begun before this
+            how: dict[str, Any] = {"law": found.law, "engine": engine}
+            return margins.find(scenario, found.gains, others=rivals, walked=walked, progress=told, **how)
+
+        margin, walks = start(find_margins), {}
+        for name, walk in walking.items():
+            with stage(name) as told:
+                walks[name] = walk(told)
+        own = mc.metrics(walks["tuned"], problem.metrics)
+        with stage("map") as told:
+            over = mapped(told)
+        with stage("margins") as told:
+            hardware = margin(told)
+        with stage("verification"):
+            checked = verification.verify(
+                found, problem, metrics=own, walks=over, hardware=hardware, tested=tested(ignore)
+            )
+        compared = walks | {name: walk(ignore) for name, walk in level.items()}
+    metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in compared.items()}
+    gains, worth = {name: _with_joint_gains(walk, problem) for name, walk in walks.items()}, None
+    if rival is not None:
+        both = metrics["tuned"], metrics[retuned_pd.NAME]
+        scored = [_scored(problem.objective, each) for each in both]
+        worth = between(both, scored, retuned_pd.rival_of(found, rival, step), problem)
+        gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
+    order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
+    rows = {name: (gains[name], metrics[name]) for name in order}
+    return TuneComparison(walks, rows, over, hardware, checked, worth, step)
+
+
+def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:
+    """Return the gains of a walk, joint loop and searched gait last; None where its controller has none."""
+    gains, control = gains_of(walk), walk.scenario.control
+    gait = (
+        {key: getattr(walk.scenario.gait, name) for key, name in GAIT.items()} if searches_gait(problem.space) else {}
+    )
+    if gains is None and gait:
+        gains = {}
+    joint = {name: getattr(control, name) for name in (*JOINT, *((INTEGRAL,) if control.ki else ()))}
+    return None if gains is None else gains | joint | gait
+
+
+def _scored(target: Goal, metrics: Values) -> dict[str, float]:
+    """Return what gains are compared by."""
+    variation = metrics[VARIATION]
+    if variation is None or failed(metrics):
+        return {"objective": np.nan, VARIATION: np.nan}
+    return {"objective": float(maps.score_of(target, metrics).value), VARIATION: float(variation)}

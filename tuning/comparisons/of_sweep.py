@@ -1,0 +1,154 @@
+"""A sweep beside pd, pd retuned and the scenario's own gains: walks, its limit of stability, time histories."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.execution import devices
+from mjx_climb.inputs.resolve import AnyGains
+from tuning.background import Begin, Stage, Work, background, ignore, silent
+from tuning.comparisons import stability_limit
+from tuning.comparisons.remedies import remedies
+from tuning.comparisons.side_by_side import VARIATION, Compared, Walker, beside_retuned, gains_of, one_walk
+from tuning.comparisons.worth import Worth, between
+from tuning.gains.gains_file import replaced
+from tuning.numbers import failed
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.results.swept import HISTORIES, MOST_CELLS, Swept, axes_of, best_cell, coarser_grid, holding
+from tuning.searches import retuned_pd
+from tuning.searches import sweep as sweeps
+from tuning.searches.sweep import Axes
+
+GIVEN = "gains file"  # the name of a walk with gains that are not the config's
+# inertia, damping and stiffness of cases 1.1, 1.2 and 2
+PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
+
+
+class Begun(NamedTuple):
+    """What a grid is compared with, independent of what it finds: works that may begin before it."""
+
+    walkers: Mapping[str, Walker]  # by the names of the walks
+    walks: Mapping[str, Work[mc.Trajectory]]  # pd, config (or paper), gains file: as far as there are such
+    limits: Work[tuple[retuned_pd.Rival | None, xr.DataArray]]  # pd retuned, and the limit of stability
+
+
+def begin(problem: Problem, gains: AnyGains | None, axes: Axes, start: Begin) -> Begun:
+    """Begin what a grid is compared with; `gains` and `axes` are as of `tuning.sweep`."""
+    scenario, law, engine = problem.scenario, problem.law, problem.engine
+    control = scenario.control
+    papers = law is None and (control.inertia, control.damping, control.stiffness) in PAPER
+    walkers: dict[str, Walker] = {"pd": (under_pd(scenario), None), "paper" if papers else "config": (scenario, law)}
+    simulated, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
+    walkers |= {} if gains is None else {GIVEN: (simulated, own)}
+    # one after the other: each keeps all cores busy, and side by side they take more than twice as long
+    limits = start(
+        lambda _: (
+            retuned_pd.least(scenario, halvings=1, engine=engine),
+            stability_limit.over_axes(simulated, axes, law=own, engine=engine),
+        )
+    )
+    return Begun(walkers, {name: start(one_walk(*walker, engine)) for name, walker in walkers.items()}, limits)
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepComparison:
+    """The best walk of a grid beside the scenario's own gains and pd, walked in double precision."""
+
+    data: xr.Dataset  # the grid, with the limit of stability
+    best: xr.Dataset | None  # its cell, None where all failed
+    walks: Mapping[str, mc.Trajectory]  # best, pd retuned, gains file, config (or paper), pd: as far as there are such
+    rows: Compared  # gains and metrics of these, all at one time step
+    failed: int  # walks of the grid
+    at_edge: list[str]  # gains whose end of the axis the best cell lies on
+    worth: Worth | None  # of a force sensor: the best against pd retuned
+    step: float | None  # s, the time step of the rows, where it is not the scenario's
+    histories: xr.Dataset  # a grid with time histories: this one, or a coarser one of a large one
+    remedies: Sequence[str] = ()  # where all failed: what would keep the grippers of the config's walk shut
+
+
+def compare(
+    found: Swept, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None
+) -> SweepComparison:
+    """Simulate what a grid is compared with, and work out its limit of stability.
+
+    Arguments:
+        found: the grid.
+        stage: opened for each longer work.
+        out: not used; other comparisons keep rounds there.
+        begun: what `begin` gave, where it was begun before the grid walked.
+    """
+    problem, best, (scenario, law) = found.problem, best_cell(found.data), found.walker()
+    axes = {name: found.data[name].values for name in found.axes}
+    others = begun or begin(problem, found.gains, axes, lambda work: work)
+    large = found.data["diverged"].size > HISTORIES
+    with background() as beside:
+        how = {**problem.walks, "law": law}
+        walking_again = beside(lambda _: with_histories(found.data, scenario, best, **how)) if large else None
+        # side by side: most of the time goes to the compiler, which has a program of its own for each
+        with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
+
+            def start(work: Work[Any]) -> Work[Any]:
+                future = pool.submit(work, ignore)
+                return lambda _: future.result()
+
+            limits, asked, walkers = start(others.limits), dict(others.walks), dict(others.walkers)
+            if best is not None:
+                walkers["best"] = found.walker({name: best[name].item() for name in found.axes})
+                asked["best"] = one_walk(*walkers["best"], problem.engine)
+            walking = {name: start(walk) for name, walk in reversed(asked.items())}
+            rival, limit = limits(ignore)
+            if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
+                rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
+            step, level = None, dict[str, Work[mc.Trajectory]]()
+            if rival is not None:
+                own, step, level = beside_retuned(problem.scenario, rival.joint, walkers, problem.engine, start)
+                walking[retuned_pd.NAME] = own
+            walked = {name: each(ignore) for name, each in walking.items()}
+            compared = walked | {name: each(ignore) for name, each in level.items()}
+            radius = stability_limit.on_map(limit, found.data)
+        histories = found.data
+        if walking_again is not None:
+            with stage("histories"):
+                histories = walking_again(ignore)
+    config = next(name for name in others.walks if name not in ("pd", GIVEN))
+    names = [name for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walked]
+    rows = {name: (gains_of(compared[name]), mc.metrics(compared[name], problem.metrics)) for name in names}
+    worth = None
+    if rival is not None:
+        rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])
+        if best is not None:
+            both = rows["best"][1], theirs
+            scored = [{VARIATION: np.nan if failed(each) else each[VARIATION]} for each in both]
+            spread = max(retuned_pd.spread(holding(found.data, VARIATION).values), rival.spread)
+            worth = between(both, scored, rival._replace(spread=spread, step=step), problem, " on this grid")
+    data = found.data.assign(spectral_radius=radius)
+    failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
+    edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
+    walks = {name: walked[name] for name in names}
+    remedied = []
+    if best is None:
+        with stage("what would help", compiles=False):
+            remedied = _help(walks, law)
+    return SweepComparison(data, best, walks, rows, failures, edges, worth, step, histories, remedied)
+
+
+def _help(walks: Mapping[str, mc.Trajectory], law: mc.Law | None) -> list[str]:
+    """Return what would keep the grippers of the config's walk shut, nothing where they hold."""
+    from mjx_climb.viz import plots  # which imports matplotlib
+
+    name = next(name for name in walks if name not in (retuned_pd.NAME, GIVEN, "pd"))
+    torn = plots.detachments(walks[name])
+    return [f"{name}: {remedies(walks[name].scenario, torn[0][0], law)}"] if torn else []
+
+
+def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how: Any) -> xr.Dataset:
+    """Return a coarser grid of a sweep that has no time histories, with them and the best cell in it."""
+    # out of the cells that the page shows
+    kept = coarser_grid(coarser_grid(result, best, MOST_CELLS), best, HISTORIES)
+    return sweeps.sweep(scenario, {name: kept[name].values for name in axes_of(kept)}, **how).data

@@ -1,0 +1,73 @@
+"""Walks side by side: their gains and metrics by name, which metrics differ, all of them at one time step."""
+
+from collections.abc import Container, Mapping
+from pathlib import Path
+from typing import Any
+
+import mjx_climb as mc
+from mjx_climb import METRICS, Gains, MetricTable, Trajectory
+from tuning.background import Begin, Work
+from tuning.gains.gains_file import by_name
+from tuning.numbers import change, failed, is_number, number
+from tuning.problem.evaluation import Problem
+from tuning.problem.search import Search
+from tuning.results.tuned import Tuned
+from tuning.searches import retuned_pd
+
+VARIATION = "force_variation"
+Values = Mapping[str, Any]
+Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
+Walker = tuple[mc.Scenario, mc.Law | None]
+
+
+def gains_of(walk: Trajectory) -> dict[str, Any] | None:
+    """Return the gains of a walk as they were given, None where its controller has none."""
+    if walk.law:
+        return by_name(walk.gains)
+    control = walk.scenario.control
+    return None if control.controller == "pd" else {name: getattr(control, name) for name in Gains.AXES}
+
+
+def differences(
+    metrics: Values, baseline: Values, about: MetricTable = METRICS, but: Container[str] = ()
+) -> tuple[list[str], list[str]]:
+    """Return which metrics are worse than under the baseline, as "base deviation +414 %", and which are better.
+
+    All but some, where they differ by more than 2 %; none where either walk failed.
+    """
+    found: tuple[list[str], list[str]] = [], []  # worse, better
+    for name, value in metrics.items() if not (failed(metrics) or failed(baseline)) else ():
+        base = baseline[name]
+        if name not in but and is_number(value) and is_number(base) and abs(value - base) > 0.02 * abs(base):
+            text = f"{change(value, base)} %" if base > 0 else f"{number(base)} to {number(value)}"
+            better = (value > base) == about[name].larger_is_better
+            found[better].append(f"{about.in_words(name)} {text}")
+    return found
+
+
+def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Work[mc.Trajectory]:
+    """Return a work that simulates one robot under the scenario's law, or another."""
+    return lambda _: mc.rollout(scenario, law=law, engine=engine)
+
+
+def beside_retuned(
+    scenario: mc.Scenario, joint: Mapping[str, float], walkers: Mapping[str, Walker], engine: str, begin: Begin
+) -> tuple[Work[mc.Trajectory], float | None, dict[str, Work[mc.Trajectory]]]:
+    """Begin the walks by which pd with joint gains of its own is compared with others, all at one time step.
+
+    Returns: its walk; the time step, as short as it needs, and the others' walks at this step by their names: None and
+        no walks where it is the scenario's own step.
+    """
+    alone = retuned_pd.walker(scenario, joint)
+    step = None if alone.time_step == scenario.time_step else alone.time_step
+    level: dict[str, Work[mc.Trajectory]] = {}
+    for name, (own, law) in walkers.items() if step is not None else ():
+        level[name] = begin(one_walk(own.with_overrides({"time_step": step}), law, engine))
+    return begin(one_walk(alone, None, engine)), step, level
+
+
+def retuned(problem: Problem, search: Search, out: Path | None) -> Work[Tuned | None]:
+    """Return a work that searches kp and kd of pd as the gains were searched; `out` keeps its rounds."""
+    return lambda report: retuned_pd.search(
+        problem, search, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
+    )

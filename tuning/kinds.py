@@ -1,0 +1,99 @@
+"""What each kind of result is compared with, and what its folder then holds: `tuning.write`."""
+
+import os
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tuning.background import Stage, silent
+from tuning.comparisons import judge as judging
+from tuning.comparisons import of_ensemble, of_front, of_laws, of_search, of_sweep
+from tuning.comparisons.worth import of_schedule
+from tuning.identification.fit import output as of_fit
+from tuning.identification.fit.identify import Identified
+from tuning.identification.plan import output as of_plan
+from tuning.identification.plan.excitation import Excited
+from tuning.pages import judge, laws, pareto, robust, schedule, sweep, tune
+from tuning.pages.contents import Contents, Written, files_of
+from tuning.pages.page import Origin
+from tuning.results.front import Front
+from tuning.results.judged import Comparison, Judged
+from tuning.results.result import Result
+from tuning.results.scheduled import Scheduled
+from tuning.results.swept import Swept
+from tuning.results.tuned import Robust, Tuned
+from tuning.writing import folder as folders
+from tuning.writing import record
+
+Begun = of_search.Begun | of_sweep.Begun
+
+
+class Kind(NamedTuple):
+    """A kind of result."""
+
+    compare: Callable[..., Any]  # with a result, stages, the folder that keeps rounds, and what was begun, if anything
+    contents: Callable[[Any, Any, str], Contents]  # of a result, what `compare` gave, and the config's name
+
+
+KINDS: Mapping[type[Result], Kind] = {
+    Swept: Kind(of_sweep.compare, sweep.contents),
+    Tuned: Kind(of_search.compare, tune.contents),
+    Robust: Kind(of_ensemble.compare, robust.contents),
+    Front: Kind(of_front.compare, pareto.contents),
+    Comparison: Kind(of_laws.compare, laws.contents),
+    Judged: Kind(lambda found, *_: judging.summary(found.data), judge.contents),
+    Scheduled: Kind(lambda found, *_: of_schedule(found.data), schedule.contents),
+}
+
+
+def write(
+    found: Result | Identified | Excited,
+    folder: str | os.PathLike[str],
+    *,
+    begun: Begun | None = None,
+    origin: Origin | None = None,
+    figures: Collection[str] = ("png",),
+    stage: Stage = silent,
+    settings: Mapping[str, Any] | None = None,
+) -> Written:
+    """Compare a result, test it, and write what its command writes: numbers, pictures, gains and the report.
+
+    The files appear together at the end, in place of those of an earlier result there.
+
+    Arguments:
+        found: what a search, `tuning.identify` or `tuning.excite` gave.
+        folder: where to; it is made. What the search kept there with `out=folder` is removed.
+        begun: what `begin` of `tuning.comparisons.of_search` or `of_sweep` gave, where it was begun before the search.
+        origin: what the report says of where it comes from.
+        figures: formats of the pictures, of `mjx_climb.viz.plots.FORMATS`; reports hold them as PNG anyway.
+        stage: opened for each longer work, see `tuning.background.Stage`; nothing is printed.
+        settings: what a command was asked for, by which it knows its folder again.
+
+    Raises:
+        ConfigError: over an ensemble, some gains diverge in each member.
+        OutputError: a file cannot be written, or the folder holds another command's result.
+    """
+    home = Path(folder)
+    how: dict[str, Any] = {"origin": origin, "figures": figures, "stage": stage, "settings": settings}
+    if isinstance(found, Identified):
+        return of_fit.write(found, home, **how)
+    if isinstance(found, Excited):
+        return of_plan.write(found, home, **how)
+    record.check_own(home, found.FILE)
+    kind = KINDS[type(found)]
+    compared = kind.compare(found, stage, home, *([] if begun is None else [begun]))
+    made = kind.contents(found, compared, _name(origin))
+    return folders.write(made, home, f"tuning.{found.KIND}(...)", **how)
+
+
+def write_found(
+    found: Result, folder: Path, origin: Origin | None = None, settings: Mapping[str, Any] | None = None
+) -> None:
+    """Write what was asked, gains and data of a search that goes on from there; `settings` as of `write`."""
+    record.check_own(folder, found.FILE)
+    made = Contents(Written(), found.problem, files_of(found, _name(origin)))
+    folders.write(made, folder, f"tuning.{found.KIND}(...)", settings=settings, finished=False)
+
+
+def _name(origin: Origin | None) -> str:
+    return "from Python" if origin is None else origin.name

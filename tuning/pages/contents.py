@@ -1,0 +1,79 @@
+"""What the folder of a result holds, as data, before anything is written."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.control import law_of
+from tuning.comparisons.side_by_side import Compared, Values, differences
+from tuning.gains import gains_file
+from tuning.pages.page import Origin, Page, Table
+from tuning.problem.evaluation import Problem
+from tuning.results.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure  # which takes long to import
+
+
+class Picture(NamedTuple):
+    """A picture that is drawn when it is written."""
+
+    caption: str
+    draw: "Callable[[], Figure]"
+
+
+Files = Mapping[str, str | xr.Dataset | Picture]  # by name, of pictures without an ending
+
+
+@dataclasses.dataclass(frozen=True)
+class Written:
+    """What a result was compared with, what its tests said, and what was written."""
+
+    files: str = ""  # their names
+    walks: Mapping[str, mc.Trajectory] = dataclasses.field(default_factory=dict)  # in double precision
+    compared: Compared = dataclasses.field(default_factory=dict)  # gains and metrics of these
+    data: xr.Dataset | None = None  # the grid with its limit of stability, the map, or the walks of the fresh draw
+    summed: xr.Dataset | None = None  # mean and worst of that draw, see `tuning.comparisons.judge.summary`
+    outcome: Sequence[str] = ()  # in lines
+    summary: str = ""  # all of it, JSON
+    tables: Sequence[Table] = ()  # for a terminal, where it is not that of the walks
+
+
+class Contents(NamedTuple):
+    """The files of a folder beside config.yaml, the page, and what is told of them."""
+
+    written: Written
+    problem: Problem  # whose scenario, law, metrics and objective config.yaml names
+    files: Files
+    page: Callable[[Origin], Page] | None = None
+    again: str = ""  # the command or call that repeats it in the folder
+
+
+def files_of(found: Result, name: str) -> dict[str, Any]:
+    """Return a result's gains, data and settings as files; `name` is that of its config."""
+    scenario, files = found.scenario, dict[str, Any]()
+    if found.gains is not None and found.search is not None:
+        gains, law = gains_file.completed(scenario, found.gains), found.problem.law or law_of(scenario)
+        files["gains.yaml"] = gains_file.text(gains, found.comment(name), law)
+    files[found.FILE] = found.data.assign_attrs(scenario=scenario.to_yaml())
+    settings = {"search.yaml": found.search, "ensemble.yaml": found.ensemble}
+    return files | {file: own.to_yaml() for file, own in settings.items() if own is not None}
+
+
+def sentences(lines: Iterable[str]) -> list[str]:
+    """Return lines with a capital in front and a full stop."""
+    return [f"{line[0].upper()}{line[1:]}".removesuffix(".") + "." for line in lines]
+
+
+def at_one_step(step: float | None, but: str) -> list[str]:
+    """Return at which time step the walks of a table are where it is not the scenario's, and what is not."""
+    return [] if step is None else [f"all walks of the table are at a time step of {step:g} s, {but}"]
+
+
+def worse_than_pd(metrics: Values, baseline: Values, about: mc.MetricTable) -> list[str]:
+    """Return which metrics are worse than under pd, in a line; none where none is."""
+    worse, _ = differences(metrics, baseline, about)
+    return [f"worse than pd: {', '.join(worse)}"] if worse else []

@@ -1,0 +1,215 @@
+"""Laws side by side: table of differences, picture, page."""
+
+import csv
+import dataclasses
+import io
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import mjx_climb as mc
+from mjx_climb.control import law_of
+from mjx_climb.viz import plots
+from mjx_climb.viz.plots import key
+from tuning.comparisons import judge as judging
+from tuning.comparisons import paired
+from tuning.comparisons.compare import HARDWARE, file_name
+from tuning.comparisons.judge import PD
+from tuning.comparisons.of_laws import LawsComparison
+from tuning.gains import gains_file
+from tuning.gains.gains_file import by_name
+from tuning.gains.gains_tables import labels
+from tuning.numbers import gain, number, to_json, unit
+from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
+from tuning.pages.page import Origin, Page, Table
+from tuning.results.judged import Comparison
+from tuning.searches.retuned_pd import NAME
+
+LAWS = "Differences from retuned pd, with 95 % intervals over the walks; grey where the interval holds 0."
+_NOT_METRICS = {"objective": "objective", "failed": "share lost"}
+
+
+def contents(found: Comparison, compared: LawsComparison, name: str) -> Contents:
+    """Return every walk with what differs, a table, the gains of each law, a picture, the page."""
+    metrics, table, verdict = found.problem.metrics, compared.table, compared.verdict
+    found = dataclasses.replace(found, data=paired.beside(found.data, table).assign_attrs(verdict=verdict.in_words))
+    gains = {
+        f"gains-{file_name(law)}.yaml": gains_file.text(
+            gains_file.completed(own.scenario, own.gains),
+            f"mjx-climb compare {name}: {law}",
+            own.problem.law or law_of(own.scenario),
+        )
+        for law, own in found.tuned.items()
+    }
+    rows = rows_of(table)
+    searched = {
+        law: {"gains": by_name(own.gains), "points": own.data.sizes["point"], "env_steps": own.env_steps,
+              "objective": own.value, "feasible": own.feasible, "reads_forces": law in compared.reading}
+        for law, own in found.tuned.items()
+    }  # fmt: skip
+    summary = to_json({"verdict": verdict.in_words, "best": verdict.best, "laws": searched, "table": rows})
+    notes = [*notes_of(found, table), *judging.lost_in_words(found.data)]
+    side_by_side = laws_table(table, metrics)
+    return Contents(
+        Written(
+            data=found.data, summed=table, outcome=[*notes, verdict.in_words], summary=summary, tables=[side_by_side]
+        ),
+        found.problem,
+        files_of(found, name)
+        | gains
+        | {"compared.csv": to_csv(rows), "summary.json": summary + "\n"}
+        | {"compared": Picture(LAWS, lambda: plot_laws(table))},
+        lambda origin: page_of(found, side_by_side, verdict.in_words, notes, origin),
+    )
+
+
+def rows_of(table: xr.Dataset) -> list[dict[str, Any]]:
+    """Return a comparison of laws as plain rows: a metric, a statistic, a law, and its numbers."""
+    rows: list[dict[str, Any]] = []
+    dims = ("metric", "statistic", "gains")
+    for place in np.ndindex(*(table.sizes[name] for name in dims)):
+        if np.isfinite(table["value"].values[place]):
+            words = {name: str(table[name].values[index]) for name, index in zip(dims, place, strict=True)}
+            numbers = {
+                name: table[name].values[place].item() for name in ("value", "difference", "low", "high", "real")
+            }
+            rows.append(words | numbers)
+    return rows
+
+
+def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return plain rows as CSV."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def laws_table(table: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:
+    """Return mean and worst of each metric by law, each with its difference from retuned pd and the interval, in %.
+
+    Better hardware and the scenario's own pd have a row of the objective and of the lost walks alone.
+    """
+    base, sections = table.attrs["baseline"], []
+    versus = f"vs {base} %"
+    columns = ["metric", "law", "mean", versus, f"worst {table.attrs['worst_share']:.0%}", versus]
+    for name in table["metric"].values.tolist():
+        own = table.sel(metric=name)
+        words = [metrics.in_words(name), unit(name, metrics)] if name in metrics.names else [_NOT_METRICS[name], ""]
+        rows: list[list[str]] = []
+        for law in table["gains"].values.tolist():
+            if name in metrics.names and law in (*HARDWARE, PD):
+                continue
+            cells = [
+                cell
+                for key in ("mean", "worst")
+                for cell in _versus(own.sel(statistic=key, gains=law), own.sel(statistic=key, gains=base))
+            ]
+            rows.append([words[len(rows)] if len(rows) < len(words) else "", law, *cells])
+        sections.append(("", rows))
+    caption = f"On {table.attrs['members_compared']} walks that no search saw; ~: no real difference"
+    return Table(caption, columns, sections, 2)
+
+
+def _versus(own: xr.Dataset, base: xr.Dataset) -> tuple[str, str]:
+    """Return a value, and its difference with the interval in per cent, "~" behind it where it is not real."""
+    value, of = float(own["value"]), abs(float(base["value"]))
+    if not np.isfinite(value):
+        return "", ""
+    if str(own["gains"].values) == str(base["gains"].values):
+        return number(value), ""
+    if not of:  # a share of no walks has no per cent of its own
+        of = 1.0
+    change, low, high = (100 * float(own[name]) / of for name in ("difference", "low", "high"))
+    return number(value), f"{change:+.1f} [{low:.1f}, {high:.1f}]{' ' if bool(own['real']) else '~'}"
+
+
+def notes_of(found: Comparison, table: xr.Dataset) -> list[str]:
+    """Return what a comparison of laws rests on, in lines."""
+    points = {name: own.data.sizes["point"] for name, own in found.tuned.items()}
+    same = len({*points.values()}) == 1
+    spent = str(min(points.values())) if same else ", ".join(f"{name} {count}" for name, count in points.items())
+    notes = [
+        f"{spent} points of {found.problem.members} walks searched for each law; {table.attrs['members']} unseen "
+        f"walks each; {table.attrs['level']:.0%} intervals hold for all rows of a column at once (max-t over "
+        f"{table.attrs['resamples']} resamples of the walks; lost walks: McNemar's exact test)"
+    ]
+    pd, values = found.tuned[NAME], by_name(found.tuned[NAME].gains)
+    notes.append("each law was searched once: another search may end elsewhere, which no interval here counts")
+    notes.append(f"retuned pd: {', '.join(f'{name} {gain(values, name)}' for name in pd.problem.space.gains)}")
+    if not same:
+        notes.append("warning: searches that had converged ended early")
+    broken = [name for name, own in found.tuned.items() if not own.feasible]
+    if broken:
+        notes.append(f"warning: no gains kept every limit in the search of {', '.join(broken)}")
+    if left := table.attrs["members"] - table.attrs["members_compared"]:
+        notes.append(f"warning: {left} walks in which something diverged count among those lost alone")
+    if found.hardware:
+        notes.append("better hardware walks with what was tuned for the present one, so it may be worth more")
+    return notes
+
+
+def page_of(found: Comparison, table: Table, verdict: str, notes: Sequence[str], origin: Origin) -> Page:
+    """Return the page of a comparison of laws: what it says, the table, and the gains of each."""
+    sections = []
+    for name, own in found.tuned.items():
+        known = labels(own.problem.law)
+        rows = [
+            ["", gain_name, known[gain_name][0] if gain_name in known else "", gain(by_name(own.gains), gain_name)]
+            for gain_name in own.problem.space.gains
+        ]
+        rows[0][0] = name
+        sections.append(("", rows))
+    steps = ", ".join(f"{name} {own.env_steps:,}" for name, own in found.tuned.items())
+    assert found.search is not None
+    return Page(
+        title=f"Laws compared on {origin.name}: {', '.join(found.laws)} beside retuned pd", origin=origin,
+        verdict=sentences([verdict])[0], scenario=found.scenario, notes=sentences(notes),
+        tables=[table,
+                Table("Gains found", ["law", "gain", "unit", "value"], sections, 3)],
+        facts={"precision": "float32", "seed": found.search.seed, "env-steps": steps},
+    )  # fmt: skip
+
+
+@plots.style()
+def plot_laws(table: xr.Dataset) -> Figure:
+    """Draw differences from the baseline in per cent of it, with their intervals: a panel a metric, a row a law.
+
+    Dots are means, diamonds means of the worst 5 %; grey where the interval holds 0.
+    """
+    base = table.attrs["baseline"]
+    names = [name for name in table["gains"].values.tolist() if name != base]
+    others = table.sel(gains=names)  # one without an interval, or which is 0 with all gains, shows nothing
+    drawn = others["low"].notnull() & ((others["value"] != 0) | (others["difference"] != 0))
+    metrics = [name for name in table["metric"].values.tolist() if bool(drawn.sel(metric=name).any())]
+    columns = min(3, len(metrics))
+    rows = -(-len(metrics) // columns)
+    figure = Figure(figsize=(2 * plots.COLUMN, rows * (0.55 + 0.2 * len(names)) + 0.4), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for panel, metric in itertools.zip_longest(panels.flat, metrics):
+        if metric is None:
+            panel.set_visible(False)
+            continue
+        panel.axvline(0, color="0.6", linewidth=0.8)
+        for statistic, marker, shift in (("mean", "o", -0.13), ("worst", "D", 0.13)):
+            own = table.sel(metric=metric, statistic=statistic)
+            per = 100 / (abs(float(own["value"].sel(gains=base))) or 1.0)  # of no lost walks: per cent of all
+            for place, name in enumerate(names):
+                middle, low, high = (per * float(own[key].sel(gains=name)) for key in ("difference", "low", "high"))
+                better = (middle < 0) != bool(own["larger_is_better"])
+                color = (plots.BLUE if better else plots.VERMILLION) if bool(own["real"].sel(gains=name)) else "0.7"
+                panel.plot([low, high], [place + shift] * 2, color=color, linewidth=1.2)
+                panel.plot(middle, place + shift, marker, color=color, ms=3.5)
+        panel.set(title=metric.replace("_", " "), ylim=(len(names) - 0.5, -0.5))
+        panel.set_yticks(range(len(names)), names)
+    for panel in panels[-1]:
+        panel.set_xlabel("difference from\nretuned pd [%]")
+    marks = [key(text, color="0.3", marker=mark, ms=4, ls="") for text, mark in (("mean", "o"), ("worst 5 %", "D"))]
+    lines = (("better", plots.BLUE), ("worse", plots.VERMILLION), ("not real", "0.7"))
+    plots.legend_below(figure, [*marks, *(key(text, color=color) for text, color in lines)], 5)
+    return figure

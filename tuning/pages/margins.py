@@ -1,0 +1,71 @@
+"""Margins of gains: a picture."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mjx_climb.viz import plots
+from mjx_climb.viz.plots import key
+from tuning.comparisons import margins
+from tuning.pages.pictures import COLORS, plain_numbers
+
+_ROOM = 1.6  # of the largest force variation of pd on any hardware: above it curves leave the picture
+_WIDE = 4  # range of that from which on the axis is logarithmic
+_TORN, _DIVERGED = "X", "^"
+
+
+@plots.style()
+def plot_margins(found: margins.Found, given: str = "given gains") -> Figure:
+    """Draw force variation over each quantity; a curve ends where a gripper is torn off, or the walk diverges.
+
+    Dotted lines are the scenario's hardware, and twice as much of it (half of the joint gains); `given` is what the
+    given gains are called.
+    """
+    others = iter((plots.BLUE, plots.GREEN, plots.PURPLE, plots.ORANGE))
+    colors = {name: COLORS.get(name) or next(others) for name in found.walks["gains"].values.tolist()}
+    dots: dict[str, Any] = {"color": "0.5", "linewidth": 0.7, "linestyle": ":"}
+    figure = Figure(figsize=(2 * plots.COLUMN, 4.4), layout="constrained")
+    for panel, (name, margin) in zip(figure.subplots(2, 2).flat, found.margins.items(), strict=True):
+        quantity = margins.QUANTITIES[name]
+        unit, words = (1.0, "") if quantity.scales else (1e3, " [ms]")
+        _draw_variation(panel, found.walks.sel(quantity=name), unit, colors)
+        if quantity.scales:
+            panel.set_xscale("log")
+            plain_numbers(panel.xaxis, few=True)
+        panel.set_xlabel(quantity.title + words)
+        for value in {margin.own, margins.needed(name, margin.own)}:
+            panel.axvline(value * unit, **dots, zorder=0)
+    handles = [
+        *(key(given if name == "given" else name, color=color) for name, color in colors.items()),
+        key("gripper torn off", color=plots.RED, marker=_TORN, ms=5, linestyle="none"),
+        key("diverged", color=plots.RED, marker=_DIVERGED, ms=5, linestyle="none"),
+        key("hardware, and a factor of 2", **dots),
+    ]
+    plots.legend_below(figure, handles, len(handles))
+    return figure
+
+
+def _draw_variation(panel: Axes, walks: xr.Dataset, unit: float, colors: Mapping[str, str]) -> None:
+    """Draw the force variation of each set of gains up to the first walk that fails."""
+    values, variation = walks["value"].values * unit, walks["force_variation"]
+    sound = walks["detached_at"].isnull() & ~walks["diverged"]
+    reference = variation.where(sound).sel(gains="pd")
+    top = _ROOM * float(reference.max()) if reference.notnull().any() else float(variation.max())
+    for name, color in colors.items():
+        line = variation.sel(gains=name).values
+        end = int(np.argmin([*sound.sel(gains=name).values, False]))  # the first walk that fails
+        panel.plot(values[: end + 1], line[: end + 1], color=color)
+        if end < len(values):
+            marker = _TORN if np.isfinite(walks["detached_at"].sel(gains=name).values[end]) else _DIVERGED
+            place = min(np.nan_to_num(line[end], nan=top), top)
+            panel.plot(values[end], place, marker, color=plots.RED, mec=color, mew=0.8, ms=6, clip_on=False, zorder=4)
+    low = float(variation.where(sound).min())
+    logarithmic = low > 0 and reference.max() > _WIDE * reference.min()
+    if logarithmic:
+        panel.set_yscale("log")
+        plain_numbers(panel.yaxis, few=False)
+    panel.set(ylabel="force variation [N]", ylim=(0.8 * low if logarithmic else 0, top), xlim=(values[0], values[-1]))

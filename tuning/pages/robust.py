@@ -1,0 +1,75 @@
+"""Gains that a search over an ensemble found: page with the walks that test them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mjx_climb as mc
+from tuning.comparisons import judge as judging
+from tuning.comparisons.of_ensemble import RobustComparison, shown
+from tuning.comparisons.side_by_side import Compared
+from tuning.gains.gains_file import by_name
+from tuning.numbers import to_json
+from tuning.pages import comparison
+from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
+from tuning.pages.judge import SHARES, judged_table, plot_judged
+from tuning.pages.page import Origin, Page, Table
+from tuning.pages.tune import CONVERGENCE, plot_convergence
+from tuning.results.tuned import Robust
+
+
+def contents(found: Robust, compared: RobustComparison, name: str) -> Contents:
+    """Return gains, all points, a fresh draw that tests them, pictures and page."""
+    walks, summed, worth, metrics = compared.walks, compared.summed, compared.worth, found.problem.metrics
+    plain: dict[str, Any] = judging.plain(summed, shown(metrics))
+    for walk, own in plain.items():
+        own["objective"] = float(summed["objective"].sel(gains=walk))
+        own["broken_limits"] = summed["broken"].sel(gains=walk).to_series().to_dict()
+    plain["search"] = {
+        "objective": found.value, "feasible": found.feasible, "env_steps": found.env_steps,
+        "gains": by_name(found.gains),
+    }  # fmt: skip
+    outcome, table = outcome_of(found, compared), judged_table(summed, metrics)
+    summary = to_json(plain if worth is None else plain | worth.summary)
+    return Contents(
+        Written(data=walks, summed=summed, outcome=outcome, summary=summary, tables=[table]),
+        found.problem,
+        files_of(found, name)
+        | {"judged.nc": walks, "summary.json": summary + "\n"}
+        | {
+            "convergence": Picture(CONVERGENCE, lambda: plot_convergence(found)),
+            "judged": Picture(SHARES, lambda: plot_judged(walks)),
+        },
+        lambda origin: page_of(found, table, outcome, origin),
+        "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again",
+    )
+
+
+def outcome_of(found: Robust, compared: RobustComparison) -> list[str]:
+    """Return in lines how a result did on the walks that its search never saw."""
+    broken = compared.summed["broken"].sel(gains="robust").to_series()
+    outcome = [] if found.feasible else ["warning: no gains kept every limit in every member of the search"]
+    outcome += [f"warning: {share:.1%} of the fresh walks break {limit}" for limit, share in broken.items() if share]
+    failed = judging.failed_in_words(compared.summed)
+    outcome += [f"{found.judges} walks each that the search never saw; {failed}"]
+    outcome += judging.lost_in_words(compared.walks)
+    outcome += [] if compared.worth is None else [compared.worth.in_words]
+    return outcome + ([f"held by its limits: {'; '.join(compared.binding)}"] if compared.binding else [])
+
+
+def page_of(found: Robust, table: Table, outcome: Sequence[str], origin: Origin) -> Page:
+    """Return the page of a search over an ensemble.
+
+    `table` is of walks that the search never saw; `outcome` says in lines how it went on them, what a force sensor is
+    worth, which limits bind or break.
+    """
+    rivals: Compared = {"robust": (by_name(found.gains), {})}
+    if not found.law:
+        control = found.scenario.control
+        rivals = {**rivals, "config": ({key: getattr(control, key) for key in mc.Gains.AXES}, {})}
+    verdict, *notes = sentences(outcome)
+    return Page(
+        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}", origin=origin,
+        verdict=verdict, scenario=found.scenario, notes=notes,
+        facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
+        tables=[table, comparison.gains_table(rivals, found.law)],
+    )  # fmt: skip

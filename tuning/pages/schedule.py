@@ -1,0 +1,143 @@
+"""A gain schedule: tables and picture; it has no page."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import yaml
+from matplotlib.figure import Figure
+
+from mjx_climb.viz import plots
+from mjx_climb.viz.plots import key
+from tuning.numbers import has_axes, to_json
+from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.pages.pictures import plain_numbers
+from tuning.results.scheduled import Scheduled
+from tuning.searches import retuned_pd
+
+SCHEDULE = "Gains by gravity and cargo."
+SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "base_deviation")  # in tables
+_LOADS = (plots.BLUE, plots.ORANGE, plots.GREEN, plots.PURPLE, plots.SKY, plots.VERMILLION)
+_UNITS = {"stiffness": "K [N/m, N m/rad]", "damping": "D [N s/m, N m s]", "inertia": "M [kg, kg m$^2$]"}
+_DASHES = {"tuned": "-", "config": ":", "retuned_pd": "--"}
+
+
+def contents(found: Scheduled, worth: str, name: str) -> Contents:
+    """Return the table, all metrics, and a picture; no page. `worth` is that of a force sensor, in words."""
+    data = found.data
+    level, load, loss = one_for_all(data)
+    one = "every set of gains breaks a limit at some other operating point"
+    if loss < np.inf:
+        one = f"the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
+    files = {"schedule.csv": to_csv(data), "schedule.yaml": to_yaml(data)}
+    return Contents(
+        Written(data=data, outcome=[worth, f"one for all: {one}"], summary=to_json(rows(data))),
+        found.problem,
+        files_of(found, name) | files | {"schedule": Picture(SCHEDULE, lambda: plot_schedule(data))},
+    )
+
+
+def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
+    """Return the operating point, gravity G and cargo kg, whose gains serve all others best, and the most they lose.
+
+    The loss is the largest `transfer` less the tuned `value` over all operating points; infinite where every set of
+    gains breaks a constraint somewhere.
+    """
+    loss = table["transfer"].values - table["value"].values[:, :, None, None]
+    worst = np.where(np.isfinite(loss), loss, np.inf).max((0, 1))
+    g, c = np.unravel_index(np.argmin(worst), worst.shape)
+    return float(table["gravity"][g]), float(table["cargo"][c]), float(worst[g, c])
+
+
+def rows(table: xr.Dataset) -> list[dict[str, Any]]:
+    """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd.
+
+    A metric of a walk that failed is None.
+    """
+    result = []
+    for g, c in np.ndindex(table["value"].shape):
+        point = table.isel(gravity=g, cargo=c)
+        row: dict[str, Any] = {"gravity_g": float(point["gravity"]), "cargo_kg": float(point["cargo"])}
+        for name in table.attrs["gains"].split():
+            values = np.unique(np.round(point[name].values.ravel(), 12))
+            row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
+        row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
+        for name in SHOWN:
+            holds = (point["detached_limb"] < 0) & ~point["diverged"].astype(bool)
+            each = zip(point["walk"].values.tolist(), point[name].values.tolist(), holds.values, strict=True)
+            row[name] = {walk: value if held else None for walk, value, held in each}
+        row[retuned_pd.NAME] = {name: float(point[f"retuned_{name}"]) for name in ("kp", "kd", "value")}
+        result.append(row)
+    return result
+
+
+def to_csv(table: xr.Dataset) -> str:
+    """Return the schedule as CSV: one line per operating point, a column per number of each gain."""
+    lines = []
+    for g, c in np.ndindex(table["value"].shape):
+        point = table.isel(gravity=g, cargo=c)
+        cells = {"gravity_G": point["gravity"], "cargo_kg": point["cargo"]}
+        for name in table.attrs["gains"].split():
+            labels = [point[dim].values for dim in point[name].dims]
+            for place in np.ndindex(point[name].shape):
+                axes = (str(label[number]) for label, number in zip(labels, place, strict=True))
+                cells["_".join([name, *axes])] = point[name][place]
+        cells["feasible"] = point["feasible"]
+        cells |= {f"{name}_{walk}": point[name].sel(walk=walk) for name in SHOWN for walk in table["walk"].values}
+        lines.append(",".join(f"{float(value):.6g}" for value in cells.values()))
+    return "\n".join([",".join(cells), *lines]) + "\n"
+
+
+def to_yaml(table: xr.Dataset) -> str:
+    """Return the schedule as YAML: a list of operating points with their gains."""
+    return yaml.safe_dump({"operating_points": rows(table)}, sort_keys=False, default_flow_style=None, width=110)
+
+
+@plots.style()
+def plot_schedule(table: xr.Dataset) -> Figure:
+    """Draw the gains over gravity, a line for each cargo, and the force variation that they leave of pd's.
+
+    Solid lines of gains are translations, dotted ones rotations where they differ; gains that differ within either
+    appear as their geometric mean, arrays and gains of 0 or less not at all. Below, solid lines are the tuned gains,
+    dotted ones the config's, dashed ones pd retuned. Hollow marks break a limit.
+    """
+    gravity, searched = table["gravity"].values, table.attrs["searched"].split()
+    kinds = [kind for kind in searched if has_axes(table[kind][0, 0]) and (table[kind].values > 0).all()]
+    colors = dict(zip(table["cargo"].values, itertools.cycle(_LOADS), strict=False))
+    figure = Figure(figsize=(plots.COLUMN, 0.5 + 1.3 * (len(kinds) + 1)), layout="constrained")
+    *panels, below = figure.subplots(len(kinds) + 1, 1, sharex=True, squeeze=False).ravel()
+
+    for load, color in colors.items():
+        point, curves = table.sel(cargo=load), []  # panel, values, dash, and whether a curve's points are marked
+        feasible = point["feasible"].values.astype(bool)
+        for panel, kind in zip(panels, kinds, strict=True):
+            logs = np.log(point[kind].values.reshape(gravity.size, -1))
+            parts = [part.mean(1) for part in (logs[:, :3], logs[:, 3:]) if part.size]
+            curves.append((panel, np.exp(parts[0]), "-", True))
+            if not np.allclose(parts[0], parts[-1]):
+                curves.append((panel, np.exp(parts[-1]), ":", True))
+            panel.set_ylabel(_UNITS.get(kind, f"{kind} [{table[kind].attrs['units']}]"))
+        held = (point["detached_limb"] < 0) & ~point["diverged"].astype(bool)
+        variation = point["force_variation"].where(held)
+        left = 100 * variation / variation.sel(walk="pd")
+        curves += [(below, left.sel(walk=walk).values, dash, walk == "tuned") for walk, dash in _DASHES.items()]
+        for panel, values, dash, marked in curves:
+            panel.plot(gravity, values, dash, color=color)
+            for some, fill in ((feasible, color), (~feasible, "white")) if marked else ():
+                panel.plot(gravity[some], values[some], "o", color=color, ms=3, mfc=fill)
+    for panel in panels:  # a decade at least: less would make mountains of what does not matter
+        panel.set_yscale("log")
+        low, high = panel.get_ylim()
+        room = max(np.sqrt(10 * low / high), 1.0)
+        panel.set_ylim(low / room, high * room)
+        plain_numbers(panel.yaxis, few=high * room**2 / low < 1e3)
+    below.axhline(100, color="0.6", linewidth=0.8)
+    below.set(ylabel="force variation\n[% of pd]", xscale="log", xlabel="gravity [G]")
+    if gravity.max() < 100 * gravity.min():  # so few decades would have a number at each of their tenths
+        below.set_xlim(gravity.min() / 1.5, gravity.max() * 1.5)
+        plain_numbers(below.xaxis, few=True)
+    walks = [key(walk.replace("_", " "), color="0.3", ls=dash) for walk, dash in _DASHES.items()]
+    plots.legend_below(figure, walks, 3)
+    plots.legend(figure, [key(f"{load:g} kg", color=color) for load, color in colors.items()], "cargo")
+    return figure

@@ -1,0 +1,114 @@
+"""A sweep: its maps, page with the walks beside it."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from mjx_climb.viz import plots
+from tuning.comparisons.of_sweep import SweepComparison
+from tuning.comparisons.side_by_side import VARIATION, Compared
+from tuning.numbers import failed, number, remarks, to_json
+from tuning.pages import comparison
+from tuning.pages.contents import Contents, Picture, Written, at_one_step, sentences, worse_than_pd
+from tuning.pages.explorer import explorer, grid_points
+from tuning.pages.page import Origin, Page
+from tuning.problem.evaluation import Problem
+from tuning.results.swept import Swept, axes_of
+
+MAPS = "All metrics over both gains; brighter is better."
+_HATCHED = ("detached_limb", "diverged")  # shown on every map
+
+
+def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
+    """Return the grid, the sheet of maps, the walks beside it, and the page."""
+    (scenario, law), data, best = found.walker(), compared.data, compared.best
+    walked = dataclasses.replace(found.problem, scenario=scenario)
+    count, edges = data["diverged"].size, compared.at_edge
+    walks = {
+        "config" if name == "paper" else name: {"gains": gains, "metrics": metrics}
+        for name, (gains, metrics) in compared.rows.items()
+    }
+    sensor = {} if compared.worth is None else compared.worth.summary
+    counts = {"walks": count, "failed": compared.failed, "best_at_edge_of": edges}
+    summary = to_json({"best": None} | walks | sensor | {"grid": counts})
+    widen = [f"the best lies on the edge of the grid: widen {name}" for name in edges]
+    worth, own_step = [] if compared.worth is None else [compared.worth.in_words], scenario.time_step
+    cell = "" if best is None else f", where the best cell has {number(best[VARIATION].item())} N"
+    worth += at_one_step(compared.step, f"the maps at {own_step:g} s{cell}")
+    if best is None:
+        outcome = [f"no walk of the grid held: all {count} detached or diverged"]
+    else:
+        at = ", ".join(f"{name} {best[name].item():.4g}" for name in found.axes)
+        outcome = [f"best: {at} ({compared.failed} of {count} walks detached or diverged)", *widen]
+    outcome += worth + remarks({name: metrics for name, (_, metrics) in compared.rows.items()})
+    listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
+    call = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed})'
+    return Contents(
+        Written(
+            walks=compared.walks, compared=compared.rows, data=data, outcome=[*outcome, *compared.remedies],
+            summary=summary,
+        ),
+        dataclasses.replace(walked, law=law),
+        {
+            found.FILE: data.assign_attrs(scenario=scenario.to_yaml()),
+            "maps": Picture(MAPS, lambda: sheet(data, compared.rows)),
+            "comparison.json": summary + "\n",
+        },
+        lambda origin: page_of(walked, compared, [*worth, *widen], origin),
+        f'tuning.write({call}, "again")',
+    )  # fmt: skip
+
+
+def page_of(problem: Problem, compared: SweepComparison, notes: Sequence[str], origin: Origin) -> Page:
+    """Return the page of a sweep: its maps with gains marked on them, time histories, and notes that stand first."""
+    grid, best, rows, about = compared.data, compared.best, compared.rows, problem.metrics
+    histories = compared.histories
+    axes, metrics = axes_of(grid), {walk: numbers for walk, (_, numbers) in rows.items()}
+    count, kept, found = grid["diverged"].size, histories["diverged"].size, list(notes)
+    if best is None:
+        verdict = f"None of the {count} walks held: every one lost a gripper or diverged."
+    else:
+        name, won = "force_variation", metrics["best"]
+        gains = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in axes)
+        text, missed = comparison.against(name, "best", metrics, about), won.get("missed_grips")
+        grips = f"every grip holds, but {missed} missed the ground" if missed else "every gripper holds"
+        verdict = f"Of {count} walks, {gains} are best: force variation {text}; {failed(won) or grips}."
+        found.append(f"{compared.failed} of the {count} walks lost a gripper or diverged")
+        found += worse_than_pd(won, metrics["pd"], about)
+    found += remarks(metrics)
+    if kept < count:
+        found.append(f"the page holds the time histories of {kept} of the cells; a click shows the nearest of them")
+    begin = best if best is not None else grid.isel(dict.fromkeys(axes, 0))
+    points = grid_points(grid, histories, metrics["pd"], marks(grid, rows), begin)
+    walks = {name: compared.walks[name] for name in reversed(list(compared.walks))}
+    facts = {
+        "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)", "engine": grid.attrs["engine"],
+        "robots at a time": grid.attrs["batch_size"], "seed": "none: nothing is drawn at random",
+    }  # fmt: skip
+    return Page(
+        title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", origin=origin,
+        verdict=verdict, scenario=problem.scenario, notes=sentences(found), facts=facts,
+        explorers={"Maps and walks": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
+        tables=[comparison.table(rows, "Walks in double precision", about, problem.law)],
+    )  # fmt: skip
+
+
+def sheet(data: xr.Dataset, compared: Compared) -> Figure:
+    """Draw the maps of all metrics that have values, with the gains and with pd's values to compare with."""
+    metrics = [str(n) for n, v in data.items() if "larger_is_better" in v.attrs and n not in _HATCHED]
+    known = [name for name in metrics if np.isfinite(data[name]).any()]
+    baselines = {name: value for name, value in compared["pd"][1].items() if value is not None}
+    return plots.plot_maps(data, known, marks(data, compared), baselines=baselines, columns=3)
+
+
+def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]]:
+    """Return the two gains of the walks that have one of each."""
+    found = {}
+    for name, (gains, _) in compared.items():
+        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in axes_of(data)):
+            x, y = (float(np.ravel(gains[key])[0]) for key in axes_of(data))
+            found[name] = x, y
+    return found
