@@ -520,7 +520,7 @@ class Own(v.Section):
 class Scenario(v.Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
-    robot: AnyRobot = setting("hubrobo_v3_2", "name of the robot, or one's own from a file")
+    robot: AnyRobot = setting("hubrobo_v3_2", "name of the robot, or your own from a file")
     gravity: v.Gravity = setting((0.0, 0.0, -9.81), "gravity, world axes, m/s^2; a slope tilts it")
     duration: v.Positive = setting(8.0, "length of the walk, s; a whole number of time steps")
     time_step: v.Positive = setting(0.001, "time step of the simulation, s")
@@ -530,7 +530,7 @@ class Scenario(v.Section):
     control: Control = setting(Control(), "controller and gains")
     disturbance: Disturbance = setting(Disturbance(), "cargo and pushes")
     hardware: Hardware = setting(Hardware(), "sensors, rate, bus and servos; ideal ones by default")
-    own: Own | None = setting(None, "law, metrics, contact and more of one's own: files are run")
+    own: Own | None = setting(None, "law, metrics, contact and more of your own: files are run")
 
     @model_validator(mode="after")
     def _gains_of_registers(self) -> Scenario:
