@@ -36,3 +36,13 @@ def test_each_file_and_folder_of_the_package_stands_in_the_drawing(package):
     drawn = {name + kind for layer in drawing(package) for name, kind in layer}
     folders = {f"{file.parent.name}/" for file in (ROOT / package).glob("*/__init__.py")}
     assert drawn == folders | {file.name for file in (ROOT / package).glob("*.py")} - {"__init__.py"}
+
+
+WALKS = re.compile(r"(\bmc\.(rollout|rollout_metrics|rollout_histories|simulator|Simulation)|\.evaluate)\(")
+
+
+@pytest.mark.parametrize("room", ["results", "pages", "writing"])
+def test_what_tells_of_results_walks_nothing(room):
+    """Comparisons are made before a result is written: the rooms that describe and write it get them as data."""
+    walking = [file.name for file in (ROOT / "tuning" / room).glob("*.py") if WALKS.search(file.read_text("utf-8"))]
+    assert not walking
