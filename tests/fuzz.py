@@ -55,38 +55,41 @@ signals:
 ENSEMBLE = (CONFIGS / "ensemble.yaml").read_text()
 
 RANGES = ["--stiffness", "1e3:1e5:3", "--damping", "1e2:1e3:2"]
-COMMANDS = {  # with every option that takes a value, {config} and so on for files
+COMMANDS = {  # the command and what it does, with every option that takes a value, {config} and so on for files
     "run": "{config} --controller pd --set control.damping=2e3 --gains {gains} --engine mjx --compare base_admittance "
     "--snapshots --at 0.5,1 --size 640x480 --json",
     "sweep": "{config} --stiffness 1e3:1e5:3 --damping 1e2:1e3:2 --gains {gains} --batch-size 4 --shard 2/3 "
     "--set control.kd=0.1",
     "replay": "{config} --log {log} --signals {signals} --base held --judge --size 640x480 --set control.kd=0.1",
-    "merge": "taken",
+    "sweep, merged": "--merge taken",
     "plot": "taken --metric min_tsm --figures png,pdf --size 60x60 --dpi 100 --style ggplot",
     "robot": "taken --gravity 1.6 --base base --limbs a,b",
     "tune": "{config} --method grid --space split --starts 3 --iterations 2 --seed 1 --weight force_variation=1 "
     "--limit base_deviation=0.01 --bound damping=1:10 --pin stiffness.rotation=3 --search {search} --gains {gains}",
-    "pareto": "{config} --better force_variation --against base_deviation --points 3 --space split --search {search}",
-    "schedule": "{config} --gravity 1e-6,1/6,1 --cargo 0,0.5 --space split --search {search}",
-    "margins": "{config} --gains {gains} --retuned-pd {gains} --controller pd --hardware ideal --set control.kd=0.1",
-    "judge": "{config} --gains {gains} --ensemble {ensemble} --members 8 --controller base_admittance --shard 1/2 "
+    "tune, a front": "{config} --better force_variation --against base_deviation --points 3 --space split "
+    "--search {search}",
+    "tune, points": "{config} --over gravity=1e-6,1/6,1 --over cargo=0,0.5 --space split --search {search}",
+    "evaluate, margins": "{config} --margins --gains {gains} --retuned-pd {gains} --controller pd --hardware ideal "
     "--set control.kd=0.1",
-    "compare": "{config} --laws base_admittance,end_effector_admittance --ensemble {ensemble} --members 8 --starts 4 "
-    "--iterations 2 --also inertia --pin damping=30 --bound kp=10:90 --search {search}",
+    "evaluate": "{config} --gains {gains} --ensemble {ensemble} --members 8 --controller base_admittance --shard 1/2 "
+    "--set control.kd=0.1",
+    "tune, laws": "{config} --law base_admittance --law end_effector_admittance --ensemble {ensemble} --members 8 "
+    "--test-members 8 --starts 4 --iterations 2 --also inertia --pin damping=30 --bound kp=10:90 --search {search}",
     "excite": "{config} --duration 2 --candidates 1 --fit hardware.servo.armature --family chirp --kp 30 --margin 0.5 "
     "--rate 50 --noise 1e-3 --base held --mass 0.1 --low 0.2 --high 5 --seed 1 --set control.kd=0.1",
     "identify": "{config} --log {log} --fit hardware.servo.armature --signals {signals} --held-out 0.2 --starts 2 "
     "--set control.kd=0.1 --json",
     "export": "{gains} --format ros2_control --update-rate 500 --name admittance",
-    "schema": "",
-    "bench": "--batch 64 --quick",
+    "doctor, schema": "--schema",
+    "doctor, speed": "--bench --batch 64 --quick",
     "reproduce": "--json",
     "doctor": "--json",
 }
+FRONT, POINTS = "tune --against base_deviation", "tune --over gravity,cargo"
 USES = {
-    "config": ("run", "sweep", "tune", "pareto", "schedule", "margins", "excite"),
-    "gains": ("run", "sweep", "tune", "margins", "export"),
-    "search": ("tune", "pareto", "schedule"),
+    "config": ("run", "sweep", "tune", FRONT, POINTS, "evaluate --margins", "excite"),
+    "gains": ("run", "sweep", "tune", "evaluate --margins", "export"),
+    "search": ("tune", FRONT, POINTS),
     "ensemble": ("tune",),
     "log": ("replay", "identify"),
     "signals": ("replay", "identify"),
@@ -153,17 +156,18 @@ def _call(command: str, kind: str) -> list[str]:
         return ["export", "{folder}/gains.yaml"]
     other = [] if kind == "config" else [f"--{kind}", f"{{folder}}/{kind}.{ENDINGS.get(kind, 'yaml')}"]
     other += ["--log", "{folder}/log.csv"] if kind == "signals" else []
-    return [command, "{folder}/config.yaml", *other, *(RANGES if command == "sweep" else ())]
+    name, *asked = command.split()
+    return [name, "{folder}/config.yaml", *asked, *other, *(RANGES if command == "sweep" else ())]
 
 
 def _muddled(rng: random.Random) -> list[str]:
     """Return a list of arguments that is most likely wrong."""
-    command = rng.choice(list(COMMANDS))
-    words = COMMANDS[command]
+    kind = rng.choice(list(COMMANDS))
+    command, words = kind.partition(",")[0], COMMANDS[kind]
     for kind in USES:
         words = words.replace(f"{{{kind}}}", f"{{folder}}/{kind}.{ENDINGS.get(kind, 'yaml')}")
     words = words.split()
-    if command not in ("bench", "doctor", "robot"):
+    if command not in ("doctor", "robot"):
         words += ["--out", "{folder}/out"]
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         at = rng.randrange(len(words)) if words else 0

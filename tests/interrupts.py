@@ -27,27 +27,33 @@ CASE = str(ROOT / "configs" / "case_1_2.yaml")
 ROBOT = str(ROOT / "mjx_climb" / "robot" / "models" / "hubrobo_v3_2.xml")
 SHORT, OUT = [CASE, "--set", "duration=0.1"], ["--out", "out"]
 GRID = ["sweep", *SHORT, "--stiffness", "1e3:1e5:2", "--damping", "1e2:1e3:2"]
+FEW = ["--starts", "2", "--iterations", "2"]
 COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} for that of its shards, {log} for a log
     "run": ["run", *SHORT, "--compare", "pd", *OUT],
     "sweep": [*GRID, "--batch-size", "1", *OUT],
     "shard": [*GRID, "--shard", "1/2", *OUT],
     "tune": ["tune", *SHORT, "--starts", "2", "--iterations", "3", *OUT],
     "ensemble": ["tune", *SHORT, "--ensemble", "ensemble", *"--members 2 --starts 2 --iterations 2".split(), *OUT],
-    "pareto": ["pareto", *SHORT, "--points", "2", *OUT],
-    "schedule": ["schedule", *SHORT, "--gravity", "0.1,1", "--cargo", "0.5", *OUT],
+    "pareto": ["tune", *SHORT, "--against", "base_deviation", "--points", "2", *OUT],
+    "schedule": ["tune", *SHORT, "--over", "gravity=0.1,1", "--over", "cargo=0.5", *OUT],
     "reproduce": ["reproduce", *OUT],
-    "margins": ["margins", *SHORT, "--gains", "{gains}", *OUT],
-    "judge": ["judge", *SHORT, "--gains", "{gains}", "--members", "4", *OUT],
-    "compare": ["compare", *SHORT, *"--laws base_admittance --members 4 --starts 2 --iterations 2".split(), *OUT],
+    "margins": ["evaluate", *SHORT, "--gains", "{gains}", "--margins", *OUT],
+    "evaluate": ["evaluate", *SHORT, "--gains", "{gains}", "--members", "4", *OUT],
+    "compare": [
+        "tune",
+        *SHORT,
+        *"--law pd --law base_admittance --test-members 4 --starts 2 --iterations 2".split(),
+        *OUT,
+    ],
     "excite": ["excite", CASE, "--duration", "2", "--candidates", "1", *OUT],
     "identify": ["identify", CASE, "--log", "{log}", "--fit", "control.kp", "--starts", "1", *OUT],
     "export": ["export", "{gains}", "--update-rate", "500"],
-    "merge": ["merge", "{shards}", *OUT],
+    "merge": ["sweep", "--merge", "{shards}", *OUT],
     "plot": ["plot", "{swept}", *OUT],
     "robot": ["robot", ROBOT],
-    "schema": ["schema"],
+    "schema": ["doctor", "--schema"],
     "doctor": ["doctor"],
-    "bench": ["bench", "--quick", "--batch", "64"],
+    "bench": ["doctor", "--bench", "--quick", "--batch", "64"],
 }
 GAINS = "inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n"
 

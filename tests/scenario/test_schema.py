@@ -23,7 +23,7 @@ ROBOT = {"file": "robot.urdf", "height": 0.1, "limbs": dict.fromkeys(("LF", "LH"
 @pytest.fixture
 def schema(capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["schema"])
+        main(["doctor", "--schema"])
     assert ended.value.code == 0
     tree = json.loads(capsys.readouterr().out)
     jsonschema.Draft202012Validator.check_schema(tree)

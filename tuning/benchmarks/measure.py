@@ -1,4 +1,4 @@
-"""The measurements of `mjx-climb bench`: every ratio from runs that take turns, medians of several rounds."""
+"""The measurements of `mjx-climb doctor --bench`: every ratio from runs that take turns, medians of several rounds."""
 
 import contextlib
 import importlib.metadata

@@ -6,14 +6,17 @@ defaults. See `tuning.problem.settings.setting` for what is said of a field; its
 
 import ast
 import inspect
+import re
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import typer
 from pydantic import BaseModel, BeforeValidator, ValidationError
 from pydantic.fields import FieldInfo
+from typer.core import TyperCommand
 
 from mjx_climb.scenario import shipped
 from tuning.command_line.program import InputError
@@ -23,16 +26,32 @@ REPEATABLE = "; may be given several times"
 _WITH_FILES = {"config": shipped.names, "ensemble": shipped.ensembles, "hardware": shipped.profiles}
 
 
-def command(folder: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that makes what typer takes of a function, with a parameter for each field of its models.
+class Grouped(TyperCommand):
+    """A command whose help lists arguments and options under what they are about."""
 
-    Of `Annotated[Model, "name"]` these fields alone are options, of "-name" all but these.
-    `folder` is what `--out` is by default, in words.
-    """
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write a section of help for each panel that parameters name."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            if (record := parameter.get_help_record(ctx)) is not None:
+                sections.setdefault(getattr(parameter, "rich_help_panel", None) or "Options", []).append(record)
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
 
-    def made_of(function: Callable[..., None]) -> Callable[..., None]:
-        models: dict[str, type[BaseModel]] = {}  # by the name of a parameter
-        places: dict[str, tuple[str, type[BaseModel]]] = {}  # by the name of an option: a parameter and its model
+
+class Form(NamedTuple):
+    """A function of models, and where its options are fields: the name of a parameter, and the model."""
+
+    function: Callable[..., None]
+    models: Mapping[str, type[BaseModel]]  # by the name of a parameter
+    places: Mapping[str, tuple[str, type[BaseModel]]]  # by the name of an option
+
+    @classmethod
+    def of(cls, function: Callable[..., None]) -> "Form":
+        """Return the form of a function whose parameters are models."""
+        models: dict[str, type[BaseModel]] = {}
+        places: dict[str, tuple[str, type[BaseModel]]] = {}
         for taken, hint in get_type_hints(function, include_extras=True).items():
             if taken != "return":
                 model, *chosen = get_args(hint) if get_origin(hint) is Annotated else (hint,)
@@ -40,27 +59,89 @@ def command(folder: str = "") -> Callable[[Callable[..., None]], Callable[..., N
                 models[taken] = model
                 names = model.model_fields if but or not chosen else chosen
                 places |= {name: (taken, model) for name in names if name not in but}
+        return cls(function, models, places)
+
+    def field(self, name: str) -> FieldInfo:
+        """Return the field of an option."""
+        return self.places[name][1].model_fields[name]
+
+
+def command(
+    folder: str = "", forms: Mapping[str, Callable[..., None]] = MappingProxyType({})
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that makes what typer takes of a function, with a parameter for each field of its models.
+
+    Of `Annotated[Model, "name"]` these fields alone are options, of "-name" all but these.
+    `folder` is what `--out` is by default, in words. `forms` are functions of models that run in place of the decorated
+    one: by the option that asks for them, named twice where it has to be typed more than once. An option that is not of
+    the form that runs is refused.
+    """
+
+    def made_of(function: Callable[..., None]) -> Callable[..., None]:
+        every = {"": Form.of(function), **{key: Form.of(form) for key, form in forms.items()}}
+        # by the name of an option, as repeated where some form repeats it
+        shown: dict[str, tuple[type[BaseModel], FieldInfo]] = {}
+        for form in every.values():
+            for name, (_, model) in form.places.items():
+                if name not in shown or (_repeated(form.field(name)) and not _repeated(shown[name][1])):
+                    shown[name] = model, form.field(name)
 
         def called(context: typer.Context, **values: Any) -> None:
-            typed: dict[str, dict[str, Any]] = {taken: {} for taken in models}
-            for name, (taken, model) in places.items():
-                source = context.get_parameter_source(name)
-                if source is not None and source.name == "COMMANDLINE":
-                    typed[taken][name] = _read(name, model.model_fields[name], values[name])
-            function(**{taken: made(model, typed[taken]) for taken, model in models.items()})
+            sources = {name: context.get_parameter_source(name) for name in shown}
+            typed = [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+            key = _chosen(every, typed, values)
+            form = every[key]
+            for name in typed:
+                if name not in form.places:
+                    others = [_asking(key, shown) for key, other in every.items() if key and name in other.places]
+                    expected = f"none with {_asking(key, shown)}" if key else f"{' or '.join(others)} with it"
+                    raise InputError(f"{_flag(name, shown[name][1])}: expected {expected}")
+            for name in (name for name in form.places if form.field(name).is_required() and name not in typed):
+                shell, option = _shell(form.field(name)), f"option '{_flag(name, form.field(name))}'"
+                context.fail("Missing " + (f"argument '{shell.metavar}'." if shell.argument else f"{option}."))
+            read: dict[str, dict[str, Any]] = {taken: {} for taken in form.models}
+            for name in typed:
+                read[form.places[name][0]][name] = _read(name, form.field(name), values[name], _asking(key, shown))
+            form.function(**{taken: made(model, read[taken]) for taken, model in form.models.items()})
 
-        first = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-        parameters = [
-            _parameter(name, model.model_fields[name], folder if name == "out" else "")
-            for name, (_, model) in places.items()
-        ]
-        parameters = [first, *sorted(parameters, key=lambda each: each.default is not inspect.Parameter.empty)]
+        parameters = [inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)]
+        last = [*every[""].models.values()][-1]  # of what is written, below the forms' own options
+        for name, (model, field) in sorted(shown.items(), key=lambda each: each[1][0] is last):
+            needed = all(name in form.places and form.field(name).is_required() for form in every.values())
+            asks = name in {key.partition(" ")[0] for key in every} and not _repeated(field)
+            words = folder if name == "out" else ""
+            parameters.append(_parameter(name, field, words, _about(model), needed=needed, asks=asks))
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         called.__name__, called.__doc__ = function.__name__, function.__doc__
+        called.options = {key: tuple(form.places) for key, form in every.items()}  # type: ignore[attr-defined]
         return called
 
     return made_of
+
+
+def _chosen(every: Mapping[str, Form], typed: Collection[str], values: Mapping[str, Any]) -> str:
+    """Return the key of the first form that is asked for, "" for the command's own."""
+    for key in every:
+        name, *again = key.split() or [""]
+        if name in typed and (not again or len(values[name]) > 1):
+            return key
+    return ""
+
+
+def _asking(key: str, shown: Mapping[str, tuple[type[BaseModel], FieldInfo]]) -> str:
+    """Return in words what asks for a form: "--against", "several --law"; "" for the command's own."""
+    name, *again = key.split() or [""]
+    return f"{'several ' * bool(again)}{_flag(name, shown[name][1])}" if name else ""
+
+
+def _about(model: type[BaseModel]) -> str:
+    """Return the beginning of what a model is, the heading of its options."""
+    return re.split("[.:,]", model.__doc__ or "")[0]
+
+
+def _repeated(field: FieldInfo) -> bool:
+    return get_origin(_kind(field)) in (dict, list, tuple)
 
 
 def made(model: type[BaseModel], values: Mapping[str, Any]) -> BaseModel:
@@ -102,9 +183,13 @@ def _kind(field: FieldInfo) -> Any:
     return field.annotation
 
 
-def _read(name: str, field: FieldInfo, value: Any) -> Any:
-    """Return what the model takes in place of what typer read: a mapping of NAME=VALUE pairs."""
+def _read(name: str, field: FieldInfo, value: Any, asking: str) -> Any:
+    """Return what the model takes in place of what typer read: a mapping of NAME=VALUE pairs, one value of several."""
     kind = _kind(field)
+    if isinstance(value, list) and not _repeated(field):
+        if len(value) > 1:
+            raise InputError(f"{_flag(name, field)}: expected one {f'with {asking}' * bool(asking)}, got {len(value)}")
+        return value[0]
     if get_origin(kind) is not dict:
         return value
     found: dict[str, Any] = {}
@@ -135,12 +220,18 @@ def parts_of(text: str, form: str) -> list[str]:
     return parts
 
 
-def _parameter(name: str, field: FieldInfo, default_in_words: str) -> inspect.Parameter:
-    """Return a field as typer declares it: what is no flag and no path is a text for the model to read."""
-    shell, kind, default = _shell(field), _kind(field), field.get_default()
+def _parameter(
+    name: str, field: FieldInfo, default_in_words: str, heading: str, *, needed: bool, asks: bool
+) -> inspect.Parameter:
+    """Return a field as typer declares it: what is no flag and no path is a text for the model to read.
+
+    `needed`: whatever else is typed; `asks`: it asks for a form of the command, which no default does.
+    """
+    shell, kind = _shell(field), _kind(field)
+    default = None if asks and kind is not bool else field.get_default()
     text, _, null = (field.description or "").partition("; null: ")
     choices = get_args(kind) if get_origin(kind) is Literal else ()
-    repeated = get_origin(kind) in (dict, list, tuple)
+    repeated = _repeated(field)
     plain = kind if kind in (bool, Path) else Path if repeated and get_args(kind)[0] is Path else str
     # the range is shown where it has two ends, or begins above 1
     ends = {name: getattr(extra, name) for extra in field.metadata for name in ("ge", "le") if hasattr(extra, name)}
@@ -154,11 +245,12 @@ def _parameter(name: str, field: FieldInfo, default_in_words: str) -> inspect.Pa
         "help": f"{text[:1].upper()}{text[1:]}{bounds}{REPEATABLE * (repeated and not shell.argument)}.",
         "metavar": shell.metavar or (f"<{'|'.join(choices)}>" if choices else "N" if kind in (int, float) else None),
         "show_default": shown or not (default is None or default is False),
+        "rich_help_panel": heading,
         "autocompletion": _completion(shell.complete, choices) if choices or shell.complete else None,
     }
     declared = typer.Argument(**how) if shell.argument else typer.Option(shell.flag or _flag(name, field), **how)
     annotation = list[plain] if repeated else plain  # type: ignore[valid-type]
-    if field.is_required():
+    if needed:
         default = inspect.Parameter.empty
     elif default is None:
         annotation = annotation | None

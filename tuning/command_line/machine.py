@@ -1,4 +1,4 @@
-"""`mjx-climb bench` and `doctor`: how fast and how sound this installation is."""
+"""`mjx-climb doctor`: how sound this installation is, how fast, and what its scenarios may hold."""
 
 import math
 import os
@@ -51,28 +51,15 @@ QUICK = (commands.IMPORT, commands.HELP, commands.RUN)
 class Bench(Options):
     """What is measured."""
 
+    bench: bool = setting(False, "measure speed on this machine, beside MuJoCo and MJX in the same run")
     quick: bool = setting(False, "a first look, not to be quoted: fewer rounds, some figures left out")
     batch: int = setting(1024, "robots that walk at a time, a multiple of 4", ge=64)
     with_tune: bool = setting(False, "time a search of twelve gains as well, which takes minutes")
     engine: EngineName = ENGINE
 
 
-@command()
 def bench(asked: Bench, output: Annotated[Output, "json_only"]) -> None:
-    """Measure speed on this machine, beside MuJoCo and MJX in the same run.
-
-    A batch of robots walks under base admittance in single precision, all metrics worked out. Its peers on the same
-    cores: mujoco.rollout of the bare dynamics; this program with the dynamics of MJX; mujoco.batch, and a loop over
-    mj_step, under the same control law and grip in NumPy. On a GPU mujoco_warp too, where the extra `compare` has
-    installed it: the bare dynamics, in CUDA graphs. Medians of rounds in which all take turns. Then what a user
-    waits for, whole commands in processes of their own, with an empty cache and again. Needs the machine for itself,
-    and a few minutes.
-
-    \b
-    Examples:
-      mjx-climb bench
-      mjx-climb bench --quick --json
-    """
+    """Measure speed on this machine, beside MuJoCo and MJX in the same run."""
     with output.session() as shell:
         if asked.batch % 4:
             raise InputError(f"--batch: expected a multiple of 4, got {asked.batch}")
@@ -234,7 +221,27 @@ def examine() -> list[Part]:
     return parts
 
 
-@command()
+class Schema(Options):
+    """What a scenario may hold."""
+
+    of_scenarios: bool = setting(False, "print the JSON schema of scenarios, for editors", flag="--schema")
+    out: Path | None = setting(None, "file to write the schema to; null: standard output", metavar="FILE")
+
+
+def schema(asked: Schema) -> None:
+    """Print the JSON schema of scenarios: every key with its type, range, unit and default."""
+    import mjx_climb as mc
+    from mjx_climb.files import dataset
+
+    tree = {"$schema": "https://json-schema.org/draft/2020-12/schema", **mc.Scenario.model_json_schema()}
+    text = dumps(tree, indent=2) + "\n"
+    if asked.out is None:
+        typer.echo(text, nl=False)
+    else:
+        dataset.write_text_atomically(asked.out, text)
+
+
+@command(forms={"bench": bench, "of_scenarios": schema})
 def doctor(output: Annotated[Output, "json_only"]) -> None:
     """Examine this installation: does it compute what it should?
 
@@ -245,10 +252,25 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
 
     Exit code 0: all is well. 1: something is wrong.
 
+    --bench: a batch of robots walks under base admittance in single precision, all metrics worked out. Its peers on the
+    same cores: mujoco.rollout of the bare dynamics; this program with the dynamics of MJX; mujoco.batch, and a loop
+    over mj_step, under the same control law and grip in NumPy. On a GPU mujoco_warp too, where the extra `compare` has
+    installed it: the bare dynamics, in CUDA graphs. Medians of rounds in which all take turns. Then what a user
+    waits for, whole commands in processes of their own, with an empty cache and again. Needs the machine for itself,
+    and a few minutes.
+
+    --schema: every key of a scenario with its type, range, unit and default. An editor with YAML support (VS Code,
+    Neovim, Emacs: yaml-language-server) completes and checks a scenario whose first line names the file:
+
+    \b
+      # yaml-language-server: $schema=scenario.schema.json
+
     \b
     Examples:
       mjx-climb doctor
       mjx-climb doctor --json
+      mjx-climb doctor --bench --quick
+      mjx-climb doctor --schema --out scenario.schema.json
     """
     with reserved_stdout() as stdout:
         begin, parts = time.perf_counter(), examine()

@@ -7,9 +7,9 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, model_validator
 
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
@@ -59,7 +59,11 @@ METRICS = setting(
     (), "metric of your own beside the shipped ones; the file is run", flag="--metric", metavar="FILE.py:NAME"
 )
 ENSEMBLE = "an ensemble of walks: a YAML file, or ensemble, which comes with the program"
-SHARD = setting(None, "walk this shard alone, as 3/16, for merge; 1/1: all; null: a Slurm array's task", metavar="I/N")
+SHARD = setting(
+    None,
+    "walk this shard alone, as 3/16; the last one writes the result; 1/1: all; null: a Slurm array's task",
+    metavar="I/N",
+)
 ENGINE = setting("limb", "dynamics: limb (fast) or mjx (MJX's own stages)")
 
 
@@ -89,6 +93,16 @@ class Walk(Options):
     drive: str | None = DRIVE
     disturbances: tuple[str, ...] = DISTURBANCES
     engine: EngineName = ENGINE
+
+    @model_validator(mode="before")
+    @classmethod
+    def _controller_as_law(cls, typed: dict[str, Any]) -> dict[str, Any]:
+        """Take the name of a controller for that, where it is typed as a law."""
+        if typed.get("law") not in get_args(ControllerName):
+            return typed
+        if "controller" in typed:
+            raise ValueError(f"--controller: expected none with --law, got {typed['controller']}")
+        return {"controller" if name == "law" else name: value for name, value in typed.items()}
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -232,7 +246,7 @@ FIGURES = setting("png", f"formats of the pictures, with commas: some of {', '.j
 
 
 class Output(Options):
-    """What a command writes and prints."""
+    """What is written and printed."""
 
     out: Path | None = setting(None, "folder for the results", metavar="DIR")
     figures: Figures = FIGURES
@@ -248,7 +262,7 @@ class Output(Options):
 
 
 class SearchFile(Options):
-    """The file of a search's settings."""
+    """A search for gains: the file of its settings."""
 
     search: Path | None = setting(None, "settings of the search, YAML; options change them", metavar="FILE")
 

@@ -8,6 +8,7 @@ Commands import JAX and all that is heavy when they run, so that `--help` is qui
 import contextlib
 import errno
 import importlib
+import inspect
 import os
 import re
 import shlex
@@ -18,39 +19,29 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tuning.command_line import interruption
+from tuning.command_line import interruption, old_names
 
 if TYPE_CHECKING:
     from tuning.pages.page import Origin
 
 ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
 NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
-COMMANDS = {  # what each does
-    "run": "Walk one robot through a scenario.",
-    "replay": "Set a robot's log beside the simulation.",
-    "sweep": "Walk a grid of stiffness and damping, and map it.",
-    "merge": "Put shards of sweep or judge together.",
-    "tune": "Search the gains of the controller.",
-    "judge": "Judge gains on walks that no search saw.",
-    "compare": "Tune laws alike, and judge them side by side.",
-    "pareto": "Search the front of two metrics.",
-    "schedule": "Tune gains for pairs of gravity and cargo.",
-    "plot": "Draw the pictures of a result again.",
-    "margins": "Find how bad hardware may be before gains fail.",
-    "reproduce": "Walk the paper's cases and judge its claims.",
-    "excite": "Find commands that tell a robot's parameters.",
-    "identify": "Fit a robot's parameters to its own log.",
-    "export": "Write gains for the robot's own controller.",
-    "robot": "Make a robot's own file ready to walk.",
-    "schema": "Print the schema of scenarios, for editors.",
-    "bench": "Measure speed beside MuJoCo and MJX.",
-    "doctor": "Examine this installation.",
+COMMANDS = {  # which question each answers
+    "run": "How does this walk go?",
+    "sweep": "How does it depend on two gains?",
+    "tune": "Which gains are best, and which law?",
+    "evaluate": "Do gains hold where no search looked?",
+    "reproduce": "Does what the paper claims hold here?",
+    "excite": "What must a robot do to be identified?",
+    "identify": "Which parameters does my robot have?",
+    "replay": "How far is the simulation from my robot?",
+    "robot": "How does my robot become a scenario?",
+    "export": "How do gains get onto my robot?",
+    "plot": "How does a result look, drawn otherwise?",
+    "doctor": "Is this installation sound, and how fast?",
 }
-_MODULES = {  # and the commands in each
-    "run": ("run",), "logs": ("excite", "identify", "replay"),
-    "searches": ("sweep", "merge", "tune", "judge", "compare", "pareto", "schedule"),
-    "results": ("plot", "margins", "reproduce", "export"), "robot": ("robot", "schema"), "machine": ("bench", "doctor"),
-}  # fmt: skip
+_MODULES = {"excite": "logs", "identify": "logs", "replay": "logs", "reproduce": "results", "export": "results",
+            "plot": "results", "doctor": "machine"}  # fmt: skip  # of others the name of the command
 _TRUE = ("1", "true", "t", "yes", "y", "on")  # as JAX reads its settings
 _LONGEST = 1000  # characters of a line
 _ALIKE = 0.75  # least likeness of two names of which one may be meant by the other
@@ -75,12 +66,15 @@ def program(only: str | None = None) -> typer.Typer:
         pretty_exceptions_enable=False,
         callback=_program,
     )
-    for name, short_help in COMMANDS.items():
-        loaded = _program  # stands for a command that was not asked for: its options would be read for nothing
-        if only in (None, name):
-            (module,) = (module for module, names in _MODULES.items() if name in names)
-            loaded = getattr(importlib.import_module(f"tuning.command_line.{module}"), name)
-        made.command(name, short_help=short_help)(loaded)
+    for name, question in COMMANDS.items():
+        if only not in (None, name):  # its options would be read for nothing
+            made.command(name, short_help=question)(_program)
+            continue
+        from tuning.command_line.from_models import Grouped
+
+        function = getattr(importlib.import_module(f"tuning.command_line.{_MODULES.get(name, name)}"), name)
+        whole = f"{question}\n\n{inspect.cleandoc(function.__doc__)}"
+        made.command(name, cls=Grouped, help=whole, short_help=question)(function)
     return made
 
 
@@ -116,6 +110,10 @@ def _program(
 
 def run(arguments: Sequence[str]) -> int:
     """Run the program and return its exit code; what went wrong is said on standard error."""
+    if (now := old_names.translated(arguments)) != [*arguments]:
+        typed, command = shlex.join(arguments), shlex.join(now)
+        _say(f"'{typed}' is '{command}' now, and works for this release alone")
+        arguments = now
     ARGUMENTS.set(tuple(arguments))
     # the command may stand in what a shell wants completed
     completed = " ".join(os.environ.get(name, "") for name in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"))

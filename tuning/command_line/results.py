@@ -1,6 +1,5 @@
-"""`mjx-climb plot`, `margins`, `reproduce` and `export`: pictures, limits and other forms of what was found."""
+"""`mjx-climb plot`, `reproduce` and `export`: pictures and other forms of what was found."""
 
-import dataclasses
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +17,6 @@ from tuning.command_line.options import (
     EngineName,
     Figures,
     Output,
-    Walk,
     reserved_stdout,
     scenario_from,
 )
@@ -27,10 +25,7 @@ from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
-    from tuning.comparisons.linear_margins import Stable
-    from tuning.comparisons.margins import Found as Margins
     from tuning.reproduce.results import Found
 
 
@@ -107,111 +102,6 @@ def plot(asked: Plot) -> None:
             got = f"one that cannot be drawn ({type(error).__name__}: {error})"
             expected = "expected a result as a command wrote it, with all its files"
             raise mc.ConfigError(f"{folder}: {expected}, got {got}") from None
-
-
-class Rival(Options):
-    """What is compared with."""
-
-    retuned_pd: Path | None = setting(
-        None, "gains file whose kp and kd (and gait) pd has too, in a curve of its own", metavar="FILE"
-    )
-
-    def joint_gains(self) -> dict[str, float]:
-        """Return kp and kd of the file, and its gait where it has one; none without a file."""
-        from tuning.gains import gains_file
-
-        if self.retuned_pd is None:
-            return {}
-        from mjx_climb.inputs.gait_values import GAIT
-
-        values = gains_file.by_name(gains_file.load(self.retuned_pd))
-        if missing := [name for name in ("kp", "kd") if name not in values]:
-            expected = f"a gains file with kp and kd, {self.retuned_pd} has no {' and no '.join(missing)}"
-            raise InputError(f"--retuned-pd: expected {expected}")
-        return {name: value for name, value in values.items() if name in ("kp", "kd", *GAIT)}
-
-
-@command("results/<config>-margins")
-def margins(walk: Annotated[Walk, "-metrics"], rival: Rival, output: Output) -> None:
-    """Find how late, slow and weak a robot's hardware may be before gains fail.
-
-    Makes force delay, command delay, control period and joint gains worse, one at a time, on top of the scenario's own
-    hardware, and says up to where no gripper is torn off, up to where the force varies less than under pd on the same
-    hardware, and up to where the linearised loop is stable. Warns where walks, or the linearised loop, bear less than
-    twice what the hardware has.
-
-    Writes to DIR the margins (margins.json), all walks (margins.nc), and the force variation over each quantity, for
-    the gains, pd and the config's own gains (margins, in the formats of --figures).
-
-    \b
-    Examples:
-      mjx-climb margins case_1_2 --gains gains.yaml
-      mjx-climb margins case_1_2 --gains gains.yaml --hardware dynamixel_x --json
-    """
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
-        from mjx_climb.control import PD, law_of
-        from mjx_climb.files import dataset
-        from mjx_climb.viz import plots
-        from tuning.comparisons import linear_margins
-        from tuning.comparisons import margins as evaluation
-        from tuning.gains.gains_file import apart, by_name
-        from tuning.pages.margins import plot_margins
-        from tuning.results.config_file import write_config
-        from tuning.writing.record import settings_of
-
-        loaded = walk.load()
-        law = loaded.law
-        gains, others = walk.values(law) or {}, {}
-        asked: dict[str, Any] = {"gains": by_name(gains)}
-        if walk.gains is not None and law is None:
-            config = walk.model_copy(update={"gains": None}).load().scenario
-            asked["config"] = config.control.model_dump(mode="json")
-            others["config"] = evaluation.Walker(None if config == loaded.scenario else law_of(config), {})
-        if joint := rival.joint_gains():
-            others["retuned pd"] = evaluation.Walker(PD(), joint)
-        settings = settings_of(loaded, "margins", **asked, retuned_pd=joint)
-        words = ("margins", *walk.words)
-        shell.claim("margins.json", walk.config.stem, *words, settings=settings, varied=walk.varied)
-        how: dict[str, Any] = {"law": law, "engine": walk.engine}
-        with shell.whole() as out:
-            scenario = write_config(loaded.scenario, out, law)
-            shell.opening(scenario)
-            with shell.stage("margins") as told:
-                found = evaluation.find(scenario, gains, others=others, progress=told, **how)
-            with shell.stage("linearised loop", unit="quantities") as told:
-                place, own = apart(scenario, gains)
-                stable = linear_margins.find(place, own, found.margins, progress=told, **how)
-            warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
-            table, text = _margins_in_words(found, stable, warnings)
-            with shell.stage("drawing", compiles=False):
-                dataset.write_text_atomically(out / "margins.json", text + "\n")
-                dataset.save(found.walks, out / "margins.nc")
-                figure = plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
-                plots.save_figure(figure, out / "margins", output.figures)
-        shell.show(table, *(f"warning: {line}" for line in warnings))
-        pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
-        shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
-
-
-def _margins_in_words(found: "Margins", stable: "dict[str, Stable]", warnings: list[str]) -> "tuple[Table, str]":
-    """Return margins beside the scenario's hardware, by walks and of the linearised loop: a table, and JSON in SI."""
-    from tuning.command_line.session import plain_table
-    from tuning.comparisons.margins import QUANTITIES, in_words, needed, with_unit
-    from tuning.numbers import to_json
-
-    table, each = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"), {}
-    for name, margin in found.margins.items():
-        # needed: the hardware with a factor of two
-        more = {"needed": needed(name, margin.own), "stable": stable[name]._asdict()}
-        each[name] = dataclasses.asdict(margin) | more
-        reached = [in_words(name, margin.worst, value) for value in (margin.holds, margin.better)]
-        reached.append(in_words(name, stable[name].tried, stable[name].up_to))
-        table.add_row(QUANTITIES[name].title, with_unit(name, margin.own), *reached)
-    own = {"holds": found.holds, "better": found.better}
-    return table, to_json({"own_hardware": own, "margins": each, "warnings": warnings})
 
 
 @command("results/reproduce")
@@ -381,7 +271,7 @@ def export(asked: Export) -> None:
     """Write gains for the robot's own controller.
 
     First they walk in the config, on its hardware and at the update rate: gains that are unstable there, or tear a
-    gripper off, are refused, and a margin of less than twice the hardware (see mjx-climb margins) is a warning. A
+    gripper off, are refused, and a margin of less than twice the hardware (see mjx-climb evaluate) is a warning. A
     force filter that the law has (hardware.force_sensor.filtered_by=law) is written with them.
 
     ros2_control's admittance_controller integrates the law with explicit damping, so gains that are fine here may

@@ -1,4 +1,4 @@
-"""`mjx-climb robot` and `schema`: a scenario for a robot's own file, and what a scenario may hold."""
+"""`mjx-climb robot`: a scenario for a robot's own file."""
 
 import sys
 from pathlib import Path
@@ -101,35 +101,3 @@ def robot(asked: Robot, incline: Incline) -> None:
             typer.echo(f"no picture: {error}")
     if not walks:
         raise typer.Exit(1)
-
-
-class Schema(Options):
-    """Where the schema goes."""
-
-    out: Path | None = setting(None, "file to write; null: standard output", metavar="FILE")
-
-
-@command()
-def schema(asked: Schema) -> None:
-    """Print the JSON schema of scenarios: every key with its type, range, unit and default.
-
-    An editor with YAML support (VS Code, Neovim, Emacs: yaml-language-server) completes and checks a scenario whose
-    first line names the file:
-
-    \b
-      # yaml-language-server: $schema=scenario.schema.json
-
-    \b
-    Examples:
-      mjx-climb schema --out scenario.schema.json
-    """
-    import json
-
-    from mjx_climb.files import dataset
-
-    tree = {"$schema": "https://json-schema.org/draft/2020-12/schema", **mc.Scenario.model_json_schema()}
-    text = json.dumps(tree, indent=2) + "\n"
-    if asked.out is None:
-        typer.echo(text, nl=False)
-    else:
-        dataset.write_text_atomically(asked.out, text)

@@ -21,7 +21,7 @@ from tuning.command_line.interruption import Interrupted
 from tuning.command_line.program import origin
 
 if TYPE_CHECKING:
-    from tuning.command_line.options import Output
+    from tuning.command_line.options import Output, Walk
     from tuning.command_line.processes import Team
     from tuning.comparisons.side_by_side import Compared
     from tuning.kinds import Begun
@@ -151,6 +151,13 @@ class Session:
         check_own(self.out, file)
         record.check(self.out, settings)
         return self.out
+
+    def take(
+        self, walk: "Walk", file: str, settings: Mapping[str, Any], *kind: str, team: "Team | None" = None
+    ) -> Path:
+        """Take the folder of a result of some walk, called by its config and what stands in place of the config's."""
+        words = walk.config.stem, *kind, *walk.words
+        return self.claim(file, *words, settings=settings, varied=walk.varied, team=team)
 
     def whole(self) -> "contextlib.AbstractContextManager[Path]":
         """Give an empty folder, whose files become those of the result once the block ends well."""

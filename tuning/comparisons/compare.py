@@ -77,7 +77,8 @@ def compare(
 
     pd with kp and kd retuned is always among them. All search kp and kd too; a gain that `also`, `bounds`, `pins`
     or `frozen` name is searched, bounded, pinned or frozen where a law has it.
-    `tuning.write(tuning.compare(scenario, laws, ensemble, out="results/mine"), "results/mine")` is `mjx-climb compare`.
+    `tuning.write(tuning.compare(scenario, laws, ensemble, out="results/mine"), "results/mine")` is
+    `mjx-climb tune --law --law`.
 
     Arguments:
         scenario: what walks where.

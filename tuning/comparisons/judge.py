@@ -75,7 +75,7 @@ def judge(
 
     Nothing is torn off, so that every walk counts to its end; one whose peak pulling force passes the holding limit, or
     that diverges, has failed, see `summary`. `tuning.write(tuning.judge(scenario, gains, ensemble), folder)` is
-    `mjx-climb judge`.
+    `mjx-climb evaluate`.
 
     Arguments:
         scenario: what walks where, under an admittance law.
@@ -106,7 +106,7 @@ def judge_shard(
     progress: Counted | None = None,
     **walks: Any,
 ) -> Path:
-    """Simulate a shard of what `judge` does, with the same arguments, for `merge`; `mjx-climb judge --shard 3/16`.
+    """Simulate a shard of what `judge` does, with the same arguments, for `merge`; `mjx-climb evaluate --shard 3/16`.
 
     What `sweep_shard` says of `shard`, `out`, `progress`, its result and its errors holds here.
     """

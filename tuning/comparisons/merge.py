@@ -21,7 +21,7 @@ def merge(
 ) -> Swept | Judged:
     """Return what shards in some folders were part of, as `sweep` or `judge` return it: on CPUs bit by bit.
 
-    `tuning.write(tuning.merge([folder]), folder)` is `mjx-climb merge`.
+    `tuning.write(tuning.merge([folder]), folder)` is `mjx-climb sweep --merge`.
 
     Arguments:
         folders: those of the shards, or one that holds them all; nothing in them is changed.

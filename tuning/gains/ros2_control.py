@@ -26,7 +26,7 @@ _ROOM = 1.05  # a suggestion lies so far inside the limit
 _HEADER = """\
 Parameters of the ros2_control admittance_controller, written by mjx-climb export.
 The controller by itself is stable at update rates of {lowest} Hz and above; the largest discrete pole at {rate} Hz is
-{pole:.6g}. How late and slow the robot around it may be is another question: mjx-climb margins.
+{pole:.6g}. How late and slow the robot around it may be is another question: mjx-climb evaluate --margins.
 {interface}
 joint_damping 0 leaves the law as it is; {filtered}. It reads its sensor by itself:
 what a broadcaster's sensor_filter_chain makes of the wrench never comes here."""

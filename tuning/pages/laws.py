@@ -40,7 +40,7 @@ def contents(found: Comparison, compared: LawsComparison, name: str) -> Contents
     gains = {
         f"gains-{file_name(law)}.yaml": gains_file.text(
             gains_file.completed(own.scenario, own.gains),
-            f"mjx-climb compare {name}: {law}",
+            f"mjx-climb tune {name}: {law}",
             own.problem.law or law_of(own.scenario),
         )
         for law, own in found.tuned.items()

@@ -37,7 +37,7 @@ def contents(found: Front, compared: FrontComparison, name: str) -> Contents:
         }
     )  # fmt: skip
     table = front_table(data, found.knee, asked.points, found.problem.metrics)
-    again = "mjx-climb pareto config.yaml --search search.yaml "
+    again = "mjx-climb tune config.yaml --search search.yaml "
     again += f"--better {asked.better} --against {asked.against} --points {asked.points} --out again"
     return Contents(
         Written(walks=compared.walks, data=data, outcome=[compared.worth], summary=summary, tables=[table]),

@@ -101,7 +101,9 @@ class Pareto(Settings):
     """Which front is searched."""
 
     better: str = setting("force_variation", "metric to better", metavar="METRIC", complete="metric")
-    against: str = setting("base_deviation", "metric that it is traded against", metavar="METRIC", complete="metric")
+    against: str = setting(
+        "base_deviation", "metric that it is traded against, along a front", metavar="METRIC", complete="metric"
+    )
     points: int = setting(12, "limits along the front", ge=2, le=200)
 
     @model_validator(mode="after")

@@ -36,7 +36,7 @@ class Front(Result):
 
     def comment(self, name: str) -> str:
         """Return what is traded for what."""
-        return f"mjx-climb pareto {name}: {self.asked.better} against {self.asked.against}, the knee of the front"
+        return f"mjx-climb tune {name}: {self.asked.better} against {self.asked.against}, the knee of the front"
 
 
 def knee(x: np.ndarray, y: np.ndarray) -> int:

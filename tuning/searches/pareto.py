@@ -52,7 +52,7 @@ def pareto(
 ) -> Front:
     """Search the Pareto front of two metrics.
 
-    `tuning.write(tuning.pareto(scenario, out="results/mine"), "results/mine")` is `mjx-climb pareto`.
+    `tuning.write(tuning.pareto(scenario, out="results/mine"), "results/mine")` is `mjx-climb tune --against`.
 
     Arguments:
         scenario: what walks where; its own gains are among the first points.

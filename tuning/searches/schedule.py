@@ -57,7 +57,7 @@ def schedule(
 ) -> Scheduled:
     """Tune gains for every pair of gravity and cargo.
 
-    `tuning.write(tuning.schedule(scenario, out="results/mine"), "results/mine")` is `mjx-climb schedule`.
+    `tuning.write(tuning.schedule(scenario, out="results/mine"), "results/mine")` is `mjx-climb tune --over`.
 
     Arguments:
         scenario: what walks where; its gravity gives the direction alone, its cargo the window of time alone.

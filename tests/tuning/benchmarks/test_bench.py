@@ -182,7 +182,7 @@ def test_ratios_are_how_many_times_faster_this_program_is(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.timing
 def test_quick_bench_prints_every_figure_and_sane_ratios():
-    command = [sys.executable, "-m", "tuning.command_line", "bench", "--quick", "--json", "--batch", "256"]
+    command = [sys.executable, "-m", "tuning.command_line", "doctor", "--bench", "--quick", "--json", "--batch", "256"]
     output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     result = json.loads(output)
     left_out = {"gradient_cost_12", "batch_exponent", "step_exponent", "vs_mujoco_warp"}  # the last is for GPUs

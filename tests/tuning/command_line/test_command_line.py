@@ -21,7 +21,7 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
 from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning import numbers
-from tuning.command_line import main, options, searches, session
+from tuning.command_line import main, options, session, sweep
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
 from tuning.comparisons import of_sweep
@@ -90,8 +90,8 @@ UNWEIGHABLE = {  # in free fall no transport has a cost relative to the weight
     "tune": f"error: --weight {HAS_NONE} here, got nan under pd",
     "tune --search search.yaml": f"error: search.yaml: weights.{HAS_NONE}",
     "tune --ensemble ensemble --members 2": f"error: --weight {HAS_NONE} in every member, got nan in the mean",
-    "pareto --better cost_of_transport": f"error: --better: weights.{HAS_NONE}",
-    "schedule --gravity 1e-300 --cargo 0": f"case_1_2.yaml: weights.{HAS_NONE} here",
+    "tune --against base_deviation --better cost_of_transport": f"error: --better: weights.{HAS_NONE}",
+    "tune --over gravity=1e-300 --over cargo=0": f"case_1_2.yaml: weights.{HAS_NONE} here",
 }
 
 
@@ -101,7 +101,7 @@ def test_a_weight_on_what_pd_has_not_is_refused_before_anything_is_written(line,
     monkeypatch.chdir(tmp_path)
     (tmp_path / "search.yaml").write_text("weights: {cost_of_transport: 1.0}")
     command, *options = line.split()
-    weightless = [] if command == "schedule" else ["--set", "gravity=[0,0,0]"]
+    weightless = [] if "--over" in options else ["--set", "gravity=[0,0,0]"]
     code, out, err = call(command, CONFIG, *SHORT, *weightless, *options)
     assert (code, out) == (2, "")
     assert UNWEIGHABLE[line] in err.splitlines()[-1]
@@ -115,11 +115,14 @@ SURROUNDINGS = {  # a line for the shell, and what is said
     "no truth": (f"JAX_ENABLE_X64=x {{program}} {WALK}", "JAX_ENABLE_X64: expected a value that JAX knows, got"),
     "not compiled": (f"JAX_DISABLE_JIT=1 {{program}} {WALK}", "JAX_DISABLE_JIT: expected 0, as no walk ends that is"),
     "no nan": (f"JAX_DEBUG_NANS=1 {{program}} {WALK}", "JAX_DEBUG_NANS, JAX_DEBUG_INFS: expected none"),
-    "full": ("{program} schema >/dev/full", "standard output: expected a place that takes what is printed, got 'no"),
+    "full": (
+        "{program} doctor --schema >/dev/full",
+        "standard output: expected a place that takes what is printed",
+    ),
     "full, little": ("{program} --version >/dev/full", "standard output: expected a place that takes what is"),
-    "closed": ("{program} schema >&-", "standard output: expected an open one"),
+    "closed": ("{program} doctor --schema >&-", "standard output: expected an open one"),
     "other text": (f"{{program}} {WALK}-$'\\xff'", "argument 6: expected UTF-8, which reports are written in"),
-    "gone": ("rmdir $PWD && {program} schema", "the working folder: expected one that is there"),
+    "gone": ("rmdir $PWD && {program} doctor --schema", "the working folder: expected one that is there"),
 }
 
 
@@ -247,7 +250,8 @@ class _Called(Exception):
 
 WITH_ENGINE = (
     "run", "run --compare pd", "sweep " + " ".join(GRID), "tune", "tune --ensemble ensemble --members 2",
-    "judge --gains {files}/held.yaml --members 2", "pareto", "schedule", "margins",
+    "evaluate --gains {files}/held.yaml --members 2", "tune --against base_deviation", "tune --over gravity,cargo",
+    "evaluate --margins",
 )  # fmt: skip
 
 
@@ -371,7 +375,7 @@ def test_version_and_no_arguments(call):
 
 
 def test_ranges_are_even_on_a_logarithmic_scale():
-    grid = made(searches.Grid, {"stiffness": "1e2:1e6:5", "axis": {"kp": ("1", "4", "3")}})
+    grid = made(sweep.Grid, {"stiffness": "1e2:1e6:5", "axis": {"kp": ("1", "4", "3")}})
     axes = grid.work(options.Walk(config=Path(CONFIG))).axes
     np.testing.assert_allclose(axes["stiffness"], [1e2, 1e3, 1e4, 1e5, 1e6])
     np.testing.assert_allclose(axes["kp"], [1, 2, 4])

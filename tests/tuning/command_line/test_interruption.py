@@ -144,7 +144,7 @@ def test_what_is_kept_is_said_where_another_process_was_stopped_first(asked, mon
 
 def test_a_command_that_came_to_its_end_says_so(monkeypatch, call, tmp_path):
     monkeypatch.setattr(dataset, "write_text_atomically", lambda *_: signal.raise_signal(signal.SIGINT))
-    code, _, err = call("schema", "--out", tmp_path / "schema.json")
+    code, _, err = call("doctor", "--schema", "--out", tmp_path / "schema.json")
     assert code == 130 and "all that it writes is written" in err.splitlines()[-1]
 
 

@@ -6,6 +6,7 @@ import functools
 import importlib
 import io
 import re
+import shutil
 from collections import defaultdict
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -37,7 +38,8 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.benchmarks.measure": "measure",
     "tuning.command_line.logs": "_judged",
     "tuning.command_line.machine": "cache examine",
-    "tuning.command_line.results": "_margins_in_words show",
+    "tuning.command_line.evaluate": "_margins_in_words",
+    "tuning.command_line.results": "show",
     "tuning.command_line.run": "_show",
     "tuning.command_line.session": "comparison_table from_page plain_table",
     "tuning.comparisons.deployment": "check",
@@ -73,6 +75,8 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "also": "--also inertia",
     "at": "--snapshots --at 0.5",
     "base": "--base free",
+    "batch": "--batch 64",
+    "better": "--better peak_foot_force",
     "bounds": "--bound damping=1:1e5",
     "changes": "--set control.kd=0.1",
     "compare": "--compare pd",
@@ -104,10 +108,13 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "members": "--members 3",
     "method": "--method lbfgs",
     "metrics": "--metric {folder}/mine.py:highest",
+    "of_scenarios": "--schema",
     "no_worse_than_pd": "--may-be-worse-than-pd",
     "out": "--out elsewhere",
     "pins": "--pin damping=30",
+    "points": "--points 3",
     "precision": "--precision float64",
+    "quick": "--quick",
     "retuned_pd": "--retuned-pd {folder}/gains.yaml",
     "search": "--search {folder}/search.yaml",
     "seed": "--seed 5",
@@ -118,48 +125,49 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "space": "--space split",
     "starts": "--starts 3",
     "style": "--style ggplot",
+    "test_members": "--test-members 5",
     "video": "--video",
     "view": "--view",
     "weights": "--weight force_variation=1",
+    "with_tune": "--with-tune",
 }  # fmt: skip
-LINES = {  # a command that works, the options that its own need beside them
+LINES = {  # a command, and what asks for another form of it: one that works, the options that its own need beside them
     "run": "{config}",
     "replay": "{config} --log log.csv",
     "sweep": "{config} --stiffness 1:2:2 --damping 1:2:2",
-    "merge": "folder",
+    "sweep merge": "--merge folder",
     "tune": "{config}",
-    "judge": "{config} --gains {folder}/held.yaml",
-    "compare": "{config} --laws base_admittance",
-    "pareto": "{config}",
-    "schedule": "{config}",
+    "tune law law": "{config} --law pd --law base_admittance",
+    "tune against": "{config} --against base_deviation",
+    "tune over": "{config} --over gravity,cargo",
+    "evaluate": "{config} --gains {folder}/held.yaml",
+    "evaluate margins": "{config} --margins",
+    "evaluate merge": "--merge folder",
     "plot": "folder",
-    "margins": "{config}",
     "reproduce": "",
     "excite": "{config}",
     "identify": "{config} --log log.csv --fit hardware.command_delay",
     "export": "{folder}/held.yaml --config {config} --format json",
     "robot": "robot.xml",
-    "schema": "",
-    "bench": "",
     "doctor": "",
+    "doctor bench": "--bench",
+    "doctor of_scenarios": "--schema",
 }
-OWN = {  # in place of those of `TYPED`, of a command
+OWN = {  # in place of those of `TYPED`, of a command or form
     "run size": ["--snapshots --size 640x480", "--video --size 640x480"],
     "run at": ["--snapshots --at 0.5"],
     "replay size": ["--video --size 640x480"],
     "replay judge": ["--judge"],
     "sweep batch_size": ["--batch-size 2"],
     "sweep law": ["--law {folder}/mine.py:Mine"],
-    "judge law": ["{config} --gains {folder}/mine.yaml --law {folder}/mine.py:Mine"],
-    "compare method": ["--method optuna"],
-    "identify figures": ["--out elsewhere --figures svg"],
+    "sweep merge law": ["--law {folder}/mine.py:Mine"],
+    "evaluate law": ["{config} --gains {folder}/mine.yaml --law {folder}/mine.py:Mine"],
+    "evaluate merge law": ["--law {folder}/mine.py:Mine"],
+    "evaluate margins margins": ["{config} --gains {folder}/held.yaml --margins"],
+    "tune law law method": ["--method optuna"],
     "tune members": ["--ensemble ensemble --members 3"],
-    "tune judges": ["--ensemble ensemble --judges 5"],
-    "pareto better": ["--better peak_foot_force"],
-    "pareto against": ["--against peak_foot_force"],
-    "pareto points": ["--points 3"],
-    "schedule gravity": ["--gravity 1"],
-    "schedule cargo": ["--cargo 1"],
+    "tune test_members": ["--ensemble ensemble --test-members 5"],
+    "identify figures": ["--out elsewhere --figures svg"],
     "plot metric": ["--metric min_tsm"],
     "plot size": ["--size 60x60"],
     "excite family": ["--family chirp"],
@@ -178,9 +186,7 @@ OWN = {  # in place of those of `TYPED`, of a command
     "robot gravity": ["--gravity 1.6"],
     "robot base": ["--base trunk"],
     "robot limbs": ["--limbs a,b"],
-    "bench quick": ["--quick"],
-    "bench batch": ["--batch 64"],
-    "bench with_tune": ["--with-tune"],
+    "doctor bench bench": ["--bench"],
 }
 
 
@@ -189,9 +195,11 @@ PLACED = {  # arguments and required options in place of those of the line
     "config": ("{config}", OTHER),
     "log": ("log.csv", "other.csv"),
     "fit": ("--fit hardware.command_delay", "--fit control.kp"),
-    "laws": ("base_admittance", "end_effector_admittance"),
+    "law": ("--law base_admittance", "--law end_effector_admittance"),
+    "against": ("--against base_deviation", "--against peak_foot_force"),
+    "over": ("--over gravity,cargo", "--over gravity=1,2"),
+    "merge": ("--merge folder", "--merge elsewhere"),
     "folder": ("folder", "elsewhere"),
-    "folders": ("folder", "elsewhere"),
     "file": ("robot.xml", "other.xml"),
     "stiffness": ("--stiffness 1:2:2", "--stiffness 1:3:2"),
     "damping": ("--damping 1:2:2", "--damping 1:3:2"),
@@ -208,6 +216,12 @@ class Found:
     judges: int | None = None
     interrupted = False
     data = problem = search = knee = MagicMock()
+
+
+@functools.cache
+def command_line(command):
+    """Return the program with one command, which takes a while to make."""
+    return typer.main.get_command(program(command))
 
 
 @pytest.fixture(scope="module")
@@ -250,42 +264,47 @@ def traced(monkeypatch, tmp_path, folder):
     scenario, found = mc.load_scenario(CONFIG), Found()
     log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.force.x": ()}, source="log.csv")
     returned = {
-        "tuning_kinds_write": SimpleNamespace(tables=(1,), outcome=(), files="files", summary="{}"),
-        "mjx_climb_metrics": dict.fromkeys(mc.METRICS.names, 1.0) | {"detached_limb": None, "diverged": False},
-        "mjx_climb_inputs_time_step_largest_time_step": 0.001,
-        "mjx_climb_viz_rendering_save_image": "picture",
-        "mjx_climb_viz_recording_save_mcap": SimpleNamespace(name="walk.mcap"),
-        "mjx_climb_robot_import_proposal_propose": SimpleNamespace(
+        "tuning.kinds.write": SimpleNamespace(tables=(1,), outcome=(), files="files", summary="{}"),
+        "mjx_climb.metrics": dict.fromkeys(mc.METRICS.names, 1.0) | {"detached_limb": None, "diverged": False},
+        "mjx_climb.inputs.time_step.largest_time_step": 0.001,
+        "mjx_climb.viz.rendering.save_image": "picture",
+        "mjx_climb.viz.recording.save_mcap": SimpleNamespace(name="walk.mcap"),
+        "mjx_climb.robot_import.proposal.propose": SimpleNamespace(
             sections=scenario.model_dump(exclude={"time_step"}), notes=[("a", "b", "c")]
         ),
-        "tuning_comparisons_first_walks_heavy_load": "",
-        "tuning_comparisons_first_walks_on_ceiling": None,
-        "tuning_comparisons_first_walks_slow_enough": (scenario, True, "as it is", 0.5),
-        "tuning_comparisons_first_walks_with_joint_gains": (scenario, "as they are"),
-        "tuning_benchmarks_measure_measure": defaultdict(float, devices=["cpu"]),
-        "tuning_command_line_machine_cache": [SimpleNamespace(text="")],
-        "tuning_command_line_machine_examine": [],
-        "tuning_command_line_results__margins_in_words": ("", "{}"),
-        "tuning_comparisons_linear_margins_warnings": [],
-        "tuning_comparisons_margins_warnings": [],
-        "tuning_identification_readers_read_log": log,
-        "tuning_results_config_file_write_config": scenario,
-        "tuning_pages_redrawn_figures": [("map", calls.figure)],
-        "tuning_numbers_number": "1",
-        "tuning_numbers_to_json": "{}",
-        "tuning_reproduce_results_as_markdown": "",
-        "tuning_searches_shards_find": [SimpleNamespace(about={}, identity={"kind": "sweep"})],
-        "tuning_searches_shards_home": tmp_path / "home",
-        "tuning_searches_shards_Rows": SimpleNamespace(
+        "tuning.comparisons.first_walks.heavy_load": "",
+        "tuning.comparisons.first_walks.on_ceiling": None,
+        "tuning.comparisons.first_walks.slow_enough": (scenario, True, "as it is", 0.5),
+        "tuning.comparisons.first_walks.with_joint_gains": (scenario, "as they are"),
+        "tuning.benchmarks.measure.measure": defaultdict(float, devices=["cpu"]),
+        "tuning.command_line.machine.cache": [SimpleNamespace(text="")],
+        "tuning.command_line.machine.examine": [],
+        "tuning.command_line.evaluate._margins_in_words": ("", "{}"),
+        "tuning.comparisons.linear_margins.warnings": [],
+        "tuning.comparisons.margins.warnings": [],
+        "tuning.identification.readers.read_log": log,
+        "tuning.results.config_file.write_config": scenario,
+        "tuning.pages.redrawn.figures": [("map", calls.figure)],
+        "tuning.numbers.number": "1",
+        "tuning.numbers.to_json": "{}",
+        "tuning.reproduce.results.as_markdown": "",
+        "tuning.searches.shards.find": [SimpleNamespace(about={}, identity={"kind": "sweep"})],
+        "tuning.searches.shards.home": tmp_path / "home",
+        "tuning.searches.shards.Rows": SimpleNamespace(
             rows=(), there=0, folder=None, shard=None, walk=lambda _: None
         ),
     }  # fmt: skip
-    for name in ("comparisons_compare_run", "comparisons_judge_Draw_result", "comparisons_merge_merged",
-                 "searches_pareto_run", "searches_schedule_run", "searches_sweep_Grid_result",
-                 "searches_tune_run"):  # fmt: skip
-        returned[f"tuning_{name}"] = found
+    returned |= dict.fromkeys(
+        (
+            "tuning.comparisons.compare.run", "tuning.comparisons.judge.Draw.result", "tuning.searches.pareto.run",
+            "tuning.searches.schedule.run", "tuning.comparisons.merge.merged", "tuning.searches.sweep.Grid.result",
+            "tuning.searches.tune.run",
+        ),
+        found,
+    )  # fmt: skip
     for name, value in returned.items():
-        getattr(calls, name).return_value = value
+        assert name.rpartition(".")[2] in RECORDED.get(name.rpartition(".")[0], "") or "Grid" in name or "Draw" in name
+        getattr(calls, name.replace(".", "_")).return_value = value
     calls.tuning_identification_fit_identify_identify.return_value.as_json.return_value = {}
     calls.tuning_identification_model_replay_simulate.return_value.scenario = scenario
     loaded, load_scenario = {}, mc.load_scenario
@@ -300,10 +319,11 @@ def traced(monkeypatch, tmp_path, folder):
 
     def run(line):
         calls.reset_mock()
+        shutil.rmtree("elsewhere", ignore_errors=True)  # as another form of the command left it
         command, *words = line.format(folder=folder, config=CONFIG).split()
         with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
             try:
-                program(command)([command, *words], standalone_mode=False)
+                command_line(command)([command, *words], standalone_mode=False)
             except mc.ConfigError as error:
                 return f"{REFUSED}{error}"
         calls_alone = re.sub(r"0x[0-9a-f]+|id='\d+'", "", "\n".join(map(repr, calls.mock_calls)))
@@ -313,20 +333,24 @@ def traced(monkeypatch, tmp_path, folder):
 
 
 def lines_of(command):
-    """Yield for each parameter of a command pairs of lines: without it, or with another value, and with it."""
-    line = f"{command} {LINES[command]}"
-    for parameter in typer.main.get_command(program(command)).commands[command].params:
-        name = parameter.name
-        if name == "help":
-            continue
-        if name in PLACED and PLACED[name][0] in line:
-            yield line, line.replace(*PLACED[name])
-            continue
-        for words in OWN.get(f"{command} {name}", [TYPED.get(name)]):
-            assert words is not None, f"{command} --{name}: type something for it in this file"
-            whole = words if words.startswith("{config}") else f"{LINES[command]} {words}"
-            before = whole.split()[: -1 if words.split()[-1].startswith("--") else -2]  # a flag, or an option's value
-            yield " ".join([command, *before]), f"{command} {whole}"
+    """Yield for each option of each form of a command two lines: without it, or with another value, and with it."""
+    made = program(command)
+    (options,) = (each.callback.options for each in made.registered_commands if each.name == command)
+    for form, names in options.items():
+        key = f"{command} {form}".strip()
+        line = f"{command} {LINES[key]}"
+        for name in names:
+            if name in PLACED and PLACED[name][0] in line:
+                yield line, line.replace(*PLACED[name])
+                continue
+            for words in OWN.get(f"{key} {name}", [TYPED.get(name)]):
+                assert words is not None, f"{key} --{name}: type something for it in this file"
+                own = "" if words in LINES[key].split() else LINES[key]  # a flag that asks for the form
+                whole = words if words.startswith("{config}") else f"{own} {words}"
+                before = whole.split()[: -1 if words.split()[-1].startswith("--") else -2]  # a flag, or a value too
+                yield " ".join([command, *before]), f"{command} {whole}"
+    shown = {parameter.name for parameter in command_line(command).commands[command].params}
+    assert shown == set().union(*options.values())
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -336,7 +360,8 @@ def test_every_option_changes_what_a_command_asks_for_or_says(command, traced):
     for without, with_it in lines_of(command):
         assert not known(with_it).startswith(REFUSED), known(with_it)
         assert known(without) != known(with_it), with_it
-    assert traced(f"{command} {LINES[command]}") == traced(f"{command} {LINES[command]}")  # else all would differ
+    line = LINES[command]
+    assert traced(f"{command} {line}") == traced(f"{command} {line}")  # else all would differ
 
 
 def test_of_two_walks_that_are_compared_the_rival_is_shown_first_and_the_walk_itself_measured_first(traced):

@@ -16,12 +16,12 @@ from tuning.searches.tune import tune
 
 CASE = str(ROOT / "configs" / "case_1_2.yaml")
 SHORT = ["--set", "duration=0.3", "--set", "disturbance.cargo.start=0.1"]
-ENSEMBLE = ["--ensemble", "ensemble", "--members", "2", "--judges", "4", "--limit", "base_deviation=1e-4"]
+ENSEMBLE = ["--ensemble", "ensemble", "--members", "2", "--test-members", "4", "--limit", "base_deviation=1e-4"]
 SEARCHES = {  # arguments, and what the result is in
     "tune": (["tune", CASE, *SHORT, "--starts", "2", "--iterations", "3"], "search.nc"),
     "ensemble": (["tune", CASE, *SHORT, *ENSEMBLE, "--starts", "2", "--iterations", "3"], "search.nc"),
-    "pareto": (["pareto", CASE, *SHORT, "--points", "3"], "front.nc"),
-    "schedule": (["schedule", CASE, *SHORT, "--gravity", "0.1,1", "--cargo", "0.5"], "schedule.nc"),
+    "pareto": (["tune", CASE, *SHORT, "--against", "base_deviation", "--points", "3"], "front.nc"),
+    "schedule": (["tune", CASE, *SHORT, "--over", "gravity=0.1,1", "--over", "cargo=0.5"], "schedule.nc"),
 }
 pytestmark = pytest.mark.slow
 

@@ -193,12 +193,13 @@ def test_four_shards_merged_are_the_same_files(tmp_path):
         time.sleep(0.01)
     died.kill()
     ends(died)
-    _, said = finish("merge", four, code=2)
+    _, said = finish("sweep", "--merge", four, code=2)
     assert said.startswith(f"mjx-climb: error: {four}: shard 3/4 lacks 18 of 18 walks (stiffness ")
     remedy = said.partition("to finish it: mjx-climb ")[2].split()
-    assert json.loads(finish(*remedy, "--json")[0]) == {"shard": 3, "of": 4, "walks": 18}
-    assert finish("merge", four, "--json")[0] == alone
+    assert json.loads(finish(*GRID, "--out", four, "--shard", "1/4", "--json")[0]) == {"shard": 1, "of": 4, "walks": 18}
+    assert finish(*remedy, "--json")[0] == alone  # the last one merges all
     same_files(four, one, *WRITTEN)
+    assert finish("sweep", "--merge", four, "--json")[0] == alone
     pages = [(folder / "report.html").read_text().splitlines() for folder in (one, four)]
     differ = [lines for lines in zip(*pages, strict=True) if lines[0] != lines[1]]
     assert [line.startswith("<pre>mjx-climb ") for line in sum(differ, ())] == [True, True]
@@ -210,13 +211,13 @@ def test_judged_in_shards_is_the_same_file(tmp_path):
     """72 members, more than walk in one call; an interrupted shard keeps what it has."""
     gains, one, three = tmp_path / "mine.yaml", tmp_path / "one", tmp_path / "three"
     gains.write_text("inertia: 2.0\ndamping: 30.0\nstiffness: 500.0\n")
-    judge = ["judge", *SHORT, "--gains", gains, "--members", "72"]
+    judge = ["evaluate", *SHORT, "--gains", gains, "--members", "72"]
     alone = json.loads(finish(*judge, "--out", one, "--json")[0])
     assert list(alone) == ["mine", "config", "pd"] and 0 < alone["pd"]["mean"]["force_variation"]
     for number in (1, 2, 3):
         finish(*judge, "--out", three, "--shard", f"{number}/3")
     assert "; 24 are there already" in finish(*judge, "--out", three, "--shard", "2/3")[1]
-    assert json.loads(finish("merge", three, "--json")[0]) == alone
+    assert json.loads(finish("evaluate", "--merge", three, "--json")[0]) == alone
     same_files(three, one, "judged.nc", "judged.png", "summary.json", "ensemble.yaml")
-    _, refused = finish("merge", three / "shard-1-of-3", three / "shard-3-of-3", code=2)
+    _, refused = finish("evaluate", "--merge", three / "shard-1-of-3", "--merge", three / "shard-3-of-3", code=2)
     assert "shard 2/3 is not there: it lacks 24 of 24 walks (member 24 to member 47)" in refused

@@ -17,7 +17,6 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
 from tests.shell import ends, finish, same_files, start, wait_for_parts
 from tuning.background import silent
-from tuning.command_line.searches import Laws
 from tuning.comparisons import compare
 from tuning.gains import gains_file
 from tuning.problem.ensemble import Ensemble, draw
@@ -295,9 +294,3 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     assert "half the friction would better pd by" in written.outcome[-1]
     lost = "warning: Shared ran without the force sensor of LH from 0.25 s in 200 of 200 walks"
     assert lost in written.outcome and lost[9:] in (tmp_path / "report.html").read_text()
-
-
-def test_commas_are_between_laws_and_between_gains_by_phase():
-    text = "pd, EndEffectorAdmittance@damping,stiffness,base_admittance,my.py:Law,A@kp,B+C@damping,kd"
-    wanted = ("pd", "EndEffectorAdmittance@damping,stiffness", "base_admittance", "my.py:Law", "A@kp", "B+C@damping,kd")
-    assert Laws(laws=text).laws == wanted

@@ -204,7 +204,7 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call)
     out = tmp_path / "out"
     late = ("--set", "hardware.force_sensor.delay=4e-3")
     code, said, told = call(
-        "margins", "case_1_2", "--gains", gains, "--retuned-pd", gains, "--json", "--out", out, *late
+        "evaluate", "case_1_2", "--margins", "--gains", gains, "--retuned-pd", gains, "--json", "--out", out, *late
     )
     found = json.loads(said)
     assert code == 0 and found == json.loads((out / "margins.json").read_text())

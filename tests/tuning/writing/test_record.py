@@ -144,16 +144,18 @@ ASKED = {  # a command, and what changes its result
     "sweep {case} --stiffness 1e3:1e5:4 --damping 1e2:1e3:2": [],
     "tune {case}": [
         *OF_WALKS, *LAWS, *OF_SEARCHES, "--gains gains.yaml", "--method cmaes", "--ensemble ensemble",
-        "--ensemble ensemble --members 5", "--ensemble ensemble --judges 5",
+        "--ensemble ensemble --members 5", "--ensemble ensemble --test-members 5",
     ],
-    "judge {case} --gains gains.yaml": [*OF_WALKS, "--members 5", "--gains more.yaml", "--ensemble other.yaml"],
-    "compare {case} --laws base_admittance": [*OF_WALKS, *OF_SEARCHES, "--members 5", "--ensemble other.yaml"],
-    "compare {case} --laws end_effector_admittance": [],
-    "margins {case}": [
+    "evaluate {case} --gains gains.yaml": [*OF_WALKS, "--members 5", "--gains more.yaml", "--ensemble other.yaml"],
+    "tune {case} --law pd --law base_admittance": [
+        *OF_WALKS, *OF_SEARCHES, "--members 5", "--test-members 5", "--ensemble other.yaml",
+    ],
+    "tune {case} --law pd --law end_effector_admittance": [],
+    "evaluate {case} --margins": [
         *OF_WALKS, *LAWS, "--gains gains.yaml", "--gains more.yaml", "--retuned-pd joint.yaml",
     ],
-    "pareto {case}": [*OF_WALKS, *LAWS, *FEW, "--points 5", "--better peak_foot_force"],
-    "schedule {case}": [*OF_WALKS, *LAWS, *FEW, "--gravity 0.1,1", "--cargo 0.5"],
+    "tune {case} --against base_deviation": [*OF_WALKS, *LAWS, *FEW, "--points 5", "--better peak_foot_force"],
+    "tune {case} --over gravity,cargo": [*OF_WALKS, *LAWS, *FEW, "--over gravity=0.1,1", "--over cargo=0.5"],
 }  # fmt: skip
 
 
@@ -211,10 +213,10 @@ def test_a_command_knows_its_folder_by_all_that_its_result_depends_on(command, c
         assert not [line for line, theirs in found.items() if line != one and folder == theirs[1]], one
     plain, last = next(iter(found)), next(reversed(found))
     assert claimed(f"{plain} --figures svg --json") == found[plain] and claimed(last) == found[last]
-    if command in ("sweep", "judge"):
+    if command in ("sweep", "evaluate"):
         assert claimed(f"{plain} --shard 1/2") == found[plain]
 
 
 def test_members_of_an_ensemble_are_those_that_are_asked_for(claimed):
-    settings, _ = claimed("tune {case} --ensemble ensemble --members 5 --judges 7")
+    settings, _ = claimed("tune {case} --ensemble ensemble --members 5 --test-members 7")
     assert (settings["ensemble"]["members"], settings["judges"]) == (5, 7)

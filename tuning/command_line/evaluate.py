@@ -1,0 +1,184 @@
+"""`mjx-climb evaluate`: what gains are worth where no search looked: on unseen walks, and on worse hardware."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from mjx_climb.scenario import shipped
+from tuning.command_line.from_models import command
+from tuning.command_line.options import ENSEMBLE, SHARD, Output, Walk
+from tuning.command_line.program import InputError
+from tuning.command_line.sweep import merge, walk_rows
+from tuning.problem.search import Judge
+from tuning.problem.settings import Options, setting
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from tuning.comparisons.judge import Draw
+    from tuning.comparisons.linear_margins import Stable
+    from tuning.comparisons.margins import Found
+
+
+class Rival(Options):
+    """What gains are compared with."""
+
+    retuned_pd: Path | None = setting(
+        None, "gains file whose kp and kd (and gait) pd walks with too, beside pd as the config has it", metavar="FILE"
+    )
+
+    def joint_gains(self) -> dict[str, float]:
+        """Return kp and kd of the file, and its gait where it has one; none without a file."""
+        from tuning.gains import gains_file
+
+        if self.retuned_pd is None:
+            return {}
+        from mjx_climb.inputs.gait_values import GAIT
+
+        values = gains_file.by_name(gains_file.load(self.retuned_pd))
+        if missing := [name for name in ("kp", "kd") if name not in values]:
+            expected = f"a gains file with kp and kd, {self.retuned_pd} has no {' and no '.join(missing)}"
+            raise InputError(f"--retuned-pd: expected {expected}")
+        return {name: value for name, value in values.items() if name in ("kp", "kd", *GAIT)}
+
+
+class Margins(Rival):
+    """How bad hardware may be."""
+
+    margins: bool = setting(
+        False, "find how late, slow and weak hardware may be before the gains of one file, or the config's, fail"
+    )
+
+
+def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Output) -> None:
+    """Find how late, slow and weak a robot's hardware may be before gains fail."""
+    with output.session() as shell:
+        from mjx_climb.execution import devices
+
+        devices.begin()
+        from mjx_climb.control import PD, law_of
+        from mjx_climb.files import dataset
+        from mjx_climb.viz import plots
+        from tuning.comparisons import linear_margins
+        from tuning.comparisons import margins as evaluation
+        from tuning.gains.gains_file import apart, by_name
+        from tuning.pages.margins import plot_margins
+        from tuning.results.config_file import write_config
+        from tuning.writing.record import settings_of
+
+        loaded = walk.load()
+        law = loaded.law
+        gains, others = walk.values(law) or {}, {}
+        known: dict[str, Any] = {"gains": by_name(gains)}
+        if walk.gains is not None and law is None:
+            config = walk.model_copy(update={"gains": None}).load().scenario
+            known["config"] = config.control.model_dump(mode="json")
+            others["config"] = evaluation.Walker(None if config == loaded.scenario else law_of(config), {})
+        if joint := asked.joint_gains():
+            others["retuned pd"] = evaluation.Walker(PD(), joint)
+        shell.take(walk, "margins.json", settings_of(loaded, "margins", **known, retuned_pd=joint), "margins")
+        how: dict[str, Any] = {"law": law, "engine": walk.engine}
+        with shell.whole() as out:
+            scenario = write_config(loaded.scenario, out, law)
+            shell.opening(scenario)
+            with shell.stage("margins") as told:
+                found = evaluation.find(scenario, gains, others=others, progress=told, **how)
+            with shell.stage("linearised loop", unit="quantities") as told:
+                place, own = apart(scenario, gains)
+                stable = linear_margins.find(place, own, found.margins, progress=told, **how)
+            warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
+            table, text = _margins_in_words(found, stable, warnings)
+            with shell.stage("drawing", compiles=False):
+                dataset.write_text_atomically(out / "margins.json", text + "\n")
+                dataset.save(found.walks, out / "margins.nc")
+                figure = plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
+                plots.save_figure(figure, out / "margins", output.figures)
+        shell.show(table, *(f"warning: {line}" for line in warnings))
+        pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
+        shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
+
+
+def _margins_in_words(found: "Found", stable: "dict[str, Stable]", warnings: list[str]) -> "tuple[Table, str]":
+    """Return margins beside the scenario's hardware, by walks and of the linearised loop: a table, and JSON in SI."""
+    from tuning.command_line.session import plain_table
+    from tuning.comparisons.margins import QUANTITIES, in_words, needed, with_unit
+    from tuning.numbers import to_json
+
+    table, each = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"), {}
+    for name, margin in found.margins.items():
+        # needed: the hardware with a factor of two
+        more = {"needed": needed(name, margin.own), "stable": stable[name]._asdict()}
+        each[name] = dataclasses.asdict(margin) | more
+        reached = [in_words(name, margin.worst, value) for value in (margin.holds, margin.better)]
+        reached.append(in_words(name, stable[name].tried, stable[name].up_to))
+        table.add_row(QUANTITIES[name].title, with_unit(name, margin.own), *reached)
+    own = {"holds": found.holds, "better": found.better}
+    return table, to_json({"own_hardware": own, "margins": each, "warnings": warnings})
+
+
+class Rivals(Rival, Judge):
+    """Which gains are evaluated, on what."""
+
+    gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
+    ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
+    shard: str | None = SHARD
+
+    def work(self, walk: Walk) -> "Draw":
+        """Return the walks of the gains."""
+        from mjx_climb.control import PD
+        from tuning.comparisons.judge import draw_of
+        from tuning.gains import gains_file
+        from tuning.problem.ensemble import Ensemble
+        from tuning.searches.retuned_pd import NAME
+
+        loaded = walk.load()
+        if (
+            loaded.law is None
+            and loaded.scenario.control.controller == "pd"
+            and not all(map(gains_file.shipped_law, self.gains))
+        ):
+            raise InputError("--controller: expected a law whose gains are evaluated, got pd, which walks beside them")
+        named = {file.stem: gains_file.whole(file, loaded.scenario, loaded.law) for file in self.gains}
+        if len(named) < len(self.gains) or named.keys() & {"config", "pd", NAME}:
+            got = ", ".join(file.stem for file in self.gains)
+            raise InputError(f"--gains: expected files of different names, none config, pd or {NAME}, got {got}")
+        if joint := self.joint_gains():
+            named[NAME] = gains_file.Whole(PD(), joint)
+        ensemble = Ensemble.load(shipped.found(self.ensemble))
+        return draw_of(loaded, named, ensemble, self.members)
+
+    def said(self, work: "Draw", here: int, _: int) -> list[str]:
+        """Return how many walks there are."""
+        return [f"{here} members, {len(work.gains) + 1} walks of {work.problem.scenario.steps} steps each"]
+
+
+@command("results/<config>-judge, or -margins", {"margins": margins, "merge": merge})
+def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> None:
+    """Walk gains through a draw that no search over the ensemble has seen, beside the config's own and pd.
+
+    As tune --ensemble tests its result: pushes, cargo, slope, grips, masses and hardware are drawn with another seed,
+    nothing is torn off, and a walk fails where it pulls beyond the holding limit. A file that names its law or gait
+    walks with these. Prints mean and worst 5 % of each metric; writes to DIR every walk (judged.nc), a picture, the
+    summary and a page. `mjx-climb plot DIR` draws other metrics.
+
+    A force sensor that dies is a key of the config: --set hardware.force_sensor.dead.LF=3.0, as worse hardware is.
+
+    --margins makes force delay, command delay, control period and joint gains worse, one at a time, on top of the
+    scenario's own hardware, and says up to where no gripper is torn off, up to where the force varies less than under
+    pd on the same hardware, and up to where the linearised loop is stable. Warns where walks, or the linearised loop,
+    bear less than twice what the hardware has. DIR has the margins (margins.json), all walks (margins.nc) and the force
+    variation over each quantity (margins, in the formats of --figures).
+
+    Finished parts are kept in DIR: the same command goes on where it stopped. With --shard, or as a task of a Slurm
+    array, the members are spread over machines, and the last one writes what one machine would have written; --merge
+    does so by hand.
+
+    \b
+    Examples:
+      mjx-climb evaluate case_1_2 --gains results/case_1_2-tune-gradient-isotropic/gains.yaml
+      mjx-climb evaluate case_2 --gains gains.yaml --retuned-pd gains-retuned_pd.yaml
+      mjx-climb evaluate case_2 --gains gains.yaml --ensemble mine.yaml --members 100000 --shard 3/16
+      mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --margins --json
+    """
+    again = "the same command, with config.yaml and --ensemble ensemble.yaml"
+    walk_rows(rivals, walk, output, "judge", again)

@@ -1,0 +1,298 @@
+"""`mjx-climb tune`: gains of one law, of several side by side, along a front, over operating points."""
+
+import dataclasses
+import importlib
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import mjx_climb as mc
+from mjx_climb.scenario import shipped
+from tuning.command_line import processes
+from tuning.command_line.from_models import command, in_options, made
+from tuning.command_line.interruption import Interrupted
+from tuning.command_line.options import ENSEMBLE, Output, SearchFile, Walk
+from tuning.command_line.program import InputError, origin, repeated
+from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Search, check_metrics
+from tuning.problem.settings import Options, setting
+
+if TYPE_CHECKING:
+    from tuning.problem.ensemble import Ensemble
+
+
+class Many(Options):
+    """Which walks gains are searched for: those of an ensemble in place of the config's."""
+
+    ensemble: Path | None = setting(
+        None, f"{ENSEMBLE}; of several laws null: that of --hardware", metavar="FILE", complete="ensemble"
+    )
+    members: int | None = setting(None, "walks of the ensemble; null: the file's", ge=1)
+    test_members: int | None = setting(None, "walks of the fresh draw that tests the result; null: 128", ge=1)
+
+    def load(self) -> "Ensemble | None":
+        """Return the ensemble, None without one."""
+        if self.ensemble is None:
+            for name in self.model_fields_set:
+                raise InputError(f"--{name.replace('_', '-')}: expected --ensemble with it")
+            return None
+        return self._loaded(self.ensemble)
+
+    def of_laws(self, hardware: str | None) -> "Ensemble":
+        """Return the ensemble that laws are compared on, by default the shipped one of a profile of hardware."""
+        own = f"ensemble_{hardware}"
+        return self._loaded(self.ensemble or Path(own if own in shipped.ensembles() else "ensemble"))
+
+    def _loaded(self, file: Path) -> "Ensemble":
+        from tuning.problem.ensemble import Ensemble
+
+        return Ensemble.load(shipped.found(file), **self.model_dump(include={"members"}, exclude_unset=True))
+
+
+class Laws(Options):
+    """What is simulated: one law, or several that are compared."""
+
+    law: tuple[str, ...] = setting(
+        (),
+        "law in place of the config's: pd, base_admittance, end_effector_admittance, a shipped one as LoadTransfer, or "
+        "one's own, whose file is run; several are tuned alike and compared with pd",
+        metavar="NAME|FILE.py:NAME",
+    )
+
+
+class Over(Options):
+    """Which operating points gains are searched for."""
+
+    over: tuple[str, ...] = setting(
+        (),
+        "tune for each gravity (G = 9.81 m/s^2), or each cargo (kg), or each pair, as gravity=1e-6,1/6,1",
+        metavar="gravity|cargo[=V,V,...]",
+    )
+
+    def points(self, scenario: "mc.Scenario") -> Schedule:
+        """Return the operating points, with the scenario's own gravity or cargo where that is not named."""
+        from mjx_climb.functions import STANDARD_GRAVITY
+
+        strength, load = math.hypot(*scenario.gravity) / math.hypot(*STANDARD_GRAVITY), scenario.disturbance.cargo.mass
+        values: dict[str, Any] = {"gravity": (strength,), "cargo": (load,)}
+        for text in self.over:
+            names, equals, numbers = text.partition("=")
+            for name in map(str.strip, names.split(",")):
+                if name not in Schedule.model_fields:
+                    raise InputError(f"--over: expected gravity, cargo or both, got {name!r}")
+                values[name] = numbers if equals else Schedule.model_fields[name].default
+        try:
+            points = made(Schedule, values)
+        except InputError as error:
+            raise InputError(str(error).replace("--", "--over ", 1)) from None
+        assert isinstance(points, Schedule)
+        return points
+
+
+# what a front or operating points are searched by: one method, whose rounds are fixed
+_OfPoints = Annotated[Search, "-method", "-starts", "-iterations"]
+_OfFront = Annotated[Search, "-method", "-starts", "-iterations", "-weights", "-no_worse_than_pd"]
+_FromConfig = Annotated[Walk, "-gains"]
+
+
+def pareto(asked: Pareto, search: _OfFront, file: SearchFile, walk: _FromConfig, output: Output) -> None:
+    """Search the front of two metrics."""
+    with output.session() as shell:
+        from mjx_climb.execution import devices
+
+        devices.begin()
+        from tuning.searches import pareto as fronts
+        from tuning.writing.record import settings_of
+
+        loaded = walk.load()
+        wanted = file.settings(search, loaded, walk.config)
+        for option, name in (("--better", asked.better), ("--against", asked.against)):
+            check_metrics(Search(weights={name: 1.0}), loaded.metrics, option)
+        own = {"search": wanted.model_dump(mode="json"), "front": asked.model_dump(mode="json")}
+        folder = shell.take(walk, "front.nc", settings_of(loaded, "pareto", **own), "pareto")
+        shell.opening(loaded.scenario)
+        with shell.stage("baseline"), file.naming(search, "--better"):
+            problem = fronts.problem_of(loaded.scenario, wanted, asked, **loaded.walks)
+        with shell.keeping("rounds"):
+            with shell.rounds("front") as show:
+                found = fronts.run(problem, wanted, asked, out=folder, progress=show)
+            again = repeated(["tune", "--search", "search.yaml"], "--better", "--against", "--points", "--engine")
+            shell.result(found, again)
+
+
+def schedule(asked: Over, search: _OfPoints, file: SearchFile, walk: _FromConfig, output: Output) -> None:
+    """Tune gains for every operating point, all side by side in one batch."""
+    with output.session() as shell:
+        from mjx_climb.execution import devices
+
+        devices.begin()
+        from tuning.command_line.session import plain_table
+        from tuning.numbers import change, gain, number
+        from tuning.pages.schedule import rows
+        from tuning.searches import schedule as schedules
+        from tuning.searches.retuned_pd import NAME
+        from tuning.writing.record import settings_of
+
+        loaded = walk.load()
+        points, wanted = asked.points(loaded.scenario), file.settings(search, loaded, walk.config)
+        own = {"search": wanted.model_dump(mode="json"), "operating_points": points.model_dump(mode="json")}
+        folder = shell.take(walk, "schedule.nc", settings_of(loaded, "schedule", **own), "schedule")
+        shell.opening(loaded.scenario)
+        with shell.stage("baseline"), file.naming(search, walk.config):
+            problem = schedules.operating_points(loaded.scenario, wanted, points, **loaded.walks)
+        with shell.keeping("rounds"):
+            with shell.rounds("schedule") as show:
+                found = schedules.run(problem, out=folder, progress=show)
+            gains, beside = found.data.attrs["searched"].split(), ("vs\nconfig %", "vs\nretuned %", "vs\npd %")
+            table = plain_table("gravity\nG", "cargo\nkg", *gains, "variation\nN", *beside, "")
+            table.columns[-1].no_wrap = False  # words give way to numbers
+            for row in rows(found.data):
+                tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))
+                cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
+                cells += ["failed" if tuned is None else number(tuned), *(change(tuned, other) for other in others)]
+                outside = "" if row["feasible"] else "breaks limits"
+                table.add_row(*cells, f"{outside} {row['on_bound']} on a bound" if row["on_bound"] else outside)
+            shell.result(found, "", table=table)
+
+
+def compare(
+    asked: Laws,
+    search: Annotated[Search, "-joint_gains"],
+    file: SearchFile,
+    many: Many,
+    walk: Annotated[Walk, "-gains", "-law", "-controller"],
+    output: Output,
+) -> None:
+    """Tune several laws for as many evaluations on the same draws, and test them on the same unseen walks."""
+    with output.session() as shell:
+        from mjx_climb.execution import devices
+        from mjx_climb.scenario.messages import ConfigError
+
+        devices.begin()
+        from tuning.comparisons import compare as comparing
+        from tuning.problem.evaluation import Problem
+        from tuning.searches import tune as searches
+        from tuning.writing.record import settings_of
+
+        loaded, ensemble, members = walk.load(), many.of_laws(walk.hardware), many.test_members or Judge().members
+        joined = file.joined(search, loaded)
+        own = Search.load(file.search) if file.search is not None else None
+        if "weights" not in search.model_fields_set and own is None:
+            joined = joined.model_copy(update={"weights": ROBUST_WEIGHTS})
+        try:
+            with file.naming(search):
+                wanted = comparing.alike(searches.over_ensemble(joined, {}, ensemble), search, own)
+                laws = comparing.contestants(loaded.scenario, asked.law, wanted)
+        except ConfigError as error:
+            raise ConfigError(in_options(str(error).replace("laws: ", "law: ", 1), Laws)) from None
+        each = {name: settings_of(Problem(one.scenario, law=one.law), "law") for name, one in laws.items()}
+        record = {"search": wanted.model_dump(mode="json"), "members": members, "laws": each}
+        settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "compare", **record)
+        folder = shell.take(walk, "compared.nc", settings, "compare")
+        shell.opening(loaded.scenario)
+        with shell.stage("baseline"), file.naming(search, walk.config):
+            walks = {"metrics": loaded.metrics, "engine": loaded.engine}
+            problem = comparing.problem_of(loaded.scenario, laws, ensemble, **walks)
+        with shell.keeping("rounds"):
+            found = comparing.run(laws, problem, wanted, members, out=folder, stage=shell.stage)
+            files = ["--search", "search.yaml", "--ensemble", "ensemble.yaml"]
+            shell.result(found, repeated(["tune", *files], "--law", "--test-members", "--engine"))
+
+
+@command(
+    "results/<config>-tune-<method>-<space>, or -pareto, -schedule, -compare",
+    {"against": pareto, "over": schedule, "law law": compare},
+)
+def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Output) -> None:
+    """Search the gains of the controller, from the config's own gains and from random ones side by side.
+
+    Minimises force variation, peak foot force and cost of transport, each relative to pd, while the grippers hold,
+    the joints keep their limits, the base stays within three times pd's deviation, and nothing gets worse than under
+    pd. With hardware in the loop kp and kd are searched too. Then walks the result in double precision, tests it, and
+    compares it with the config's gains, pd, and pd with kp and kd searched for the same: what no force sensor gives.
+
+    Writes to DIR the gains (gains.yaml, for run, sweep and evaluate), everything that was evaluated (search.nc), the
+    settings (config.yaml, search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence,
+    path, walks, margins), and all of it to look through in a browser (report.html). Finished rounds are kept: after
+    Ctrl-C, which ends with the best so far, or worse, the same command goes on.
+
+    --ensemble: every set of gains walks through all members (pushes, cargo, slope, grip stiffness, robot mass drawn
+    from a seed, and hardware where the file says so), mean and worst count, the peak pulling force with them, and a
+    fresh draw tests the result, and says how many of its walks break each limit.
+
+    Several --law: each is tuned for as many evaluations on the same draws, kp and kd among the gains, and tested on the
+    same unseen walks, beside pd with kp and kd retuned. Prints mean and worst 5 % of each metric, the difference from
+    retuned pd with intervals of 95 % for all rows at once (~: the interval holds 0), and in a sentence which law is
+    better, what the force sensor is worth, and what half the delay, half the friction or twice the rate would be worth.
+    DIR has every walk and the differences (compared.nc, compared.csv) and the gains of each law (gains-<law>.yaml). A
+    GAIN may be one of any law; laws without it are searched without it.
+
+    --against: the front of --better and this metric, by gradients under a row of limits, all in one batch. DIR has
+    the front with its gains (front.nc) and the gains at its knee, the point furthest from the line between its ends.
+
+    --over: gains for each operating point, all in one batch; the config's gravity gives the direction, its cargo the
+    time of loading. DIR has the table (schedule.csv, schedule.yaml), and what the gains of one point are worth at
+    another (schedule.nc).
+
+    \b
+    METRIC: force_variation, peak_foot_force, peak_pull_force (N), peak_joint_torque (N m),
+      cost_of_transport, travel, base_deviation, min_tsm (m), min_gia_margin (m/s^2),
+      joint_limit_margin (rad); with --metric the user's own
+    GAIN: damping, damping.translation, damping.rotation, damping.x .. damping.rz;
+      stiffness and inertia likewise; kp, kd; with --law the law's own gains;
+      gait.duty, gait.cycle, gait.step_height (--also), at the same speed of travel
+
+    \b
+    Examples:
+      mjx-climb tune case_1_2
+      mjx-climb tune case_2 --method gradient --space diagonal --limit base_deviation=0.015
+      mjx-climb tune case_1_1 --method cmaes --space split --pin damping.rotation=50
+      mjx-climb tune case_1_2 --controller pd --also gait.duty --also gait.cycle
+      mjx-climb tune case_2 --ensemble ensemble --members 16
+      mjx-climb tune case_1_2 --law base_admittance --law my_law.py:Mine --hardware dynamixel_x
+      mjx-climb tune case_2 --against cost_of_transport --space split
+      mjx-climb tune case_2 --over gravity=1e-6,1e-3,1 --over cargo --space split
+    """
+    with processes.joined() as team, output.session() as shell:
+        from tuning.background import background
+        from tuning.comparisons import of_search
+        from tuning.searches import tune as searches
+        from tuning.writing import record
+
+        loaded, drawn = walk.load_with_gains(), many.load()
+        if drawn is not None and "weights" not in search.model_fields_set and file.search is None:
+            search = search.model_copy(update={"weights": ROBUST_WEIGHTS})
+        wanted = file.settings(search, loaded, walk.config)
+        if drawn is not None:
+            wanted = searches.over_ensemble(wanted, {}, drawn)
+        chosen = search.method if "method" in search.model_fields_set else None
+        wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), loaded.law)
+        kind, name = "tune" if drawn is None else "robust", walk.config.stem
+        own = {"search": wanted.model_dump(mode="json"), "judges": many.test_members}
+        settings = record.settings_of(dataclasses.replace(loaded, ensemble=drawn), kind, **own)
+        folder = shell.take(walk, "search.nc", settings, kind, wanted.method, wanted.space, team=team)
+        shell.opening(loaded.scenario)
+        shell.say(*filter(None, [team.said]))
+        team.begin(folder, loaded.scenario.to_yaml())
+        with shell.stage("baseline"), file.naming(search):
+            problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.walks)
+        files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
+        again, begun = repeated(["tune", *files], "--engine"), None
+        with shell.keeping("rounds"), background(busy=1) as begin:
+            begin(lambda _: importlib.import_module("tuning.kinds"))  # matplotlib takes half a second
+            if drawn is None:
+                of_search.load_tests(problem, wanted, begin)
+                begun = of_search.begin(problem, wanted, begin, out=folder)
+            with shell.rounds("search") as show:
+                found: Any = searches.run(problem, wanted, out=folder, progress=show)
+            if many.test_members is not None:
+                found = dataclasses.replace(found, judges=many.test_members)
+            if found.interrupted:
+                from tuning import kinds
+
+                # what is whole stays until all of this one is there
+                if (before := record.read(folder)) is not None and before.whole:
+                    raise KeyboardInterrupt
+                kinds.write_found(found, folder, origin(name, again), settings)
+                best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
+                raise Interrupted(f"the best of {shell.done} rounds is in {folder}: {best}")
+            shell.result(found, again, begun)
