@@ -1,11 +1,14 @@
-"""Plain words: pages use none of the patterns that `words.txt` replaces, and no endless sentence."""
+"""Plain words: pages and help texts use none of the patterns that `words.txt` replaces, and no endless sentence."""
 
 import re
 from pathlib import Path
 
+import click
 import pytest
+import typer
 
 from tests.pages import FENCE
+from tuning.command_line.program import program
 
 ROOT = Path(__file__).parents[2]
 RULES = [
@@ -15,6 +18,7 @@ RULES = [
 ]
 MADE = "paper_run.md"  # a command writes it
 PAGES = sorted(page for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")] if page.name != MADE)
+PROGRAM = typer.main.get_command(program())
 LONGEST = 45  # words of a sentence
 MOST = 25_500  # words: 25,000, and some for what is under way
 # tables, headings and equations hold no sentences
@@ -36,6 +40,12 @@ def endless(text: str) -> list[str]:
 def test_a_page_uses_plain_words(page):
     text = FENCE.sub("\n\n", page.read_text("utf-8"))
     assert found(" ".join(text.split())) == [] and endless(text) == []
+
+
+@pytest.mark.parametrize("name", PROGRAM.commands)
+def test_a_help_text_uses_plain_words(name):
+    command = PROGRAM.commands[name]
+    assert found(" ".join(command.get_help(click.Context(command, info_name=name)).split())) == []
 
 
 def test_pages_of_users_are_short_and_begin_with_what_they_are_for():

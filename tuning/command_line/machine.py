@@ -252,7 +252,7 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
 
     Exit code 0: all is well. 1: something is wrong.
 
-    --bench: a batch of robots walks under base admittance in single precision, all metrics worked out. Its peers on the
+    --bench: a batch of robots walks under base admittance in single precision, all metrics included. Its peers on the
     same cores: mujoco.rollout of the bare dynamics; this program with the dynamics of MJX; mujoco.batch, and a loop
     over mj_step, under the same control law and grip in NumPy. On a GPU mujoco_warp too, where the extra `compare` has
     installed it: the bare dynamics, in CUDA graphs. Medians of rounds in which all take turns. Then what a user

@@ -182,7 +182,7 @@ def sweep(grid: Grid, walk: Walk, output: Output) -> None:
     With --shard, or as a task of a Slurm array, a sweep is spread over machines: each walks its part of the grid into
     a folder below DIR, and the last one writes what one machine would have written: on CPUs the same file, bit for bit.
     --merge does so by hand, of shards that lie in several places for example. Shards of different settings, files or
-    versions are refused; of one that died it is said which walks are missing and which command finishes it.
+    versions are refused; one that died is named with its missing walks and the command that finishes it.
 
     \b
     Examples:

@@ -54,7 +54,7 @@ class Laws(Options):
     law: tuple[str, ...] = setting(
         (),
         "law in place of the config's: pd, base_admittance, end_effector_admittance, a shipped one as LoadTransfer, or "
-        "one's own, whose file is run; several are tuned alike and compared with pd",
+        "your own, whose file is run; several are tuned alike and compared with pd",
         metavar="NAME|FILE.py:NAME",
     )
 
