@@ -10,7 +10,7 @@ from tuning.comparisons import judge as judging
 from tuning.comparisons import of_ensemble, of_front, of_laws, of_search, of_sweep
 from tuning.comparisons.worth import of_schedule
 from tuning.identification.fit import output as of_fit
-from tuning.identification.fit.identify import Identified
+from tuning.identification.fit.result import Identified
 from tuning.identification.plan import output as of_plan
 from tuning.identification.plan.excitation import Excited
 from tuning.pages import judge, laws, pareto, robust, schedule, sweep, tune

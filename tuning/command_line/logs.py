@@ -135,7 +135,8 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
     with output.session() as shell:
         from tuning.command_line.session import from_page
         from tuning.identification.fit import identify as fitting
-        from tuning.identification.fit.output import FILE, table, write
+        from tuning.identification.fit.output import FILE, write
+        from tuning.identification.fit.report import table
         from tuning.methods.parts import FOLDER
         from tuning.writing.record import check_own, settings_of
 

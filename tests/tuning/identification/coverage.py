@@ -10,6 +10,7 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import binomtest
 
 import mjx_climb as mc
 import tuning
@@ -30,10 +31,10 @@ SCENARIO = mc.Scenario().with_overrides({"control.kp": 40.0, "control.kd": 0.3})
 
 
 class Counted(NamedTuple):
-    """What came of repeats, (repeats, KEYS) each but for the last two."""
+    """What came of repeats, (repeats, KEYS) each but for the last two; an estimate may have no interval."""
 
-    inside: np.ndarray  # bool: the interval holds the truth
-    error: np.ndarray  # of the estimate's coordinate, over its standard deviation
+    inside: np.ndarray  # bool: there is an interval, and it holds the truth
+    error: np.ndarray  # of the estimate's coordinate, over its standard deviation; NaN without an interval
     width: np.ndarray  # of the interval over Fisher's
     ahead: np.ndarray  # (repeats,) error over noise, held out
     warned: list[str]
@@ -54,7 +55,8 @@ def counted(repeats, duration, misread=0.0, first=0, said=lambda line: None):
         log = log_of(robot, duration, jitter=0.0005, misread=misread, seed=1000 + repeat, step=STEP)
         found = tuning.identify(SCENARIO, log, KEYS, starts=1)
         value, true = np.array([(found.estimates[key].value, truth[key]) for key in KEYS]).T
-        low, high = np.array([(found.estimates[key].low, found.estimates[key].high) for key in KEYS]).T
+        # None becomes NaN
+        low, high = np.array([(found.estimates[key].low, found.estimates[key].high) for key in KEYS], float).T
         logarithm = np.array([v.log for v in found.model.variables[: len(KEYS)]])
         with np.errstate(divide="ignore"):
             off, span = (np.where(logarithm, np.log(a / b), a - b) for a, b in ((value, true), (high, low)))
@@ -63,18 +65,26 @@ def counted(repeats, duration, misread=0.0, first=0, said=lambda line: None):
         width = np.sqrt(np.diag(known.covariance) / np.diag(known.fisher))[: len(KEYS)]
         rows.append(((low <= true) & (true <= high), error, width, ahead))
         warned += found.warnings
-        said(f"{repeat}: errors {error.round(2).tolist()}, held out {ahead:.3f} {found.warnings}")
+        said(f"{repeat}: errors {error.round(2).tolist()}, held out {ahead:.3f} {found.fitted.ended} {found.warnings}")
     return Counted(*map(np.array, zip(*rows, strict=True)), warned)
+
+
+def shares(inside):
+    """Return in words how many of some intervals hold, with the exact binomial interval of that share."""
+    low, high = binomtest(int(inside.sum()), inside.size).proportion_ci()
+    return f"inside {inside.sum()} of {inside.size}, {inside.mean():.1%} ({low:.1%} to {high:.1%})"
 
 
 def main():
     asked = [kind(word) for kind, word in zip((int, float, float, int), sys.argv[1:], strict=False)]
     repeats, duration, misread, first = (*asked, *(100, 5.0, 0.0, 0)[len(asked) :])
     found = counted(repeats, duration, misread, first, lambda line: print(line, flush=True))
-    means = found.inside.mean(0), found.error.mean(0), found.error.std(0), found.width.mean(0)
-    for key, inside, error, spread, width in zip(KEYS, *means, strict=True):
-        print(f"{key}: inside {inside:.1%}, error {error:+.2f} +- {spread:.2f}, width over Fisher {width:.3f}")
-    print(f"all: inside {found.inside.mean():.1%}; held out {found.ahead.mean():.3f}, worst {found.ahead.max():.3f}")
+    means = np.nanmean(found.error, 0), np.nanstd(found.error, 0), found.width.mean(0)
+    for key, inside, error, spread, width in zip(KEYS, found.inside.T, *means, strict=True):
+        print(f"{key}: {shares(inside)}, error {error:+.2f} +- {spread:.2f}, width over Fisher {width:.3f}")
+    without = int(np.isnan(found.error).any(1).sum())
+    print(f"all: {shares(found.inside)}; logs with an estimate without an interval: {without}")
+    print(f"held out {found.ahead.mean():.3f}, worst {found.ahead.max():.3f}")
 
 
 if __name__ == "__main__":

@@ -333,3 +333,24 @@ def test_the_command_says_what_binds_and_what_to_expect(call, tmp_path):
     assert found["unseen"] in errors
     code, out, errors = call("excite", config, *short, "--set", "hardware.servo.torque_limit=0.05")
     assert code == 2 and "torque of LF.femur: expected a rest stance that takes less than a share of 0.7" in errors
+
+
+def test_nuisances_are_eliminated_from_what_a_log_will_tell():
+    """The same as the inverse of the information about all of them, less the nuisances' rows."""
+    rng = np.random.default_rng(1)
+    own, beside, deviation = rng.normal(size=(50, 2)), rng.normal(size=(50, 3)), rng.uniform(0.5, 2, 50)
+    found = information(("a", "b"), own, deviation, beside)
+    every = np.hstack([own, beside]) / deviation[:, None]
+    expected = np.linalg.inv(every.T @ every + np.eye(5))[:2, :2]
+    np.testing.assert_allclose(found.deviations, np.sqrt(np.diagonal(expected)))
+    assert (found.deviations > information(("a", "b"), own, deviation).deviations).all()
+
+
+@pytest.mark.parametrize(("friction", "fit", "beside"), [
+    (0.05, ("hardware.servo.armature",), {"log.command.delay", "log.friction.lead", "hardware.servo.presliding"}),
+    (0.0, ("hardware.servo.armature", "hardware.command_delay"), set()),
+])  # fmt: skip
+def test_what_identify_fits_beside_is_planned_for(friction, fit, beside):
+    rig = excitation.set_up(scenario(**{"hardware.servo.coulomb_friction": friction}), Excitation(fit=fit))
+    assert {v.key for v in rig.beside} == beside
+    assert [place.key for place in rig.places] == [*fit, *(v.key for v in rig.beside)]

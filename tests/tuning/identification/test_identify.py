@@ -21,7 +21,8 @@ from mjx_climb.scenario.model import RobotFile, validated
 from tests.tuning.identification.coverage import counted
 from tests.tuning.identification.stand_in_mujoco import NOISE, TRUTH, columns_of, log_of
 from tuning.identification.fit import least_squares, robot_files
-from tuning.identification.fit.output import SHOWN, plot_prediction
+from tuning.identification.fit.report import SHOWN, plot_prediction
+from tuning.identification.fit.shooting import Problem
 from tuning.identification.model.predicted import model_of, with_nuisances
 from tuning.identification.model.variables import Place, applied, begin, variables
 from tuning.identification.model.windows import KINDS, UNITS, cut
@@ -48,9 +49,9 @@ def identified(truth=TRUE, duration=4.0, fit=tuple(VALUES), starts=1, **how):
 def problem(fit, duration=2.0, kinds=("position", "velocity", "effort")):
     log = log_of(TRUE, duration, kinds=kinds)
     windows = cut(log, ROBOT, SCENARIO.time_step, 0.0)
-    model = model_of(SCENARIO, windows, with_nuisances(SCENARIO, windows, variables(SCENARIO, fit, held=True)))
+    model = model_of(SCENARIO, windows, with_nuisances(SCENARIO, variables(SCENARIO, fit, held=True), windows.kinds))
     noise = np.array([NOISE[KINDS[kind]] for kind in windows.kind])
-    return least_squares.Problem(model, np.arange(len(windows.begin)), noise)
+    return Problem(model, np.arange(len(windows.begin)), noise)
 
 
 @pytest.mark.nightly
@@ -61,10 +62,10 @@ def test_gradient_is_that_of_the_cost_by_finite_differences():
     chosen = at.model.variables
     x = begin(chosen) + 0.3 * np.array([v.sd for v in chosen]) * np.random.default_rng(0).uniform(0.1, 0.5, len(chosen))
     start = at.guess
-    (normal,) = least_squares.linearized(at, x[None], start[None])
+    (normal,) = at.linearized(x[None], start[None])
     scale = np.array([v.sd for v in chosen])
     for along in np.random.default_rng(1).normal(0, 1, (3, len(x))) * scale:
-        ends = [least_squares.linearized(at, (x + side * 1e-5 * along)[None], start[None])[0] for side in (1, -1)]
+        ends = [at.linearized((x + side * 1e-5 * along)[None], start[None])[0] for side in (1, -1)]
         slope = -(ends[0].cost - ends[1].cost) / 2e-5
         assert slope == pytest.approx(normal.gradient @ along, rel=1e-4)
 
@@ -73,7 +74,7 @@ def test_gradient_is_that_of_the_cost_by_finite_differences():
 def test_states_that_only_together_are_told_do_not_end_a_fit():
     """As where motors are on their torque limit all along: a matrix that is singular to rounding."""
     at = problem(("control.kp", "control.kd"))
-    (normal,) = least_squares.linearized(at, begin(at.model.variables)[None], at.guess[None])
+    (normal,) = at.linearized(begin(at.model.variables)[None], at.guess[None])
     told = [np.diag(least_squares.eliminated(normal)[1])]
     normal.state_hessian[0, 1] += 1e24  # their sum is told to all digits
     with pytest.raises(np.linalg.LinAlgError):
@@ -137,9 +138,7 @@ def test_errors_of_time_stamps_are_told_from_noise():
 def test_states_of_all_limbs_together_leave_the_same_variables_as_one_by_one():
     at = problem(("hardware.servo.armature", "robot.LF.tibia.friction", "hardware.command_delay"))
     x, start = begin(at.model.variables)[None], at.guess[None]
-    (apart,), (together,) = (
-        least_squares.linearized(dataclasses.replace(at, clock=clock), x, start) for clock in (0.0, 1e-12)
-    )
+    (apart,), (together,) = (dataclasses.replace(at, clock=clock).linearized(x, start) for clock in (0.0, 1e-12))
     assert len(together.state_hessian) == 1 and together.cost == pytest.approx(apart.cost)
     for one, other in zip(least_squares.eliminated(apart)[:2], least_squares.eliminated(together)[:2], strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-6, atol=1e-6 * np.abs(one).max())
@@ -162,7 +161,7 @@ def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_p
     )  # fmt: skip
     made = json.loads(out)
     assert code == 0
-    assert set(made) == {"parameters", "held_out", "warnings"}
+    assert set(made) == {"parameters", "held_out", "search", "warnings"}
     assert list(made["parameters"]) == [*VALUES, "robot.LF.tibia.mass"]
     for key, truth in VALUES.items():
         assert set(made["parameters"][key]) == {"value", "low", "high", "seen"}
@@ -354,10 +353,12 @@ def test_limits_that_the_robot_does_not_have_give_no_interval():
 
 @pytest.mark.slow
 def test_the_step_of_a_simulator_that_made_the_log_is_a_doubt():
-    """Armature was 0.0115 (0.0113 to 0.0117) for 0.012, the delay 2.02 ms for 4."""
+    """Armature is 0.0117 for 0.012, the delay 2.1 ms for 4; a search that ended where damping let it gain little was
+    59 in the cost above the minimum."""
     truth = dataclasses.replace(TRUE, integrator="EULER")
     log = of_one_limb(log_of(truth, 4.0, rate=125.0, step=0.004))
     found = tuning.identify(SCENARIO, log, tuple(VALUES), starts=1)
+    assert found.sentence.startswith("log.csv tells 5 of 5 parameters") and found.fitted.ended == "converged"
     (line,) = [line for line in found.warnings if "if one made this log, its step is a doubt" in line]
     steps = float(re.search(r"steps of ([\d.]+) ms", line)[1])
     assert steps == pytest.approx(4.0, rel=0.1)
@@ -410,7 +411,7 @@ def test_a_pattern_is_of_keys_with_a_derivative_and_a_value():
 def test_a_fit_that_is_interrupted_goes_on_where_it_stopped_and_ends_alike(tmp_path, monkeypatch):
     scenario = SCENARIO.with_overrides({"hardware.servo.armature": 0.01, "hardware.command_delay": 0.004})
     log, fit, calls = log_of(TRUE, 2.0, kinds=("position",)), ("control.kp", "control.kd"), []
-    original = least_squares.linearized
+    original = Problem.linearized
 
     def linearized(*arguments):
         calls.append(0)
@@ -420,7 +421,7 @@ def test_a_fit_that_is_interrupted_goes_on_where_it_stopped_and_ends_alike(tmp_p
         if text.startswith("pass 1") and done >= 3:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(least_squares, "linearized", linearized)
+    monkeypatch.setattr(Problem, "linearized", linearized)
     whole = tuning.identify(scenario, log, fit, starts=2)
     undisturbed = len(calls)
     with pytest.raises(KeyboardInterrupt):
@@ -491,7 +492,7 @@ def test_a_posterior_is_drawn_with_its_covariance_and_leaves_other_draws_alone()
 def test_intervals_hold_as_often_as_they_say_and_are_no_wider_than_they_need_be(misread):
     found = counted(20, 5.0, misread)
     assert found.inside.mean() > 0.85  # of a hundred that hold in 95 %, three standard deviations below
-    assert 0.75 < found.error.std() < 1.3  # three standard deviations, some parameters go together; see the docs
+    assert 0.75 < np.nanstd(found.error) < 1.3  # three standard deviations, some parameters go together; see the docs
     assert found.width.mean() < 1.5
     assert found.ahead.max() < 1.2
     told = [line for line in found.warned if "time stamps err" in line]

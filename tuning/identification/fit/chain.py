@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from tuning.identification.fit.least_squares import DIVERGED, LeastSquares, Normal
+from tuning.identification.fit.least_squares import DIVERGED, Fitted, LeastSquares, Normal
 from tuning.identification.fit.stamps import stamped
 from tuning.identification.model.gripped import FORCE_DELAY, LATE, GrippedModel
 from tuning.identification.model.windows import KINDS
@@ -42,6 +42,13 @@ class Chain(LeastSquares):
 
     def linearized(self, x: np.ndarray, start: np.ndarray) -> list[Normal]:
         """Return the normal equations at points x (points, P)."""
+        return [self._normal(*each) for each in self._made(x)]
+
+    def sensitivity(self, found: Fitted) -> Float[np.ndarray, "rows P"]:
+        """Return the derivatives of all rows along the variables, SI units."""
+        return self._made(found.x[None])[0].along
+
+    def _made(self, x: np.ndarray) -> list[_Made]:
         count = len(self.rows.value)
         made = [_Made(np.full(count, np.nan), np.zeros((count, x.shape[1]))) for _ in x]
         for which, values, tangents in self.model.evaluate(x, len(self.which)):
@@ -50,7 +57,7 @@ class Chain(LeastSquares):
             for k, point in enumerate(x):
                 own, along = ({name: v[k] for name, v in each.items()} for each in (values, tangents))
                 self._predict(made[k], point, (here, of_window), own, along)
-        return [self._normal(*each) for each in made]
+        return made
 
     def _predict(
         self, made: _Made, x: np.ndarray, place: tuple[np.ndarray, np.ndarray], values: dict[str, Any],
@@ -88,12 +95,9 @@ class Chain(LeastSquares):
         residuals = rows.value - value
         # time stamps are taken as they are
         late = stamped(residuals, np.zeros_like(residuals), fitted, rows.stamp, self.noise[rows.signal], 0.0)
-        by_block = np.zeros((1, windows, count))
-        np.add.at(by_block[0], self.place, along * (late.weight * residuals)[:, None])
-        none = np.zeros((0, windows, 0))
+        none, weighted = np.zeros((0, windows, 0)), along * late.weight[:, None]
         return Normal(
-            cost=late.cost if finite else np.inf, gradient=by_block.sum((0, 1)),
-            hessian=along.T @ (along * late.weight[:, None]), state_gradient=none, state_hessian=none[..., None],
-            onward=none[..., None], mixed=np.zeros((0, windows, count, 0)), by_block=by_block, state_by_block=none,
-            residuals=residuals, stamps=late,
+            cost=late.cost if finite else np.inf, gradient=weighted.T @ residuals, hessian=weighted.T @ along,
+            state_gradient=none, state_hessian=none[..., None], onward=none[..., None],
+            mixed=np.zeros((0, windows, count, 0)), residuals=residuals, stamps=late,
         )  # fmt: skip

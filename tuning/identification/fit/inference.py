@@ -1,12 +1,18 @@
 """What a fit is worth: intervals, what the log does not tell, and whether the residuals are those of a right model.
 
-Intervals are those of the posterior: the information of the samples, with starts eliminated, beside the prior. They are
-widened where the gradients of blocks, a limb in a window, scatter more than independent noise would have them (what a
-block bootstrap comes to with many draws). Where residuals are not white, the model lacks something that moves: each
-parameter is then taken to have absorbed as much of it as the residuals still show. The delay of commands is no better
-known than the log's clock.
+Intervals are those of the posterior: the information of the samples, with starts eliminated, beside the prior. What the
+samples say is divided by the square of a widening, the prior is not: no log makes it worse. It has two parts.
+
+- The gradients of blocks, a limb in a window, may scatter more than those of independent noise. Their scatter is that
+  of few blocks, so that it counts by Student's quantile.
+- Where a signal's residuals are correlated, the model lacks something that moves. A parameter may have absorbed as much
+  of it as the residuals still show, as far as that signal tells of the parameter (Cauchy and Schwarz). How much that
+  is grows from nothing at the limits of the test, so that a false alarm costs little.
+
+The delay of commands is no better known than the log's clock.
 
 References:
+    L. Breiman, Better Subset Regression Using the Nonnegative Garrote, 1995.
     H. White, Maximum Likelihood Estimation of Misspecified Models, 1982.
     H. R. Kuensch, The Jackknife and the Bootstrap for General Stationary Observations, 1989.
     G. M. Ljung, G. E. P. Box, On a Measure of Lack of Fit in Time Series Models, 1978.
@@ -18,14 +24,17 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2
+from scipy.stats import chi2, t
 
-from tuning.identification.fit.least_squares import Fitted, LeastSquares, condensed_by_block, eliminated, prior_of
+from tuning.identification.fit.least_squares import Fitted, LeastSquares, eliminated
+from tuning.identification.fit.levenberg_marquardt import prior_of
 from tuning.identification.model.predicted import DELAY
 from tuning.identification.model.variables import Variable
 
 Z = 1.959964  # of 95 %
 SEEN = 0.5  # of the prior's sd: what is known no better was not seen
+_INSIDE = 3.0  # sd of the prior, within which an interval must lie for its parameter to be seen
+_FEWEST = 8  # blocks, whose scatter is one
 _LOUD = 0.35  # share of a direction that names a variable
 _FALSE_ALARM = 1e-3  # of the test of all signals together
 _LAGS, _MATTERS = 20, 0.1  # samples, and a correlation below which it is none that matters
@@ -61,7 +70,8 @@ class Whiteness(NamedTuple):
     probability: float  # of such correlation if they were white
     correlation: Float[np.ndarray, " lags"]
     period: float  # s, of a lag
-    lacking: float  # sum of squares, over that of the noise, of what the model lacks, if it does
+    share: float  # of the residuals' variance, that the model lacks; 0: nothing
+    samples: int
 
     @property
     def in_words(self) -> str:
@@ -73,28 +83,64 @@ class Whiteness(NamedTuple):
         )
 
 
-def posterior(
-    problem: LeastSquares, found: Fitted, tests: Sequence[Whiteness], suspicious: Sequence[Whiteness]
-) -> Posterior:
+def posterior(problem: LeastSquares, found: Fitted, tests: Sequence[Whiteness]) -> Posterior:
     """Return what is known after a fit."""
     variables, prior = problem.model.variables, prior_of(problem.model)
     _, information, _ = eliminated(found.normal)
     information = (information + information.T) / 2
     fisher = covariance_of(information, prior.sd)
     sd = np.sqrt(np.diag(fisher))
-    scores = condensed_by_block(found.normal)[:, ~problem.model.windows.held_out[problem.which]].reshape(-1, len(sd))
+    moved = problem.sensitivity(found) @ fisher  # of the estimates by each row
+    square = (
+        _scatter(problem, found, moved, np.diag(fisher @ information @ fisher))
+        + (_absorbed(problem, found, moved, tests) / sd) ** 2
+    )
+    of_samples = np.maximum(1 / sd**2 - 1 / prior.sd**2, 0.0)
+    widened = 1 / np.sqrt(1 / prior.sd**2 + of_samples / square)
+    covariance = fisher * np.outer(widened / sd, widened / sd) + np.diag(_of_clock(problem, found, sd) ** 2)
+    seen = np.array([
+        is_seen(v, x, own) for v, x, own in zip(variables, found.x, np.sqrt(np.diag(covariance)), strict=True)
+    ])  # fmt: skip
+    unseen, combined = _directions(variables, information, prior.sd, found.x)
+    return Posterior(covariance, fisher, information, widened / sd, seen, unseen, combined)
+
+
+def is_seen(variable: Variable, x: float, sd: float) -> bool:
+    """Return whether a log tells a variable: its interval lies well inside the prior, and the search met no bound."""
+    inside = abs(x - variable.mean) + Z * sd < _INSIDE * variable.sd
+    return bool(sd < SEEN * variable.sd and inside and not variable.bound_at(x))
+
+
+def _scatter(problem: LeastSquares, found: Fitted, moved: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """Return the scatter of the gradients of blocks over that of independent noise (P,), 1 or more.
+
+    Arguments:
+        problem: what was fitted.
+        found: the fit.
+        moved: (rows, P) what a unit of each row moves the estimates by, over the square of its noise.
+        expected: (P,) squares of the estimates' deviations by the noise of the samples alone.
+    """
+    limbs = 1 if problem.clock else 1 + int(problem.limb.max())  # errors of stamps are common to all limbs
+    block = problem.place * limbs + (0 if problem.clock else problem.limb)
+    scores = np.zeros((1 + int(block.max()), moved.shape[1]))
+    np.add.at(scores, block, moved * (found.normal.stamps.weight * found.normal.residuals)[:, None])
     scores = scores[scores.any(axis=1)]
     blocks = len(scores)
-    spread = fisher @ (scores.T @ scores * (blocks / max(blocks - 1, 1))) @ fisher
-    of_data = fisher @ information @ fisher  # what the samples' noise alone would give
-    excess = np.diag(spread) / np.maximum(np.diag(of_data), 1e-12 * np.diag(fisher))
-    widening = np.sqrt(np.maximum(excess, 1.0)) if blocks >= 8 else np.ones(len(sd))
-    widening = np.sqrt(widening**2 + sum(test.lacking for test in suspicious))
-    widened = np.clip(widening, 1.0, np.maximum(prior.sd / sd, 1.0))  # no log makes the prior worse
-    seen = widened * sd < SEEN * prior.sd
-    unseen, combined = _directions(variables, information, prior.sd, found.x)
-    covariance = fisher * np.outer(widened, widened) + np.diag(_of_clock(problem, found, sd) ** 2)
-    return Posterior(covariance, fisher, information, widened, seen, unseen, combined)
+    if blocks < _FEWEST:
+        return np.ones(moved.shape[1])
+    spread = (scores**2).sum(0) * blocks / (blocks - 1) * (t.ppf(0.975, blocks - 1) / Z) ** 2
+    return np.asarray(np.maximum(spread / np.maximum(expected, 1e-12 * expected.max()), 1.0))
+
+
+def _absorbed(
+    problem: LeastSquares, found: Fitted, moved: np.ndarray, tests: Sequence[Whiteness]
+) -> Float[np.ndarray, " P"]:
+    """Return how far what the model lacks may have moved the estimates, all signals' parts in one direction."""
+    names, weight, most = problem.model.windows.names, found.normal.stamps.weight, np.zeros(moved.shape[1])
+    for test in tests:
+        own = problem.rows.signal == names.index(test.signal)
+        most += np.sqrt(test.share * test.samples * (weight[own, None] * moved[own] ** 2).sum(0))
+    return most
 
 
 def useless(noise: Float[np.ndarray, " signals"], moved: Float[np.ndarray, " signals"], ahead: float | None) -> str:
@@ -189,16 +235,30 @@ def whiteness(problem: LeastSquares, found: Fitted) -> list[Whiteness]:
         total = float((scaled**2).sum()) or 1.0
         correlation = np.array([float(scaled[lag:] @ scaled[:-lag]) / total for lag in range(1, lags + 1)])
         statistic = count * (count + 2) * float((correlation**2 / (count - np.arange(1, lags + 1))).sum())
-        lacking = count * float(np.abs(correlation).max())  # noise is not correlated: what is, is so much of the whole
+        by_chance = float(chi2.isf(_FALSE_ALARM / len(windows.names), lags))
         period = float(np.median(np.diff(when[own])))
-        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, lacking))
+        share = unmodelled(float(np.abs(correlation).max()), statistic / by_chance)
+        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, share, count))
     return tests
 
 
+def unmodelled(correlation: float, statistic: float) -> float:
+    """Return the share of the residuals' variance that the model lacks, 0 up to the limits of the test.
+
+    Noise is not correlated, so that what is correlated makes up as much of the residuals as their correlation says. It
+    is shrunk by what chance, and a correlation too small to matter, would have (the non-negative garrote).
+
+    Arguments:
+        correlation: the largest, 0 to 1.
+        statistic: of the test, over the value that it exceeds by chance once in so many logs.
+    """
+    shown = max(1 - 1 / statistic, 0.0) if statistic else 0.0
+    return correlation * shown * (max(1 - (_MATTERS / correlation) ** 2, 0.0) if correlation else 0.0)
+
+
 def suspicious(tests: Sequence[Whiteness]) -> list[Whiteness]:
-    """Return the tests whose signals are not white, the worst first: unlikely by chance, and enough to matter."""
-    found = [t for t in tests if t.probability < _FALSE_ALARM / len(tests) and np.abs(t.correlation).max() > _MATTERS]
-    return sorted(found, key=lambda test: -np.abs(test.correlation).max())
+    """Return the tests whose signals are not white, the worst first."""
+    return sorted((test for test in tests if test.share), key=lambda test: -np.abs(test.correlation).max())
 
 
 def interval(variable: Variable, x: float, sd: float) -> tuple[float, float]:

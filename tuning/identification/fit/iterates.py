@@ -16,6 +16,7 @@ class Iterate(NamedTuple):
     x: np.ndarray  # (points, P)
     start: np.ndarray  # (points, windows, limb, joint, S)
     damping: np.ndarray  # (points,)
+    slow: np.ndarray  # (points,) bool: the last step that was taken gained next to nothing
     done: np.ndarray  # (points,) bool
 
 

@@ -73,6 +73,13 @@ class Noise(NamedTuple):
     clock: float  # s, of time stamps
 
 
+def change(before: Noise, after: Noise) -> float:
+    """Return the largest relative change of a standard deviation."""
+    of_signals = float(np.abs(np.log(after.signals / before.signals)).max())
+    largest = max(before.clock, after.clock)
+    return max(of_signals, abs(after.clock - before.clock) / largest if largest else 0.0)
+
+
 def noise_of(
     residuals: np.ndarray, late: Stamped, fitted: np.ndarray, which: tuple[np.ndarray, np.ndarray], before: Noise
 ) -> Noise:

@@ -49,24 +49,29 @@ def in_batch(simulate: Simulate) -> Simulate:
 
 @functools.cache
 def held(stages: Stages, time_step: float) -> Simulate:
-    """Return what a robot does whose base is held; it begins at rest at angles (limb, joint) or the first targets."""
+    """Return what a robot does whose base is held; it begins at rest at angles (limb, joint) or the first targets.
+
+    Its dry friction comes `lead` s before the rate, see `tuning.identification.model.held_base`.
+    """
 
     def one_step(
-        robot: Robot, parameters: Parameters, moving: stands.Moving, now: Commands
+        robot: Robot, parameters: Parameters, lead: Any, moving: stands.Moving, now: Commands
     ) -> tuple[stands.Moving, Carried]:
         late = parameters.command_delay - now.delay
         sent: stands.Sent = jax.tree.map(lambda value, rate: value - late * rate, now.sent, now.rates)
-        stand = stands.Stand(execution.of_limbs(robot), hardware_of(parameters, stages, time_step, robot))
+        stand = stands.Stand(execution.of_limbs(robot), hardware_of(parameters, stages, time_step, robot), lead)
         after, seen = stands.advance(stands.with_gains(stand, sent), moving, sent.targets)
         return after, Carried(*seen, jnp.zeros_like(robot.foot_center))
 
     fast = execution.over_robots(one_step)
 
-    def carried_out(robot: Robot, parameters: Parameters, commands: Commands, begin: Array | None = None) -> Carried:
+    def carried_out(
+        robot: Robot, parameters: Parameters, commands: Commands, begin: Array | None = None, lead: Any = 0.0
+    ) -> Carried:
         first = jnp.asarray(commands.sent.targets[0] if begin is None else begin)
         stand = stands.Stand(robot, hardware_of(parameters, stages, time_step, robot))
         start = stands.begin(stand, first, jnp.zeros_like(first))
-        done: Carried = jax.lax.scan(functools.partial(fast, robot, parameters), start, commands)[1]
+        done: Carried = jax.lax.scan(functools.partial(fast, robot, parameters, lead), start, commands)[1]
         return done
 
     return carried_out

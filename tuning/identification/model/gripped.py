@@ -5,7 +5,7 @@ commands for a window's length before the log begins, and goes on from window to
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -45,10 +45,10 @@ from tuning.identification.model.variables import Place, Variable, applied
 from tuning.identification.model.windows import KINDS, Windows, cut
 from tuning.identification.readers.log import Log, Signal, joints_of
 
-FORCE_DELAY = "hardware.force_sensor.delay"
+FORCE_DELAY, LATE_FORCE = "hardware.force_sensor.delay", "log.force.delay"
 LATE = {  # kinds that are recorded late, by the keys of their delays
     **{key: (kind,) for key, kind in model.LATE.items()},
-    FORCE_DELAY: ("force",), "log.force.delay": ("force",), "log.base.delay": KINDS[4:],
+    FORCE_DELAY: ("force",), LATE_FORCE: ("force",), "log.base.delay": KINDS[4:],
 }  # fmt: skip
 _GRIP = (0.0, 0.003, -0.1, 0.1)  # m, of a grip point from where the foot is seen
 _AXES = "xyz"
@@ -228,15 +228,13 @@ def _parted(found: dict[str, np.ndarray], like: grips.Moving) -> tuple[grips.Mov
 def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Sequence[Variable]) -> GrippedModel:
     """Return the model of a gripped robot's log, with what no such log is free of beside what is asked for."""
     robot, own = load_robot(scenario.robot), own_parameters(scenario)
-    nuisances = [v for v in with_nuisances(scenario, windows, chosen) if v.key != LEAD]
-    every = [*nuisances, *_delays(windows, chosen)]
+    every = gripped_with_nuisances(scenario, chosen, windows.kinds)
     every += [Variable(f"log.{limb}.grip.{a}", "m", 0.0, *_GRIP, beside=True) for limb in robot.limbs for a in _AXES]
     stages = stages_for(scenario, chosen)._replace(
         force_delay=0, force_noise=False, force_resolution=False, force_dead=False, base_delay=0, base_noise=False
     )
-    kinds = tuple(KINDS[k] for k in sorted(set(windows.kind)))
     places = tuple(Place(v.key, v.log) for v in every)
-    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, kinds)
+    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, windows.kinds)
     angles = windows.start[~windows.abuts, :, :, 0]
     position, orientation = _posed(log, robot, windows.begin[0])
     feet = position + limb_frames(robot, np.asarray(quaternion_to_matrix(orientation), float), angles[0]).foot
@@ -247,13 +245,14 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
     return GrippedModel(windows, tuple(every), structure, own, points, states[0], states)
 
 
-def _delays(windows: Windows, chosen: Sequence[Variable]) -> list[Variable]:
-    there, keys = {KINDS[k] for k in windows.kind}, {v.key for v in chosen}
-    if len(there) < 2:
-        return []
-    found = ["log.force.delay"] if "force" in there and FORCE_DELAY not in keys else []
-    found += ["log.base.delay"] if there & set(KINDS[4:]) else []
-    return [Variable(key, "s", 0.0, *LATENESS) for key in found]
+def gripped_with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Collection[str]) -> list[Variable]:
+    """Return variables, and beside them what no log of a gripped robot is free of, but for where its grips are."""
+    found = [v for v in with_nuisances(scenario, chosen, kinds) if v.key != LEAD]
+    if len(kinds) > 1:
+        late = [LATE_FORCE] if "force" in kinds and FORCE_DELAY not in {v.key for v in chosen} else []
+        late += ["log.base.delay"] if {*kinds} & set(KINDS[4:]) else []
+        found += [Variable(key, "s", 0.0, *LATENESS, beside=True) for key in late]
+    return found
 
 
 def _posed(log: Log, robot: Robot, moment: float) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +24,7 @@ from tuning.identification.model import held_base as stands
 from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.schedule import Schedule, schedule_of
 from tuning.identification.model.variables import Place, Variable, applied, variables
-from tuning.identification.model.windows import KINDS, Windows
+from tuning.identification.model.windows import Windows
 
 AT_ONCE = 8  # windows in one call of an executable
 DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
@@ -250,24 +250,28 @@ class Model(Fit):
         return shaped(values), shaped(tangents)
 
 
-def with_nuisances(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]) -> list[Variable]:
+def with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Collection[str]) -> list[Variable]:
     """Return variables, and beside them what no log is free of, which would bend them if it were held.
 
     These are delays of recorded velocities, efforts and commands, and how far dry friction gives before it slips. A
     time of a log is known to a part of a time step, so that a delay may come out as much below zero.
+
+    Arguments:
+        scenario: whose stages count.
+        chosen: what is asked for.
+        kinds: those of KINDS that are recorded.
     """
-    there, least, keys = {KINDS[k] for k in windows.kind}, -windows.time_step / 4, {v.key for v in chosen}
+    least, keys = -scenario.time_step / 4, {v.key for v in chosen}
     found = [dataclasses.replace(v, lower=least) if v.key == DELAY else v for v in chosen]
-    found += [Variable(key, "s", 0.0, *LATENESS) for key, kind in LATE.items() if {kind, "position"} <= there]
+    beside = [Variable(key, "s", 0.0, *LATENESS) for key, kind in LATE.items() if {kind, "position"} <= {*kinds}]
     if DELAY not in keys:
-        found.append(Variable(CLOCK, "s", 0.0, 0.0, -least, least, -least))
-    if not stages_for(scenario, chosen).dry_friction:
-        return found
-    found.append(Variable(LEAD, "s", 0.0, _LEADS[0], _LEADS[1], least, _LEADS[2]))
-    if PRESLIDING not in keys:
-        (bend,) = variables(scenario, [PRESLIDING], held=True)  # a friction that gives for longer is a spring
-        found.append(dataclasses.replace(bend, sd=_BENDS, upper=bend.nominal * 6))
-    return found
+        beside.append(Variable(CLOCK, "s", 0.0, 0.0, -least, least, -least))
+    if stages_for(scenario, chosen).dry_friction:
+        beside.append(Variable(LEAD, "s", 0.0, _LEADS[0], _LEADS[1], least, _LEADS[2]))
+        if PRESLIDING not in keys:
+            (bend,) = variables(scenario, [PRESLIDING], held=True)  # a friction that gives for longer is a spring
+            beside.append(dataclasses.replace(bend, sd=_BENDS, upper=bend.nominal * 6))
+    return [*found, *(dataclasses.replace(v, beside=True) for v in beside)]
 
 
 def stages_for(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Stages:
@@ -289,8 +293,7 @@ def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]
 
     A `mass` in kg hung on each foot while the log was made.
     """
-    kinds = tuple(KINDS[k] for k in sorted(set(windows.kind)))
     places = tuple(Place(each.key, each.log) for each in chosen)
     stages = stages_for(scenario, chosen)
-    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, kinds, mass)
+    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, windows.kinds, mass)
     return Model(windows, tuple(chosen), structure, own_parameters(scenario))

@@ -62,7 +62,7 @@ class Variable:
     log: bool = False  # the coordinate is the logarithm
     frozen: bool = False  # held at the nominal value
     limb: int | None = None  # the one limb that it moves, where there is one
-    beside: bool = False  # of no interest in itself: what is not told of it alone is not said
+    beside: bool = False  # not asked for: what is not told of it alone is not said
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -70,6 +70,16 @@ class Variable:
         with np.errstate(divide="ignore"):
             low, high = np.log([self.lower, self.upper]) if self.log else (self.lower, self.upper)
         return float(low), float(high)
+
+    @property
+    def has_value(self) -> bool:
+        """Whether there is a value to begin at: a finite one, a positive one where the coordinate is its logarithm."""
+        return math.isfinite(self.nominal) and not (self.log and self.nominal <= 0)
+
+    def bound_at(self, x: float) -> str:
+        """Return which bound a coordinate is on, lower or upper, "" for none."""
+        on = [np.isfinite(bound) and abs(x - bound) < 1e-6 * self.sd for bound in self.bounds]
+        return "lower" if on[0] else "upper" if on[1] else ""
 
 
 class Place(NamedTuple):
@@ -111,7 +121,7 @@ def variables(
         keys = [k for k in known if fnmatch.fnmatchcase(k, key) or k.startswith(f"{key}.")]
         grounded = [k for k in keys if held and k.startswith(ON_GROUND)]
         if key not in known:  # a pattern is of keys that such a log tells, with a value to begin at
-            keys = [k for k in keys if k not in grounded and math.isfinite(known[k].nominal)] or keys
+            keys = [k for k in keys if k not in grounded and known[k].has_value] or keys
         if not keys:
             near = difflib.get_close_matches(key, [*known, *(k.rpartition(".")[0] for k in known)], 3, 0.5)
             meant = f" (did you mean {' or '.join(dict.fromkeys(near))}?)" if near else ""
@@ -127,10 +137,11 @@ def variables(
             raise ConfigError(f"{key}: expected one of the keys that are fitted, {', '.join(found)}")
         found[key] = dataclasses.replace(found[key], **how)
     for each in found.values():
-        if not math.isfinite(each.nominal):
-            raise ConfigError(
-                f"--fit {each.key}: expected a value in the config to begin at, got null (--set {each.key}=NUMBER)"
-            )
+        if not each.has_value:
+            null = math.isinf(each.nominal)
+            got = f"null (--set {each.key}=NUMBER)" if null else f"{each.nominal:g}"
+            where = "config" if null else "robot"
+            raise ConfigError(f"--fit {each.key}: expected a value in the {where} to begin at, got {got}")
     return tuple(each for each in found.values() if not each.frozen)
 
 
@@ -161,7 +172,8 @@ def _of_sensor(place: str, limb: int) -> Iterator[Variable]:
 
 
 def _positive(key: str, unit: str, nominal: float, sd: float = FACTOR) -> Variable:
-    mean = math.log(nominal) if 0 < nominal < math.inf else 0.0
+    # without a value there is no unit to count in: `variables` refuses it
+    mean = math.log(nominal) if 0 < nominal < math.inf else math.nan
     return Variable(key, unit, nominal, mean, sd, nominal * 1e-3, nominal * 1e3, log=True)
 
 

@@ -58,6 +58,11 @@ class Windows:
     unknown: Float[np.ndarray, "holes 2"]  # s, from when to when commands are missing
     constant: tuple[str, ...]  # signals that never change: they say nothing of their noise, and are not predicted
 
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What is recorded, in the order of KINDS."""
+        return tuple(KINDS[k] for k in sorted(set(self.kind)))
+
     def moments(self, which: np.ndarray, count: int, before: int = 0) -> np.ndarray:
         """Return when steps of some windows begin, (windows, count) s, from `before` steps before each."""
         return np.asarray(self.begin[which, None] + (np.arange(count) - before) * self.time_step)

@@ -8,7 +8,7 @@ beside it.
 import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,15 +28,14 @@ from tuning.background import Stage, silent
 from tuning.identification.model import commanded
 from tuning.identification.model.commanded import Carried, Commands
 from tuning.identification.model.foot_mass import with_foot_mass
+from tuning.identification.model.gripped import gripped_with_nuisances
+from tuning.identification.model.predicted import CLOCK, with_nuisances
 from tuning.identification.model.variables import Variable, begin, variables
 from tuning.identification.plan import motions
 from tuning.identification.plan.information import Information, information
 from tuning.identification.plan.motions import Axes, Band
 from tuning.identification.plan.rig import RATE, SETTLING, Rig, Segment
 from tuning.identification.plan.settings import Excitation as Settings
-
-if TYPE_CHECKING:
-    pass
 
 FORCE_NOISE = 0.1  # N, of a force sensor, where the config has none
 MIXES = (("multisine",), ("multisine", "reversals"), ("chirp", "reversals"), ("multisine", "steps", "reversals"))
@@ -121,8 +120,13 @@ def set_up(scenario: mc.Scenario, asked: Settings) -> Rig:
     for kp in asked.kp:
         check_time_step(scenario.with_overrides({"control.kp": kp}), f"--kp {kp:g}")
     nominal, robot = own_parameters(scenario), load_robot(scenario.robot)
+    with_beside = with_nuisances if held else gripped_with_nuisances
+    every = with_beside(own, wanted, ("position",) if held else ("position", "force"))
+    beside = tuple(v for v in every if v.key not in {w.key for w in wanted})
     fields = {key: name for name, key in KEYS.items()}
     there = {fields[each.key]: np.asarray(scale(each)) for each in wanted if each.key in fields}
+    if any(v.key == CLOCK for v in beside):  # commands that come late have their stage
+        there["command_delay"] = np.asarray(max(float(nominal.command_delay), scenario.time_step))
     full = {each.key.rpartition(".")[2] for each in wanted} & {"friction", "damping"}
     own_friction: dict[str, Any] = dict.fromkeys(full, np.ones_like(robot.link_mass))
     rubbing = dataclasses.replace(robot, **own_friction)
@@ -131,7 +135,7 @@ def set_up(scenario: mc.Scenario, asked: Settings) -> Rig:
     with devices.on_host(), jax.enable_x64(True):
         robot = jax.tree.map(lambda value: np.asarray(value, float), with_foot_mass(robot, asked.mass))
     hold = round((scenario.hardware.control_period or 1 / RATE) / scenario.time_step)
-    return Rig(own, scenario, asked, robot, nominal, stages, hold, wanted)
+    return Rig(own, scenario, asked, robot, nominal, stages, hold, wanted, beside)
 
 
 def chosen(rig: Rig, *, stage: Stage = silent) -> Excited:
@@ -269,25 +273,34 @@ def _used(rig: Rig, segment: Segment, targets: np.ndarray, carried: Carried) -> 
 
 
 def informations(rig: Rig, found: Sequence[Motion]) -> list[Information]:
-    """Return the information of each motion's log, at its rate and noise."""
-    run, step, rate = rig.run(), rig.scenario.time_step, rig.asked.rate or 1 / rig.period
+    """Return the information of each motion's log, at its rate and noise, about what it is to tell.
+
+    What `identify` fits beside it is eliminated.
+    """
+    step, rate = rig.scenario.time_step, rig.asked.rate or 1 / rig.period
     count = int((len(found[0].targets) * rig.hold - 1) * step * rate) + 1
     rows = rig.lead * rig.hold + np.round(np.arange(count) / rate / step).astype(int)
     force_noise = rig.scenario.hardware.force_sensor.noise or FORCE_NOISE
 
+    every = (*rig.chosen, *rig.beside)
+
     def logged(point: jax.Array, commands: Commands) -> jax.Array:
-        done = run(*rig.at(point), commands)
+        done = rig.carried(point, commands)
         seen = [done.angles[rows].ravel() / rig.asked.noise]
         if rig.asked.base == "free":
             seen.append(rig.logged_force(point, done.force)[rows].ravel() / force_noise)
         return jnp.concatenate(seen)
 
     def along(direction: jax.Array, commands: Commands) -> jax.Array:
-        tangent: jax.Array = jax.jvp(lambda point: logged(point, commands), (begin(rig.chosen),), (direction,))[1]
+        tangent: jax.Array = jax.jvp(lambda point: logged(point, commands), (begin(every),), (direction,))[1]
         return tangent
 
-    directions = np.diag([1.0 if each.log else scale(each) for each in rig.chosen])
+    own = [1.0 if each.log else scale(each) for each in rig.chosen]
+    directions = np.diag([*own, *(each.sd for each in rig.beside)])
     commands = _commands(rig, [one.targets for one in found], [one.segments for one in found])
     tangents = jax.jit(jax.vmap(jax.vmap(along, (0, None)), (None, 0)))(directions, commands)
     names = tuple(each.key for each in rig.chosen)
-    return [information(names, white.T, np.ones(white.shape[1])) for white in np.asarray(tangents)]
+    return [
+        information(names, white[: len(names)].T, np.ones(white.shape[1]), white[len(names) :].T)
+        for white in np.asarray(tangents)
+    ]

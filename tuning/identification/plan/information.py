@@ -75,19 +75,22 @@ class Information:
 
 
 def information(
-    names: Sequence[str], sensitivity: Float[np.ndarray, "sample parameter"], deviation: Float[np.ndarray, " sample"]
-) -> Information:
+    names: Sequence[str], sensitivity: Float[np.ndarray, "sample parameter"], deviation: Float[np.ndarray, " sample"],
+    beside: Float[np.ndarray, "sample nuisance"] | None = None,
+) -> Information:  # fmt: skip
     """Return the information of independent, normal samples.
 
     Arguments:
         names: of the parameters.
         sensitivity: change of each sample per parameter, in units of the parameter's scale.
         deviation: standard deviation of each sample.
+        beside: change of each sample per nuisance, in units of the nuisance's prior; these are eliminated.
     """
-    prior = np.eye(len(names))
-    return Information(
-        tuple(names), np.asarray(np.linalg.qr(np.vstack([sensitivity / deviation[:, None], prior]), "r"))
-    )
+    none = np.zeros((len(sensitivity), 0))
+    every = np.hstack([none if beside is None else beside, sensitivity])
+    root = np.asarray(np.linalg.qr(np.vstack([every / deviation[:, None], np.eye(every.shape[1])]), "r"))
+    first = every.shape[1] - len(names)  # the nuisances stand first, so that the rest of R is without them
+    return Information(tuple(names), root[first:, first:])
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from tuning.background import Stage, silent
 from tuning.identification.plan.excitation import PLAIN, Excited, scale
 from tuning.identification.plan.information import SEEN
 from tuning.identification.plan.rig import SPEED
-from tuning.identification.readers.csv_file import csv_of
+from tuning.identification.readers.formats.csv_file import csv_of
 from tuning.identification.readers.log import joints_of
 from tuning.numbers import to_json
 from tuning.pages.contents import Files, Picture, Written

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,9 @@ from tuning.identification.model import commanded
 from tuning.identification.model.commanded import Carried, Commands
 from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.force_sensors import logged_force
+from tuning.identification.model.gripped import LATE_FORCE
 from tuning.identification.model.held_base import Sent
+from tuning.identification.model.predicted import CLOCK, LEAD
 from tuning.identification.model.schedule import Schedule
 from tuning.identification.model.variables import Place, Variable, applied
 from tuning.identification.plan.motions import Axes
@@ -60,6 +62,7 @@ class Rig:
     stages: Stages
     hold: int  # time steps between two commands
     chosen: tuple[Variable, ...]  # what the log is to tell
+    beside: tuple[Variable, ...] = ()  # what `identify` fits beside it
 
     @property
     def period(self) -> float:
@@ -92,18 +95,29 @@ class Rig:
 
     @property
     def places(self) -> list[Place]:
-        """Keys and coordinates of the variables."""
-        return [Place(each.key, each.log) for each in self.chosen]
+        """Keys and coordinates of all variables, `beside` behind `chosen`."""
+        return [Place(each.key, each.log) for each in (*self.chosen, *self.beside)]
+
+    def _own(self, point: Array, key: str) -> Any:
+        """Return a coordinate of a point; 0 where it is not among the variables."""
+        keys = [place.key for place in self.places]
+        return point[keys.index(key)] if key in keys else 0.0
 
     def at(self, point: Array) -> tuple[Robot, Parameters]:
         """Return robot and parameters at a point (n,) of the variables' coordinates."""
         parameters, robot = applied(self.places, point, self.parameters, load_robot(self.scenario.robot))
-        return with_foot_mass(robot, self.asked.mass), parameters
+        late = jnp.asarray(parameters.command_delay) + self._own(point, CLOCK)
+        return with_foot_mass(robot, self.asked.mass), dataclasses.replace(parameters, command_delay=late)
+
+    def carried(self, point: Array, commands: Commands) -> Carried:
+        """Return what the robot of a point does."""
+        lead = {"lead": self._own(point, LEAD)} if self.asked.base == "held" else {}
+        return self.run()(*self.at(point), commands, **lead)
 
     def logged_force(self, point: Array, force: Array) -> Array:
         """Return what the log has of the forces (time, limb, 3) N on the feet; late by what a point moves the delay."""
         _, parameters = self.at(point)
-        late = parameters.force_delay - self.parameters.force_delay
+        late = parameters.force_delay - self.parameters.force_delay + self._own(point, LATE_FORCE)
         change = jnp.asarray(jnp.gradient(force, self.scenario.time_step, axis=0))
         return logged_force(
             self.places, point, self.robot.limbs, force - late * change + jnp.asarray(parameters.force_bias)

@@ -1,31 +1,23 @@
-"""Logs of a robot, one file a format: text, netCDF, rosbags and MCAP."""
+"""Logs of a robot: read, cleaned, and what seems odd about them."""
 
 import dataclasses
 import difflib
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError, config_error
-from tuning.identification.readers import csv_file, netcdf_file, rosbag
-from tuning.identification.readers.csv_file import write_csv as write_csv
 from tuning.identification.readers.doubts import doubts, several
+from tuning.identification.readers.formats import record
+from tuning.identification.readers.formats.csv_file import write_csv as write_csv
 from tuning.identification.readers.guess import guess
-from tuning.identification.readers.log import BASE, JOINT, KP, OFF, Log, Signal, names, unit_of
-from tuning.identification.readers.repairs import without_turns, without_unmeasured
+from tuning.identification.readers.log import BASE, JOINT, Log, Signal, names, unit_of
+from tuning.identification.readers.repairs import cleaned, without_turns, without_unmeasured
 from tuning.identification.readers.signals import SECONDS, UNITS, Signals, Source
 from tuning.identification.readers.table import Recording, Table
 
-READERS = {
-    ".csv": csv_file.read, ".tsv": csv_file.read, ".nc": netcdf_file.read, ".mcap": rosbag.read, ".db3": rosbag.read,
-    "": rosbag.read,
-}  # fmt: skip
-_STALE = 5  # usual lengths of a run of equal samples: what stays the same for longer is at rest
-_STEPS = 2.5  # of an encoder's smallest: by less it moves within a sample, or within two
-_SENT = (".command", ".support", KP, OFF)  # these stay the same without being stale
 _SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N"}  # of a prismatic joint
 
 
@@ -61,7 +53,7 @@ def read_log(
         got = f"{_columns(there)} ({missing})" if missing else _columns(there)
         raise ConfigError(f"{recording.source}: expected signals such as {_some(names(robot))}, got {got}")
     raw = {name: _taken(recording, signals, name, robot, place) for name in signals.signals}
-    read, said = _cleaned(raw, signals)
+    read, said = cleaned(raw, signals)
     repairs = (without_unmeasured, without_turns) if signals.turns == "unwrap" else (without_unmeasured,)
     for repair in repairs:
         read, more = repair(read, robot)
@@ -70,27 +62,6 @@ def read_log(
     read = {name: Signal(signal.time - start, signal.value) for name, signal in read.items()}
     said += doubts(read, {name: signal for name, (signal, _) in raw.items()}, robot, signals)
     return Log(read, recording.source, notes + tuple(f"{recording.source}: {line}" for line in said), guessed)
-
-
-def record(path: str | os.PathLike[str]) -> Recording:
-    """Return all numbers of a file by topic and field, or column.
-
-    Raises:
-        ConfigError: no such file, or another format.
-    """
-    path = Path(path)
-    if path.suffix.lower() in (".zstd", ".zst", ".gz", ".bz2", ".xz", ".zip", ".lz4"):
-        how = "zstd -d" if path.suffix.lower() in (".zstd", ".zst") else "its program"
-        raise config_error(
-            str(path), "", f"a log that is not packed (unpack it before: {how} {path.name})", path.suffix
-        )
-    if not path.exists():
-        raise config_error(str(path), "", "a log", "no such file or folder")
-    reader = READERS.get("" if path.is_dir() else path.suffix.lower() or "none")
-    if reader is None:
-        expected = "a log: .csv, .tsv, .nc, .mcap, .db3 or the folder of a bag"
-        raise config_error(str(path), "", expected, path.suffix or "a name without suffix")
-    return reader(path)
 
 
 def _recorded(recording: Recording) -> tuple[Recording, str]:
@@ -164,55 +135,6 @@ def _times(table: Table, source: Source, signals: Signals, recording: Recording,
             got = f"{clock}{_nearest(clock, table.times)}"
             raise config_error(place if source.time else recording.source, "time", expected, got)
     return unit * table.times[clock] + source.shift, f"{table.topic} {clock}"
-
-
-def _cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[dict[str, Signal], tuple[str, ...]]:
-    """Return signals with increasing times and without stale repeats, and what was left out."""
-    said: dict[str, list[str]] = {}
-    clean = {}
-    for name, (signal, _) in raw.items():
-        later = np.r_[True, signal.time[1:] > np.maximum.accumulate(signal.time)[:-1]]
-        if not later.all():
-            words = f"{(~later).sum()} of {len(later)} samples come no later than one before them: left out"
-            said.setdefault(words, []).append(name)
-        clean[name] = Signal(signal.time[later], signal.value[later])
-    if signals.repeats == "drop":
-        together: dict[tuple[str, str, int], list[str]] = {}
-        for name, (_, group) in raw.items():
-            if not (name.endswith(_SENT) or name.startswith(("base.force.", "base.moment."))):
-                kind = "force" if ".force." in name else "base" if name.startswith("base.") else "joint"
-                together.setdefault((group, kind, len(clean[name].time)), []).append(name)
-        for some in together.values():
-            values = np.column_stack([clean[name].value for name in some])
-            stale = _stale(values)
-            if ".force." in some[0]:
-                stale &= values.any(1)  # a foot in the air measures nothing, again and again
-            if stale.any():
-                words = (
-                    f"{stale.sum()} of {len(stale)} samples repeat the one before to the last bit: suspected to be "
-                    "stale, dropped (repeats: keep in signals.yaml keeps them)"
-                )
-                said.setdefault(words, []).extend(some)
-                clean |= {name: Signal(clean[name].time[~stale], clean[name].value[~stale]) for name in some}
-    return clean, tuple(f"{several(some)}: {words}" for words, some in said.items())
-
-
-def _stale(values: np.ndarray) -> np.ndarray:
-    """Return which rows repeat the one before, but for those of a robot that may not have moved further.
-
-    Such are the first rows, runs far longer than most, and those after which it moves by a step or two of its encoders:
-    without them slow motion would seem to be ahead of itself by half a step.
-    """
-    changed = np.r_[True, (values[1:] != values[:-1]).any(1)]
-    starts = np.flatnonzero(changed)
-    if len(starts) < 3:
-        return np.zeros(len(values), bool)
-    runs, moved = np.diff(np.r_[starts, len(values)]), np.abs(np.diff(values[starts], axis=0))
-    step = np.where(moved > 0, moved, np.inf).min(0)
-    onwards = (moved > _STEPS * step).any(1)
-    resting = (runs > _STALE * np.median(runs)) | ~np.r_[onwards, onwards[-1]]
-    resting[0] |= runs[0] > 2 * np.median(runs)
-    return np.asarray(~changed & ~np.repeat(resting, runs))
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

@@ -9,15 +9,68 @@ from jaxtyping import Float
 
 from mjx_climb.robot.constants import Robot
 from tuning.identification.readers.doubts import MOVES, several
-from tuning.identification.readers.log import Signal, joints_of
+from tuning.identification.readers.log import KP, OFF, Signal, joints_of
+from tuning.identification.readers.signals import Signals
 
 TURN = 2 * np.pi
 NOTHING = 1e-100  # SI units: no sensor measures less, but for 0
 _LEFT = 1.0  # rad, that an angle may move by beside its jump, or be behind its command
 _MOSTLY, _BEYOND = 0.9, 0.1  # quantile of samples; rad, noise of an angle that is cut at whole turns
+_STALE = 5  # usual lengths of a run of equal samples: what stays the same for longer is at rest
+_STEPS = 2.5  # of an encoder's smallest: by less it moves within a sample, or within two
+_SENT = (".command", ".support", KP, OFF)  # these stay the same without being stale
 _MEASURED = ("position", "velocity", "effort")
 
 Repaired = tuple[dict[str, Signal], tuple[str, ...]]  # signals, and what was changed of them
+
+
+def cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[dict[str, Signal], tuple[str, ...]]:
+    """Return signals with increasing times and without stale repeats, and what was left out."""
+    said: dict[str, list[str]] = {}
+    clean = {}
+    for name, (signal, _) in raw.items():
+        later = np.r_[True, signal.time[1:] > np.maximum.accumulate(signal.time)[:-1]]
+        if not later.all():
+            words = f"{(~later).sum()} of {len(later)} samples come no later than one before them: left out"
+            said.setdefault(words, []).append(name)
+        clean[name] = Signal(signal.time[later], signal.value[later])
+    if signals.repeats == "drop":
+        together: dict[tuple[str, str, int], list[str]] = {}
+        for name, (_, group) in raw.items():
+            if not (name.endswith(_SENT) or name.startswith(("base.force.", "base.moment."))):
+                kind = "force" if ".force." in name else "base" if name.startswith("base.") else "joint"
+                together.setdefault((group, kind, len(clean[name].time)), []).append(name)
+        for some in together.values():
+            values = np.column_stack([clean[name].value for name in some])
+            stale = _stale(values)
+            if ".force." in some[0]:
+                stale &= values.any(1)  # a foot in the air measures nothing, again and again
+            if stale.any():
+                words = (
+                    f"{stale.sum()} of {len(stale)} samples repeat the one before to the last bit: suspected to be "
+                    "stale, dropped (repeats: keep in signals.yaml keeps them)"
+                )
+                said.setdefault(words, []).extend(some)
+                clean |= {name: Signal(clean[name].time[~stale], clean[name].value[~stale]) for name in some}
+    return clean, tuple(f"{several(some)}: {words}" for words, some in said.items())
+
+
+def _stale(values: np.ndarray) -> np.ndarray:
+    """Return which rows repeat the one before, but for those of a robot that may not have moved further.
+
+    Such are the first rows, runs far longer than most, and those after which it moves by a step or two of its encoders:
+    without them slow motion would seem to be ahead of itself by half a step.
+    """
+    changed = np.r_[True, (values[1:] != values[:-1]).any(1)]
+    starts = np.flatnonzero(changed)
+    if len(starts) < 3:
+        return np.zeros(len(values), bool)
+    runs, moved = np.diff(np.r_[starts, len(values)]), np.abs(np.diff(values[starts], axis=0))
+    step = np.where(moved > 0, moved, np.inf).min(0)
+    onwards = (moved > _STEPS * step).any(1)
+    resting = (runs > _STALE * np.median(runs)) | ~np.r_[onwards, onwards[-1]]
+    resting[0] |= runs[0] > 2 * np.median(runs)
+    return np.asarray(~changed & ~np.repeat(resting, runs))
 
 
 def without_unmeasured(read: Mapping[str, Signal], robot: Robot) -> Repaired:

@@ -10,6 +10,7 @@ from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import config_error
 from tuning.identification.readers.table import Recording, Table
 
+SUFFIXES = (".nc",)
 _JOINT = {
     "joint_targets": "command",
     "joint_angles": "position",

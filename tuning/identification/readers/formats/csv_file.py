@@ -12,6 +12,7 @@ from mjx_climb.files.writing import write_text_atomically
 from mjx_climb.scenario.messages import ConfigError, config_error
 from tuning.identification.readers.table import Recording, Table
 
+SUFFIXES = (".csv", ".tsv")
 _LISTED = re.compile(r"[\[({]\s*(.*?)\s*[\])}]", re.DOTALL)  # a list in a cell, as programs print it
 _MISSING = ("", "nan", "none", "null")
 _MOST = 10_000  # numbers in one cell

@@ -9,6 +9,7 @@ import numpy as np
 from mjx_climb.scenario.messages import config_error
 from tuning.identification.readers.table import Recording, Table
 
+SUFFIXES = (".mcap", ".db3", "")  # "": a folder
 _LARGEST = 65_536  # bytes of a message: beyond are pictures and point clouds
 _LONGEST = 256  # numbers of a list
 _NAMES = ("name", "names", "joint_names", "interface_names")

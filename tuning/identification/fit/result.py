@@ -1,0 +1,105 @@
+"""The result of `identify`: what is known of each key, and the scenario and the robot with it."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import mjx_climb as mc
+from mjx_climb.parameter_types import KEYS
+from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
+from tuning.identification.fit.inference import Posterior, Whiteness
+from tuning.identification.fit.least_squares import Fitted, LeastSquares
+from tuning.identification.model.predicted import PRESLIDING, Fit
+from tuning.identification.model.variables import applied, begin
+from tuning.identification.readers.log import Log
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """What is known of one key, SI units."""
+
+    value: float  # where the search ended
+    low: float | None  # 95 % interval; None: the fit is none that gives one
+    high: float | None
+    seen: bool  # the log told it
+    before: float
+    unit: str
+    remark: str = ""  # bound or prior reached
+
+
+@dataclasses.dataclass(frozen=True)
+class Identified:
+    """The result of `identify`."""
+
+    scenario: mc.Scenario
+    log: Log
+    estimates: Mapping[str, Estimate]  # by key
+    beside: Mapping[str, Estimate]  # nuisances: delays of what was recorded, presliding
+    held_out: Mapping[str, Any]
+    warnings: tuple[str, ...]
+    combined: tuple[str, ...]  # combinations that were seen, of what was not
+    model: Fit
+    problem: LeastSquares
+    fitted: Fitted
+    posterior: Posterior
+    tests: Sequence[Whiteness]
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        seen = sum(each.seen for each in self.estimates.values())
+        held = self.held_out.get("error_over_noise")
+        predicted = "" if held is None else f", and predicts what it has not seen within {held:.3g} of the noise"
+        return f"{self.log.source} tells {seen} of {len(self.estimates)} parameters{predicted}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what `mjx-climb identify --json` prints."""
+        names = ("value", "low", "high", "seen")
+        shown = {key: {n: getattr(each, n) for n in names} for key, each in self.estimates.items()}
+        away = {v.key: float(a) for v, a in zip(self.model.variables, self.fitted.away, strict=True) if not v.beside}
+        search = {"ended": self.fitted.ended, "away": away, "iterations": self.fitted.iterations}
+        return {
+            "parameters": shown, "held_out": dict(self.held_out), "search": search, "warnings": list(self.warnings),
+        }  # fmt: skip
+
+    @property
+    def known(self) -> dict[str, Estimate]:
+        """The estimates that have an interval, by key: the others are as they were."""
+        return {key: each for key, each in self.estimates.items() if each.low is not None}
+
+    def overrides(self) -> dict[str, Any]:
+        """Return the keys of a scenario with their new values; those of the robot go by its file."""
+        found: dict[str, Any] = {k: each.value for k, each in self.known.items() if k in set(KEYS.values())}
+        found = {key: max(value, 0.0) if key.endswith("delay") else value for key, value in found.items()}
+        if (bend := self.beside.get(PRESLIDING)) is not None and bend.seen:  # the friction that was found goes with it
+            found[PRESLIDING] = bend.value
+        tilt = [self.known.get(f"gravity.tilt_{axis}") for axis in "xy"]
+        if any(tilt):
+            angles = [0.0 if each is None else each.value for each in tilt]
+            found["gravity"] = (turned(angles) @ np.asarray(self.scenario.gravity)).tolist()
+        return found
+
+    def robot(self) -> Robot:
+        """Return the robot with what was identified of it, constants of NumPy."""
+        places, nominal = self.model.structure.places, load_robot(self.scenario.robot)
+        before, known = begin(self.model.variables), self.known
+        x = np.where([v.key in known for v in self.model.variables], self.fitted.x, before)
+        with jax.enable_x64(True):
+            _, robot = applied(places, jnp.asarray(x), self.model.parameters, nominal)
+        constants: Robot = jax.tree.map(np.asarray, robot)
+        return constants
+
+
+def turned(angles: Sequence[float]) -> np.ndarray:
+    """Return the rotation (3, 3) by angles about the world's x and y, rad."""
+    vector = np.array([*angles, 0.0])
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle else np.array([1.0, 0.0, 0.0])
+    quaternion = np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis]
+    return np.asarray(quaternion_to_matrix(quaternion))

@@ -1,0 +1,40 @@
+"""Formats of logs, one file each: `SUFFIXES` of its files, "" for a folder, and `read(path)`. A new file is known."""
+
+import importlib
+import os
+import pkgutil
+from collections.abc import Callable
+from pathlib import Path
+
+from mjx_climb.scenario.messages import config_error
+from tuning.identification.readers.table import Recording
+
+
+def _readers() -> dict[str, Callable[[Path], Recording]]:
+    """Return what reads a file, by its suffix, of all files of this folder."""
+    each = [importlib.import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
+    return {suffix: module.read for module in each for suffix in module.SUFFIXES}
+
+
+READERS = _readers()
+
+
+def record(path: str | os.PathLike[str]) -> Recording:
+    """Return all numbers of a file by topic and field, or column.
+
+    Raises:
+        ConfigError: no such file, or another format.
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".zstd", ".zst", ".gz", ".bz2", ".xz", ".zip", ".lz4"):
+        how = "zstd -d" if path.suffix.lower() in (".zstd", ".zst") else "its program"
+        raise config_error(
+            str(path), "", f"a log that is not packed (unpack it before: {how} {path.name})", path.suffix
+        )
+    if not path.exists():
+        raise config_error(str(path), "", "a log", "no such file or folder")
+    reader = READERS.get("" if path.is_dir() else path.suffix.lower() or "none")
+    if reader is None:
+        expected = f"a log: {', '.join(filter(None, READERS))} or the folder of a bag"
+        raise config_error(str(path), "", expected, path.suffix or "a name without suffix")
+    return reader(path)
