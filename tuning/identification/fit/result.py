@@ -62,7 +62,11 @@ class Identified:
         """Return what `mjx-climb identify --json` prints."""
         names = ("value", "low", "high", "seen")
         shown = {key: {n: getattr(each, n) for n in names} for key, each in self.estimates.items()}
-        away = {v.key: float(a) for v, a in zip(self.model.variables, self.fitted.away, strict=True) if not v.beside}
+        away = {  # None: infinite
+            v.key: float(a) if np.isfinite(a) else None
+            for v, a in zip(self.model.variables, self.fitted.away, strict=True)
+            if not v.beside
+        }
         search = {"ended": self.fitted.ended, "away": away, "iterations": self.fitted.iterations}
         return {
             "parameters": shown, "held_out": dict(self.held_out), "search": search, "warnings": list(self.warnings),
