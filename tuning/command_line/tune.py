@@ -57,6 +57,9 @@ class Laws(Options):
         "your own, whose file is run; several are tuned alike and compared with pd",
         metavar="NAME|FILE.py:NAME",
     )
+    seeds: int | None = setting(
+        None, "searches of each of several laws, from --seed on; null: 3, on a GPU 8, of a grid 1", ge=1, le=100
+    )
 
 
 class Over(Options):
@@ -162,7 +165,7 @@ def compare(
     walk: Annotated[Walk, "-gains", "-law", "-controller"],
     output: Output,
 ) -> None:
-    """Tune several laws for as many evaluations on the same draws, and test them on the same unseen walks."""
+    """Tune several laws from several seeds until they converge, and test them on the same unseen walks."""
     with output.session() as shell:
         from mjx_climb.execution import devices
         from mjx_climb.scenario.messages import ConfigError
@@ -185,7 +188,8 @@ def compare(
         except ConfigError as error:
             raise ConfigError(in_options(str(error).replace("laws: ", "law: ", 1), Laws)) from None
         each = {name: settings_of(Problem(one.scenario, law=one.law), "law") for name, one in laws.items()}
-        record = {"search": wanted.model_dump(mode="json"), "members": members, "laws": each}
+        seeds = comparing.seeds_for(wanted, asked.seeds)
+        record = {"search": wanted.model_dump(mode="json"), "members": members, "seeds": seeds, "laws": each}
         settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "compare", **record)
         folder = shell.take(walk, "compared.nc", settings, "compare")
         shell.opening(loaded.scenario)
@@ -193,9 +197,9 @@ def compare(
             walks = {"metrics": loaded.metrics, "engine": loaded.engine}
             problem = comparing.problem_of(loaded.scenario, laws, ensemble, **walks)
         with shell.keeping("rounds"):
-            found = comparing.run(laws, problem, wanted, members, out=folder, stage=shell.stage)
+            found = comparing.run(laws, problem, wanted, members, seeds, out=folder, stage=shell.stage)
             files = ["--search", "search.yaml", "--ensemble", "ensemble.yaml"]
-            shell.result(found, repeated(["tune", *files], "--law", "--test-members", "--engine"))
+            shell.result(found, repeated(["tune", *files], "--law", "--test-members", "--seeds", "--engine"))
 
 
 @command(
@@ -203,7 +207,7 @@ def compare(
     {"against": pareto, "over": schedule, "law law": compare},
 )
 def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Output) -> None:
-    """Search the gains of the controller, from the config's own gains and from random ones side by side.
+    """Search the gains of the controller, from the config's own gains, other known and random ones side by side.
 
     Minimises force variation, peak foot force and cost of transport, each relative to pd, while the grippers hold,
     the joints keep their limits, the base stays within three times pd's deviation, and nothing gets worse than under
@@ -219,9 +223,10 @@ def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Outpu
     from a seed, and hardware where the file says so), mean and worst count, the peak pulling force with them, and a
     fresh draw tests the result, and says how many of its walks break each limit.
 
-    Several --law: each is tuned for as many evaluations on the same draws, kp and kd among the gains, and tested on the
-    same unseen walks, beside pd with kp and kd retuned. Prints mean and worst 5 % of each metric, the difference from
-    retuned pd with intervals of 95 % for all rows at once (~: the interval holds 0), and in a sentence which law is
+    Several --law: each is tuned from several --seeds on the same draws, kp and kd among the gains, until ten rounds of
+    points find nothing better by a thousandth or --iterations rounds are spent, and tested on the same unseen walks,
+    beside pd with kp and kd retuned. Prints mean and worst 5 % of each metric, the difference from retuned pd with
+    intervals of 95 % for all rows at once, of a search once more (~: holds 0), and in a sentence which law is
     better, what the force sensor is worth, and what half the delay, half the friction or twice the rate would be worth.
     DIR has every walk and the differences (compared.nc, compared.csv) and the gains of each law (gains-<law>.yaml). A
     GAIN may be one of any law; laws without it are searched without it.

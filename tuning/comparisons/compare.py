@@ -3,7 +3,7 @@
 import dataclasses
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ from mjx_climb import execution
 from mjx_climb.control import PD, Measurement, Reference, Start, begin, law_of
 from mjx_climb.hardware.stages import given
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.resolve import resolve_in
+from mjx_climb.inputs.resolve import AnyGains, resolve_in
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -25,7 +25,7 @@ from tuning.background import Callback as Told
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.gains.own_section import load_law, without
-from tuning.methods import parts
+from tuning.methods import parts, refined_grid
 from tuning.methods.rounds import Callback
 from tuning.problem import spaces
 from tuning.problem.ensemble import FRICTION, Ensemble
@@ -37,8 +37,10 @@ from tuning.searches import tune
 from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Rows
 
-METHODS = ("cmaes", "optuna")  # that evaluate as many points however many gains there are
-FEW, MANY = (16, 20), (256, 40)  # points and rounds; where a GPU's kernel walks them side by side
+METHODS = ("cmaes", "optuna", "grid")  # that treat all gains alike, few or many
+FEW, MANY = (16, 60), (256, 100)  # points a round, and rounds at most; where a GPU's kernel walks them side by side
+PATIENCE = 10  # rounds of so many points in which a search finds nothing better when it has converged
+SEEDS, SEEDS_OF_MANY = 3, 8  # searches of each law; where a GPU's kernel walks
 CONTROLLERS = ("base_admittance", "end_effector_admittance")
 HARDWARE = {  # what retuned pd walks with besides: parameters and their factor
     "half the delay": (("force_delay", "command_delay"), 0.5),
@@ -67,16 +69,19 @@ def compare(
     search: Search | None = None,
     *,
     members: int = judging.MEMBERS,
+    seeds: int | None = None,
     out: str | os.PathLike[str] | None = None,
     stage: Stage = silent,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
     **settings: Any,
 ) -> Comparison:
-    """Tune several laws for as many evaluations on the same draws, and judge them on the same unseen walks.
+    """Tune several laws from several seeds until they converge, and judge them on the same unseen walks.
 
-    pd with kp and kd retuned is always among them. All search kp and kd too; a gain that `also`, `bounds`, `pins`
-    or `frozen` name is searched, bounded, pinned or frozen where a law has it.
+    Each search ends when `PATIENCE` rounds of its points have found nothing better by a thousandth, however many gains
+    it has, or when its rounds are spent. All that a search finds is judged: what is said holds for a law that is
+    searched once more. pd with kp and kd retuned is always among them. All search kp and kd too; a gain that `also`,
+    `bounds`, `pins` or `frozen` name is searched, bounded, pinned or frozen where a law has it.
     `tuning.write(tuning.compare(scenario, laws, ensemble, out="results/mine"), "results/mine")` is
     `mjx-climb tune --law --law`.
 
@@ -86,8 +91,10 @@ def compare(
             them other names than their own.
         ensemble: what the walks may meet; drawn again with another seed to judge.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it. The
-            method is cmaes or optuna; 16 points in 20 rounds where they do not say, on a GPU 256 in 40.
+            method is cmaes, optuna, or grid for few gains; 16 points a round where they do not say, on a GPU 256,
+            and 60 or 100 rounds at most.
         members: walks of each law that no search has seen.
+        seeds: searches of each law, from the seed of the settings on; 3 where None, on a GPU 8. One of a grid.
         out: a folder that keeps each finished round, so that an interrupted comparison goes on from there.
         stage: opened for each longer work, see `tuning.background.Stage`.
         metrics, engine: as of `tuning.tune`.
@@ -100,23 +107,32 @@ def compare(
     wanted = alike(tune.over_ensemble(search, settings, ensemble), search, settings)
     laws_by_name = contestants(scenario, laws, wanted)
     base = problem_of(scenario, laws_by_name, ensemble, metrics=mc.MetricTable(metrics), engine=engine)
-    return run(laws_by_name, base, wanted, members, out=out, stage=stage)
+    return run(laws_by_name, base, wanted, members, seeds_for(wanted, seeds), out=out, stage=stage)
+
+
+def seeds_for(search: Search, asked: int | None) -> int:
+    """Return how many searches each law has: one where they would all be the same."""
+    if search.method == "grid":
+        return 1
+    return asked or (SEEDS_OF_MANY if execution.many_at_once(np.dtype(search.precision)) else SEEDS)
 
 
 def alike(wanted: Search, *given: Search | Mapping[str, Any] | None) -> Search:
-    """Return settings by which all laws are evaluated as often; `given` say whether the method was chosen.
+    """Return settings by which all laws are searched alike; `given` say whether the method was chosen.
 
     Raises:
-        ConfigError: a method that evaluates some laws more often than others, or joint gains that are not searched.
+        ConfigError: a method that searches some laws longer than others, or joint gains that are not searched.
     """
     said = [each.model_fields_set if isinstance(each, Search) else each or () for each in given]
     if not any("method" in each for each in said):
         wanted = wanted.model_copy(update={"method": "cmaes"})
     if wanted.method not in METHODS:
-        expected = f"expected {' or '.join(METHODS)}, which evaluate all laws as often"
+        expected = "expected cmaes, optuna or grid, which search all laws alike"
         raise ConfigError(f"method: {expected}, got {wanted.method}")
     if wanted.joint_gains is False:
         raise ConfigError("joint_gains: expected true, as pd has no gains but kp and kd, got false")
+    if wanted.method == "grid":
+        return wanted.model_copy(update={"joint_gains": True})
     points, rounds = MANY if execution.many_at_once(np.dtype(wanted.precision)) else FEW
     how = {"starts": wanted.starts or points, "iterations": wanted.iterations or rounds, "joint_gains": True}
     return wanted.model_copy(update=how)
@@ -165,7 +181,10 @@ def contestants(scenario: mc.Scenario, laws: Laws, search: Search) -> dict[str, 
         own = _own(search, place, law)
         found[name] = Contestant(place, law, own, spaces.space(place, own, law))
         if search.method == "cmaes" and found[name].space.size == 1:
-            raise ConfigError(f"method: expected optuna where {name} has one gain to search, got cmaes")
+            raise ConfigError(f"method: expected optuna or grid where {name} has one gain to search, got cmaes")
+        if search.method == "grid" and (size := found[name].space.size) > refined_grid.MOST:
+            expected = f"expected cmaes or optuna where {name} has {size} numbers to search"
+            raise ConfigError(f"method: {expected}, got grid, which takes {refined_grid.MOST}")
     for key in _KEYS:
         there = {gain for each in found.values() for gain in getattr(each.search, key)}
         for gain in (gain for gain in getattr(search, key) if gain not in there):
@@ -211,38 +230,64 @@ def run(
     base: Problem,
     asked: Search,
     members: int = judging.MEMBERS,
+    seeds: int = 1,
     *,
     out: str | os.PathLike[str] | None = None,
     stage: Stage = silent,
 ) -> Comparison:
     """Search and judge laws, see `contestants` and `problem_of`; other arguments, result and errors as of `compare`."""
     below = None if out is None else Path(out) / parts.FOLDER
-    found: dict[str, Tuned] = {}
+    patience = PATIENCE * asked.starts if asked.starts and asked.method != "grid" else None
+    found: dict[str, list[Tuned]] = {name: [] for name in laws}
     for name, (scenario, law, search, space) in laws.items():
         problem = dataclasses.replace(base, scenario=scenario, law=law, space=space)
-        with stage(name, unit="rounds", keeps=True) as told:
-            kept = None if below is None else below / file_name(name)
-            found[name] = tune.run(problem, search, out=kept, progress=_telling(told))
-            if found[name].interrupted:
-                raise KeyboardInterrupt
+        for number in range(seeds):
+            own = search.model_copy(update={"seed": search.seed + number})
+            kept = None if below is None else below / f"{file_name(name)}-{own.seed}"
+            with stage(f"{name}, seed {own.seed}", unit="rounds", keeps=True) as told:
+                found[name].append(tune.run(problem, own, patience=patience, out=kept, progress=_telling(told)))
+                if found[name][-1].interrupted:
+                    raise KeyboardInterrupt
     assert base.ensemble is not None
     unseen = judging.fresh(base.ensemble.model_copy(update={"members": members}))
-    draws = {name: judging.through(own.problem, {name: own.gains}, unseen) for name, own in found.items()}
+
+    def by_seed(name: str, tuned: Iterable[Tuned]) -> dict[str, AnyGains]:
+        return {f"{name}, seed {own.search.seed}": own.gains for own in tuned}
+
+    draws = {name: judging.through(own[0].problem, by_seed(name, own), unseen) for name, own in found.items()}
     pd = draws[NAME]
     assert pd.problem.parameters is not None
     for name, parameters in on_better_hardware(pd.problem.scenario, pd.problem.parameters).items():
-        better, gains = dataclasses.replace(pd.problem, parameters=parameters), {name: found[NAME].gains}
-        draws[name] = dataclasses.replace(pd, problem=better, gains=gains)
-    walks = []
+        better = dataclasses.replace(pd.problem, parameters=parameters)
+        draws[name] = dataclasses.replace(pd, problem=better, gains=by_seed(name, found[NAME]))
+    each, numbers = [], [own.search.seed for own in found[NAME]]
     for name, draw in draws.items():
         with stage(f"unseen walks of {name}", unit="members") as told:
             arrays = Rows(draw, None if below is None else below / f"judged-{file_name(name)}").walk(told)
-        walks.append(draw.dataset(arrays))
-    each = [data.sel(gains=[name]) for name, data in zip(draws, walks, strict=True)]
-    each.append(walks[0].sel(gains=[judging.PD]))  # every draw has walked it
-    data = xr.concat(each, "gains", data_vars="minimal", coords="minimal", compat="override", combine_attrs="override")
-    data.attrs[judging.LOST] = "; ".join(text for own in walks if (text := own.attrs[judging.LOST]))
-    return Comparison(data, base, asked, base.ensemble, tuned=found)
+        each.append(_of_one_law(draw.dataset(arrays), name, list(draw.gains), numbers))
+        if name == next(iter(draws)):  # every draw has walked it
+            scenarios_pd = _of_one_law(draw.dataset(arrays), judging.PD, [judging.PD] * seeds, numbers)
+    lost = "; ".join(text for own in each if (text := own.attrs[judging.LOST]))
+    data = xr.concat(
+        [*each, scenarios_pd], "gains", data_vars="minimal", coords="minimal", compat="override",
+        combine_attrs="override",
+    )  # fmt: skip
+    of_searches = {f"search_{field}": _of_searches(found, field, data) for field in ("value", "feasible", "converged")}
+    data = data.assign_attrs({judging.LOST: lost}).assign(of_searches)
+    return Comparison(data, base, asked, base.ensemble, searched={name: tuple(own) for name, own in found.items()})
+
+
+def _of_searches(found: Mapping[str, Sequence[Tuned]], field: str, data: xr.Dataset) -> xr.DataArray:
+    """Return a property of all searches as numbers, (gains, seed): NaN of gains that were not searched."""
+    none = [np.nan] * data.sizes["seed"]
+    values = [[float(getattr(own, field)) for own in found.get(name, ())] or none for name in data["gains"].values]
+    return xr.DataArray(values, dims=("gains", "seed"), attrs={"units": "1", "long_name": f"{field} of the search"})
+
+
+def _of_one_law(walks: xr.Dataset, name: str, gains: list[str], seeds: list[int]) -> xr.Dataset:
+    """Return the walks of some gains as those of one law over the seeds of its searches."""
+    own = walks.sel(gains=gains).assign_coords(gains=seeds).rename(gains="seed")
+    return own.map(lambda each: each.expand_dims(gains=[name]) if "seed" in each.dims else each, keep_attrs=True)
 
 
 def _telling(told: Told) -> Callback:

@@ -274,27 +274,41 @@ def lost_in_words(walks: xr.Dataset) -> list[str]:
     return [f"warning: {text}"] if text else []
 
 
+def held(walks: xr.Dataset) -> xr.Dataset:
+    """Return the walks by which gains are compared: the one rule for walks that diverge.
+
+    Gains that diverge in more than half of the walks (of one of their searches, where there are several) are left out.
+    Of the others the members in which any of them diverges are, for all of them: all are compared on the same walks.
+    """
+    diverged = walks["diverged"].astype(bool)
+    others = [name for name in diverged.dims if name not in ("gains", "member")]
+    sound = (diverged.mean("member") <= 0.5).all(others)
+    kept = walks.isel(gains=sound.values)
+    return kept.isel(member=~kept["diverged"].astype(bool).any([*others, "gains"]).values)
+
+
 def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
     """Return mean and worst of every metric, dimensions (`statistic`, `gains`), and the share of walks that failed.
 
-    Both are over the members in which nothing diverged; the worst is the mean over the worst `share` of them, for each
-    metric by itself. `failed` is the share of all members.
+    Both are of the walks that `held` keeps, NaN for gains that it leaves out; the worst is the mean over the worst
+    `share` of them, for each metric by itself. `failed` is the share of all members.
 
     Raises:
-        ConfigError: some gains diverge in each member.
+        ConfigError: there are none.
     """
-    held = walks.isel(member=~walks["diverged"].astype(bool).any("gains").values)
-    if not held.sizes["member"]:
+    kept = held(walks)
+    if not kept["diverged"].size:
         raise ConfigError("ensemble: expected a member of the draw in which nothing diverges, got none")
     data: dict[str, Any] = {}
     for name in [str(n) for n, v in walks.data_vars.items() if "larger_is_better" in v.attrs and n not in FAILURES]:
-        values = held[name].transpose("member", "gains").values.astype(float)
+        values = kept[name].transpose("member", "gains").values.astype(float)
         worst = ensembles.worst_mean(values, share, larger_is_better=dataset.larger_is_better(walks[name]))
         data[name] = (("statistic", "gains"), np.stack([values.mean(0), worst]), walks[name].attrs)
+    both = xr.Dataset(data, {"statistic": ["mean", "worst"], "gains": kept["gains"].values})
     about = {"units": "1", "long_name": "share of walks that lose a gripper or diverge"}
-    data["failed"] = ("gains", failed(walks).mean("member").values, about)
-    attrs = {**walks.attrs, "worst_share": share, "members_compared": held.sizes["member"]}
-    return xr.Dataset(data, {"statistic": ["mean", "worst"], "gains": walks["gains"].values}, attrs)
+    attrs = {**walks.attrs, "worst_share": share, "members_compared": kept.sizes["member"]}
+    lost = xr.DataArray(failed(walks).mean("member").values, {"gains": walks["gains"].values}, ("gains",), attrs=about)
+    return both.reindex(gains=walks["gains"].values).assign(failed=lost).assign_attrs(attrs)
 
 
 def failed(walks: xr.Dataset) -> xr.DataArray:

@@ -10,7 +10,7 @@ from mjx_climb.inputs.from_scenario import gains as scenario_gains
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.comparisons.side_by_side import VARIATION, retuned
-from tuning.comparisons.worth import Worth, between
+from tuning.comparisons.worth import Worth, between, over_walks
 from tuning.problem.objectives import Objective
 from tuning.results.tuned import Robust
 from tuning.searches import retuned_pd
@@ -67,5 +67,6 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
         means = judging.plain(summed, shown(problem.metrics))
         both = {name: means[name]["mean"] for name in ("robust", retuned_pd.NAME)}
         values = [{"objective": float(scores.sel(gains=n)), VARIATION: mean[VARIATION]} for n, mean in both.items()]
-        worth = between(both.values(), values, retuned_pd.rival_of(found, rival, step), problem)
+        over = over_walks(walks, "robust", goal)
+        worth = between(both.values(), values, retuned_pd.rival_of(rival, step), problem, over=over)
     return RobustComparison(walks, summed, worth, judging.binding(seen, goal, "robust"))

@@ -36,6 +36,7 @@ def compare(found: Comparison, stage: Stage = silent, out: Path | None = None) -
     assert isinstance(problem.objective, Objective)
     reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]
     with stage("intervals", compiles=False):
-        table = paired.compared(found.data, shown(problem.metrics), retuned_pd.NAME, problem.objective)
-    outside = [name for name, own in found.tuned.items() if not own.feasible]
-    return LawsComparison(table, paired.verdict(table, found.laws, reading, found.hardware, outside), reading)
+        of_laws, goal = shown(problem.metrics), problem.objective
+        table = paired.compared(found.data, of_laws, retuned_pd.NAME, goal, shared=found.hardware)
+    verdict = paired.verdict(table, found.laws, reading, found.hardware, found.outside, found.unsettled)
+    return LawsComparison(table, verdict, reading)

@@ -122,7 +122,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
     if rival is not None:
         both = metrics["tuned"], metrics[retuned_pd.NAME]
         scored = [_scored(problem.objective, each) for each in both]
-        worth = between(both, scored, retuned_pd.rival_of(found, rival, step), problem)
+        worth = between(both, scored, retuned_pd.rival_of(rival, step), problem)
         gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     rows = {name: (gains[name], metrics[name]) for name in order}

@@ -20,7 +20,7 @@ from tuning.comparisons.worth import Worth, between
 from tuning.gains.gains_file import replaced
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
-from tuning.results.swept import HISTORIES, MOST_CELLS, Swept, axes_of, best_cell, coarser_grid, holding
+from tuning.results.swept import HISTORIES, MOST_CELLS, Swept, axes_of, best_cell, coarser_grid
 from tuning.searches import retuned_pd
 from tuning.searches import sweep as sweeps
 from tuning.searches.sweep import Axes
@@ -125,8 +125,7 @@ def compare(
         if best is not None:
             both = rows["best"][1], theirs
             scored = [{VARIATION: np.nan if failed(each) else each[VARIATION]} for each in both]
-            spread = max(retuned_pd.spread(holding(found.data, VARIATION).values), rival.spread)
-            worth = between(both, scored, rival._replace(spread=spread, step=step), problem, " on this grid")
+            worth = between(both, scored, rival._replace(step=step), problem, " on this grid")
     data = found.data.assign(spectral_radius=radius)
     failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
     edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.special import betaincinv
+from scipy.special import betaincinv, stdtr, stdtrit
 
 from mjx_climb.files import dataset
 from tuning.comparisons import judge as judging
@@ -16,32 +16,35 @@ RESAMPLES = 4000
 LEVEL = 0.95
 PREFIX = "compared_"  # of the variables of a table beside walks
 STATISTICS = ("mean", "worst")
+DIMS = ("gains", "seed", "member")  # of walks
 FEWEST_WORST = 10  # walks among the worst for which a bootstrap can say how far they scatter
 POWER_QUANTILE = 0.8416  # of the normal distribution at 80 %
 _MARGIN = 16  # walks beyond twice the worst, of which hardly a resample draws too few
 _ROUNDING = 1e-12  # of a value: what is no further from another is equal
 _AT_ONCE = 4_000_000  # numbers of walks, of some resamples
 
-# statistics (R, G) of G gains, by how often each of M walks was drawn in R resamples (R, M)
+# statistics (R, G, K) of G gains from K seeds, by how often each of M walks was drawn in R resamples (R, M)
 Statistic = Callable[[np.ndarray], np.ndarray]
 
 
 def worst_mean(
     values: np.ndarray, counts: np.ndarray, share: float = 1.0, *, larger_is_better: bool = False
 ) -> np.ndarray:
-    """Return the mean over the worst share of walks in each resample, of all of them where the share is 1: (R, G).
+    """Return the mean over the worst share of walks in each resample, of all of them where the share is 1: (R, ...).
 
     Arguments:
-        values: (G, M) of each walk.
+        values: (..., M) of each walk.
         counts: (R, M) how often it was drawn.
         share: of the walks, as of `tuning.problem.ensemble.worst_mean`.
         larger_is_better: whether the least values are the worst.
     """
+    flat = values.reshape(-1, values.shape[-1])
+    shape = (len(counts), *values.shape[:-1])
     if share == 1:
-        return np.asarray(counts @ values.T / values.shape[1])
-    worst = max(1, math.ceil(share * values.shape[1] - 1e-9))
-    found = np.empty((len(counts), len(values)))
-    for column, own in enumerate(values):
+        return np.asarray(counts @ flat.T / flat.shape[1]).reshape(shape)
+    worst = max(1, math.ceil(share * flat.shape[1] - 1e-9))
+    found = np.empty((len(counts), len(flat)))
+    for column, own in enumerate(flat):
         order = np.argsort(own if larger_is_better else -own)
         # those drawn lie among the first few, unless a resample drew hardly any of these
         first = order[: 2 * worst + _MARGIN]
@@ -50,7 +53,7 @@ def worst_mean(
             drawn = counts[np.ix_(rows, those)]
             kept = np.clip(worst - (np.cumsum(drawn, axis=1) - drawn), 0, drawn)
             found[rows, column] = kept @ own[those] / worst
-    return found
+    return found.reshape(shape)
 
 
 def resamples(walks: int, count: int = RESAMPLES, seed: int = 0) -> Iterator[np.ndarray]:
@@ -69,50 +72,133 @@ class Interval(NamedTuple):
     difference: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    # of which the interval would leave 0 out in 80 % of draws, if the difference is what was found
+    # of which the interval would leave 0 out in 80 % of draws, if the difference is what was found; infinite where no
+    # number of walks, or of seeds, would alone
     walks_needed: np.ndarray
+    seeds_needed: np.ndarray
 
 
 def intervals(
-    statistics: Mapping[Any, Statistic], walks: int, baseline: int, *, count: int = RESAMPLES, seed: int = 0
-) -> dict[Any, Interval]:
+    statistics: Mapping[Any, Statistic], walks: int, baseline: int, *,
+    searches: Sequence[int] | None = None, count: int = RESAMPLES, seed: int = 0,
+) -> dict[Any, Interval]:  # fmt: skip
     """Return the intervals of some statistics, which hold for all of them and all gains at once.
 
-    The same walks are drawn for all gains. Each difference has the same multiple of its standard error to both sides:
-    the quantile, over the resamples, of the largest deviation in standard errors among all rows ("max-t"; Romano and
-    Wolf, "Exact and approximate stepdown methods for multiple hypothesis testing", 2005, section 4).
+    Each is of gains that are searched once more, on new walks. The same walks are drawn for all gains and all their
+    seeds. The luck of a search is drawn apart from them, from the normal distribution with the variance among seeds
+    (see `_Luck`), and so is what as many seeds would show of it (the parametric bootstrap of Krishnamoorthy, Lu and
+    Mathew, "A parametric bootstrap approach for ANOVA with unequal variances", 2007). Deviations, in standard errors
+    that are estimated anew in each draw, become probabilities by Student's distribution (degrees of freedom by Welch
+    and Satterthwaite); the least probability among all rows has a quantile, which all intervals have in common
+    ("max-t"; Romano and Wolf, "Exact and approximate stepdown methods for multiple hypothesis testing", 2005, section
+    4). How metrics share the luck of a search is not known from a few of them: they are drawn apart, for which
+    intervals are the widest.
 
     Arguments:
-        statistics: by any key.
+        statistics: by any key, of G gains and K seeds.
         walks: how many there are.
         baseline: the place of the gains that all are compared with.
+        searches: the place of the gains whose searches each has the results of, (G,); its own where None.
         count: how many resamples.
         seed: of the draws.
     """
     drawn: dict[Any, list[np.ndarray]] = {key: [] for key in statistics}
     for counts in resamples(walks, count, seed):
         for key, statistic in statistics.items():
-            values = statistic(counts)
+            values = statistic(counts).mean(2)
             drawn[key].append(values - values[:, [baseline]])
-    found = {key: statistic(np.ones((1, walks)))[0] for key, statistic in statistics.items()}
-    deviations, errors = {}, {}
+    rng, least = np.random.default_rng((seed, 1)), np.ones(count)
+    found, errors, freedoms = {}, {}, {}
     for key, parts in drawn.items():
-        deviations[key] = np.concatenate(parts) - (found[key] - found[key][baseline])
+        found[key] = each = statistics[key](np.ones((1, walks)))[0]
+        value, deviations = each.mean(1), np.concatenate(parts)
+        deviations -= value - value[baseline]
+        shared = np.arange(len(value)) == baseline if searches is None else np.asarray(searches) == searches[baseline]
+        luck = _Luck.of(each, baseline, shared)
         # as many walks are drawn as there are, of which one is known by the others
-        errors[key] = deviations[key].std(axis=0) * np.sqrt(walks / max(walks - 1, 1))
-    largest = np.zeros(count)
-    for key, own in deviations.items():
-        there = errors[key] > _ROUNDING * np.abs(found[key]).max()
-        largest = np.maximum(largest, np.abs(own[:, there] / errors[key][there]).max(axis=1, initial=0.0))
-    multiple = np.quantile(largest, LEVEL)
+        by_walks = deviations.var(axis=0) * walks / max(walks - 1, 1)
+        by_luck = luck.of_differences(luck.variances)
+        errors[key] = by_walks, by_luck
+        freedoms[key] = _freedom(by_walks, luck, walks)
+        there = by_walks + by_luck > (_ROUNDING * np.abs(value).max()) ** 2
+        others, theirs = luck.drawn(rng, count)
+        size = (deviations + others) / np.sqrt(np.where(there, by_walks + theirs, 1.0))
+        # the same for both signs
+        chance = 2 * stdtr(freedoms[key], -np.abs(size))
+        least = np.minimum(least, chance[:, there].min(axis=1, initial=1.0))
+    level = np.quantile(least, 1 - LEVEL)
     result = {}
-    for key, value in found.items():
-        difference, error = value - value[baseline], errors[key]
+    for key, each in found.items():
+        value, (by_walks, by_luck), multiple = each.mean(1), errors[key], -stdtrit(freedoms[key], level / 2)
+        difference, half = value - value[baseline], multiple * np.sqrt(by_walks + by_luck)
         with np.errstate(divide="ignore", invalid="ignore"):
-            needed = walks * ((multiple + POWER_QUANTILE) * error / difference) ** 2
-        low, high = difference - multiple * error, difference + multiple * error
-        result[key] = Interval(value, difference, low, high, needed)
+            allowed = (difference / (multiple + POWER_QUANTILE)) ** 2
+            needed = [
+                np.where(allowed > rest, size * part / (allowed - rest), np.inf)
+                for size, part, rest in ((walks, by_walks, by_luck), (each.shape[1], by_luck, by_walks))
+            ]
+        result[key] = Interval(value, difference, difference - half, difference + half, *needed)
     return result
+
+
+class _Luck(NamedTuple):
+    """How far a statistic of G gains scatters, averaged over K seeds, by the luck of their searches.
+
+    Among a few seeds some gains scatter little by chance: none counts for less than the mean of all that were searched,
+    relative to their values.
+    """
+
+    variances: np.ndarray  # (G,) of the means over the seeds; of gains that share the baseline's, of the difference
+    values: np.ndarray  # (G,) those that variances are relative to
+    searched: np.ndarray  # (G,) bool, gains that were searched for themselves
+    shared: np.ndarray  # (G,) bool, those that have the results of the baseline's searches
+    baseline: int
+    seeds: int
+
+    @classmethod
+    def of(cls, each: np.ndarray, baseline: int, shared: np.ndarray) -> "_Luck":
+        """Return the luck that the values (G, K) of each seed show."""
+        seeds, place = each.shape[1], np.arange(len(each))
+        if seeds == 1:
+            return cls(np.zeros(len(each)), each[:, 0], place < 0, shared, baseline, seeds)
+        paired = np.where((shared & (place != baseline))[:, None], each - each[baseline], each)
+        variances = paired.var(axis=1, ddof=1) / seeds
+        searched = (variances > 0) & (~shared | (place == baseline))
+        found = cls(variances, each.mean(1), searched, shared, baseline, seeds)
+        return found._replace(variances=found.raised(variances))
+
+    def raised(self, variances: np.ndarray) -> np.ndarray:
+        """Return variances (..., G), none of a search below the mean of all, relative to the values."""
+        if not self.searched.any():
+            return variances
+        square = np.where(self.searched, self.values**2, 0.0)
+        relative = variances / np.where(square > 0, square, np.inf)
+        mean = relative.sum(-1, keepdims=True) / self.searched.sum()
+        return np.asarray(np.maximum(variances, mean * square))
+
+    def of_differences(self, variances: np.ndarray) -> np.ndarray:
+        """Return the variances (..., G) of the differences from the baseline."""
+        base = variances[..., [self.baseline]]
+        both = np.where(self.shared, variances, variances + base)
+        both[..., self.baseline] = 0.0
+        return both
+
+    def drawn(self, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return differences that other seeds would give, and the variances that these would show, (R, G) each."""
+        gains, freedom = len(self.variances), max(self.seeds - 1, 1)
+        means = np.sqrt(self.variances) * rng.normal(size=(count, gains))
+        differences = np.where(self.shared, means, means - means[:, [self.baseline]])
+        differences[:, self.baseline] = 0.0
+        spread = rng.chisquare(freedom, (count, gains)) / freedom
+        return differences, self.of_differences(self.raised(self.variances * spread))
+
+
+def _freedom(by_walks: np.ndarray, luck: _Luck, walks: int) -> np.ndarray:
+    """Return the degrees of freedom of the sum of both variances, (G,), by Welch and Satterthwaite."""
+    of_luck = np.where(luck.searched, luck.searched.sum(), 1) * max(luck.seeds - 1, 1)
+    parts = by_walks**2 / max(walks - 1, 1) + luck.of_differences(luck.variances**2 / of_luck)
+    total = by_walks + luck.of_differences(luck.variances)
+    return np.where(parts > 0, total**2 / np.where(parts > 0, parts, 1.0), np.inf)
 
 
 def lost(failed: np.ndarray, baseline: int) -> Interval:
@@ -120,13 +206,23 @@ def lost(failed: np.ndarray, baseline: int) -> Interval:
 
     Of the walks that fail under one of two gains alone, half fail under each where both are alike: the interval of that
     half is exact (Clopper and Pearson, 1934), at the level divided by how many gains are compared (Bonferroni). Where
-    no walk tells the gains apart, it is what so many walks could have missed.
+    no walk tells the gains apart, it is what so many walks could have missed. It reaches over those of all seeds, each
+    of both: a difference is real that is there after every search.
 
     Arguments:
-        failed: (G, M) whether it does.
+        failed: (G, K, M) whether it does, of K seeds.
         baseline: the place of the gains that all are compared with.
     """
-    walks, share = failed.shape[1], failed.mean(axis=1)
+    each = [_lost_of_one_seed(failed[:, seed], baseline) for seed in range(failed.shape[1])]
+    lows, highs = np.transpose(each, (1, 0, 2))
+    share = failed.mean(axis=(1, 2))
+    open_ended = np.full(len(failed), np.nan)
+    return Interval(share, share - share[baseline], lows.min(0), highs.max(0), open_ended, open_ended)
+
+
+def _lost_of_one_seed(failed: np.ndarray, baseline: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of the interval of `lost` for (G, M) walks, (G,) each."""
+    walks = failed.shape[1]
     tail = (1 - LEVEL) / 2 / max(len(failed) - 1, 1)
     alone = (failed & ~failed[baseline]).sum(axis=1)
     base = (~failed & failed[baseline]).sum(axis=1)
@@ -138,38 +234,52 @@ def lost(failed: np.ndarray, baseline: int) -> Interval:
     low = np.where(either > 0, (2 * least - 1) * either / walks, -missed)
     high = np.where(either > 0, (2 * most - 1) * either / walks, missed)
     low[baseline] = high[baseline] = 0.0
-    return Interval(share, share - share[baseline], low, high, np.full(len(failed), np.nan))
+    return low, high
 
 
 def compared(
-    walks: xr.Dataset, metrics: list[str], baseline: str, goal: Objective, *, count: int = RESAMPLES, seed: int = 0
-) -> xr.Dataset:
+    walks: xr.Dataset, metrics: list[str], baseline: str, goal: Objective, *,
+    shared: Collection[str] = (), count: int = RESAMPLES, seed: int = 0,
+) -> xr.Dataset:  # fmt: skip
     """Return mean and worst 5 % of some metrics, and their differences from those of the baseline with intervals.
 
-    `value`, `difference`, `low`, `high`, `walks_needed` (see `Interval`) and `real` (the interval does not hold 0) have
-    dimensions (`metric`, `statistic`, `gains`). The metrics are the objective, where it has weighted terms, relative to
-    pd on these walks; those that are asked for; and `failed`, the share of walks that lose a gripper or diverge. The
-    intervals hold for all means at once, and for all worst 5 % at once, which have none where the worst are fewer than
-    `FEWEST_WORST`. All but the last are of the walks in which nothing diverges; gains that diverge in more than half of
-    the walks have none, and are no reason to leave a walk out.
+    `value`, `difference`, `low`, `high`, `walks_needed`, `seeds_needed` (see `Interval`) and `real` (the interval does
+    not hold 0) have dimensions (`metric`, `statistic`, `gains`). The metrics are the objective, where it has weighted
+    terms, relative to pd on these walks; those that are asked for; and `failed`, the share of walks that lose a gripper
+    or diverge. The intervals hold for all means at once, and for all worst 5 % at once, which have none where the worst
+    are fewer than `FEWEST_WORST`. All but the last are of the walks that `tuning.comparisons.judge.held` keeps; gains
+    that it leaves out have none.
+
+    Arguments:
+        walks: metrics over (`gains`, `member`), or (`gains`, `seed`, `member`) of gains that were searched as often.
+        metrics: names of those that are compared.
+        baseline: the gains that all are compared with.
+        goal: what was searched for.
+        shared: names of gains that have the results of the baseline's searches.
+        count: how many resamples.
+        seed: of the draws.
     """
-    names, diverged = walks["gains"].values.tolist(), walks["diverged"].astype(bool)
-    sound = [name for name in names if float(diverged.sel(gains=name).mean()) <= 0.5]
-    held = walks.sel(gains=sound).isel(member=~diverged.sel(gains=sound).any("gains").values)
+    walks = walks if "seed" in walks.dims else walks.expand_dims(seed=1, axis=1)
+    names, kept = walks["gains"].values.tolist(), judging.held(walks)
+    sound = kept["gains"].values.tolist()
     shape = (len(metrics) + 2, len(STATISTICS), len(names))
     table = np.full((len(Interval._fields), *shape), np.nan)
-    failed = judging.failed(walks).transpose("gains", "member").values
+    failed = judging.failed(walks).transpose(*DIMS).values
     table[:, -1, 0] = lost(failed, names.index(baseline))
-    members, places = held.sizes["member"], [names.index(name) for name in sound]
+    members, places = kept.sizes["member"], [names.index(name) for name in sound]
     if baseline in sound and members:
-        few = {share: share * members < FEWEST_WORST for share in (judging.WORST_SHARE, _share_of(goal)) if share < 1}
-        statistics = _statistics(held, metrics, goal)
+        statistics, base = _statistics(kept, metrics, goal), sound.index(baseline)
+        searches = [base if name in (baseline, *shared) else place for place, name in enumerate(sound)]
+        how: dict[str, Any] = {"searches": searches, "count": count, "seed": seed}
+        for key, statistic in statistics.items():  # values, also of those that have no intervals
+            table[0, *key, places] = value = statistic(np.ones((1, members)))[0].mean(1)
+            table[1, *key, places] = value - value[base]
         for column in range(len(STATISTICS)):
-            family = {key: own for key, own in statistics.items() if key[1] == column}
-            for (row, _), found in intervals(family, members, sound.index(baseline), count=count, seed=seed).items():
-                table[:, row, column, places] = found
-                if few.get(judging.WORST_SHARE if column else _share_of(goal) if row == 0 else 1, False):
-                    table[2:, row, column] = np.nan
+            shares = {(0, 0): _share_of(goal)} | {key: judging.WORST_SHARE for key in statistics if key[1] == 1}
+            enough = {key for key in statistics if shares.get(key, 1) == 1 or shares[key] * members >= FEWEST_WORST}
+            family = {key: own for key, own in statistics.items() if key[1] == column and key in enough}
+            for key, found in intervals(family, members, base, **how).items():
+                table[:, *key, places] = found
     data = dict(zip(Interval._fields, table, strict=True))
     data["real"] = (data["low"] > 0) | (data["high"] < 0)
     larger = [False, *(dataset.larger_is_better(walks[name]) for name in metrics), False]
@@ -177,8 +287,9 @@ def compared(
     dims = ("metric", "statistic", "gains")
     made = xr.Dataset({name: (dims, values) for name, values in data.items()}, coordinates)
     made["larger_is_better"] = ("metric", np.array(larger))
-    attrs = {"baseline": baseline, "members": walks.sizes["member"], "members_compared": held.sizes["member"]}
-    return made.assign_attrs(**attrs, level=LEVEL, resamples=count, worst_share=judging.WORST_SHARE)
+    attrs = {"baseline": baseline, "members": walks.sizes["member"], "members_compared": kept.sizes["member"]}
+    attrs |= {"seeds": walks.sizes["seed"], "resamples": count}
+    return made.assign_attrs(**attrs, level=LEVEL, worst_share=judging.WORST_SHARE)
 
 
 def _share_of(goal: Objective) -> float:
@@ -186,19 +297,19 @@ def _share_of(goal: Objective) -> float:
     return 1.0 if goal.worst is None else goal.worst.share
 
 
-def _statistics(held: xr.Dataset, metrics: list[str], goal: Objective) -> dict[tuple[int, int], Statistic]:
+def _statistics(kept: xr.Dataset, metrics: list[str], goal: Objective) -> dict[tuple[int, int], Statistic]:
     """Return the statistics of a table by its row and column, the objective's first."""
     rows = {
-        str(name): held[name].transpose("gains", "member").values.astype(float)
-        for name in held.data_vars
-        if held[name].ndim == 2
+        str(name): kept[name].transpose(*DIMS).values.astype(float)
+        for name in kept.data_vars
+        if set(kept[name].dims) == set(DIMS)
     }
     found: dict[tuple[int, int], Statistic] = {}
-    if judging.PD in held["gains"].values and (terms := judging.terms_on(held, goal)):
+    if judging.PD in kept["gains"].values and (terms := judging.terms_on(kept.isel(seed=0), goal)):
         found[0, 0] = lambda counts: _objective(rows, counts, goal, terms)
     for row, name in enumerate(metrics, 1):
         for column, share in enumerate((1.0, judging.WORST_SHARE)):
-            found[row, column] = _worst_of(rows[name], share, dataset.larger_is_better(held[name]))
+            found[row, column] = _worst_of(rows[name], share, dataset.larger_is_better(kept[name]))
     return found
 
 
@@ -209,15 +320,15 @@ def _worst_of(values: np.ndarray, share: float, larger: bool) -> Statistic:
 def _objective(
     rows: Mapping[str, np.ndarray], counts: np.ndarray, goal: Objective, terms: tuple[Term, ...]
 ) -> np.ndarray:
-    """Return what `Objective` makes of mean and worst of its terms, (R, G)."""
-    total = np.zeros((len(counts), len(next(iter(rows.values())))))
+    """Return what `Objective` makes of mean and worst of its terms, (R, G, K)."""
+    total: np.ndarray | float = 0.0
     for term in terms:
         values, larger = rows[term.metric], term.larger_is_better
         ratio = worst_mean(values, counts) / term.baseline
         if goal.worst is not None:
             worst = worst_mean(values, counts, goal.worst.share, larger_is_better=larger) / term.worst
             ratio = (1 - goal.worst.weight) * ratio + goal.worst.weight * worst
-        total += term.weight * (2 - ratio if larger else ratio)
+        total = total + term.weight * (2 - ratio if larger else ratio)
     return np.asarray(total / sum(term.weight for term in terms))
 
 
@@ -243,7 +354,7 @@ class Verdict(NamedTuple):
 
 def verdict(
     table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str],
-    outside: Collection[str] = (),
+    outside: Collection[str] = (), unsettled: Collection[str] = (),
 ) -> Verdict:  # fmt: skip
     """Return which law is better than the baseline, what a force sensor is worth, and what hardware would be.
 
@@ -252,12 +363,22 @@ def verdict(
         laws: names of those that were tuned beside the baseline.
         reading: those of them that read forces.
         hardware: names of the baseline's walks with better hardware.
-        outside: those, of the laws and the baseline, whose search found no gains that keep its limits.
+        outside: those, of the laws and the baseline, of which a search found no gains that keep its limits.
+        unsettled: those of which a search had not converged when it ended.
     """
+    said = _verdict(table, laws, reading, hardware, outside)
+    if not unsettled:
+        return said
+    return said._replace(in_words=f"{said.in_words}; not every search of {', '.join(unsettled)} had converged")
+
+
+def _verdict(
+    table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str], outside: Collection[str]
+) -> Verdict:
     if table.attrs["baseline"] in outside:
-        return Verdict(None, "no verdict: no gains of retuned pd kept the limits of its search")
+        return Verdict(None, "no verdict: a search of retuned pd found no gains that keep its limits")
     if not (laws := [name for name in laws if name not in outside]):
-        return Verdict(None, "none is better than retuned pd: no law has gains that kept the limits of its search")
+        return Verdict(None, "none is better than retuned pd: of no law all searches found gains that keep the limits")
     told = {name: _gain(table, name, "objective") for name in (*laws, *hardware)}
     better = [name for name in laws if told[name].real]
     best = max(better, key=lambda name: told[name].size, default=None)
@@ -315,15 +436,24 @@ def _none_better(table: xr.Dataset, laws: Sequence[str]) -> str:
     if not open_ones:
         return "none is better than retuned pd"
     said = f"{', '.join(open_ones)} cannot be told apart from retuned pd in the objective with {_walks(table)}"
-    needed = own["walks_needed"].sel(gains=[name for name in open_ones if own["difference"].sel(gains=name) < 0])
-    if needed.size and np.isfinite(needed).any():
-        most = math.ceil(float(needed.min()))
-        said += f" ({most:,} would, if the difference is what it seems)"
+    seeming = [name for name in open_ones if own["difference"].sel(gains=name) < 0]
+    if seeming:
+        said += f" ({_needed(own.sel(gains=seeming))}, if the difference is what it seems)"
     return said
 
 
+def _needed(own: xr.Dataset) -> str:
+    """Return in words how many walks would tell the gains apart that are told apart the soonest, or how many seeds."""
+    for name, what in (("walks_needed", "walks"), ("seeds_needed", "seeds")):
+        least = float(own[name].min())
+        if np.isfinite(least):
+            return f"{math.ceil(least):,} {what} would"
+    return "more of both would"
+
+
 def _walks(table: xr.Dataset) -> str:
-    return f"{table.attrs['members_compared']} walks"
+    walks, seeds = f"{table.attrs['members_compared']} walks", int(table.attrs["seeds"])
+    return f"{walks} and {seeds} seeds" if seeds > 1 else walks
 
 
 def _sensor(table: xr.Dataset, laws: Sequence[str]) -> str:

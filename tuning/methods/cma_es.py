@@ -47,21 +47,26 @@ def population(task: Task) -> int:
 
 
 def run(task: Task) -> Points:
-    """Draw populations about the scenario's own gains until they agree or the generations are spent.
+    """Draw populations about the best of the first points until they agree or the rounds are spent.
 
-    The first point of the first population is the scenario's own gains: no result is worse than these.
+    The first points are those that are known, the scenario's own gains before all, and others about these: no result is
+    worse than the scenario's gains.
     """
     from cmaes import CMA
 
     space, by_kernel = task.problem.space, execution.many_at_once(task.problem.dtype)
-    width, box = space.upper - space.lower, np.tile([0.0, 1.0], (space.size, 1))
-    mean, size = (task.start - space.lower) / width, population(task)
+    width, box, size = space.upper - space.lower, np.tile([0.0, 1.0], (space.size, 1)), population(task)
+
+    rng = np.random.default_rng(task.search.seed)
+    first = np.clip((task.start - space.lower) / width + SPREAD * rng.standard_normal((size, space.size)), 0, 1)
+    first[: len(task.known)] = ((task.known - space.lower) / width)[:size]
+    found = yield Request(space.lower + width * first, None, "first points")
+    # known gains may be far away, where a population takes a few for the shape of the valley: so it begins after them
+    mean = first[np.argmin(found.merit)]
     optimizer = CMA(mean=mean, sigma=SPREAD, bounds=box, seed=task.search.seed, population_size=size)
     best: list[float] = []
-    for generation in range(rounds(task)):
+    for _ in range(1, rounds(task)):
         unit = drawn(optimizer)
-        if generation == 0:
-            unit[0] = mean
         found = yield Request(space.lower + width * unit, None, "population")
         optimizer.tell(list(zip(unit, found.merit.astype(float).tolist(), strict=True)))
         best = [*best, float(found.merit.min())][-PATIENCE:]

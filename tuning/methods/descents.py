@@ -56,8 +56,8 @@ def rounds(task: Task) -> int:
 def run(task: Task, single: Descend, tied: Descend, race: Descend, alone: Descend) -> Points:
     """Descend from several starts with the axes tied, let the two best race with the axes free, go on with the winner.
 
-    The scenario's own gains are the first start, the others the best of random points. A space whose axes are tied
-    anyway has a single descent.
+    The scenario's own gains are the first start, the others the best of further known gains and random points. A space
+    whose axes are tied anyway has a single descent.
     """
     space, count, theta = task.problem.space, task.search.starts or STARTS, task.start[None]
     rng = np.random.default_rng(task.search.seed)
@@ -65,6 +65,7 @@ def run(task: Task, single: Descend, tied: Descend, race: Descend, alone: Descen
     if count > 1:
         # the same gains on all axes: of points drawn in twelve dimensions hardly one is any good
         drawn = space.draw_tied(rng, CANDIDATES * (count - 1))
+        drawn[: len(task.known) - 1] = task.known[1:]
         found = yield Request(drawn, None, "random points")
         theta = np.concatenate([theta, drawn[np.argsort(found.merit, kind="stable")[: count - 1]]])
     scales = np.ones(len(theta))

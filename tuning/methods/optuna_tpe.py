@@ -19,7 +19,7 @@ def rounds(task: Task) -> int:
 
 
 def run(task: Task) -> Points:
-    """Ask for batches of trials, the first of them the scenario's own gains.
+    """Ask for batches of trials, the first of them the known gains, the scenario's own before all.
 
     Raises:
         ConfigError: Optuna is not installed.
@@ -38,7 +38,8 @@ def run(task: Task) -> Points:
     box: dict[str, optuna.distributions.BaseDistribution] = {
         name: floats(low, high) for name, low, high in zip(space.names, space.lower, space.upper, strict=True)
     }
-    study.enqueue_trial(dict(zip(space.names, task.start.tolist(), strict=True)))
+    for point in task.known:
+        study.enqueue_trial(dict(zip(space.names, point.tolist(), strict=True)))
     for _ in range(rounds(task)):
         trials = [study.ask(box) for _ in range(task.search.starts or BATCH)]
         theta = np.array([[trial.params[name] for name in space.names] for trial in trials])

@@ -20,25 +20,25 @@ def _plan(task: Task) -> tuple[int, int, int]:
     n, again = task.problem.space.size, task.search.iterations
     check_size(task, MOST)
     points = task.search.starts or POINTS[n]
-    dense = points**n + 1  # with the scenario's own gains
+    dense = points**n + len(task.known)
     return points, REFINEMENTS if again is None else again - 1, math.ceil(dense / math.ceil(dense / BATCH))
 
 
 def rounds(task: Task) -> int:
     """Return how many rounds a run takes."""
     n, (points, refinements, batch) = task.problem.space.size, _plan(task)
-    return int(math.ceil((points**n + 1) / batch) + refinements * math.ceil(CELLS * FINE[n] ** n / batch))
+    return int(math.ceil((points**n + len(task.known)) / batch) + refinements * math.ceil(CELLS * FINE[n] ** n / batch))
 
 
 def run(task: Task) -> Points:
     """Evaluate a grid of `starts` points per coordinate, then refine `iterations` - 1 times round its best points.
 
-    The scenario's own gains are the first point of all, and may be refined round as any other.
+    The known gains, the scenario's own before all, are the first points, and may be refined round as any other.
     """
     space, (count, refinements, batch) = task.problem.space, _plan(task)
     axes = [np.linspace(*ends, count) for ends in zip(space.lower, space.upper, strict=True)]
     cell = np.array([axis[1] - axis[0] if axis.size > 1 else 0.0 for axis in axes])
-    points = np.array([task.start, *itertools.product(*axes)])
+    points = np.array([*task.known, *itertools.product(*axes)])
     evaluated, merits = [], []
     for level in range(1 + refinements):
         phase = "grid" if level == 0 else "refined grid"

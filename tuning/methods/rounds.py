@@ -25,6 +25,12 @@ class Task(NamedTuple):
     problem: Problem
     search: Search
     start: np.ndarray  # (n,) the scenario's own gains
+    others: np.ndarray = np.zeros((0, 0))  # (S, n) further gains that are known, see `tuning.problem.known`
+
+    @property
+    def known(self) -> np.ndarray:
+        """The points (1 + S, n) that every method evaluates among its first, the scenario's own gains before all."""
+        return np.concatenate([self.start[None], self.others.reshape(-1, self.start.size)])
 
 
 class Request(NamedTuple):
@@ -83,15 +89,42 @@ def check_size(task: Task, most: int) -> None:
         )
 
 
-def follow(points: Generator[Request, Evaluation, Any], evaluate: Callable[[Request], Evaluation]) -> None:
-    """Run a method, or a part of one, to its end."""
+def follow(
+    points: Generator[Request, Evaluation, Any],
+    evaluate: Callable[[Request], Evaluation],
+    enough: Callable[[], bool] = lambda: False,
+) -> bool:
+    """Run a method, or a part of one, to its end, or until it is told after a round that it is `enough`.
+
+    Returns:
+        Whether it was.
+    """
     try:
         request = next(points)
         while True:
             found = evaluate(request)
+            if enough():
+                points.close()
+                return True
             request = points.send(found)
     except StopIteration:
-        return
+        return False
+
+
+TOLERANCE = 1e-3  # relative improvement below which a search has found nothing better
+
+
+def settled(merits: np.ndarray, patience: int) -> bool:
+    """Return whether the last so many evaluations bettered the best merit by less than `TOLERANCE`, relative.
+
+    Arguments:
+        merits: of all points evaluated so far, in order: value plus penalty, not finite where a walk diverged.
+        patience: in evaluations, whatever the number of gains.
+    """
+    walked = np.where(np.isfinite(merits), merits, np.inf)
+    if len(walked) <= patience or not np.isfinite(before := walked[:-patience].min()):
+        return False
+    return bool(before - walked.min() <= TOLERANCE * abs(before))
 
 
 class Rounds(Parts):

@@ -73,15 +73,15 @@ def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation",
     colors = {
         name: COLORS.get(name, other) for name, other in zip(judged["gains"].values.tolist(), others, strict=False)
     }
-    share = 100 * (np.arange(judged.sizes["member"]) + 1) / judged.sizes["member"]
     for panel, metric in zip(figure.subplots(len(metrics), 1, squeeze=False)[:, 0], metrics, strict=True):
         factor, label = scaled(judged[metric])
         for name, color in colors.items():
-            values = judged[metric].sel(gains=name).values.astype(float)
-            values = np.sort(values[np.isfinite(values)]) * factor
-            panel.step(values, share[: values.size], where="post", color=color, linewidth=1.2)
+            every = judged[metric].sel(gains=name).values.astype(float)  # of all seeds, where there are such
+            values = np.sort(every[np.isfinite(every)]) * factor
+            share = 100 * (np.arange(values.size) + 1) / every.size
+            panel.step(values, share, where="post", color=color, linewidth=1.2)
             for mark, at in (("o", values.mean()), ("D", ensemble.worst_mean(values, judging.WORST_SHARE))):
-                panel.plot(at, np.interp(at, values, share[: values.size]), mark, color=color, ms=4)
+                panel.plot(at, np.interp(at, values, share), mark, color=color, ms=4)
         panel.set(xlabel=label, ylabel="share of walks [%]", ylim=(0, 103))
         limit = judged.attrs.get("holding_limit", np.inf)
         if metric == "peak_pull_force" and limit < panel.get_xlim()[1]:

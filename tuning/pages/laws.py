@@ -27,9 +27,10 @@ from tuning.numbers import gain, number, to_json, unit
 from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
 from tuning.pages.page import Origin, Page, Table
 from tuning.results.judged import Comparison
+from tuning.results.tuned import Tuned
 from tuning.searches.retuned_pd import NAME
 
-LAWS = "Differences from retuned pd, with 95 % intervals over the walks; grey where the interval holds 0."
+LAWS = "Differences from retuned pd, with 95 % intervals over walks and seeds; grey where the interval holds 0."
 _NOT_METRICS = {"objective": "objective", "failed": "share lost"}
 
 
@@ -48,7 +49,8 @@ def contents(found: Comparison, compared: LawsComparison, name: str) -> Contents
     rows = rows_of(table)
     searched = {
         law: {"gains": by_name(own.gains), "points": own.data.sizes["point"], "env_steps": own.env_steps,
-              "objective": own.value, "feasible": own.feasible, "reads_forces": law in compared.reading}
+              "objective": own.value, "feasible": own.feasible, "reads_forces": law in compared.reading,
+              "seeds": [of_search(each) for each in found.searched[law]]}
         for law, own in found.tuned.items()
     }  # fmt: skip
     summary = to_json({"verdict": verdict.in_words, "best": verdict.best, "laws": searched, "table": rows})
@@ -129,29 +131,50 @@ def _versus(own: xr.Dataset, base: xr.Dataset) -> tuple[str, str]:
     return number(value), f"{change:+.1f} [{low:.1f}, {high:.1f}]{' ' if bool(own['real']) else '~'}"
 
 
+def of_search(found: Tuned) -> dict[str, Any]:
+    """Return one of the searches of a law as plain data."""
+    return {
+        "seed": found.search.seed, "objective": found.value, "feasible": found.feasible, "converged": found.converged,
+        "points": found.data.sizes["point"], "gains": by_name(found.gains),
+    }  # fmt: skip
+
+
 def notes_of(found: Comparison, table: xr.Dataset) -> list[str]:
     """Return what a comparison of laws rests on, in lines."""
-    points = {name: own.data.sizes["point"] for name, own in found.tuned.items()}
-    same = len({*points.values()}) == 1
-    spent = str(min(points.values())) if same else ", ".join(f"{name} {count}" for name, count in points.items())
+    seeds = int(table.attrs["seeds"])
+    spent = ", ".join(
+        f"{law} {' + '.join(str(own.data.sizes['point']) for own in each)}" for law, each in found.searched.items()
+    )
     notes = [
-        f"{spent} points of {found.problem.members} walks searched for each law; {table.attrs['members']} unseen "
-        f"walks each; {table.attrs['level']:.0%} intervals hold for all rows of a column at once (max-t over "
-        f"{table.attrs['resamples']} resamples of the walks; lost walks: McNemar's exact test)"
+        f"points of {found.problem.members} walks searched: {spent}",
+        f"{table.attrs['members']} unseen walks of all that was found; {table.attrs['level']:.0%} intervals hold for "
+        f"all rows of a column at once ({table.attrs['resamples']} resamples of the walks and of {seeds} seeds; lost "
+        "walks: McNemar's exact test)",
     ]
     pd, values = found.tuned[NAME], by_name(found.tuned[NAME].gains)
-    notes.append("each law was searched once: another search may end elsewhere, which no interval here counts")
+    if seeds == 1:
+        notes.append("each law was searched once: another search may end elsewhere, which no interval here counts")
     notes.append(f"retuned pd: {', '.join(f'{name} {gain(values, name)}' for name in pd.problem.space.gains)}")
-    if not same:
-        notes.append("warning: searches that had converged ended early")
-    broken = [name for name, own in found.tuned.items() if not own.feasible]
-    if broken:
-        notes.append(f"warning: no gains kept every limit in the search of {', '.join(broken)}")
+    if found.unsettled:
+        notes.append(f"warning: searches of {', '.join(found.unsettled)} ended before they had converged")
+    if found.outside:
+        notes.append(f"warning: a search of {', '.join(found.outside)} found no gains that keep every limit")
     if left := table.attrs["members"] - table.attrs["members_compared"]:
         notes.append(f"warning: {left} walks in which something diverged count among those lost alone")
     if found.hardware:
         notes.append("better hardware walks with what was tuned for the present one, so it may be worth more")
     return notes
+
+
+def _searches_table(found: Comparison) -> Table:
+    """Return what each search found and whether it converged, by law and seed."""
+    rows = [
+        [law if place == 0 else "", str(own.search.seed), str(own.data.sizes["point"]), number(own.value),
+         number(own.converged), number(own.feasible)]
+        for law, each in found.searched.items()
+        for place, own in enumerate(each)
+    ]  # fmt: skip
+    return Table("Searches", ["law", "seed", "points", "objective", "converged", "keeps all limits"], [("", rows)], 1)
 
 
 def page_of(found: Comparison, table: Table, verdict: str, notes: Sequence[str], origin: Origin) -> Page:
@@ -165,13 +188,13 @@ def page_of(found: Comparison, table: Table, verdict: str, notes: Sequence[str],
         ]
         rows[0][0] = name
         sections.append(("", rows))
-    steps = ", ".join(f"{name} {own.env_steps:,}" for name, own in found.tuned.items())
+    steps = ", ".join(f"{name} {sum(own.env_steps for own in each):,}" for name, each in found.searched.items())
     assert found.search is not None
     return Page(
         title=f"Laws compared on {origin.name}: {', '.join(found.laws)} beside retuned pd", origin=origin,
         verdict=sentences([verdict])[0], scenario=found.scenario, notes=sentences(notes),
-        tables=[table,
-                Table("Gains found", ["law", "gain", "unit", "value"], sections, 3)],
+        tables=[table, _searches_table(found),
+                Table("Gains found by the best search", ["law", "gain", "unit", "value"], sections, 3)],
         facts={"precision": "float32", "seed": found.search.seed, "env-steps": steps},
     )  # fmt: skip
 

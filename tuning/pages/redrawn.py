@@ -53,7 +53,8 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Fi
         data = dataset.load(folder / name)
         if name in OF_METRICS:
             dims = axes_of(data) if name in MAPS else ("gains", "member")
-            of_both = [str(n) for n, v in data.items() if set(v.dims) == set(dims) and v.dtype.kind in "fi"]
+            others = {*dims, "seed"}  # of the searches of laws that were compared
+            of_both = [str(n) for n, v in data.items() if {*dims} <= {*v.dims} <= others and v.dtype.kind in "fi"]
             for metric in metrics:
                 if metric not in of_both:
                     raise ConfigError(f"--metric: expected one of {', '.join(of_both)}, got {metric!r}")

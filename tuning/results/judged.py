@@ -1,7 +1,7 @@
 """The walks of gains, or of laws, through members of an ensemble that no search has seen."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from tuning.results.result import Result
 from tuning.results.tuned import Tuned
@@ -23,20 +23,36 @@ class Comparison(Result):
     """Laws that were tuned alike, and their walks through members of an ensemble that no search has seen.
 
     `data` holds every metric of every walk over `gains` (the laws, pd retuned, that on better hardware, and the
-    scenario's pd) and `member`, as of `tuning.judge`. `write` adds which differences from retuned pd are real.
+    scenario's pd), `seed` of their searches and `member`, as of `tuning.judge`; and what each search found, where it
+    was one. `write` adds which differences from retuned pd are real.
     """
 
     FILE = "compared.nc"
     KIND = "compare"
 
-    tuned: Mapping[str, Tuned] = dataclasses.field(default_factory=dict)  # by law, `retuned_pd` the last
+    searched: Mapping[str, Sequence[Tuned]] = dataclasses.field(default_factory=dict)  # by law, pd the last, and seed
+
+    @property
+    def tuned(self) -> dict[str, Tuned]:
+        """The best search of each law, `retuned_pd` the last."""
+        return {law: min(each, key=lambda own: (not own.feasible, own.value)) for law, each in self.searched.items()}
+
+    @property
+    def outside(self) -> list[str]:
+        """The names of the laws of which a search found no gains that keep its limits, pd among them."""
+        return [law for law, each in self.searched.items() if not all(own.feasible for own in each)]
+
+    @property
+    def unsettled(self) -> list[str]:
+        """The names of the laws of which a search had not converged when it ended, pd among them."""
+        return [law for law, each in self.searched.items() if not all(own.converged for own in each)]
 
     @property
     def laws(self) -> list[str]:
         """The names of the laws, without pd's."""
-        return [*self.tuned][:-1]
+        return [*self.searched][:-1]
 
     @property
     def hardware(self) -> list[str]:
         """The names of the walks of retuned pd with better hardware."""
-        return [name for name in self.data["gains"].values.tolist() if name not in {*self.tuned, "pd"}]
+        return [name for name in self.data["gains"].values.tolist() if name not in {*self.searched, "pd"}]

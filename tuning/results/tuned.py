@@ -81,6 +81,11 @@ class Tuned(Result):
         """Whether the user ended the search."""
         return bool(self.data.attrs["interrupted"])
 
+    @property
+    def converged(self) -> bool:
+        """Whether a search that was to converge did; true of others."""
+        return bool(self.data.attrs.get("converged", True))
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the data as netCDF, from which `load` makes the result again, and return its path."""
         return dataset.save(self.data, path)

@@ -38,7 +38,6 @@ class Rival(NamedTuple):
 
     joint: Mapping[str, float]
     value: float  # of what was searched for
-    spread: float = 0.0  # see `spread`; of two searches that are compared the larger one
     lacks: str = ""  # in what it was searched less than it might be, nothing where all its bounds were
     feasible: bool = True  # it keeps all limits
     step: float | None = None  # s, the time step of a comparison, where it is not the scenario's
@@ -85,6 +84,7 @@ def walked_on_grid(
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Simulate pd with kp and kd on a grid within the bounds of a search, and with the scenario's own.
 
+    Walks with joint gains that the time step cannot follow count as diverged: they shake as no robot would.
     `parameters` (P) walk in place of the scenario's, all of them with each; `how` as of `mc.rollout_metrics`.
 
     Returns:
@@ -95,8 +95,20 @@ def walked_on_grid(
     axes = [np.append(np.geomspace(*bounds[name], count), own[name]) for name, count in zip(own, counts, strict=True)]
     gains = dict(zip(own, (values.ravel() for values in np.meshgrid(*axes)), strict=True))
     each = gains if parameters is None else {name: values[:, None] for name, values in gains.items()}
-    walks = mc.rollout_metrics(pd, each, parameters, unsteady=True, **how)
-    return gains, {name: np.asarray(value) for name, value in walks.items()}
+    found = mc.rollout_metrics(pd, each, parameters, unsteady=True, **how)
+    walks = {name: np.asarray(value) for name, value in found.items()}
+    steady = _followed(pd, gains).reshape(-1, *[1] * (walks["diverged"].ndim - 1))
+    return gains, walks | {"diverged": walks["diverged"].astype(bool) | ~steady}
+
+
+def _followed(scenario: mc.Scenario, joint: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return which of some joint gains (N,) each the time step can follow: with them all that are no higher in both."""
+    pairs = np.stack([joint[name] for name in JOINT], 1)
+    known = np.zeros(len(pairs), bool)
+    for place in np.argsort(-pairs.prod(1)):
+        if not known[place] and _follows(scenario, dict(zip(JOINT, pairs[place], strict=True))):
+            known |= (pairs <= pairs[place]).all(1)
+    return known
 
 
 def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFAULT_ENGINE) -> Rival | None:
@@ -114,7 +126,6 @@ def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFA
     lower, upper = np.log(list(bounds.values())).T
     best, centre, half = np.log([pd.control.kp, max(pd.control.kd, 1e-12)]), (lower + upper) / 2, (upper - lower) / 2
     offsets = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, POINTS)]), -1).reshape(-1, 2)
-    every = []
     for _ in range(ROUNDS):
         points = np.vstack([np.clip(centre + half * offsets, lower, upper), best])  # rounds of one size: one program
         pairs = np.exp(points)
@@ -127,12 +138,11 @@ def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFA
             if not np.isfinite(values[place]) or _follows(pd, joint):
                 break
             values[place] = np.inf
-        every.append(values)
         best = centre = points[place]
         half = half * 2 / (POINTS - 1)
     if not np.isfinite(values[place]):
         return None
-    return Rival(joint, float(values[place]), spread(np.concatenate(every)), _lacks(pd, highest))
+    return Rival(joint, float(values[place]), _lacks(pd, highest))
 
 
 def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: int = HALVINGS) -> float:
@@ -165,25 +175,10 @@ def joint_of(found: Tuned) -> dict[str, float]:
     return {name: float(gains[name]) for name in (*JOINT, *GAIT) if name in gains}
 
 
-def spread(values: np.ndarray) -> float:
-    """Return by how much the second best of some values is worse than the best, relative; 0 where there are not two.
-
-    What gains differ by no more than is nothing that a search has found.
-    """
-    two = np.unique(values[np.isfinite(values)])[:2]
-    return float(np.ptp(two) / abs(two[0])) if two.size == 2 and two[0] else 0.0
-
-
-def rival_of(found: Tuned, retuned: Tuned, step: float | None = None) -> Rival:
+def rival_of(retuned: Tuned, step: float | None = None) -> Rival:
     """Return what `search` found, to be compared with what it was searched for, at a time step of both."""
     lacks = _lacks(retuned.scenario, _highest(spaces.space(retuned.scenario, retuned.search)))
-    spreads = []
-    for each in (found, retuned):  # side by side: starts of a descent, a population, points of a grid
-        rows = each.data["row"].values
-        best = np.full(rows.max() + 1, np.inf)
-        np.fmin.at(best, rows, np.where(each.data["feasible"], each.data["value"], np.inf))
-        spreads.append(spread(best))
-    return Rival(joint_of(retuned), retuned.value, max(spreads), lacks, retuned.feasible, step)
+    return Rival(joint_of(retuned), retuned.value, lacks, retuned.feasible, step)
 
 
 def _follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:

@@ -20,9 +20,9 @@ from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.methods import METHODS, Method, Points, Task, cma_es
 from tuning.methods.parts import identity_of
-from tuning.methods.rounds import Callback, Rounds, as_method, follow
+from tuning.methods.rounds import Callback, Rounds, as_method, follow, settled
 from tuning.problem import ensemble as ensembles
-from tuning.problem import evaluation, objectives, spaces
+from tuning.problem import evaluation, known, objectives, spaces
 from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
@@ -129,20 +129,35 @@ def run(
     search: Search,
     method: Method | None = None,
     *,
+    patience: int | None = None,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
 ) -> Tuned:
-    """Search a problem from start to end; arguments, result and errors as of `tune`."""
-    task, chosen = Task(problem, search, start_of(problem)), method or METHODS[search.method]
-    own, interrupted = functools.partial(search_identity, problem, search, method=method), False
+    """Search a problem from start to end; further arguments, result and errors as of `tune`.
+
+    Arguments:
+        patience: evaluations without a better point after which the search has converged and ends, see
+            `tuning.methods.rounds.settled`; the method's own end where None.
+    """
+    start = start_of(problem)
+    task, chosen = Task(problem, search, start, known.others(problem, start)), method or METHODS[search.method]
+    more = {} if patience is None else {"patience": patience}
+    own, interrupted = functools.partial(search_identity, problem, search, method=method, **more), False
     with Rounds(chosen.rounds(task), out, own, progress) as rounds:
+
+        def enough() -> bool:
+            return patience is not None and settled(rounds.evaluated["value"] + rounds.evaluated["penalty"], patience)
+
         try:
-            follow(chosen.run(task), lambda request: rounds.evaluate(problem, request))
+            ended = follow(chosen.run(task), lambda request: rounds.evaluate(problem, request), enough)
         except KeyboardInterrupt:
             if not rounds.done:
                 raise
             interrupted = True
-    return from_rounds(problem, search, rounds.evaluated, interrupted=interrupted)
+    found = from_rounds(problem, search, rounds.evaluated, interrupted=interrupted)
+    if patience is not None:
+        found.data.attrs["converged"] = int(not interrupted and (ended or rounds.done < rounds.in_all))
+    return found
 
 
 def for_this_machine(

@@ -119,6 +119,7 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "retuned_pd": "--retuned-pd {folder}/gains.yaml",
     "search": "--search {folder}/search.yaml",
     "seed": "--seed 5",
+    "seeds": "--seeds 2",
     "shard": "--shard 1/2",
     "signals": "--signals signals.yaml",
     "slope": "--slope 30",

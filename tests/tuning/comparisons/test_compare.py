@@ -106,8 +106,13 @@ def test_laws_have_names_of_their_own_or_given_ones(scenario, files):
         (["base_admittance"], {"also": ("cutoff",)}, "also: expected a gain that one of the laws has, got cutoff"),
         (["base_admittance"], {"pins": {"share": 1.0}}, "pins.share: expected a gain that one of the laws has"),
         (["base_admittance"], {"pins": {"kp": 50.0, "kd": 0.5}}, "pins: expected a gain left to search, got none"),
-        (["base_admittance"], {"method": "lbfgs"}, "method: expected cmaes or optuna"),
+        (["base_admittance"], {"method": "lbfgs"}, "method: expected cmaes, optuna or grid"),
         (["base_admittance"], {"joint_gains": False}, "joint_gains: expected true"),
+        (
+            ["base_admittance"],
+            {"method": "grid", "space": "diagonal"},
+            "method: expected cmaes or optuna where base_admittance has 14 numbers to search, got grid, which takes 4",
+        ),
     ],
 )
 def test_what_is_refused(scenario, laws, changes, expected):
@@ -115,10 +120,12 @@ def test_what_is_refused(scenario, laws, changes, expected):
         compare.contestants(scenario, laws, settings(**changes))
 
 
-def test_a_method_that_nobody_chose_is_one_of_equal_evaluations():
+def test_a_method_that_nobody_chose_is_one_that_searches_all_laws_alike():
     assert compare.alike(Search(), None, {}).method == "cmaes"
     with pytest.raises(ConfigError, match="got gradient"):
         compare.alike(Search(method="gradient"), Search(method="gradient"))
+    grid = settings(method="grid")  # points per gain are its own, and all its searches would be the same
+    assert grid.starts is None and compare.seeds_for(grid, 5) == 1 and compare.seeds_for(settings(), 5) == 5
 
 
 class Deaf(PD):
@@ -165,7 +172,7 @@ def test_better_hardware_is_half_or_twice_of_what_was_drawn(scenario):
 
 COMMAND = (
     f"compare {CASE} --laws base_admittance,{{files}}/law.py:Shared --hardware dynamixel_x --also share "
-    "--ensemble {files}/drawn.yaml --members 6 --starts 4 --iterations 2 --may-be-worse-than-pd"
+    "--ensemble {files}/drawn.yaml --members 6 --seeds 2 --starts 4 --iterations 2 --may-be-worse-than-pd"
 ) + "".join(f" --set {change}" for change in SHORT)
 
 
@@ -183,13 +190,19 @@ def test_the_command_writes_table_page_data_and_gains(shell, scenario):
     names = ["base_admittance", "Shared", "retuned_pd"]
     assert list(told["laws"]) == names
     assert {own["points"] for own in told["laws"].values()} == {8}
+    searches = {
+        (each["seed"], each["points"], each["converged"]) for law in names for each in told["laws"][law]["seeds"]
+    }
+    assert searches == {(0, 8, False), (1, 8, False)}
+    assert told["verdict"].endswith("not every search of base_admittance, Shared, retuned_pd had converged")
     assert [own["reads_forces"] for own in told["laws"].values()] == [True, True, False]
     page = html.unescape((folder / "report.html").read_text())
     assert told["verdict"] in out and told["verdict"][1:] in page
     assert "Gains found" in page and "peak joint torque" in page
     rows = [*names, *compare.HARDWARE, "pd"]
     data = xr.load_dataset(folder / "compared.nc", engine="h5netcdf")
-    assert data["gains"].values.tolist() == rows and data["force_variation"].shape == (7, 6)
+    assert data["gains"].values.tolist() == rows and data["force_variation"].shape == (7, 2, 6)
+    assert data["seed"].values.tolist() == [0, 1] and (data["search_converged"].sel(gains=names) == 0).all()
     for line in (*rows, "force variation", "peak foot force", "peak pull force", "cost of transport", "share lost"):
         assert line in out
     assert (folder / "compared.csv").read_text().startswith("metric,statistic,gains,value,difference,low,high,real\n")
@@ -199,11 +212,13 @@ def test_the_command_writes_table_page_data_and_gains(shell, scenario):
     unseen = draw(scenario, Ensemble.parse(DRAWN, "drawn", members=6, seed=1_000_003))
     gains = gains_file.load(folder / "gains-base_admittance.yaml")
     alone = mc.rollout_metrics(scenario, gains, unseen, smooth=True, dtype=np.float32)["force_variation"]
-    there = data["force_variation"].sel(gains="base_admittance").values
+    best = int(np.argmin(data["search_value"].sel(gains="base_admittance").values))
+    there = data["force_variation"].sel(gains="base_admittance", seed=best).values
     np.testing.assert_allclose(there, np.ravel(alone), rtol=2e-3)
     row = next(row for row in told["table"] if (row["metric"], row["gains"]) == ("force_variation", "base_admittance"))
-    difference = there - data["force_variation"].sel(gains="retuned_pd").values
-    assert row["difference"] == pytest.approx(difference.mean(), rel=1e-6)
+    means = data["force_variation"].astype(float).mean(["seed", "member"])
+    difference = means.sel(gains="base_admittance") - means.sel(gains="retuned_pd")
+    assert row["difference"] == pytest.approx(float(difference), rel=1e-6)
     assert row["real"] == (row["low"] > 0 or row["high"] < 0)
 
 
@@ -218,7 +233,7 @@ def test_the_pictures_are_drawn_again(shell, tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_keeps_what_was_searched_and_the_same_command_goes_on(shell, files, tmp_path):
     process = start(*COMMAND.format(files=files).split(), "--out", tmp_path)
-    wait_for_parts(process, tmp_path / "parts" / "Shared")
+    wait_for_parts(process, tmp_path / "parts" / "Shared-1")
     process.send_signal(signal.SIGINT)
     ((code, _, said),) = ends(process)
     assert code == 130 and "the same command goes on from there" in said
@@ -252,13 +267,13 @@ def made_up(monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenario, files, tmp_path):
-    """Ctrl-C in the second law's search: what was searched is not walked again."""
+    """Ctrl-C in the second search of the second law: what was searched is not walked again."""
     opened = []
 
     @contextlib.contextmanager
     def stage(name, **_):
         def told(done, *_):
-            if (name, done) == ("Shared", 2):
+            if (name, done) == ("Shared, seed 1", 2):
                 raise KeyboardInterrupt
 
         opened.append(name)
@@ -268,18 +283,20 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
         ensemble = Ensemble.load(files / "drawn.yaml")
         laws = ["base_admittance", f"{files}/law.py:Shared"]
         how = {"starts": 8, "iterations": 5, "also": ("share",), "no_worse_than_pd": False}
-        return tuning.compare(scenario, laws, ensemble, members=200, out=out, stage=stage, **how)
+        return tuning.compare(scenario, laws, ensemble, members=200, seeds=2, out=out, stage=stage, **how)
 
     whole = run(None)
     in_all = made_up.count((2, 8))
-    assert in_all == 3 * 5 and made_up.count((200, 1)) == 2 * 6  # each of the judged with pd beside it
+    # both of each of the judged, with pd beside them
+    assert in_all == 2 * 3 * 5 and made_up.count((200, 1)) == 3 * 6
     made_up.clear()
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, stage)
-    assert opened == ["base_admittance", "Shared"] and made_up.count((2, 8)) == 5 + 2
+    assert opened == [f"{law}, seed {seed}" for law in ("base_admittance", "Shared") for seed in (0, 1)]
+    assert made_up.count((2, 8)) == 3 * 5 + 2
     made_up.clear()
     found = run(tmp_path)
-    assert made_up.count((2, 8)) == in_all - 7
+    assert made_up.count((2, 8)) == in_all - 17
     xr.testing.assert_identical(found.data, whole.data)
     written = tuning.write(found, tmp_path)
     assert not (tmp_path / "parts").exists()
@@ -287,10 +304,13 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     assert found.laws == ["base_admittance", "Shared"] and found.hardware == list(compare.HARDWARE)
     table = written.summed["value"].sel(metric="force_variation", statistic="mean")
     walks = found.data["force_variation"]
-    np.testing.assert_allclose(table, walks.mean("member"), rtol=1e-6)
+    np.testing.assert_allclose(table, walks.mean(["seed", "member"]), rtol=1e-6)
     # half the friction makes all walks of retuned pd better by the same
     gain = (walks.sel(gains="half the friction") - walks.sel(gains="retuned_pd")).values
     np.testing.assert_allclose(gain, 0.1 * np.log(0.5), rtol=1e-3)
     assert "half the friction would better pd by" in written.outcome[-1]
-    lost = "warning: Shared ran without the force sensor of LH from 0.25 s in 200 of 200 walks"
+    each = [
+        f"Shared, seed {seed} ran without the force sensor of LH from 0.25 s in 200 of 200 walks" for seed in (0, 1)
+    ]
+    lost = f"warning: {'; '.join(each)}"
     assert lost in written.outcome and lost[9:] in (tmp_path / "report.html").read_text()

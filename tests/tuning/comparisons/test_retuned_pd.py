@@ -7,7 +7,7 @@ import mjx_climb as mc
 from mjx_climb.inputs.time_step import short_enough
 from tuning.background import ignore
 from tuning.comparisons import side_by_side
-from tuning.comparisons.worth import worth_of
+from tuning.comparisons.worth import OverWalks, worth_of
 from tuning.searches import retuned_pd
 
 CASE = mc.load_scenario("case_1_2")
@@ -65,7 +65,7 @@ def test_pd_is_searched_over_all_its_bounds_and_refined(monkeypatch):
     assert calls[0] == (2.5e-4, 145, pytest.approx(0.02), pytest.approx(2.0))
     assert [call[:2] for call in calls] == [(2.5e-4, 145)] * 2
     assert _valley(None, **found.joint)["force_variation"] < 40.05  # 40.4 with the first grid alone
-    assert 0 < found.spread < 1e-3 and not found.lacks
+    assert not found.lacks
     walking(monkeypatch, diverged=lambda gains: gains["kp"] > 0)
     assert retuned_pd.least(CASE) is None
 
@@ -77,6 +77,28 @@ def test_kp_and_kd_that_no_time_step_follows_are_not_found(monkeypatch):
     found = retuned_pd.least(scenario)
     assert short_enough(retuned_pd.walker(scenario, found.joint))
     assert found.lacks == "within what a time step of 0.00025 s can follow"
+
+
+def test_no_joint_gains_of_a_grid_are_those_that_the_time_step_cannot_follow(monkeypatch):
+    """In a walk that shakes a force may hardly vary: nobody can walk so, and no law is compared with it."""
+    calls = []
+
+    def walk(scenario, gains, parameters=None, **_):
+        calls.append(gains["kd"].shape)
+        shape = np.broadcast_shapes(gains["kd"].shape, () if parameters is None else (3,))
+        return {"force_variation": 1 / gains["kd"] * np.ones(shape), "diverged": np.zeros(shape, bool)}
+
+    monkeypatch.setattr(mc, "rollout_metrics", walk)
+    for parameters, shape in ((None, ()), (object(), (3,))):
+        joint, walks = retuned_pd.walked_on_grid(CASE, (3, 4), parameters)
+        assert calls[-1] == (20, 1)[: 1 + len(shape)] and walks["diverged"].shape == (20, *shape)
+        alone = [
+            CASE.with_overrides({"control.kp": kp, "control.kd": kd}) for kp, kd in zip(*joint.values(), strict=True)
+        ]
+        steady = np.array([short_enough(one) for one in alone])
+        assert 0 < steady.sum() < 20
+        np.testing.assert_array_equal(walks["diverged"].reshape(20, -1).any(1), ~steady)
+        np.testing.assert_array_equal(walks["diverged"].reshape(20, -1).all(1), ~steady)
 
 
 @pytest.mark.slow
@@ -111,9 +133,20 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
     assert mixed.startswith("the force sensor pays: 25.0 % less objective, though 33.3 % more force variation than pd")
     behind = worth(THEIRS, OURS, RIVAL._replace(lacks="on a grid alone"), place=" on this grid").in_words
     assert behind.startswith("the force sensor does not pay on this grid: 33.3 % more force variation")
-    for pair in ((OURS, THEIRS), (THEIRS, OURS)):
-        same = worth(*pair, RIVAL._replace(spread=0.34)).in_words
-        assert same.startswith("the force sensor changes nothing beyond the search's own spread of 34.0 %: ")
+    for near in (39.0, 41.0):
+        same = worth({"force_variation": near}, THEIRS, RIVAL).in_words
+        assert same.startswith(
+            "no verdict on the force sensor, since another search may turn differences of less than 3 % round: 2.5 % "
+        )
+    over = OverWalks(64, -0.3, -0.2, 20.0)
+    known = worth(OURS, THEIRS, RIVAL, over=over).in_words
+    assert known.startswith(
+        "the force sensor pays: 25.0 % less force variation (95 % interval -30.0 to -20.0 %) than pd with"
+    )
+    unknown = worth(OURS, THEIRS, RIVAL, over=over._replace(high=0.1, needed=200.2)).in_words
+    assert unknown.startswith(
+        "64 walks cannot tell what the force sensor is worth (201 would, if the difference is what it seems): 25.0 % "
+    )
     others = ["peak pull force +71.0 %"], ["travel +3.0 %"]
     told = worth(OURS, THEIRS, RIVAL._replace(step=5e-4), others=others).in_words
     assert told.endswith(", both at a time step of 0.0005 s; worse: peak pull force +71.0 %; better: travel +3.0 %")
@@ -132,10 +165,3 @@ def test_all_that_is_compared_with_pd_walks_at_the_time_step_that_it_needs(kd, e
     assert {name: walk(ignore) for name, walk in level.items()} == (
         {} if step is None else dict.fromkeys(walkers, step)
     )
-
-
-def test_spread_is_how_far_the_second_best_stays_behind():
-    assert retuned_pd.spread(np.array([[5.0, 4.0], [np.inf, 4.2]])) == pytest.approx(0.05)
-    assert retuned_pd.spread(np.array([-4.0, -3.0, 9.0])) == pytest.approx(0.25)
-    for alone in ([4.0, np.nan], [np.inf, np.inf], [0.0, 1.0]):
-        assert retuned_pd.spread(np.array(alone)) == 0.0

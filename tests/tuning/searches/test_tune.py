@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 import xarray as xr
 
 import mjx_climb as mc
@@ -16,11 +17,11 @@ from mjx_climb.files.dataset import OutputError
 from mjx_climb.inputs.from_scenario import gains as gains_of
 from mjx_climb.robot_import.load import load_robot
 from tuning.methods import METHODS, Method, Request, Task, descents, refined_grid
-from tuning.methods.rounds import follow
-from tuning.problem import evaluation, objectives, search, spaces
+from tuning.methods.rounds import follow, settled
+from tuning.problem import evaluation, known, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.results import tuned
-from tuning.searches.tune import problem_of, start_of, tune
+from tuning.searches.tune import problem_of, run, start_of, tune
 
 SHORT = {"duration": 0.3, "disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.05}
 
@@ -188,7 +189,8 @@ def searched(scenario, start=start_of, **settings):
     """Return every request of a method in a bowl and what it was told, and how many rounds it said it would take."""
     search_settings = search.Search.make(settings)
     bowl, found = Bowl(scenario, spaces.space(scenario, search_settings)), []
-    task, method = Task(bowl, search_settings, start(bowl)), METHODS[search_settings.method]
+    own = start(bowl)
+    task, method = Task(bowl, search_settings, own, known.others(bowl, own)), METHODS[search_settings.method]
 
     def evaluate(request):
         found.append((request, bowl.evaluate(request.theta, request.directions)))
@@ -219,8 +221,10 @@ def test_every_method_evaluates_the_configs_own_gains_and_searches_one_gain_too(
     found, rounds = searched(scenario, method=method, pins=pins)
     space = spaces.space(scenario, search.Search(pins=pins))
     own = start_of(Problem(scenario, space))
-    nearest = [np.abs(request.theta - own).max(1).min() for request, _ in found]
-    assert min(nearest[:2]) < 1e-9 and space.size == 2 - len(pins)
+    # the stiffest gains that the bounds let, which are the nearest to pd; the shipped law has no defaults
+    for point in (own, space.upper):
+        nearest = [np.abs(request.theta - point).max(1).min() for request, _ in found]
+        assert min(nearest[:2]) < 1e-9 and space.size == 2 - len(pins)
     assert min(np.nanmin(answer.value) for _, answer in found) < 0.5 + 0.06
     assert len(found) <= rounds
 
@@ -253,6 +257,58 @@ def test_lbfgs_takes_a_step_that_a_bound_cuts_for_what_is_left_of_it(scenario):
     follow(descents.by_lbfgs(Task(slope, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
     assert points[-1][0] == space.upper[0]
     assert (np.diff(points, axis=0)[:, 1] > 0).all()  # one that is refused is tried again, shorter
+
+
+def test_a_search_has_converged_when_it_finds_nothing_better_for_long_enough():
+    """By evaluations, whatever their number in a round; one that is nowhere alive goes on."""
+    merits = np.array([np.nan, 1.2, 1.0, 1.1, 0.9995, 1.3])
+    assert not settled(merits, 6) and not settled(merits, 4) and settled(merits, 3) and not settled(merits[:4], 2)
+    assert not settled(merits - [0, 0, 0, 0, 0.1, 0], 3) and not settled(np.full(9, np.nan), 3)
+
+
+def test_a_search_of_patience_ends_where_it_has_converged(scenario):
+    """Long before its rounds are spent; one that is cut short before says that it has not."""
+    problem = Bowl(scenario, spaces.space(scenario, search.Search()))
+    ends = {}
+    for rounds in (3, 60):
+        settings = search.Search(method="cmaes", starts=8, iterations=rounds)
+        found = run(problem, settings, patience=80)
+        ends[rounds] = found.converged, found.data.sizes["point"] // 8
+    assert ends[3] == (False, 3) and ends[60][0] and 10 < ends[60][1] < 50
+    assert run(problem, search.Search(method="cmaes", starts=8, iterations=1)).converged  # nobody asked
+
+
+class Quadratic(Bowl):
+    """A convex quadratic whose axes are coupled, and whose bottom lies beyond the bounds."""
+
+    HESSIAN = np.array([[3.0, 2.0], [2.0, 3.0]])
+
+    @property
+    def bottom(self):
+        return self.space.upper + np.array([3.0, -6.0])
+
+    def evaluate(self, theta, directions=None):
+        off, zero = theta - self.bottom, np.zeros(len(theta))
+        value, gradient = 0.5 * ((off @ self.HESSIAN) * off).sum(1), off @ self.HESSIAN @ directions.T
+        return Evaluation(value, value, zero, np.ones(len(theta), bool), gradient, gradient, {})
+
+
+def test_lbfgs_finds_the_least_of_a_quadratic_between_bounds(scenario):
+    """Within a step of knowing how it curves: a step that the bound cuts counts with the length that it had."""
+    space, points = spaces.space(scenario, search.Search()), []
+    quadratic = Quadratic(scenario, space)
+    leg = descents.Leg((space.upper - [0.1, 8.0])[None], np.eye(2), 4, "", np.ones(1))
+
+    def evaluate(request):
+        points.append(request.theta[0])
+        return quadratic.evaluate(request.theta, request.directions)
+
+    follow(descents.by_lbfgs(Task(quadratic, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
+    solution = scipy.optimize.lsq_linear(
+        root := np.linalg.cholesky(quadratic.HESSIAN).T, root @ quadratic.bottom, (space.lower, space.upper), tol=1e-12
+    )
+    assert solution.x[0] == pytest.approx(space.upper[0])
+    np.testing.assert_allclose(points[-1], solution.x, atol=1e-4)
 
 
 def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenario, monkeypatch):
