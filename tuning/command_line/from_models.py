@@ -16,7 +16,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 import typer
 from pydantic import BaseModel, BeforeValidator, ValidationError
 from pydantic.fields import FieldInfo
-from typer.core import TyperCommand
 
 from mjx_climb.scenario import shipped
 from tuning.command_line.program import InputError
@@ -24,20 +23,6 @@ from tuning.problem.settings import Shell, explained
 
 REPEATABLE = "; may be given several times"
 _WITH_FILES = {"config": shipped.names, "ensemble": shipped.ensembles, "hardware": shipped.profiles}
-
-
-class Grouped(TyperCommand):
-    """A command whose help lists arguments and options under what they are about."""
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write a section of help for each panel that parameters name."""
-        sections: dict[str, list[tuple[str, str]]] = {}
-        for parameter in self.get_params(ctx):
-            if (record := parameter.get_help_record(ctx)) is not None:
-                sections.setdefault(getattr(parameter, "rich_help_panel", None) or "Options", []).append(record)
-        for heading, records in sections.items():
-            with formatter.section(heading):
-                formatter.write_dl(records)
 
 
 class Form(NamedTuple):

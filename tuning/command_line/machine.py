@@ -3,18 +3,18 @@
 import math
 import os
 import platform
-import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated
 
 import typer
 
 from tuning.benchmarks import commands
 from tuning.command_line import interruption
+from tuning.command_line.cache import Part, cache
 from tuning.command_line.from_models import command
 from tuning.command_line.options import ENGINE, EngineName, Output, reserved_stdout
 from tuning.command_line.program import InputError, in_words, versions_of
@@ -99,15 +99,6 @@ PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
 NVIDIA = Path("/proc/driver/nvidia/version")  # there where the driver is loaded
 
 
-class Part(NamedTuple):
-    """One part of an installation."""
-
-    name: str
-    text: str  # one line for people
-    facts: dict[str, Any]  # plain values
-    findings: Sequence[str] = ()  # what is wrong and what to do, one line each
-
-
 def versions() -> Iterator[Part]:
     """Yield the versions of what computes."""
     found = {"python": platform.python_version(), **versions_of("mjx-climb", *PACKAGES)}
@@ -134,29 +125,6 @@ def devices() -> Iterator[Part]:
             else 'an NVIDIA GPU is here and JAX has no plugin for it: python -m pip install "mjx-climb[cuda13]"'
         )
     yield Part("devices", f"{', '.join(found)}; {facts['cores']} CPU cores usable", facts, findings)
-
-
-def cache() -> Iterator[Part]:
-    """Yield the state of XLA's compilation cache."""
-    from mjx_climb.execution.cache import VARIABLE, asked_folder, cache_in_use, doubt
-
-    if (folder := cache_in_use()) is None:
-        finding = None if (asked := asked_folder()) is None else doubt(asked)
-        text, facts = f"off ({VARIABLE}): every start compiles again", {"on": False, "folder": None}
-        yield Part("cache", text, facts, [finding] if finding else [])
-        return
-    sizes, findings = [file.stat().st_size for file in Path(folder).glob("*-cache")], []
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        remedy = f"set {VARIABLE} to a folder that can be, or to off"
-        reason = (error.strerror or str(error)).lower()
-        findings.append(f"{folder} cannot be written ({reason}), so every start compiles again: {remedy}")
-    text = f"{folder}, {len(sizes)} programs, {sum(sizes) / 1e6:.0f} MB"
-    counts = {"programs": len(sizes), "bytes": sum(sizes), "writable": not findings}
-    yield Part("cache", text, {"on": True, "folder": folder, **counts}, findings)
 
 
 def path() -> Iterator[Part]:

@@ -18,6 +18,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from tuning.command_line import interruption, old_names
 
@@ -49,6 +50,20 @@ _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "Refus
 _OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
 
 
+class Grouped(TyperCommand):
+    """A command whose help lists arguments and options under what they are about."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write a section of help for each panel that parameters name."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            if (record := parameter.get_help_record(ctx)) is not None:
+                sections.setdefault(getattr(parameter, "rich_help_panel", None) or "Options", []).append(record)
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
+
 class InputError(ValueError):
     """An argument or option that cannot be used; in one line: option, what was expected, what was got."""
 
@@ -70,8 +85,6 @@ def program(only: str | None = None) -> typer.Typer:
         if only not in (None, name):  # its options would be read for nothing
             made.command(name, short_help=question)(_program)
             continue
-        from tuning.command_line.from_models import Grouped
-
         function = getattr(importlib.import_module(f"tuning.command_line.{_MODULES.get(name, name)}"), name)
         whole = f"{question}\n\n{inspect.cleandoc(function.__doc__)}"
         made.command(name, cls=Grouped, help=whole, short_help=question)(function)

@@ -6,9 +6,9 @@ import math
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from rich import box
 from rich.console import Console
@@ -21,7 +21,6 @@ from tuning.command_line.interruption import Interrupted
 from tuning.command_line.program import origin
 
 if TYPE_CHECKING:
-    from tuning.command_line.options import Output, Walk
     from tuning.command_line.processes import Team
     from tuning.comparisons.side_by_side import Compared
     from tuning.kinds import Begun
@@ -110,10 +109,35 @@ class Estimate:
         self.since, self.base = now, self.done
 
 
+class Asked(Protocol):
+    """What is written and printed: `tuning.command_line.options.Output`."""
+
+    out: Path | None
+    json_only: bool
+
+    @property
+    def figures(self) -> Collection[str]:
+        """Formats of the pictures."""
+
+
+class Walked(Protocol):
+    """What walks, and what its folder is called by: `tuning.command_line.options.Walk`."""
+
+    config: Path
+
+    @property
+    def words(self) -> Sequence[str]:
+        """Words of the folder's name."""
+
+    @property
+    def varied(self) -> bool:
+        """Whether the name does not say all."""
+
+
 class Session:
     """One command: its folder, where its tables and its JSON go, and its stages, one after the other."""
 
-    def __init__(self, stdout: TextIO, output: "Output"):
+    def __init__(self, stdout: TextIO, output: Asked):
         self.begin = time.perf_counter()
         self.console = console(stderr=True)
         self.tables = self.console if output.json_only else console(file=stdout)
@@ -153,7 +177,7 @@ class Session:
         return self.out
 
     def take(
-        self, walk: "Walk", file: str, settings: Mapping[str, Any], *kind: str, team: "Team | None" = None
+        self, walk: Walked, file: str, settings: Mapping[str, Any], *kind: str, team: "Team | None" = None
     ) -> Path:
         """Take the folder of a result of some walk, called by its config and what stands in place of the config's."""
         words = walk.config.stem, *kind, *walk.words
@@ -183,16 +207,16 @@ class Session:
     def opening(self, scenario: "mc.Scenario | None" = None) -> None:
         """Say where compiled programs are kept, and what to know of a scenario before it is walked."""
         from tuning import numbers
-        from tuning.command_line import machine
+        from tuning.command_line import cache
 
-        (cache,) = machine.cache()
+        (state,) = cache.cache()
         warnings = numbers.ahead_of(scenario) if scenario else ()
         own = scenario.own.components if scenario is not None and scenario.own is not None else {}
         named = {
             place: f"{Path(each.file).name}:{each.name}" if each.file else each.name for place, each in own.items()
         }
         self.say(*(f"{place}: {name}" for place, name in named.items()))
-        self.say(f"compilation cache: {cache.text}", *(f"warning: {line}" for line in warnings))
+        self.say(f"compilation cache: {state.text}", *(f"warning: {line}" for line in warnings))
 
     def written(self, files: str, json: str, before: str = "") -> None:
         """Say what was written in which time, and print the JSON where it was asked for."""
