@@ -48,6 +48,16 @@ def metrics_of(structure: Structure, law: Law, parameters: Parameters, scan: Sca
     return _walked(structure, law, parameters, lambda sample: (), scan)[0]
 
 
+def metrics_under(
+    structure: Structure, law: Law, parameters: Parameters, targets: Float[Array, "time limb joint"]
+) -> Metrics:
+    """Return the metrics of a walk whose joint targets, rad, take the law's place, to be differentiated by them.
+
+    Reverse mode costs as much for one target as for all of them, see `_checkpointed`.
+    """
+    return _walked(structure, law, parameters, lambda sample: (), _checkpointed, targets)[0]
+
+
 def metrics_of_moved(
     structure: Structure, gains: Mapping[str, Array], law: Law, parameters: Parameters, scan: Scan = jax.lax.scan
 ) -> Metrics:
@@ -74,7 +84,9 @@ def gradients_of(
     return found
 
 
-def _checkpointed(step: Callable[..., PyTree], begun: PyTree, length: int) -> tuple[PyTree, tuple[()]]:
+def _checkpointed(
+    step: Callable[..., PyTree], begun: PyTree, inputs: PyTree = None, *, length: int
+) -> tuple[PyTree, tuple[()]]:
     """Return the last carry of a scan, without records; reverse mode walks it again by stretches.
 
     Reverse mode stores all values of a step, some 20 kB a robot. So it keeps the begin of each stretch alone, and the
@@ -83,10 +95,11 @@ def _checkpointed(step: Callable[..., PyTree], begun: PyTree, length: int) -> tu
     stretch = next(count for count in range(math.isqrt(length), 0, -1) if length % count == 0)
 
     @functools.partial(jax.checkpoint, prevent_cse=False)  # within a scan nothing is merged across its steps
-    def walk_stretch(carry: PyTree, _: None) -> tuple[PyTree, tuple[()]]:
-        return jax.lax.scan(step, carry, length=length // stretch)[0], ()
+    def walk_stretch(carry: PyTree, given: PyTree) -> tuple[PyTree, tuple[()]]:
+        return jax.lax.scan(step, carry, given, length=length // stretch)[0], ()
 
-    found: tuple[PyTree, tuple[()]] = jax.lax.scan(walk_stretch, begun, length=stretch)
+    parts = jax.tree.map(lambda value: value.reshape(stretch, length // stretch, *value.shape[1:]), inputs)
+    found: tuple[PyTree, tuple[()]] = jax.lax.scan(walk_stretch, begun, parts, length=stretch)
     return found
 
 
@@ -122,18 +135,22 @@ def _walked(
     parameters: Parameters,
     record: Callable[[Sample], Record],
     scan: Scan = jax.lax.scan,
+    targets: Float[Array, "time limb joint"] | None = None,
 ) -> tuple[Metrics, Record]:
-    """Return the metrics of a walk, and what `record` keeps of each sample, stacked over time."""
+    """Return the metrics of a walk, and what `record` keeps of each sample, stacked over time.
+
+    Joint targets, rad, take the law's place where there are some.
+    """
     walk, table = prepare(structure, law, parameters), structure.metrics
     context = _context(structure, walk.robot, parameters)
 
-    def step(carry: tuple[Carry, Running], _: None) -> tuple[tuple[Carry, Running], Record]:
+    def step(carry: tuple[Carry, Running], angles: Array | None) -> tuple[tuple[Carry, Running], Record]:
         walked, running = carry
-        walked, sample = advance(walk, walked, running.steps)
+        walked, sample = advance(walk, walked, running.steps, None if angles is None else JointTargets(angles))
         return (walked, accumulate(table, running, sample, context)), record(sample)
 
     begun = (begin(walk), start(table, parameters.kp.dtype))
-    (_, running), records = scan(step, begun, length=structure.steps)
+    (_, running), records = scan(step, begun, targets, length=structure.steps)
     return finish(table, running, context), records
 
 

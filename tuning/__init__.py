@@ -1,8 +1,8 @@
 """Searches for admittance gains, and the command line on top of them.
 
-`tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `judge`, `compare`, `identify`, `excite`: of what they return
-`tuning.write(result, folder)` writes what the command writes. `sweep_shard`, `judge_shard` and `merge` are for several
-machines.
+`tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `judge`, `compare`, `ceiling`, `identify`, `excite`: of what
+they return `tuning.write(result, folder)` writes what the command writes. `sweep_shard`, `judge_shard` and `merge` are
+for several machines.
 """
 
 from mjx_climb.lazy import lazy_names
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from tuning.identification.fit.identify import identify as identify
     from tuning.identification.plan.excitation import excite as excite
     from tuning.kinds import write as write
+    from tuning.searches.ceiling import ceiling as ceiling
     from tuning.searches.pareto import pareto as pareto
     from tuning.searches.schedule import schedule as schedule
     from tuning.searches.sweep import sweep as sweep

@@ -13,9 +13,10 @@ from tuning.identification.fit import output as of_fit
 from tuning.identification.fit.result import Identified
 from tuning.identification.plan import output as of_plan
 from tuning.identification.plan.excitation import Excited
-from tuning.pages import judge, laws, pareto, robust, schedule, sweep, tune
+from tuning.pages import ceiling, judge, laws, pareto, robust, schedule, sweep, tune
 from tuning.pages.contents import Contents, Written, files_of
 from tuning.pages.page import Origin
+from tuning.results.ceiling import Bounded
 from tuning.results.front import Front
 from tuning.results.judged import Comparison, Judged
 from tuning.results.result import Result
@@ -42,6 +43,7 @@ KINDS: Mapping[type[Result], Kind] = {
     Front: Kind(of_front.compare, pareto.contents),
     Comparison: Kind(of_laws.compare, laws.contents),
     Judged: Kind(lambda found, *_: judging.summary(found.data), judge.contents),
+    Bounded: Kind(lambda *_: None, ceiling.contents),
     Scheduled: Kind(lambda found, *_: of_schedule(found.data), schedule.contents),
 }
 

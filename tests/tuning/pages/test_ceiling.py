@@ -1,0 +1,96 @@
+"""What is said of a ceiling, and what its folder holds, of made-up walks."""
+
+import html
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+import tuning
+from tuning.pages import ceiling as pages
+from tuning.problem.ceiling import Ceiling
+from tuning.problem.ensemble import Ensemble
+from tuning.problem.evaluation import Problem
+from tuning.results.ceiling import Bounded
+
+SCENARIO = mc.Scenario().with_overrides({"duration": 0.3})
+MEANS = {"clairvoyant": 0.6, "causal 5 ms": 0.65, "blind": 0.8, "mine": 0.7, "retuned_pd": 0.85, "pd": 1.0}
+
+
+def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=()):
+    """A result whose contestants have these mean objectives; the members differ alike, but for a part of each."""
+    rng, names = np.random.default_rng(0), list(means)
+    shared = rng.normal(0, 0.1, members)
+    values = np.array([mean + shared + rng.normal(0, spread, members) for mean in means.values()])
+    values += (np.array([*means.values()]) - values.mean(1))[:, None]
+    data = {
+        "value": (("contestant", "member"), values),
+        "feasible": (("contestant", "member"), np.array([[name not in broken] * members for name in names])),
+    }
+    for metric in mc.METRICS:
+        data[metric.name] = (("contestant", "member"), np.abs(values) * 3, {"units": metric.unit})
+    records = [("blind, first", "pd", 0.2, 1.0, 0.85), ("blind, first", "mine", 0.2, 0.9, 0.84),
+               ("blind, first", "mine", 0.1, 0.84, 0.8), ("blind", "blind", 0.2, 0.8, 0.8),
+               ("blind", "blind", 0.1, 0.8, 0.8 * (1 - left))]  # fmt: skip
+    for place, name in enumerate(("contestant", "start", "knots", "before", "merit")):
+        data[f"descent_{name}"] = ("descent", np.array([record[place] for record in records]))
+    data["descent_slope"] = ("descent", np.full(len(records), 0.1))
+    data["foot_force_history"] = (("contestant", "instant"), np.ones((len(names), 5)))
+    data["base_offset_history"] = (("contestant", "instant", "axis"), np.ones((len(names), 5, 3)))
+    data["joint_targets"] = (("plan", "member", "time", "limb", "joint"), np.zeros((3, members, 9, 4, 3)))
+    coordinates = {"contestant": names, "plan": names[:3], "instant": np.arange(5) * 0.01}
+    attrs = {"limits": "base deviation at most 0.01", "hidden": 0, "scenario": SCENARIO.to_yaml()}
+    ensemble = None if members < 2 else Ensemble(members=members)
+    asked = Ceiling(knots=(0.2, 0.1))
+    return Bounded(xr.Dataset(data, coordinates, attrs), Problem(SCENARIO), ensemble=ensemble, asked=asked)
+
+
+def test_a_sensor_is_worth_at_most_what_knowing_all_betters_the_blind_plan_by():
+    found = bounded()
+    assert found.sensor.mean == pytest.approx(0.2) and found.sensor.low < 0.2 < found.sensor.high
+    assert found.share("mine") == pytest.approx(0.5) and found.share("pd") == pytest.approx(-1)
+    assert found.spread == pytest.approx(0.85 / 0.84 - 1) and found.left == pytest.approx(0.005)
+    said = pages.sentence(found)
+    assert "at most 20.0 % of pd's objective" in said and "over 6 walks" in said
+    assert "mine reaches 0.700, 50% of the way" in said
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"spread": 0.5},  # the interval holds 0
+        {"left": 0.3},  # the search was far from its end
+        {"means": {**MEANS, "clairvoyant": 0.8}},  # nothing
+        {"members": 1, "left": 0.3},
+    ],
+    ids=lambda how: next(iter(how)),
+)
+def test_what_does_not_survive_is_not_claimed(how):
+    said = pages.sentence(bounded(**how))
+    assert "cannot be told from nothing" in said and "at most" not in said
+
+
+def test_a_law_that_breaks_a_limit_is_named_and_not_the_best():
+    found = bounded(broken=("mine",))
+    assert pages.best_law(found) == "retuned_pd"
+    assert any("mine breaks a limit in 6 of 6 walks" in line for line in pages.notes(found))
+
+
+def test_one_walk_has_no_interval():
+    found = bounded(members=1)
+    assert np.isnan(found.sensor.low) and "one walk" in pages.sentence(found)
+
+
+@pytest.mark.slow
+def test_its_folder_holds_the_sentence_the_table_and_the_plans(tmp_path):
+    written = tuning.write(bounded(), tmp_path)
+    names = {file.name for file in tmp_path.iterdir()}
+    assert names >= {"ceiling.nc", "ceiling.yaml", "report.html", "bounds.png", "first_walk.png", "summary.json"}
+    assert Ceiling.load(tmp_path / "ceiling.yaml").knots == (0.2, 0.1)
+    assert json.loads(written.summary)["sensor"]["at_most"] == pytest.approx(0.2)
+    text = html.unescape((tmp_path / "report.html").read_text("utf-8"))
+    assert written.outcome[0] in text and all(name in text for name in MEANS)
+    with xr.open_dataset(tmp_path / "ceiling.nc", engine="h5netcdf") as data:
+        assert data["joint_targets"].dims == ("plan", "member", "time", "limb", "joint")

@@ -1,0 +1,147 @@
+"""Walks under joint targets: the same as under the law that gave them, with exact derivatives, and the least forces."""
+
+import jax
+import numpy as np
+import pytest
+from scipy import optimize
+
+import mjx_climb as mc
+from mjx_climb.control import PD, law_of
+from mjx_climb.walk.metrics import peak
+from tuning.methods.many_variables import Evaluated, descend
+from tuning.problem.evaluation import under_pd
+from tuning.problem.objectives import Limit, Objective, Term
+from tuning.problem.plans import RATE, SWING, Freedom, Knots, commanded, row, rows, walks_of
+
+TABLE = mc.MetricTable((*mc.METRICS, SWING, RATE))
+SHORT = {"duration": 0.1, "disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.02}
+GOAL = Objective(
+    (Term("force_variation", 1.0, 2.0, 2.0), Term("peak_foot_force", 2.0, 3.0, 2.8)),
+    (Limit("base_deviation", 1e-4, 1e-4, 0.02, "of the test"),),
+)
+
+
+def own_row(scenario, law):
+    return rows(scenario, law, None, mc.parameters(scenario), 1)
+
+
+@pytest.mark.parametrize(
+    "hardware",
+    [
+        {},
+        {"control_period": 0.004, "command_delay": 0.003},
+        {"control_period": 0.005, "command_delay": 0.0035, "interpolation": "hold"},
+        {"control_period": 0.004, "command_delay": 0.002, "interpolation": "linear"},
+    ],
+)
+def test_what_the_joints_got_is_sent_so_that_they_get_it_again(hardware):
+    """A bus of NumPy holds and delays a signal; the plan that is worked out from its end comes out of it likewise."""
+    scenario = mc.Scenario().with_overrides({"duration": 0.06, **{f"hardware.{k}": v for k, v in hardware.items()}})
+    sent = np.cumsum(np.random.default_rng(0).normal(size=(60, 4, 3)), axis=0)
+
+    def through_the_bus(signal):
+        period, late = round(hardware.get("control_period", 0.001) / 1e-3), hardware.get("command_delay", 0.0) / 1e-3
+        begins = np.arange(60) // period * period
+        held = signal[begins]
+        if hardware.get("interpolation") == "linear":
+            share = ((np.arange(60) - begins + 1) / period)[:, None, None]
+            held = signal[np.maximum(begins - period, 0)] * (1 - share) + held * share
+        times = np.maximum(np.arange(60) - late, 0.0)
+        return np.stack([np.interp(times, np.arange(60), one) for one in held.reshape(60, -1).T], -1).reshape(60, 4, 3)
+
+    got = through_the_bus(sent)
+    again = through_the_bus(commanded(got, row(own_row(scenario, PD()), 0), scenario))
+    end = -6 if hardware.get("interpolation") == "linear" else None  # a line whose end is behind the record
+    np.testing.assert_allclose(again[8:end], got[8:end], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_plan_walks_as_the_law_did_that_it_was_taken_from():
+    hardware = {"hardware.control_period": 0.005, "hardware.command_delay": 0.004}
+    scenario = mc.load_scenario("case_1_2").with_overrides({**SHORT, **hardware})
+    law, parameters = law_of(scenario), own_row(scenario, law_of(scenario))
+    walk = mc.Simulation(scenario, law, smooth=True).rollout({}, row(parameters, 0))
+    plan = commanded(np.asarray(walk.joint_targets), row(parameters, 0), scenario)
+    again = mc.Simulation(scenario, PD(), smooth=True).rollout({}, row(parameters, 0), targets=plan)
+    np.testing.assert_allclose(again.foot_force, walk.foot_force, atol=1e-9)
+    np.testing.assert_allclose(again.joint_targets, walk.joint_targets, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_derivatives_by_a_knot_are_central_differences():
+    """In double precision, through the law's bus and servos, along single knots and along all at once."""
+    hardware = {"hardware.control_period": 0.005, "hardware.command_delay": 0.004, "hardware.servo.armature": 0.01}
+    scenario = under_pd(mc.load_scenario("case_1_2")).with_overrides({**SHORT, **hardware})
+    parameters = own_row(scenario, PD())
+    walks = walks_of(scenario, GOAL, parameters, metrics=TABLE, dtype=np.float64)
+    walk = mc.Simulation(scenario, PD(), smooth=True).rollout({}, row(parameters, 0))
+    base = commanded(np.asarray(walk.joint_targets), row(parameters, 0), scenario)[None, None]
+    freedom = Freedom(base, Knots(100, 25), True, None, -np.full((4, 3), np.pi), np.full((4, 3), np.pi))
+    rng = np.random.default_rng(0)
+    x = 1e-3 * rng.normal(size=freedom.none.shape)
+
+    def at(x):
+        return walks.evaluate(freedom.targets(x)[0], parameters, sharp=1.0)
+
+    slopes = freedom.slopes(x, at(x).slopes[None])[0]
+    shape = (freedom.knots.count, 4, 3)
+    directions = np.zeros((4, x.size))
+    for number, place in enumerate([(0, 0, 1), (2, 1, 2), (3, 3, 0)]):
+        directions[number, np.ravel_multi_index(place, shape)] = 1.0
+    directions[3] = rng.normal(size=x.size)
+    for along in directions:
+        off = 1e-7 * along[None]
+        difference = (at(x + off).merit - at(x - off).merit)[0] / 2e-7
+        np.testing.assert_allclose(slopes @ along, difference, rtol=1e-5, atol=1e-7 * abs(slopes).max())
+
+
+LATE = peak("late_force", "N", "largest foot force late", lambda sample, _: jax.numpy.where(
+    sample.time > 0.25, jax.numpy.sqrt((sample.foot_force**2).sum(-1) + 1e-18), 0.0))  # fmt: skip
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_a_static_load_on_four_feet_is_shared_as_a_convex_program_shares_it():
+    """The least of the largest foot force under a force and a moment on a standing robot; to 1 %."""
+    push = {"force": [1.0, 0.5, -2.0], "moment": [0.1, -0.15, 0.05], "start": 0.0, "stop": 1.0}
+    standing = {"gait.duty": 0.9, "gait.phases": {"LH": 0.2, "LF": 0.4, "RH": 0.6, "RF": 0.8}}
+    scenario = under_pd(mc.load_scenario("case_1_2")).with_overrides(
+        {"duration": 0.4, "disturbance.cargo.mass": 0.0, "disturbance.pushes": [push], **standing}
+    )
+    parameters, table = own_row(scenario, PD()), mc.MetricTable((*TABLE, LATE))
+    walk = mc.Simulation(scenario, PD(), table, smooth=True).rollout({}, row(parameters, 0))
+    assert walk.support.all()
+
+    feet, weight = walk.foot_position[-1], np.array(scenario.gravity) * 2.2539
+    force = np.array(push["force"])
+    moment = np.cross(walk.center_of_mass[-1], weight) + np.cross(walk.base_position[-1], force) + push["moment"]
+
+    def unbalanced(x):
+        forces = x[1:].reshape(4, 3)
+        return np.concatenate([forces.sum(0) + weight + force, np.cross(feet, forces).sum(0) + moment])
+
+    program = optimize.minimize(
+        lambda x: x[0], np.concatenate([[5.0], np.tile(-(weight + force) / 4, 4)]), method="SLSQP",
+        constraints=[{"type": "eq", "fun": unbalanced},
+                     {"type": "ineq", "fun": lambda x: x[0] ** 2 - (x[1:].reshape(4, 3) ** 2).sum(1)}],
+        options={"maxiter": 500, "ftol": 1e-12},
+    )  # fmt: skip
+    assert program.success
+    least = program.x[0]
+
+    goal = Objective((Term("late_force", 1.0, least, least),), ())
+    walks = walks_of(scenario, goal, parameters, metrics=table)
+    base = commanded(np.asarray(walk.joint_targets), row(parameters, 0), scenario)[None, None]
+    known, ends = None, []
+    for every in (50, 25):
+        freedom = Freedom(base, Knots(400, every), True, None, -np.full((4, 3), np.pi), np.full((4, 3), np.pi))
+
+        def evaluate(x, sharp, freedom=freedom):
+            found = walks.evaluate(freedom.targets(x)[0], parameters, sharp=sharp)
+            return Evaluated(found.merit, freedom.slopes(x, found.slopes[None]))
+
+        found = descend(evaluate, freedom.none, 120, step=1e-3, known=known)
+        base, known = freedom.targets(found.x), found.merit
+        ends.append(found.merit[0])
+    assert ends[1] <= ends[0]
+    assert 0.99 < ends[1] < 1.01

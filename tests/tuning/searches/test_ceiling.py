@@ -1,0 +1,91 @@
+"""The search of joint targets: plans that know more are no worse; what a plan may depend on; refused settings."""
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+import tuning
+from mjx_climb.scenario.messages import ConfigError
+from tuning.problem.ceiling import Ceiling
+from tuning.problem.ensemble import Cargo, Ensemble
+from tuning.searches import ceiling as search
+
+SHORT = {"duration": 0.1, "disturbance.cargo.start": 0.02}
+LAWS = {"mine": {"kp": 60.0, "kd": 0.3}, "retuned_pd": {"kp": 55.0, "kd": 0.25}}
+BRIEF = Ceiling(knots=(0.05, 0.025), iterations=8, delays=(0.005, 0.02), random=1)
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_who_knows_more_is_no_worse_and_no_law_is_better():
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    draw = Ensemble(members=2, pushes=None, cargo=Cargo(mass=(0.5, 1.0), start=(0.03, 0.05)), gravity=None)
+    told = []
+    found = tuning.ceiling(scenario, LAWS, BRIEF, ensemble=draw, progress=lambda *how: told.append(how))
+    assert found.contestants == ["clairvoyant", "causal 5 ms", "causal 20 ms", "blind", "retuned_pd", "mine", "pd"]
+    assert told[-1] == ("clairvoyant", 16, 16)
+    value = {name: found.values(name) for name in found.contestants}
+    ranked = [value[name].mean() for name in found.contestants[:4]]
+    assert ranked == sorted(ranked) and ranked[0] < 0.99 * value["pd"].mean()
+    for name in ("mine", "retuned_pd", "pd"):
+        assert found.data["feasible"].sel(contestant=name).all()
+        assert (value["clairvoyant"] <= value[name] * (1 + 1e-5)).all()
+    assert value["pd"].mean() == pytest.approx(1.0, rel=1e-5)
+    assert found.data["feasible"].sel(contestant="clairvoyant").all()
+
+    plans = found.data["joint_targets"]
+    blind, late = plans.sel(plan="blind").values, plans.sel(plan="causal 20 ms").values
+    np.testing.assert_array_equal(blind[0], blind[1])
+    onset = search._onset(mc.parameters(scenario), 0.1)  # the scenario's own: not what was drawn
+    assert onset == pytest.approx(0.02)
+    np.testing.assert_array_equal(late[0, :50], late[1, :50])  # cargo from 30 ms on, felt 20 ms later
+    assert found.data["descent_merit"].values[-1] <= found.data["descent_before"].values[-1]
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_a_disturbance_that_is_the_same_in_all_walks_is_hidden_from_the_blind_plan():
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    found = tuning.ceiling(scenario, LAWS, BRIEF, delays=(0.02,))
+    assert found.data.attrs["hidden"] and found.data.sizes["member"] == 1
+    plans = found.data["joint_targets"].isel(member=0)
+    blind, late = plans.sel(plan="blind").values, plans.sel(plan="causal 20 ms").values
+    np.testing.assert_array_equal(blind[:40], late[:40])
+    assert np.abs(blind - late).max() > 0
+    without = tuning.ceiling(scenario.with_overrides({"disturbance.cargo.mass": 0.0}), {}, BRIEF, iterations=2)
+    assert without.values("retuned_pd") < 1
+    assert not without.data.attrs["hidden"] and "causal 5 ms" not in without.contestants
+    assert (without.values("clairvoyant") <= without.values("blind")).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"knots": (0.2, 0.15)}, "knots: expected each spacing to divide the one before it, got 0.2, 0.15"),
+        ({"weights": {"force_variation": 0.0}}, "weights: expected one above 0"),
+        ({"iterations": 1}, "iterations: expected 2 or more, got 1"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(changes, said):
+    with pytest.raises(ConfigError, match=said):
+        Ceiling.make(changes)
+
+
+def test_knots_are_whole_time_steps():
+    with pytest.raises(ConfigError, match=r"knots: expected whole time steps of 0.001 s, got 0.0005"):
+        search._knots(mc.Scenario(), 0.0005)
+    assert search._knots(mc.Scenario(), 0.05).every == 50
+
+
+def test_the_first_disturbance_of_a_walk_is_what_tells():
+    def onset(**changes):
+        scenario = mc.load_scenario("case_2").with_overrides(changes)
+        return float(search._onset(mc.parameters(scenario), scenario.duration))
+
+    assert onset() == 1.0 and onset(duration=0.5) == np.inf
+    assert onset(**{"disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.4}) == pytest.approx(0.4)
+    pushes = [
+        {"force": [0.0, 0.0, 0.0], "start": 0.1, "stop": 0.2},
+        {"force": [1.0, 0.0, 0.0], "start": 0.7, "stop": 0.9},
+    ]
+    assert onset(**{"disturbance.pushes": pushes}) == pytest.approx(0.7)

@@ -1,0 +1,178 @@
+"""The page of `tuning.ceiling`: contestants from the best plan found to pd, one sentence, one table, two pictures."""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from mjx_climb.viz import plots
+from mjx_climb.viz.plots import key
+from tuning.numbers import number, to_json, unit
+from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
+from tuning.pages.page import Origin, Page, Table
+from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, Bounded
+
+BARS = "The objective of each contestant, pd's mean is 1: bars are means, dots the members' walks."
+FORCES = "The largest foot force and the base's offset in the walk of the first member."
+_METRICS = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque",
+            "base_deviation")  # fmt: skip
+
+
+def best_law(found: Bounded) -> str:
+    """Return the law of the least mean objective among those that keep every limit, or of all where none does."""
+    laws = [name for name in found.contestants if name not in found.plans]
+    keeps = [name for name in laws if bool(found.data["feasible"].sel(contestant=name).all())]
+    return min(keeps or laws, key=lambda name: found.values(name).mean())
+
+
+def noise(found: Bounded) -> float:
+    """Return the difference of two means of the objective that is no more than noise of the search."""
+    return float(max(found.left, 0.0) * abs(found.values(BLIND).mean()))
+
+
+def sentence(found: Bounded) -> str:
+    """Return what a sensor is worth at most, and which share of it the best law has."""
+    worth, law, walks = found.sensor, best_law(found), found.data.sizes["member"]
+    means = {name: found.values(name).mean() for name in (BLIND, CLAIRVOYANT, law)}
+    if not np.isfinite(worth.mean):
+        return "A walk was lost, so that the plans cannot be compared"
+    over = f"{LEVEL:.0%} interval {100 * worth.low:.1f} to {100 * worth.high:.1f} over {walks} walks"
+    over = "one walk" if walks < 2 else over
+    ends = f"the best plan found without a sensor reaches {means[BLIND]:.3f}, with all known {means[CLAIRVOYANT]:.3f}"
+    if worth.mean <= noise(found) or not (walks < 2 or worth.low > 0):
+        return f"What a sensor is worth cannot be told from nothing here ({over}): {ends}, {law} {means[law]:.3f}"
+    share = f"{law} reaches {means[law]:.3f}, {found.share(law):.0%} of the way from the one to the other"
+    return f"A sensor is worth at most {100 * worth.mean:.1f} % of pd's objective ({over}): {ends}; {share}"
+
+
+def notes(found: Bounded) -> list[str]:
+    """Return what the numbers rest on."""
+    lines = ["plans are the best found: the least may be less, and a sensor worth more or less than is said here"]
+    lines.append(f"the second search bettered the blind plan by {found.left:.2%}: smaller differences are search noise")
+    if np.isfinite(found.spread):
+        lines.append(f"the two best starts of the blind plan ended {found.spread:.2%} apart")
+    if found.data.attrs["hidden"]:
+        lines.append(
+            "the first disturbance comes at one time in all walks, so the blind plan was searched without "
+            "disturbances; laws and pd were searched with them"
+        )
+    for name in found.contestants:
+        broken = int((~found.data["feasible"].sel(contestant=name).values.astype(bool)).sum())
+        if broken:
+            lines.append(f"warning: {name} breaks a limit in {broken} of {found.data.sizes['member']} walks")
+    return lines
+
+
+def table(found: Bounded) -> Table:
+    """Return the contestants with their objective, share, and mean metrics."""
+    about = found.problem.metrics
+    columns = [
+        "contestant",
+        "objective",
+        "share %",
+        *(f"{about.in_words(n)} {unit(n, about)}".strip() for n in _METRICS),
+    ]
+    rows = []
+    for name in found.contestants:
+        own, share = found.data.sel(contestant=name), 100 * found.share(name)
+        means = [number(float(np.mean(own[metric].values))) for metric in _METRICS]
+        rows.append([name, f"{found.values(name).mean():.4f}", f"{share:.0f}" if np.isfinite(share) else "-", *means])
+    return Table("Means over the walks; share: of the way from blind to clairvoyant", columns, [("", rows)], 1)
+
+
+def searches_table(found: Bounded) -> Table:
+    """Return how each descent went."""
+    data, rows = found.data, []
+    for number_ in range(data.sizes["descent"]):
+        own = {name: data[f"descent_{name}"].values[number_] for name in ("contestant", "start", "knots", "before",
+                                                                          "merit", "slope")}  # fmt: skip
+        rows.append([str(own["contestant"]), str(own["start"]), f"{own['knots']:g}",
+                     *(f"{own[name]:.4g}" for name in ("before", "merit", "slope"))])  # fmt: skip
+    columns = ["searched", "start", "knots s", "objective before", "after", "slope left"]
+    return Table(
+        "Descents; objectives with the penalties of limits; slope: of that at the begin", columns, [("", rows)], 2
+    )
+
+
+def summary(found: Bounded) -> dict[str, Any]:
+    """Return it as plain data."""
+    worth = found.sensor
+    contestants = {
+        name: {"objective": found.values(name).mean(), "share": found.share(name),
+               **{metric: float(np.mean(found.data[metric].sel(contestant=name))) for metric in _METRICS}}
+        for name in found.contestants
+    }  # fmt: skip
+    sensor = {"at_most": worth.mean, "low": worth.low, "high": worth.high, "in_words": sentence(found)}
+    return {"sensor": sensor, "contestants": contestants, "search_noise": noise(found), "starts_apart": found.spread}
+
+
+@plots.style()
+def plot_bounds(found: Bounded) -> Figure:
+    """Draw the objective of each contestant as a bar, with a dot for each member."""
+    names = found.contestants
+    figure = Figure(figsize=(plots.COLUMN, 0.5 + 0.22 * len(names)), layout="constrained")
+    panel = figure.subplots()
+    for place, name in enumerate(names):
+        values = found.values(name)
+        color = "0.6" if name == PD else plots.BLUE if name in found.plans else plots.ORANGE
+        panel.barh(place, values.mean(), color=color, height=0.7)
+        if len(values) > 1:
+            panel.plot(values, np.full(len(values), place), ".", color="0.2", markersize=2)
+    for name in (CLAIRVOYANT, BLIND):
+        panel.axvline(found.values(name).mean(), color=plots.BLUE, linewidth=0.7, linestyle="--")
+    panel.set_yticks(range(len(names)), names)
+    panel.set(ylim=(len(names) - 0.5, -0.5), xlabel="objective (pd: 1)")
+    panel.set_xlim(left=0)
+    return figure
+
+
+@plots.style()
+def plot_histories(found: Bounded) -> Figure:
+    """Draw the largest foot force and the size of the base's offset over time: clairvoyant, blind, best law, pd."""
+    names = list(dict.fromkeys([PD, best_law(found), BLIND, CLAIRVOYANT]))
+    colors = dict(
+        zip(names, itertools.chain(["0.6"], (plots.ORANGE, plots.GREEN, plots.BLUE)[4 - len(names) :]), strict=True)
+    )
+    figure = Figure(figsize=(plots.COLUMN, 3.2), layout="constrained")
+    forces, offsets = figure.subplots(2, 1, sharex=True)
+    time = found.data["instant"].values
+    for name, color in colors.items():
+        own = found.data.sel(contestant=name)
+        forces.plot(time, own["foot_force_history"].values, color=color, linewidth=0.8)
+        offsets.plot(time, 1e3 * np.linalg.norm(own["base_offset_history"].values, axis=-1), color=color, linewidth=0.8)
+    forces.set(ylabel="largest foot force [N]")
+    offsets.set(xlabel="time [s]", ylabel="base offset [mm]")
+    plots.legend(figure, [key(name, color=color) for name, color in colors.items()])
+    return figure
+
+
+def contents(found: Bounded, _: None, name: str) -> Contents:
+    """Return every contestant's walks with the plans found, two pictures, the page."""
+    lines, text, shown = notes(found), to_json(summary(found)), table(found)
+    return Contents(
+        Written(data=found.data, outcome=[sentence(found), *lines], summary=text, tables=[shown]),
+        found.problem,
+        files_of(found, name)
+        | {
+            "summary.json": text + "\n",
+            "ceiling.yaml": found.asked.to_yaml(),
+            "bounds": Picture(BARS, lambda: plot_bounds(found)),
+            "first_walk": Picture(FORCES, lambda: plot_histories(found)),
+        },
+        lambda origin: page(found, lines, origin),
+    )
+
+
+def page(found: Bounded, lines: Sequence[str], origin: Origin) -> Page:
+    """Return the page; warnings among the lines stand first."""
+    first, *more = lines
+    asked, warnings = found.asked, [line for line in more if line.startswith("warning")]
+    return Page(
+        title=f"How good could any law be: {origin.name}", origin=origin, verdict=f"{sentence(found)}.",
+        scenario=found.scenario, notes=sentences([first, *warnings]),
+        more=sentences(line for line in more if line not in warnings), tables=[table(found), searches_table(found)],
+        facts={"precision": asked.precision, "seed": asked.seed, "limits": found.data.attrs["limits"],
+               "gradients for each spacing of knots": asked.iterations},
+    )  # fmt: skip

@@ -1,0 +1,50 @@
+"""The settings of a search for the best joint targets over time: what bounds every control law from below."""
+
+import itertools
+from typing import Literal, Self
+
+from pydantic import model_validator
+
+from tuning.problem.search import WEIGHTS
+from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
+
+
+class Ceiling(Settings):
+    """A search for joint targets over time, fully specified beside its scenario."""
+
+    weights: dict[str, NonNegative] = setting(
+        WEIGHTS,
+        "metric to better and its weight, relative to its value under pd; those named take the place of the default",
+        flag="--weight",
+        metavar="METRIC=W",
+        default_in_words=", ".join(WEIGHTS),
+    )
+    limits: dict[str, Finite] = setting(
+        {},
+        "highest value of a metric (lowest, where larger is better), in its unit, as peak_joint_torque=0.5",
+        flag="--limit",
+        metavar="METRIC=VALUE",
+    )
+    deviation_factor: Positive = setting(
+        3.0, "limit, relative to pd's, of base deviation, swing deviation, joint torque and joint rate"
+    )
+    knots: tuple[Positive, ...] = setting(
+        (0.2, 0.1, 0.05), "s between two knots of the joint targets, coarse to fine", min_length=1
+    )
+    delays: tuple[NonNegative, ...] = setting(
+        (0.002, 0.005, 0.015), "s after a disturbance from which on a causal plan may depend on it"
+    )
+    iterations: int = setting(80, "gradients for each spacing of the knots", ge=2, le=100_000)
+    random: int = setting(1, "random starts beside those of pd and of each law", ge=0, le=100)
+    step: Positive = setting(0.05, "first step of the descent, as a share of pd's peak joint torque over kp, 1")
+    seed: int = setting(0, "of the random starts", ge=0, lt=2**31)
+    precision: Literal["float32", "float64"] = setting("float32", "precision of the simulations")
+
+    @model_validator(mode="after")
+    def _knots_are_nested(self) -> Self:
+        for coarse, fine in itertools.pairwise(self.knots):
+            if not fine < coarse or abs(coarse / fine - round(coarse / fine)) > 1e-6:
+                raise ValueError(f"knots: expected each spacing to divide the one before it, got {coarse:g}, {fine:g}")
+        if not any(self.weights.values()):
+            raise ValueError("weights: expected one above 0")
+        return self

@@ -1,0 +1,470 @@
+"""How good any control law could be: the best joint targets over time, by what they know: `tuning.ceiling`.
+
+Three kinds of plans bound every law on the same walks. The clairvoyant one knows each member's robot, disturbance and
+noise in advance. The blind one is the same for all members: what a gait alone can reach. A causal one is blind until a
+disturbance begins, and knows all from a delay after that on. A plan that knows more never ends higher, and neither does
+a finer spacing of the knots. What is found is an upper bound of the least: longer searches may find less.
+"""
+
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.control import PD as PDLaw
+from mjx_climb.control import law_of
+from mjx_climb.execution.batch_axes import own_axes
+from mjx_climb.files import dataset
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.robot_import.load import load_robot
+from mjx_climb.scenario.messages import ConfigError
+from tuning.gains import gains_file
+from tuning.gains.gains_file import Whole, by_name
+from tuning.methods.many_variables import Evaluated, descend
+from tuning.problem import ensemble as ensembles
+from tuning.problem import objectives
+from tuning.problem.ceiling import Ceiling
+from tuning.problem.ensemble import Ensemble
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.objectives import Limit, Objective
+from tuning.problem.plans import RATE, SWING, Freedom, Knots, Scored, Walks, commanded, row, rows, walks_of
+from tuning.problem.search import Search, check_metrics
+from tuning.results.ceiling import BLIND, CLAIRVOYANT, FIRST, PD, RETUNED, Bounded
+from tuning.searches import retuned_pd
+from tuning.searches.tune import tune
+
+TRAVEL = 0.01  # by how much plans may travel less than the contestants, or more, as a share of the way or of a stride
+SHAKEN = 0.01  # rad, standard deviation of the offsets of a random start
+LIMIT_MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
+INSTANTS = 800  # at most, of the histories that are kept
+_WIDENED = ("base_deviation", SWING.name, "peak_joint_torque", RATE.name)  # limits that no contestant breaks
+Progress = Callable[[str, int, int], None]  # called with what is searched, evaluations done, and in all
+
+
+class Contestant(NamedTuple):
+    """A law with its gains in a scenario, and its walks."""
+
+    scenario: mc.Scenario
+    law: mc.Law
+    gains: AnyGains
+    parameters: mc.Parameters  # (member, ...), see `tuning.problem.plans.rows`
+    metrics: Mapping[str, np.ndarray]  # (member,)
+
+
+class Start(NamedTuple):
+    """A plan of each member from which a search begins."""
+
+    name: str
+    targets: np.ndarray  # (member, time, limb, joint) rad
+    parameters: mc.Parameters  # (member, ...)
+
+
+class Contest(NamedTuple):
+    """What all contestants have in common."""
+
+    scenario: mc.Scenario
+    asked: Ceiling
+    walks: Walks
+    members: int
+    step: float  # rad, of the first offsets
+    progress: Progress
+
+
+class Ended(NamedTuple):
+    """The best plan of each member that was found, and how each descent went."""
+
+    plan: Start
+    scored: Scored  # of its walks, with the disturbances
+    records: list[dict[str, Any]]
+
+
+def ceiling(
+    scenario: mc.Scenario,
+    laws: Mapping[str, AnyGains | Whole | str | os.PathLike[str]] | None = None,
+    settings: Ceiling | None = None,
+    *,
+    ensemble: Ensemble | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> Bounded:
+    """Search how good any control law could be in a scenario, and return laws beside it.
+
+    `tuning.write(ceiling(scenario, {"mine": "gains.yaml"}), "results/mine")` writes a page.
+
+    Arguments:
+        scenario: what walks where, with which hardware.
+        laws: what is compared, by name: gains of the scenario's law, gains files, or as
+            `tuning.gains.gains_file.whole(file, scenario)` gives them. pd is among them; so is pd with kp and kd that
+            are searched, unless there is a "retuned_pd".
+        settings: of the search; `changes` are keys of `tuning.problem.ceiling.Ceiling` in place of it or to change it.
+        ensemble: the walks, all alike for every contestant; the scenario's own walk where None.
+        metrics: of the walks; weights and limits may name them.
+        engine: the dynamics, one of `mjx_climb.ENGINES`.
+        progress: called after each evaluation with what is searched, how many are done, and in all.
+
+    Raises:
+        ConfigError: settings that make no sense for the scenario, or pd diverges.
+    """
+    asked = (settings or Ceiling()).changed(changes)
+    table = mc.MetricTable((*metrics, SWING, RATE))
+    parameters, members = _drawn(scenario, ensemble)
+    walks: dict[str, Any] = {"metrics": table, "engine": engine, "dtype": np.dtype(asked.precision).type}
+    pd = _contestant(under_pd(scenario), None, {}, parameters, members, walks)
+    wanted = _objective(scenario, asked, pd.metrics, table)
+    found = {PD: pd}
+    if RETUNED not in (laws or {}):
+        laws = {RETUNED: _retuned(scenario, asked, wanted, parameters, table, engine), **(laws or {})}
+    for name, own in (laws or {}).items():
+        found[name] = _contestant(*_walker(scenario, name, own), parameters, members, walks)
+    goal = _widened(wanted, asked, [each.metrics for each in found.values()], scenario.gait.stride)
+
+    starts = [_start(name, each, members, walks) for name, each in found.items()]
+    starts += _random(scenario, asked, starts[0])
+    every = jax.tree.map(lambda *each: np.concatenate(each), *(start.parameters for start in starts))
+    under = walks_of(scenario, goal, every, **walks)
+    step = asked.step * float(pd.metrics["peak_joint_torque"].mean()) / scenario.control.kp
+    contest = Contest(scenario, asked, under, members, step, progress or (lambda *_: None))
+    ended = _plans(contest, starts, parameters)
+    return _bounded(contest, goal, found, ended, ensemble, table, engine)
+
+
+# --- who takes part
+
+
+def _drawn(scenario: mc.Scenario, ensemble: Ensemble | None) -> tuple[mc.Parameters, int]:
+    """Return the parameters of all members, (member, ...), and how many there are."""
+    drawn = own_parameters(scenario) if ensemble is None else ensembles.draw(scenario, ensemble)
+    members = 1 if ensemble is None else ensemble.members
+
+    def flat(value: Any, own: int) -> np.ndarray:
+        value = np.asarray(value)
+        each = value[:, 0] if value.ndim > own else value
+        return np.broadcast_to(each, (members, *value.shape[value.ndim - own :]))
+
+    found: mc.Parameters = jax.tree.map(flat, drawn, own_axes(drawn))
+    return found, members
+
+
+def _walker(
+    scenario: mc.Scenario, name: str, own: AnyGains | Whole | str | os.PathLike[str]
+) -> tuple[mc.Scenario, mc.Law | None, AnyGains]:
+    """Return scenario, law (None: the scenario's) and gains of a contestant."""
+    if isinstance(own, str | os.PathLike):
+        own = gains_file.whole(own, scenario)
+    if isinstance(own, Whole):
+        return scenario, own.law, own.gains
+    return (under_pd(scenario) if name == RETUNED else scenario), None, own
+
+
+def _contestant(
+    scenario: mc.Scenario,
+    law: mc.Law | None,
+    gains: AnyGains,
+    parameters: mc.Parameters,
+    members: int,
+    walks: Mapping[str, Any],
+) -> Contestant:
+    """Return a contestant with its walks, in which nothing is torn off."""
+    own = law or law_of(scenario)
+    simulation = mc.Simulation(scenario, own, walks["metrics"], walks["engine"], smooth=True)
+    found = simulation.metrics(gains, parameters, dtype=walks["dtype"], unsteady=True)
+    return Contestant(scenario, own, gains, rows(scenario, own, gains, parameters, members), found)
+
+
+def _retuned(
+    scenario: mc.Scenario,
+    asked: Ceiling,
+    goal: Objective,
+    parameters: mc.Parameters,
+    metrics: mc.MetricTable,
+    engine: str,
+) -> dict[str, float]:
+    """Return kp and kd of pd, searched for the same objective on the same walks."""
+    each = jax.tree.map(lambda value: value[:, None], parameters)
+    walks: dict[str, Any] = {"parameters": each, "metrics": metrics, "engine": engine}
+    how: dict[str, Any] = {"space": "isotropic", "joint_gains": True, "precision": asked.precision}
+    return retuned_pd.joint_of(tune(under_pd(scenario), objective=goal, **walks, **how))
+
+
+def _start(name: str, of: Contestant, members: int, walks: Mapping[str, Any]) -> Start:
+    """Return the plans under which members walk as a contestant does, unless it changes the joint loop's gains."""
+    simulation = mc.Simulation(of.scenario, of.law, walks["metrics"], walks["engine"], smooth=True)
+    own = {key: value for key, value in by_name(of.gains).items() if key in of.law.GAINS}
+    targets = []
+    for member in range(members):  # with joint gains and gait among its parameters
+        parameters = row(of.parameters, member)
+        walk = simulation.rollout(own, parameters, dtype=walks["dtype"])
+        targets.append(commanded(np.asarray(walk.joint_targets), parameters, of.scenario))
+    return Start(name, np.stack(targets), of.parameters)
+
+
+def _random(scenario: mc.Scenario, asked: Ceiling, about: Start) -> list[Start]:
+    """Return random starts about one."""
+    rng, knots = np.random.default_rng(asked.seed), _knots(scenario, asked.knots[0])
+    shape = (asked.random, 1, knots.count, *about.targets.shape[2:])
+    shaken = about.targets + knots.at_steps(SHAKEN * rng.standard_normal(shape))
+    return [Start(f"random {number + 1}", each, about.parameters) for number, each in enumerate(shaken)]
+
+
+# --- what is searched for
+
+
+def _objective(
+    scenario: mc.Scenario, asked: Ceiling, pd: Mapping[str, np.ndarray], metrics: mc.MetricTable
+) -> Objective:
+    """Return the objective, relative to pd's means over the members, without limits of travel."""
+    search = Search.make({"weights": asked.weights, "limits": asked.limits, "no_worse_than_pd": False,
+                          "deviation_factor": asked.deviation_factor})  # fmt: skip
+    check_metrics(search, metrics, "ceiling")
+    baseline = {name: np.asarray(value, float).mean() for name, value in pd.items()}
+    goal = objectives.objective(
+        scenario, search, baseline | {"base_deviation": pd["base_deviation"].max()}, metrics=metrics
+    )
+    reason, limits = f"{asked.deviation_factor:g} times pd's", []
+    for name in _WIDENED[1:]:
+        if name not in asked.limits:
+            value = asked.deviation_factor * float(pd[name].max())
+            limits.append(Limit(name, value, max(abs(value), 1e-12), LIMIT_MARGIN, reason))
+    return dataclasses.replace(goal, limits=(*goal.limits, *limits))
+
+
+def _widened(goal: Objective, asked: Ceiling, walked: Sequence[Mapping[str, np.ndarray]], stride: float) -> Objective:
+    """Return the objective with limits so wide that no contestant breaks one that is relative to pd; travel is held."""
+    whole = {
+        name: np.concatenate([each[name][~each["diverged"].astype(bool)] for each in walked])
+        for name in (*_WIDENED, "travel")
+    }
+    limits = []
+    for limit in goal.limits:
+        if limit.metric in _WIDENED and limit.metric not in asked.limits:
+            value = max(float(np.max(limit.value)), float(whole[limit.metric].max()))
+            limit = limit._replace(value=value, scale=max(abs(value), 1e-12))
+        limits.append(limit)
+    if "travel" not in asked.limits:
+        way = max(np.abs(whole["travel"]).max(), stride)
+        for value, larger in (
+            (whole["travel"].min() - TRAVEL * way, True),
+            (whole["travel"].max() + TRAVEL * way, False),
+        ):
+            limits.append(Limit("travel", float(value), float(way), 0.1 * TRAVEL, "the contestants'", larger))
+    return dataclasses.replace(goal, limits=tuple(limits))
+
+
+# --- the search
+
+
+def _plans(contest: Contest, starts: Sequence[Start], parameters: mc.Parameters) -> tuple[list[Ended], bool]:
+    """Search all plans, from the blind one to the clairvoyant, and return whether the blind one was kept from knowing.
+
+    A first search of the blind plan, from all starts, is where the second search of every plan begins, the blind one's
+    too: all have as many evaluations, so that none is better for having been searched longer. One that knows more
+    takes the plan of one that knows less where that is better.
+
+    Where the first disturbance comes at the same time in all members, a plan for all of them could know of it: the
+    blind one is then searched without disturbances, and the others begin where its second search has ended.
+    """
+    asked, step = contest.asked, contest.scenario.time_step
+    onset = _onset(parameters, contest.scenario.duration) / step
+    felt = np.isfinite(onset)
+    hidden = bool(felt.all() and np.ptp(onset) == 0)
+    shared = [
+        start._replace(targets=np.broadcast_to(start.targets.mean(0, keepdims=True), start.targets.shape))
+        for start in starts
+    ]
+    first = _search(contest, FIRST, shared, undisturbed=hidden)
+    begun = first.plan._replace(name=BLIND)
+    ended = [first, _search(contest, BLIND, [begun], undisturbed=hidden)]
+    # what the others keep of it until they feel the disturbance
+    begun = ended[-1].plan if hidden else begun
+    for delay in sorted(asked.delays, reverse=True) if felt.any() else ():
+        since = onset + math.ceil(delay / step - 1e-6)
+        own = _search(contest, f"causal {1e3 * delay:g} ms", [begun], common=not hidden, since=since)
+        ended.append(_no_worse(own, ended[-1], alone=hidden))
+    own = _search(contest, CLAIRVOYANT, [begun, *starts], common=False, since=np.zeros(contest.members))
+    return [*ended, _no_worse(own, ended[-1], alone=True)], hidden
+
+
+def _no_worse(own: Ended, less: Ended, *, alone: bool) -> Ended:
+    """Return a plan, or the one that knows less where that is better: for each member `alone`, or for all of them."""
+    worse = less.scored.merit < own.scored.merit if alone else np.full(len(own.scored.merit), False)
+    if not alone and less.scored.merit.mean() < own.scored.merit.mean():
+        worse = ~worse
+
+    def chosen(mine: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.where(worse.reshape(-1, *[1] * (np.ndim(mine) - 1)), other, mine)
+
+    targets, parameters = jax.tree.map(chosen, own.plan[1:], less.plan[1:])
+    return own._replace(
+        plan=Start(own.plan.name, targets, parameters), scored=jax.tree.map(chosen, own.scored, less.scored)
+    )
+
+
+def _search(
+    contest: Contest,
+    name: str,
+    starts: Sequence[Start],
+    *,
+    common: bool = True,
+    since: np.ndarray | None = None,
+    undisturbed: bool = False,
+) -> Ended:
+    """Search one kind of plan from several starts, and with ever finer knots from the best of them.
+
+    Arguments:
+        common, since: as of `tuning.problem.plans.Freedom`.
+        undisturbed: the walks of the search have no disturbances.
+    """
+    asked, walks, members, records = contest.asked, contest.walks, contest.members, []
+    robot = load_robot(contest.scenario.robot)
+    targets = np.stack([start.targets for start in starts])
+    parameters = jax.tree.map(lambda *each: np.concatenate(each), *(start.parameters for start in starts))
+    names = np.repeat([[start.name] for start in starts], members, axis=1)
+    known, evaluations, in_all = None, 0, asked.iterations * len(asked.knots)
+    for spacing in asked.knots:
+        free = _knots(contest.scenario, spacing), common, since, robot.joint_lower, robot.joint_upper
+        freedom, walked = Freedom(targets, *free), _without_disturbances(parameters) if undisturbed else parameters
+
+        def evaluate(x: np.ndarray, sharp: float, of: Freedom = freedom, walked: mc.Parameters = walked) -> Evaluated:
+            nonlocal evaluations
+            found = walks.evaluate(_flat(of.targets(x)), walked, sharp=sharp)
+            contest.progress(name, evaluations := evaluations + 1, in_all)
+            slopes = of.slopes(x, found.slopes.reshape(of.base.shape))
+            return Evaluated(of.of_problems(found.merit), slopes)
+
+        step = contest.step * math.sqrt(spacing / asked.knots[0])
+        found = descend(evaluate, freedom.none, asked.iterations, step=step, known=known)
+        for place in range(len(targets)):
+            own = slice(place, place + 1) if common else slice(place * members, (place + 1) * members)
+            records.append(
+                {"contestant": name, "start": ", ".join(dict.fromkeys(names[place])), "knots": spacing,
+                 "before": found.first[own].mean(), "merit": found.merit[own].mean(),
+                 "slope": np.mean(found.slope[own])}
+            )  # fmt: skip
+        # the best start of each problem goes on, with what it has found
+        best, every = found.merit.reshape(len(targets), -1).argmin(0), np.arange(members)
+        best = np.broadcast_to(best, members)
+        targets, names = freedom.targets(found.x)[best, every][None], names[best, every][None]
+        parameters = jax.tree.map(lambda value, pick=best * members + every: value[pick], parameters)
+        known = found.merit.reshape(-1, 1 if common else members).min(0)
+    plan = Start(name, targets[0], parameters)
+    return Ended(plan, walks.evaluate(plan.targets, parameters), records)
+
+
+def _flat(targets: np.ndarray) -> np.ndarray:
+    """Return the walks (start, member, ...) in one axis."""
+    return targets.reshape(-1, *targets.shape[2:])
+
+
+def _knots(scenario: mc.Scenario, spacing: float) -> Knots:
+    """Return knots so many s apart.
+
+    Raises:
+        ConfigError: less than a time step.
+    """
+    every = round(spacing / scenario.time_step)
+    if every < 1 or abs(every * scenario.time_step / spacing - 1) > 1e-6:
+        raise ConfigError(f"knots: expected whole time steps of {scenario.time_step:g} s, got {spacing:g}")
+    return Knots(scenario.steps, every)
+
+
+def _onset(parameters: mc.Parameters, duration: float) -> np.ndarray:
+    """Return when the first push or cargo acts in each member, (member,) s; infinite: not in the walk."""
+    pushed = np.linalg.norm(parameters.push_force, axis=-1) + np.linalg.norm(parameters.push_moment, axis=-1) > 0
+    push = np.where(pushed & (parameters.push_stop > parameters.push_start), parameters.push_start, np.inf)
+    loaded = (np.asarray(parameters.cargo_mass) > 0) & (parameters.cargo_stop > parameters.cargo_start)
+    first = np.where(loaded, parameters.cargo_start, np.inf)
+    onset = np.minimum(push.min(-1, initial=np.inf), first)
+    return np.where(onset < duration, onset, np.inf)
+
+
+def _without_disturbances(parameters: mc.Parameters) -> mc.Parameters:
+    names = ("cargo_mass", "push_force", "push_moment")
+    none = {name: np.zeros_like(getattr(parameters, name)) for name in names}
+    found: mc.Parameters = dataclasses.replace(parameters, **none)
+    return found
+
+
+# --- the result
+
+
+def _bounded(
+    contest: Contest,
+    goal: Objective,
+    found: Mapping[str, Contestant],
+    ended: tuple[list[Ended], bool],
+    ensemble: Ensemble | None,
+    table: mc.MetricTable,
+    engine: str,
+) -> Bounded:
+    """Return the contestants beside each other, the clairvoyant plan first and pd last."""
+    scenario, asked, members = contest.scenario, contest.asked, contest.members
+    plans = {each.plan.name: each.plan for each in reversed(ended[0][1:])}
+    walked = {each.plan.name: each.scored.metrics for each in reversed(ended[0][1:])}
+    walked |= {name: each.metrics for name, each in reversed([*found.items()])}
+    data: dict[str, Any] = {}
+    scores = [goal.score({name: jnp.asarray(value) for name, value in each.items()}) for each in walked.values()]
+    about = {"units": "1", "long_name": "objective"}
+    data["value"] = (("contestant", "member"), np.stack([np.asarray(score.value) for score in scores]), about)
+    kept = {"units": "1", "long_name": "every limit is kept"}
+    data["feasible"] = (("contestant", "member"), np.stack([np.asarray(score.feasible) for score in scores]), kept)
+    for metric in table:
+        values = np.stack([np.asarray(each[metric.name]) for each in walked.values()])
+        data[metric.name] = (("contestant", "member"), values, dataset.metric_attributes(metric))
+    targets = np.stack([plan.targets for plan in plans.values()]).astype(np.float32)
+    joint = {"units": "rad", "long_name": "joint target"}
+    data["joint_targets"] = (("plan", "member", "time", "limb", "joint"), targets, joint)
+    records = [record for each in ended[0] for record in each.records]
+    for name in records[0]:
+        data[f"descent_{name}"] = ("descent", np.array([record[name] for record in records]))
+    data |= _histories(scenario, plans, found, table, engine)
+    robot = load_robot(scenario.robot)
+    attrs: dict[str, Any] = {"title": "bounds of control laws", **dataset.provenance(scenario)}
+    attrs |= {"ceiling": asked.to_yaml(), "hidden": int(ended[1])}
+    attrs["limits"] = "; ".join(objectives.in_words(limit) for limit in goal.limits)
+    coordinates = {
+        "contestant": list(walked), "member": np.arange(members), "plan": list(plans),
+        "limb": list(robot.limbs), "joint": list(robot.joint_names),
+    }  # fmt: skip
+    own = mc.MetricTable(metric for metric in table if metric not in (SWING, RATE))
+    problem = Problem(scenario, objective=goal, members=members, engine=engine, metrics=own, ensemble=ensemble)
+    return Bounded(xr.Dataset(data, coordinates, attrs), problem, ensemble=ensemble, asked=asked)
+
+
+def _histories(
+    scenario: mc.Scenario,
+    plans: Mapping[str, Start],
+    found: Mapping[str, Contestant],
+    table: mc.MetricTable,
+    engine: str,
+) -> dict[str, Any]:
+    """Return histories of the first member's walk: (contestant, instant), of plans first."""
+    walks = []
+    for plan in plans.values():
+        simulation = mc.Simulation(scenario, PDLaw(), table, engine, smooth=True)
+        walks.append(simulation.rollout({}, row(plan.parameters, 0), targets=plan.targets[0]))
+    for each in reversed([*found.values()]):
+        simulation = mc.Simulation(each.scenario, each.law, table, engine, smooth=True)
+        own = {key: value for key, value in by_name(each.gains).items() if key in each.law.GAINS}
+        walks.append(simulation.rollout(own, row(each.parameters, 0)))
+    stretch = -(-scenario.steps // INSTANTS)
+    first = np.arange(0, scenario.steps, stretch)
+    forces = [np.maximum.reduceat(np.linalg.norm(walk.foot_force, axis=-1).max(1), first) for walk in walks]
+    offsets = [(walk.base_position - walk.base_reference)[first] for walk in walks]
+    force, offset = ({"units": unit, "long_name": text} for unit, text in
+                     (("N", "largest foot force"), ("m", "base off its reference")))  # fmt: skip
+    return {
+        "foot_force_history": (("contestant", "instant"), np.stack(forces), force),
+        "base_offset_history": (("contestant", "instant", "axis"), np.stack(offsets), offset),
+        "instant": ("instant", first * scenario.time_step, {"units": "s", "long_name": "time"}),
+    }
