@@ -97,7 +97,7 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
         (verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
         (margins, "find", nothing), (of_search, "_with_joint_gains", nothing), (worths, "differences", nothing),
         (of_search, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
-        (retuned_pd, "rival_of", lambda found, retuned, step: step), (worths, "worth_of", worth),
+        (retuned_pd, "rival_of", lambda retuned, step: step), (worths, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
