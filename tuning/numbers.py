@@ -123,14 +123,14 @@ def change_of(metrics: Mapping[str, Any], base: Mapping[str, Any], name: str) ->
 
 
 def weightless(walks: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return what a TSM stands for where hardly anything has weight."""
+    """Return the meaning of a TSM where hardly anything has weight."""
     if all((metrics.get("min_tsm") or 0.0) <= LONG for metrics in walks.values()):
         return []
     return ["min TSM is a moment over the weight, with next to no weight it is no length: see min GIA margin"]
 
 
 def ahead_of(scenario: "Scenario") -> list[str]:
-    """Return what speaks against a scenario before any walk."""
+    """Return the objections to a scenario before any walk."""
     control, step = scenario.control, scenario.time_step
     heavy = sum(value**2 for value in scenario.gravity) > WEIGHT**2
     low_reaction = scenario.gait.swing == "low_reaction" and scenario.contact.capture_distance is None

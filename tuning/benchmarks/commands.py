@@ -63,7 +63,7 @@ def compiled(what: str, batch: int, steps: int, engine: str, cache: str) -> dict
 
 
 def _python(arguments: Sequence[str], cache: str, **how: Any) -> str:
-    """Return what Python prints in a process of its own; `how` are further arguments of `subprocess.run`."""
+    """Return the output of Python in a process of its own; `how` are further arguments of `subprocess.run`."""
     environment = {name: v for name, v in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
     # for a package that is not installed, as a checkout
     paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if path)

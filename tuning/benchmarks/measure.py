@@ -108,7 +108,7 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
 
 
 def _work(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> tuple[dict[str, Timed], ...]:
-    """Return what this program runs in turns, with a batch and with one robot, and the peers of both.
+    """Return this program's runs, with a batch and with one robot, and the peers of both.
 
     The stack ends their threads.
     """

@@ -257,7 +257,7 @@ def _zero_order_hold(gains: Mapping[str, np.ndarray], time_step: float) -> np.nd
 
 
 def _limb_geometry(model: mujoco.MjModel, limbs: list[str]) -> dict[str, np.ndarray]:
-    """Return what the inverse kinematics needs, read off the rest stance; the last axes are limbs and robots (4, 1).
+    """Return the constants of the inverse kinematics in the rest stance; the last axes are limbs and robots (4, 1).
 
     A limb's own axes there: out from the coxa's axis towards the foot, to the side along the parallel axes of femur and
     tibia, up along the coxa's.

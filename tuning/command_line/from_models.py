@@ -169,7 +169,7 @@ def _kind(field: FieldInfo) -> Any:
 
 
 def _read(name: str, field: FieldInfo, value: Any, asking: str) -> Any:
-    """Return what the model takes in place of what typer read: a mapping of NAME=VALUE pairs, one value of several."""
+    """Return a value of typer's as the model takes it: a mapping of NAME=VALUE pairs, one value of several."""
     kind = _kind(field)
     if isinstance(value, list) and not _repeated(field):
         if len(value) > 1:
@@ -259,7 +259,7 @@ def metric_names() -> list[str]:
 
 
 def _completion(kind: str | None, choices: tuple[str, ...]) -> Callable[[str], list[str]]:
-    """Return what completes one of some choices, or what `Shell.complete` names."""
+    """Return the completion of one of some choices, or of a value that `Shell.complete` names."""
 
     def complete(incomplete: str) -> list[str]:
         words = [*(choices or metric_names())]

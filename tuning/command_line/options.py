@@ -186,7 +186,7 @@ class Walk(Options):
         return place, own
 
     def load_with_gains(self) -> "Problem":
-        """Return what `load` does, with the values of the gains file in the scenario or the law."""
+        """Return the result of `load`, with the values of the gains file in the scenario or the law."""
         from mjx_climb.inputs.time_step import check_time_step
         from tuning.gains import gains_file
 
@@ -205,7 +205,7 @@ class Walk(Options):
 
 
 def fitted(walk: Walk, command: str) -> "Problem":
-    """Return what `Walk.load` does, for a command that models grippers and servos alone.
+    """Return the result of `Walk.load`, for a command that models grippers and servos alone.
 
     Raises InputError for another contact, drive or disturbance: what acted on the robot stands in its log.
     """
@@ -276,7 +276,7 @@ class SearchFile(Options):
         return wanted
 
     def joined(self, typed: Search, loaded: "Problem") -> Search:
-        """Return what `settings` does, before the gains that they name are looked for."""
+        """Return the result of `settings`, before the gains that they name are looked for."""
         own = Search() if self.search is None else Search.load(self.search)
         check_metrics(own, loaded.metrics, str(self.search))
         wanted = own.changed(typed.model_dump(exclude_unset=True), "options")

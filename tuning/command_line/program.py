@@ -225,7 +225,7 @@ def _raised_in(error: Exception) -> str:
 
 
 def _nearest(option: str, command: Any) -> str:
-    """Return what may have been meant by an option that a command does not have, in words.
+    """Return a suggestion, in words, for an option that a command does not have.
 
     A key of the scenario of this very name, else the commands that have the option, else what is spelt alike.
     """

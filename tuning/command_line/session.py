@@ -65,7 +65,7 @@ class Compilation:
         monitoring.unregister_event_duration_listener(self._duration)
 
     def __str__(self) -> str:
-        """Return what took how long, nothing where JAX did nothing worth a word."""
+        """Return the times of JAX's stages in words, nothing where all were short."""
         long = {what: seconds for what, seconds in self.seconds.items() if seconds > WORTH_A_WORD}
         return " and ".join(f"{duration(seconds)} {what}" for what, seconds in long.items())
 

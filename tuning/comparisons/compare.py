@@ -328,5 +328,5 @@ def reads_forces(problem: Problem) -> bool:
 
 
 def file_name(law: str) -> str:
-    """Return what a law's files are called."""
+    """Return the name of a law's files."""
     return re.sub(r"[^\w.@+-]", "_", law)

@@ -156,7 +156,7 @@ class Draw:
         return f"member {row}"
 
     def dataset(self, arrays: Mapping[str, np.ndarray]) -> xr.Dataset:
-        """Return what all rows gave, labelled, with what was drawn."""
+        """Return the results of all rows, labelled, with the draw."""
         problem, scenario, drawn = self.problem, self.problem.scenario, self.problem.parameters
         ensemble, members = problem.ensemble, self.rows
         assert drawn is not None and ensemble is not None
@@ -208,7 +208,7 @@ def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: m
 def draw_of(
     problem: Problem, gains: Mapping[str, AnyGains | Whole], ensemble: Ensemble, members: int = MEMBERS
 ) -> Draw:
-    """Return what `judge` walks, whose arguments and errors these are."""
+    """Return the work of `judge`, whose arguments and errors these are."""
     asked = ensemble.model_copy(update={"members": members})
     return through(problem, {**gains, "config": problem.law or gains_of(problem.scenario)}, fresh(asked), asked=asked)
 
@@ -329,7 +329,7 @@ def broken(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
 
 
 def scores(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
-    """Return what gains are worth over the walks of a draw, (`gains`): 1 for pd on the same walks."""
+    """Return the objective over the walks of a draw, (`gains`): 1 for pd on the same walks."""
     rows = {str(name): walks[name].values for name in walks.data_vars if walks[name].ndim == 2}
     fresh = dataclasses.replace(goal, terms=terms_on(walks, goal))
     value = np.asarray(fresh.score({name: jnp.asarray(values.T) for name, values in rows.items()}).value)

@@ -130,7 +130,7 @@ def on_the_grid(
     progress: Callable[[int, int], None] | None = None,
     values: np.ndarray | None = None,
 ) -> xr.Dataset:
-    """Return what walks are worth on hardware with one quantity changed at a time, to values (Q, N).
+    """Return the metrics on hardware with one quantity changed at a time, to values (Q, N).
 
     Without `values` they are the first walks of one set of gains in `find`, the same whatever gains are in question.
     """
@@ -153,7 +153,7 @@ def on_the_grid(
 
 
 def pd_of(scenario: mc.Scenario) -> Walker:
-    """Return what gains are compared with: pd, with the scenario's joint gains."""
+    """Return the rival of all gains: pd, with the scenario's joint gains."""
     return Walker(PD(), joint_gains(scenario, {}))
 
 
@@ -181,7 +181,7 @@ def falls_short(quantity: str, own: float, what: str, reached: float | None) -> 
 
 
 def in_words(quantity: str, worst: float, reached: float | None) -> str:
-    """Return what a margin reaches of the `worst` value tried, with its unit: "7.03 ms", "30 ms or more", "none"."""
+    """Return the value that a margin reaches, `worst` at most, with its unit: "7.03 ms", "30 ms or more", "none"."""
     beyond = " or less" if QUANTITIES[quantity].scales else " or more"
     return "none" if reached is None else with_unit(quantity, reached) + beyond * (reached == worst)
 
@@ -192,7 +192,7 @@ def with_unit(quantity: str, value: float) -> str:
 
 
 def own_value(scenario: mc.Scenario, quantity: str) -> float:
-    """Return what the scenario's own hardware has of a quantity, in its unit."""
+    """Return a quantity of the scenario's own hardware, in its unit."""
     hardware = scenario.hardware
     return {
         "force_delay": hardware.force_sensor.delay,

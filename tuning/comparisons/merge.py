@@ -19,7 +19,7 @@ KINDS: Mapping[str, Read] = {Swept.KIND: sweep.read_asked, Judged.KIND: judge.re
 def merge(
     folders: Sequence[str | os.PathLike[str]], *, law: mc.Law | None = None, metrics: Iterable[mc.Metric] = mc.METRICS
 ) -> Swept | Judged:
-    """Return what shards in some folders were part of, as `sweep` or `judge` return it: on CPUs bit by bit.
+    """Return the result that shards in some folders were part of, as of `sweep` or `judge`: on CPUs bit by bit.
 
     `tuning.write(tuning.merge([folder]), folder)` is `mjx-climb sweep --merge`.
 
@@ -36,7 +36,7 @@ def merge(
 
 
 def merged(found: Sequence[Kept], law: mc.Law | None, metrics: mc.MetricTable) -> Swept | Judged:
-    """Return what shards that `find` found were part of; `merge` with its errors."""
+    """Return the result of the shards that `find` found; `merge` with its errors."""
     config = found[0].folder / "config.yaml"
     own = taken(mc.load_scenario(config), law, metrics, str(config))
     work = KINDS[found[0].identity["kind"]](found[0], *own)

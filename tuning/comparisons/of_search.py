@@ -142,7 +142,7 @@ def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] |
 
 
 def _scored(target: Goal, metrics: Values) -> dict[str, float]:
-    """Return what gains are compared by."""
+    """Return the scores by which gains are compared."""
     variation = metrics[VARIATION]
     if variation is None or failed(metrics):
         return {"objective": np.nan, VARIATION: np.nan}

@@ -138,7 +138,7 @@ def compare(
 
 
 def _help(walks: Mapping[str, mc.Trajectory], law: mc.Law | None) -> list[str]:
-    """Return what would keep the grippers of the config's walk shut, nothing where they hold."""
+    """Return the remedies that would keep the grippers of the config's walk shut, none where they hold."""
     from mjx_climb.viz import plots  # which imports matplotlib
 
     name = next(name for name in walks if name not in (retuned_pd.NAME, GIVEN, "pd"))

@@ -320,7 +320,7 @@ def _worst_of(values: np.ndarray, share: float, larger: bool) -> Statistic:
 def _objective(
     rows: Mapping[str, np.ndarray], counts: np.ndarray, goal: Objective, terms: tuple[Term, ...]
 ) -> np.ndarray:
-    """Return what `Objective` makes of mean and worst of its terms, (R, G, K)."""
+    """Return the objective of mean and worst of its terms, (R, G, K)."""
     total: np.ndarray | float = 0.0
     for term in terms:
         values, larger = rows[term.metric], term.larger_is_better

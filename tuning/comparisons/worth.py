@@ -60,7 +60,7 @@ def worth_of(
     others: tuple[Sequence[str], Sequence[str]] = ((), ()),
     over: OverWalks | None = None,
 ) -> Worth:
-    """Return what a force sensor is worth.
+    """Return the worth of a force sensor.
 
     Both were searched once: there is a verdict only where another seed would hardly turn it round, see `ANOTHER_SEED`,
     and where other walks would not, if there were several. `tuning.compare` searches from several seeds.
@@ -108,7 +108,7 @@ def between(
     metrics: Iterable[Values], scored: Iterable[Values], rival: Rival, problem: Problem, place: str = "",
     over: OverWalks | None = None,
 ) -> Worth:  # fmt: skip
-    """Return what a force sensor is worth, from the metrics of ours and of pd retuned, and what both are scored by."""
+    """Return the worth of a force sensor, from the metrics and scores of ours and of pd retuned."""
     (ours, theirs), (values, without) = metrics, scored
     others = differences(ours, theirs, problem.metrics, but=(VARIATION,))
     return worth_of(values, without, rival, place=place, others=others, over=over)

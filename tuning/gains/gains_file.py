@@ -195,7 +195,7 @@ def save(gains: AnyGains, path: str | os.PathLike[str], comment: str = "", law: 
 
 
 def text(gains: AnyGains, comment: str = "", law: mc.Law | None = None) -> str:
-    """Return what `save` writes."""
+    """Return the text of a gains file."""
     plain: dict[str, Any] = {} if law is None else {LAW: own_section.reference(law)}
     values = {key: np.asarray(value, float).tolist() for key, value in by_name(gains).items()}
     gait, left = gait_of(values), REQUIRED if isinstance(law, PD) else ()  # pd has none of these

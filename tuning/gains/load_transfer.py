@@ -51,7 +51,7 @@ inline constexpr LoadTransferGains load_transfer_gains = [] {{
 
 
 def parameters(law: LoadTransfer, period: float, safe_kp: float) -> Parameters:
-    """Return what the law in C++ reads, with its period in s and the joint loop's gain without a sensor."""
+    """Return the parameters of the law in C++, with its period in s and the joint loop's gain without a sensor."""
     gains = {name: (float(getattr(law, name)), field.unit, field.long_name) for name, field in law.GAINS.items()}
     bounds = {name: (float(getattr(law, name)), *words) for name, words in _BOUNDS.items()}
     more = {"period": (float(period), "s", "from one step of the law to the next")}
@@ -64,7 +64,7 @@ def texts(
     walked: mc.Scenario | None = None,
     given: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, str]:
-    """Return what a robot needs, by the names of files: gains as YAML, gains as C++, and the law.
+    """Return the files for a robot, by their names: gains as YAML, gains as C++, and the law.
 
     Arguments:
         period: from one step of the law to the next, s.

@@ -96,7 +96,7 @@ def check_reference(law: mc.Law | None, stored: str | None, source: str) -> None
 
 
 def section(law: mc.Law | None, metrics: Iterable[mc.Metric] = (), objective: Any = None) -> dict[str, Any] | None:
-    """Return what config.yaml says of the user's own objects, None without any."""
+    """Return the section of config.yaml that names the user's own objects, None without any."""
     found: dict[str, Any] = {}
     if law is not None:
         gains = {name: np.asarray(getattr(law, name), float).tolist() for name in law.GAINS}

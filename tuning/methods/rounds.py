@@ -147,7 +147,7 @@ class Rounds(Parts):
         return {name: np.concatenate(values) for name, values in self._columns.items()}
 
     def evaluate(self, problem: Problem, request: Request) -> Evaluation:
-        """Return what some points are worth.
+        """Return the evaluation of some points.
 
         Raises:
             ConfigError: a request that holds no points of the problem's space.

@@ -33,7 +33,7 @@ def noise(found: Bounded) -> float:
 
 
 def sentence(found: Bounded) -> str:
-    """Return what a sensor is worth at most, and which share of it the best law has."""
+    """Return the most that a sensor can be worth, and the best law's share of it."""
     worth, law, walks = found.sensor, best_law(found), found.data.sizes["member"]
     means = {name: found.values(name).mean() for name in (BLIND, CLAIRVOYANT, law)}
     if not np.isfinite(worth.mean):
@@ -48,7 +48,7 @@ def sentence(found: Bounded) -> str:
 
 
 def notes(found: Bounded) -> list[str]:
-    """Return what the numbers rest on."""
+    """Return the basis of the numbers, in lines."""
     lines = ["plans are the best found: the least may be less, and a sensor worth more or less than is said here"]
     lines.append(f"the second search bettered the blind plan by {found.left:.2%}: smaller differences are search noise")
     if np.isfinite(found.spread):

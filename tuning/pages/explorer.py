@@ -149,6 +149,6 @@ def _values(variable: xr.DataArray) -> list[Any]:
 
 
 def _failure(metrics: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return what went wrong and when (s), None where nothing did."""
+    """Return the failure of a walk and its time (s), None where there was none."""
     text = failed(metrics, "torn off", "diverged")
     return {"text": text, "at": metrics["detached_at"]} if text else None

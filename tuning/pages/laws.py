@@ -140,7 +140,7 @@ def of_search(found: Tuned) -> dict[str, Any]:
 
 
 def notes_of(found: Comparison, table: xr.Dataset) -> list[str]:
-    """Return what a comparison of laws rests on, in lines."""
+    """Return the basis of a comparison of laws, in lines."""
     seeds = int(table.attrs["seeds"])
     spent = ", ".join(
         f"{law} {' + '.join(str(own.data.sizes['point']) for own in each)}" for law, each in found.searched.items()
@@ -167,7 +167,7 @@ def notes_of(found: Comparison, table: xr.Dataset) -> list[str]:
 
 
 def _searches_table(found: Comparison) -> Table:
-    """Return what each search found and whether it converged, by law and seed."""
+    """Return the result of each search and whether it converged, by law and seed."""
     rows = [
         [law if place == 0 else "", str(own.search.seed), str(own.data.sizes["point"]), number(own.value),
          number(own.converged), number(own.feasible)]

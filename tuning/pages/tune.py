@@ -79,7 +79,7 @@ def contents(found: Tuned, compared: TuneComparison, name: str) -> Contents:
 
 
 def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
-    """Return what isotropic gains mean for rotations: nothing much, where the law shifts the base."""
+    """Warn that isotropic gains stiffen rotations, where the law shifts the base."""
     if found.search.space != "isotropic" or not np.any(walk.base_displacement):
         return []
     moved = np.linalg.norm(walk.base_displacement.reshape(-1, 2, 3), axis=-1)

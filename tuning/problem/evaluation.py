@@ -73,7 +73,7 @@ class Problem:
         return {"law": self.law, "metrics": self.metrics, "engine": self.engine}
 
     def env_steps(self, points: int, tangents: int = 0) -> int:
-        """Return what evaluating so many points costs: a step with k tangents counts 1 + k, `REVERSE_ABOVE` at most."""
+        """Return the cost of evaluating points: a step with k tangents counts 1 + k, `REVERSE_ABOVE` at most."""
         return points * self.members * self.scenario.steps * (1 + min(tangents, REVERSE_ABOVE))
 
     def evaluate(
@@ -110,7 +110,7 @@ class Problem:
         return derivatives, reported
 
     def _reverse(self, theta: np.ndarray, along: np.ndarray) -> tuple[Any, dict[str, Any]]:
-        """Return what `_forward` does; along no direction, the walks alone."""
+        """Return the result of `_forward`; along no direction, the walks alone."""
         gains = to_gains64(self.space, theta)
         metrics = mc.rollout_metrics(self.scenario, gains, self.parameters, **self._how)
         with jax.enable_x64(np.dtype(self.dtype) == np.float64):
@@ -181,7 +181,7 @@ def baseline(
 
 
 def pd_of(scenario: mc.Scenario, parameters: mc.Parameters, **walks: Any) -> dict[str, np.ndarray]:
-    """Return what a search sees of pd in the walks of some parameters (leading batch axes): in float32.
+    """Return the metrics of pd in the walks of some parameters (leading batch axes), in float32 as a search sees them.
 
     `walks` are metrics and engine, as of `mjx_climb.rollout_metrics`.
     """

@@ -69,7 +69,7 @@ class Goal(Protocol):
         """What no metric may pass."""
 
     def score(self, metrics: Metrics) -> Score:
-        """Return what points are worth by their metrics."""
+        """Return the scores of points by their metrics."""
 
 
 OwnObjective = Callable[[Metrics], Array] | Goal  # what a user may give: a function in place of the terms, or all of it

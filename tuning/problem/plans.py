@@ -214,7 +214,7 @@ def _at_once(count: int) -> int:
 def rows(
     scenario: mc.Scenario, law: mc.Law, gains: AnyGains | None, parameters: mc.Parameters, members: int
 ) -> mc.Parameters:
-    """Return what walks depend on beside the law, (members, ...): parameters with joint gains and gait among gains."""
+    """Return the inputs of walks beside the law, (members, ...): parameters with joint gains and gait among gains."""
     walked = resolve_in(scenario, law, gains, parameters, np.float64).walked
 
     def broadcast(value: Any, own: int) -> np.ndarray:
@@ -315,5 +315,5 @@ class Freedom:
         return self.knots.at_knots(np.concatenate(sets, 1)).reshape(self.none.shape)
 
     def of_problems(self, of_walks: Float[np.ndarray, " walk"]) -> Float[np.ndarray, " problem"]:
-        """Return what each problem is worth, from what its walks are, start by start."""
+        """Return the value of each problem, from those of its walks, start by start."""
         return of_walks.reshape(self.base.shape[0], -1).mean(1) if self.common else of_walks

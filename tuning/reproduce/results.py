@@ -37,7 +37,7 @@ def scenarios() -> dict[str, mc.Scenario]:
 
 
 def stem(case: str) -> str:
-    """Return what the files of a case begin with."""
+    """Return the prefix of a case's files."""
     return f"case_{case.replace('.', '_')}"
 
 
@@ -182,7 +182,7 @@ def verdict(found: Found) -> str:
 
 
 def sentences(found: Found) -> dict[str, list[str]]:
-    """Return what is said of each claim, by case and reading."""
+    """Return the sentence on each claim, by case and reading."""
     return {
         f"Case {case}, {TITLES[reading]}": [
             f"With the base reference from the actual base: {v.sentence[0].lower()}{v.sentence[1:]}"

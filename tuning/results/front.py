@@ -35,7 +35,7 @@ class Front(Result):
         return knee(self.data[self.asked.against].values, self.data[self.asked.better].values)
 
     def comment(self, name: str) -> str:
-        """Return what is traded for what."""
+        """Return the two metrics of the trade."""
         return f"mjx-climb tune {name}: {self.asked.better} against {self.asked.against}, the knee of the front"
 
 

@@ -48,5 +48,5 @@ class Result:
         return law if law is None or self.gains is None else with_gains(law, self.gains)
 
     def comment(self, name: str) -> str:
-        """Return what the file of its gains says of a result for the scenario `name`."""
+        """Return the comment in the gains file of a result for the scenario `name`."""
         return f"mjx-climb {self.KIND} {name}"

@@ -176,7 +176,7 @@ def joint_of(found: Tuned) -> dict[str, float]:
 
 
 def rival_of(retuned: Tuned, step: float | None = None) -> Rival:
-    """Return what `search` found, to be compared with what it was searched for, at a time step of both."""
+    """Return the result of `search` as a rival, at a time step of both."""
     lacks = _lacks(retuned.scenario, _highest(spaces.space(retuned.scenario, retuned.search)))
     return Rival(joint_of(retuned), retuned.value, lacks, retuned.feasible, step)
 

@@ -67,7 +67,7 @@ class Work(Protocol):
         """Return arrays whose first axis is that of some rows."""
 
     def name(self, row: int) -> str:
-        """Return what a row is, in words."""
+        """Return the description of a row."""
 
     def write_asked(self, folder: Path) -> None:
         """Write what a merge needs beside the identity to make the same work again: `read_asked` of its module."""

@@ -141,7 +141,7 @@ class Grid:
         return " ".join(f"{name} {value:.4g}" for name, value in self._values(row).items())
 
     def result(self, arrays: Mapping[str, np.ndarray]) -> Swept:
-        """Return what all rows gave, labelled, over both gains.
+        """Return the results of all rows, labelled, over both gains.
 
         The coordinate `stretch` of time histories says when each stretch of time starts.
         """
@@ -191,7 +191,7 @@ def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: m
 
 
 def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_size: int | None = None) -> Grid:
-    """Return what `sweep` walks, whose arguments and errors these are."""
+    """Return the work of `sweep`, whose arguments and errors these are."""
     own = problem.law or law_of(problem.scenario)
     known = [*own.GAINS, *JOINT, INTEGRAL]
     if not own.GAINS:

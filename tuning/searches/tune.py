@@ -185,7 +185,7 @@ def problem_of(
     ensemble: Ensemble | None = None,
     **walks: Any,
 ) -> Problem:
-    """Return what the settings ask to search: space, objective relative to pd, and walks; pd walks first.
+    """Return the problem of a search: space, objective relative to pd, and walks; pd walks first.
 
     `walks` are law, metrics and engine, as of `tune`; an ensemble is drawn for the scenario.
 
@@ -215,7 +215,7 @@ def problem_of(
 def without_goal(
     scenario: mc.Scenario, search: Search, *, metrics: Iterable[mc.Metric] = mc.METRICS, **walks: Any
 ) -> Problem:
-    """Return what the settings ask to search, without an objective yet; `walks` are law and engine.
+    """Return the problem of a search without an objective yet; `walks` are law and engine.
 
     Raises:
         ConfigError: settings that make no sense, or a shipped metric, by which searches know what failed, is missing.

@@ -192,7 +192,7 @@ def _of_log_step(model: Fit, found: Fitted, beside: Mapping[str, Estimate]) -> I
 def _of_fit(
     found: Fitted, variables: Sequence[Variable], wrong: Sequence[Whiteness], signals: int, ahead: Mapping[str, Any]
 ) -> list[str]:
-    """Return what is to be said of a fit as a whole."""
+    """Return the remarks on a fit as a whole."""
     said = []
     if found.clock:
         said.append(

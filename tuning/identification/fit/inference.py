@@ -84,7 +84,7 @@ class Whiteness(NamedTuple):
 
 
 def posterior(problem: LeastSquares, found: Fitted, tests: Sequence[Whiteness]) -> Posterior:
-    """Return what is known after a fit."""
+    """Return the posterior of a fit."""
     variables, prior = problem.model.variables, prior_of(problem.model)
     _, information, _ = eliminated(found.normal)
     information = (information + information.T) / 2
@@ -162,7 +162,7 @@ def useless(noise: Float[np.ndarray, " signals"], moved: Float[np.ndarray, " sig
 
 
 def _of_clock(problem: LeastSquares, found: Fitted, sd: np.ndarray) -> np.ndarray:
-    """Return what the log's clock leaves open of each variable (P,), s: the time from a command to a sample.
+    """Return each variable's derivative by the log's clock (P,), s: the time from a command to a sample.
 
     Velocities that are late against positions, as those of a simulator of first order are by half its step, show how
     well times are meant; without velocities nothing does.

@@ -176,7 +176,7 @@ def _times(band: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def raised(solve: Callable[[float], Any]) -> Any:
-    """Return what `solve` does with the least share of the diagonal that makes its matrix positive definite."""
+    """Return `solve` with the least share of the diagonal that makes its matrix positive definite."""
     for share in (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-3, 1.0):
         try:
             return solve(share)

@@ -70,7 +70,7 @@ def changes(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Iterator[Chang
 def tried(
     problem: Problem, found: Fitted, scenario: mc.Scenario, chosen: Sequence[Variable], kept: Iterates
 ) -> list[Tried]:
-    """Return what each likely change of a scenario leaves of the residuals of its fit, the least first.
+    """Return the share of the residuals that each likely change of a scenario leaves, the least first.
 
     Arguments:
         problem: as it was fitted, with its noise.

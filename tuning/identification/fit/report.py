@@ -33,7 +33,7 @@ COLUMNS = ("parameter", "unit", "before", "after", "95 % interval", "remark")
 
 
 def table(found: Identified) -> page.Table:
-    """Return what was fitted: before, after, interval, and bound or prior where one was reached."""
+    """Return the fitted values: before, after, interval, and bound or prior where one was reached."""
     beside = {key: each for key, each in found.beside.items() if each.seen}
     sections = [("", _rows(found.estimates)), ("beside these", _rows(beside))]
     return page.Table("Parameters", COLUMNS, [(name, rows) for name, rows in sections if rows])

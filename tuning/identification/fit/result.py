@@ -59,7 +59,7 @@ class Identified:
         return f"{self.log.source} tells {seen} of {len(self.estimates)} parameters{predicted}"
 
     def as_json(self) -> dict[str, Any]:
-        """Return what `mjx-climb identify --json` prints."""
+        """Return the result as `mjx-climb identify --json` prints it."""
         names = ("value", "low", "high", "seen")
         shown = {key: {n: getattr(each, n) for n in names} for key, each in self.estimates.items()}
         away = {  # None: infinite

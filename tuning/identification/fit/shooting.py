@@ -102,7 +102,7 @@ class _Predicted(NamedTuple):
 
 
 def _predicted(problem: Problem, x: np.ndarray, values: dict[str, Any], tangents: dict[str, Any]) -> _Predicted:
-    """Return what was predicted for each row, and its derivatives.
+    """Return the prediction of each row, and its derivatives.
 
     Between the steps angles and rates are on a parabola, efforts on a line. A rate bends where the command jumps, and
     the step there has its mean: it is on a parabola of the steps on its own side of the jump.

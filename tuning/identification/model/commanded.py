@@ -42,14 +42,14 @@ Simulate = Callable[..., Carried]  # pure, of one robot, of a `Robot`, `Paramete
 
 @functools.cache
 def in_batch(simulate: Simulate) -> Simulate:
-    """Return what simulates a batch of commands, compiled."""
+    """Return the compiled simulation of a batch of commands."""
     compiled: Simulate = jax.jit(jax.vmap(simulate, (None, None, 0)))
     return compiled
 
 
 @functools.cache
 def held(stages: Stages, time_step: float) -> Simulate:
-    """Return what a robot does whose base is held; it begins at rest at angles (limb, joint) or the first targets.
+    """Return the motion of a robot whose base is held, from rest at angles (limb, joint) or at the first targets.
 
     Its dry friction comes `lead` s before the rate, see `tuning.identification.model.held_base`.
     """
@@ -90,7 +90,7 @@ def swaying(scenario: mc.Scenario, duration: float) -> mc.Scenario:
 
 @functools.cache
 def standing(scenario: mc.Scenario, stages: Stages) -> Simulate:
-    """Return what the robot of a scenario of `swaying` does; it is the scenario's own, whatever robot is given."""
+    """Return the motion of the scenario's own robot, of `swaying`, whatever robot is given."""
     simulation = mc.Simulation(scenario)
 
     def one_step(state: mc.simulation.SimulationState, target: Array) -> tuple[Any, Carried]:

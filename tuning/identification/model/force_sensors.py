@@ -11,7 +11,7 @@ _AXES = "xyz"
 
 
 def logged_force(places: Sequence[Place], x: Array, limbs: Sequence[str], force: Array) -> Array:
-    """Return what the log has of what force sensors read (..., limb, 3) N, at coordinates x of the variables."""
+    """Return the logged forces (..., limb, 3) N of given readings, at coordinates x of the variables."""
     own = {place.key: value for place, value in zip(places, x, strict=True)}
     if not any(key.startswith(f"log.{limb}.force.") for key in own for limb in limbs):
         return force

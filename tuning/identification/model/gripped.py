@@ -95,7 +95,7 @@ def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Wi
 
 
 def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
-    """Return what would be recorded at steps 0 to `steps`, and the leaves of the state at the last one."""
+    """Return the predicted records at steps 0 to `steps`, and the leaves of the state at the last one."""
     dtype = point.x.dtype
     nominal = load_robot(structure.robot)
     parameters, robot = applied(structure.places, point.x, parameters, nominal)
@@ -191,7 +191,7 @@ class GrippedModel(Fit):
             kept = values, tangents
 
     def _given(self, x: np.ndarray, which: np.ndarray, before: bool) -> Given:
-        """Return what the log says of windows, or of as long before each, for all points."""
+        """Return the records of windows, or of the same time before each, for all points."""
         steps = self.windows.steps
         span = slice(0, steps + 1) if before else slice(steps, None)
         each = [self.sent(which, self.delay(point), steps) for point in x]

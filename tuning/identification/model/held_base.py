@@ -100,7 +100,7 @@ def advance_by(
     accelerate: Callable[[Robot, State, Array], Acceleration], loads: Loads, stand: Stand, moving: Moving,
     targets: Array,
 ) -> tuple[Moving, Recorded]:  # fmt: skip
-    """Return what `advance` does for other dynamics, given a robot, its state and the torques on its joints.
+    """Return `advance` for other dynamics, given a robot, its state and the torques on its joints.
 
     The state's joint rates are those of the step's beginning. `loads` are all but the servos', for their gears.
     """
@@ -177,7 +177,7 @@ def _rubbed(stand: Stand, robot: Robot, moving: Moving, on: _Rubbing) -> tuple[R
 
 
 def _reached(mobility: Array, free: Array, most: Array, share: Array, per_change: Array) -> Array:
-    """Return what friction would bear of what it can (limb, joint), if it bore more than it can, by Gauss-Seidel."""
+    """Return the friction torques (limb, joint) within their limits, by Gauss-Seidel."""
     most = jnp.broadcast_to(most, free.shape)
     borne, reached = most * jnp.clip(share, -1.0, 1.0), share
     for _ in range(_SWEEPS):

@@ -74,7 +74,7 @@ MEMORY = {  # of a joint's servo, that a window begins with: prior sd, and what 
 
 
 def memory(servo: Servo) -> dict[str, Array]:
-    """Return what servos remember of each joint that is not known from the log, (limb, joint) each."""
+    """Return the servos' states that the log does not tell, (limb, joint) each."""
     found = {"bristle": servo.bristle, **{f"loop.{name}": value for name, value in servo.loop._asdict().items()}}
     return {name: found[name] for name in MEMORY if found[name] is not None}
 
@@ -86,7 +86,7 @@ def with_memory(servo: Servo, own: Mapping[str, AnyArray]) -> Servo:
 
 
 def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
-    """Return what would be recorded at steps 0 to `steps` (steps + 1, limb, joint), and the state at the last one."""
+    """Return the predicted records at steps 0 to `steps` (steps + 1, limb, joint), and the state at the last one."""
     dtype = point.x.dtype
     parameters, robot = applied(structure.places, point.x, parameters, load_robot(structure.robot))
     robot = with_foot_mass(robot, structure.mass)
@@ -161,7 +161,7 @@ class Fit:
         return schedule_of(self.windows.gains, float(np.asarray(self.parameters.kp)))
 
     def sent(self, which: np.ndarray, delay: float, before: int = 0) -> tuple[stands.Sent, stands.Sent]:
-        """Return what was sent `delay` s late, from `before` steps before each window, and its rates over time."""
+        """Return the commands `delay` s late, from `before` steps before each window, and their rates over time."""
         windows = self.windows
         sent, changing = (stands.Sent(value) for value in windows.targets(which, delay, before, self.schedule))
         if self.schedule is not None:
@@ -215,13 +215,13 @@ class Model(Fit):
         return Point(x, start, late)
 
     def _given(self, which: np.ndarray, delay: float, before: int) -> Given:
-        """Return what the log says of windows, with what was sent `delay` s late."""
+        """Return the windows' records, with the commands `delay` s late."""
         early, changing = self.sent(which, delay, before)
         sent, changing = (jax.tree.map(lambda value: value[:, before:], each) for each in (early, changing))
         return Given(early.targets[:, :before], sent, changing)
 
     def evaluate(self, x: np.ndarray, start: np.ndarray, which: np.ndarray) -> tuple[dict[str, np.ndarray], Any]:
-        """Return what windows would have recorded, and the tangents.
+        """Return the predicted records of windows, and their tangents.
 
         Arguments:
             x: (points, n).

@@ -54,7 +54,7 @@ class Replay:
     warnings: tuple[str, ...]  # what the comparison rests on, a line each
 
     def logged(self) -> mc.Trajectory:
-        """Return what was logged as a walk, to be shown: what was not logged is as simulated."""
+        """Return the log as a walk, to be shown: quantities that were not logged are as simulated."""
         walk, robot = self.walk, load_robot(self.scenario.robot)
         found: dict[str, Any] = {}
         for field, by_name in _fields(robot).items():
@@ -89,7 +89,7 @@ def replay(
 
 
 def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None, mass: float = 0.0) -> Prepared:
-    """Return what a log's commands do to the servos, and the scenario in which they do it.
+    """Return the walk of the servos under a log's commands, and its scenario.
 
     Commands go to the servos as they were logged: `hardware.control_period` has no part in it, `command_delay` and the
     servos have. With the base held it is a robot on a stand that begins where the log does; else a walk from the rest
@@ -245,7 +245,7 @@ def _on_a_stand(prepared: Prepared, robot: Robot) -> mc.Trajectory:
 def _as_walk(
     scenario: mc.Scenario, robot: Robot, parameters: Parameters, targets: np.ndarray, carried: Carried
 ) -> mc.Trajectory:
-    """Return what moves on a stand as a walk: what is not defined there is NaN, and what does not act is 0."""
+    """Return a motion on a stand as a walk: undefined quantities are NaN, loads that do not act are 0."""
     angles, rates, torque, of_feet = carried
     steps, limbs = targets.shape[:2]
     position = np.broadcast_to(robot.stance_position, (steps, 3))

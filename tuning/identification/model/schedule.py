@@ -46,7 +46,7 @@ class Schedule(NamedTuple):
 
 
 def schedule_of(signals: Mapping[str, Signal], kp: float) -> Schedule | None:
-    """Return what the signals of a log say of P gains and torque; None where they are the config's `kp`, N m/rad."""
+    """Return the logged schedule of P gains and torque; None where they are the config's `kp`, N m/rad."""
     there = [signals[name] for name in (KP, OFF) if name in signals and len(signals[name].time)]
     if not there:
         return None

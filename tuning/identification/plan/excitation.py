@@ -89,7 +89,7 @@ class Excited:
 def excite(
     scenario: mc.Scenario, fit: Sequence[str] | None = None, *, stage: Stage = silent, **settings: Any
 ) -> Excited:
-    """Return what to command so that a log tells `fit`, keys of the scenario.
+    """Return the commands by which a log tells `fit`, keys of the scenario.
 
     Arguments:
         scenario: the nominal robot and its hardware.
@@ -152,7 +152,7 @@ def chosen(rig: Rig, *, stage: Stage = silent) -> Excited:
 
 
 def scale(variable: Variable) -> float:
-    """Return what the standard deviation of a variable is relative to: its value, or the prior's where that is 0.
+    """Return the scale of a variable's standard deviation: its value, or the prior's where that is 0.
 
     Of a product of inertia too: it moves in another coordinate than its value.
     """
@@ -220,7 +220,7 @@ def _drop(rig: Rig) -> list[Segment]:
 
 
 def _carried(rig: Rig, targets: Sequence[np.ndarray], segments: Sequence[list[Segment]]) -> list[Carried]:
-    """Return what the nominal model makes of several motions, at each time step, the lead before the log included."""
+    """Return the nominal model's walks of several motions, at each time step, the lead before the log included."""
     all_commands = _commands(rig, [np.nan_to_num(one) for one in targets], segments)
     done = commanded.in_batch(rig.run())(rig.robot, rig.parameters, all_commands)
     return [Carried(*one) for one in zip(*map(np.asarray, done), strict=True)]

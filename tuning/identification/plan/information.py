@@ -99,7 +99,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _combination(parts: dict[str, float]) -> str:
-    """Return what may change together unseen, in words: each parameter by its share of its own value."""
+    """Return the least visible direction in words: each parameter by its share of its own value."""
     unit = max(parts.values(), key=abs)
     changes = [f"{name} {100 * part / unit:+.3g} %" for name, part in parts.items()]
     return f"{', '.join(changes)} at once look the same"

@@ -49,7 +49,7 @@ def chirp(axes: Axes, time: np.ndarray, band: Band, draw: np.random.Generator) -
 
 
 def plain_chirp(axes: Axes, time: np.ndarray, band: Band, draw: np.random.Generator) -> _Samples:
-    """Return what is commanded most often: one sine from the lowest to the highest frequency, of one amplitude."""
+    """Return the usual motion: one sine from the lowest to the highest frequency, of one amplitude."""
     frequency = band.low * (band.high / band.low) ** (time[:, None] / (time[-1] + time[1]))
     amplitude = axes.amplitude(np.full(len(axes.room), band.high))
     return np.asarray(amplitude * _sines(time, frequency, np.zeros(1)))

@@ -131,7 +131,7 @@ def summary(found: Excited) -> dict[str, Any]:
 
 
 def table(found: Excited) -> Table:
-    """Return what the log is expected to tell, beside the plain chirp."""
+    """Return the forecast of what a log tells, beside the plain chirp's."""
     rows = []
     for variable, *both in zip(
         found.chosen, found.best.information.deviations, found.plain.information.deviations, strict=True
@@ -156,7 +156,7 @@ def limits(found: Excited) -> Table:
 
 
 def notes(found: Excited) -> list[str]:
-    """Return what to know before anyone turns the robot on."""
+    """Return the warnings before anyone turns the robot on."""
     asked, hardware, gravity = found.asked, found.scenario.hardware, np.linalg.norm(found.scenario.gravity)
     how = "Hold the base, limbs in the air" if asked.base == "held" else "Shut all grippers"
     said = [

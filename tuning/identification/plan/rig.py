@@ -110,12 +110,12 @@ class Rig:
         return with_foot_mass(robot, self.asked.mass), dataclasses.replace(parameters, command_delay=late)
 
     def carried(self, point: Array, commands: Commands) -> Carried:
-        """Return what the robot of a point does."""
+        """Return the motion of the robot of a point."""
         lead = {"lead": self._own(point, LEAD)} if self.asked.base == "held" else {}
         return self.run()(*self.at(point), commands, **lead)
 
     def logged_force(self, point: Array, force: Array) -> Array:
-        """Return what the log has of the forces (time, limb, 3) N on the feet; late by what a point moves the delay."""
+        """Return the logged forces (time, limb, 3) N on the feet, late by the delay of a point."""
         _, parameters = self.at(point)
         late = parameters.force_delay - self.parameters.force_delay + self._own(point, LATE_FORCE)
         change = jnp.asarray(jnp.gradient(force, self.scenario.time_step, axis=0))
@@ -124,7 +124,7 @@ class Rig:
         )
 
     def run(self) -> commanded.Simulate:
-        """Return what carries out commands."""
+        """Return the simulation of commands."""
         if self.asked.base == "free":
             return commanded.standing(self.scenario, self.stages)
         return commanded.held(self.stages, self.scenario.time_step)

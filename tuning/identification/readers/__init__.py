@@ -24,7 +24,7 @@ _SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N"}  # of a prismatic joint
 def read_log(
     path: str | os.PathLike[str], robot: Robot, signals: Signals | str | os.PathLike[str] | None = None
 ) -> Log:
-    """Return what a robot recorded, in SI units, with what seems odd about it.
+    """Return a robot's record in SI units, with doubts about it.
 
     Arguments:
         path: CSV, netCDF, MCAP (.mcap), an sqlite bag (.db3), or the folder of a bag.
@@ -93,7 +93,7 @@ def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[st
 
 
 def _taken(recording: Recording, signals: Signals, name: str, robot: Robot, place: str) -> tuple[Signal, str]:
-    """Return what a file holds of a signal, in SI units, and what it was recorded with.
+    """Return a signal of a file in SI units, with the columns that were recorded with it.
 
     Raises:
         ConfigError: a signal that the robot does not have, a unit of another kind, or a place that is not there.

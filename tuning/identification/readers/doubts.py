@@ -27,7 +27,7 @@ Read = Mapping[str, Signal]
 
 
 def doubts(read: Read, recorded: Read, robot: Robot, signals: Signals) -> tuple[str, ...]:
-    """Return what seems wrong with signals, a line each.
+    """Return the doubts about signals, a line each.
 
     Arguments:
         read: by their names, SI units.
@@ -103,7 +103,7 @@ def _beyond_limits(read: Read, robot: Robot) -> Iterator[str]:
 
 
 def _range(value: Float[np.ndarray, " samples"], low: float, high: float) -> str:
-    """Return what is wrong with the range of a joint angle, "" for nothing."""
+    """Return the fault in the range of a joint angle, "" for none."""
     span, least, most = high - low, float(value.min()), float(value.max())
     if least >= low - 0.1 * span and most <= high + 0.1 * span:
         return ""

@@ -182,7 +182,7 @@ def _without(part: Sequence[str], words: Sequence[str]) -> tuple[str, ...]:
 
 
 def _quantity(said: Sequence[str], words: Sequence[str]) -> str:
-    """Return what a joint's column holds, by the last word that says it; "" for nothing that is read.
+    """Return the kind of a joint's column, by the last word that says it; "" for none that is read.
 
     `said` are the words of its name but for those of the joint's own, which say nothing about it.
     """

@@ -11,7 +11,7 @@ from tuning.identification.readers.table import Recording
 
 
 def _readers() -> dict[str, Callable[[Path], Recording]]:
-    """Return what reads a file, by its suffix, of all files of this folder."""
+    """Return the readers of this folder, by the suffix of files."""
     each = [importlib.import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
     return {suffix: module.read for module in each for suffix in module.SUFFIXES}
 

@@ -45,7 +45,7 @@ def read(path: Path) -> Recording:
 
 
 def _late(data: xr.Dataset, source: str) -> tuple[str, ...]:
-    """Return what to know of the commands of a walk: they were recorded behind the bus, not before."""
+    """Return the note on the commands of a walk: they were recorded behind the bus, not before."""
     delay = dataset.scenario_of(data).hardware.command_delay if "scenario" in data.attrs else 0.0
     return (
         (

@@ -38,7 +38,7 @@ def read(path: Path) -> Recording:
 
 
 def _cure(reason: str, path: Path) -> str:
-    """Return what the user can do about a reason for which a recording is not read, "" where that is not known."""
+    """Return the remedy for a recording that is not read, "" where none is known."""
     stored = [file for suffix in ("mcap", "db3") for file in sorted(path.glob(f"*.{suffix}"))] or [path]
     file = stored[-1]  # a recorder that is killed leaves the last one of several cut
     cures = {
