@@ -150,7 +150,7 @@ def test_a_command_that_came_to_its_end_says_so(monkeypatch, call, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "command", ["schema", pytest.param("export", marks=pytest.mark.nightly), "run"]
+    "command", ["schema", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("export", "run"))]
 )  # the others take minutes: the script has them
 def test_signals_at_random_instants(command, tmp_path):
     """Four of the two hundred that `python -m tests.interrupts` tries."""

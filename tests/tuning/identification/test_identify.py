@@ -236,6 +236,7 @@ def test_a_bound_that_binds_beside_what_is_asked_for_is_named():
     assert "log.command.delay: on its upper bound, 0.00025 s" in found.warnings
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_known_mass_on_the_feet_tells_torques_from_masses_where_no_effort_is_recorded():
     """Without it masses, gains, armature and friction, all smaller by a sixth, make the same motion: the start."""
@@ -342,6 +343,7 @@ def test_what_a_log_with_the_torque_off_or_a_p_gain_of_nothing_cannot_tell_keeps
     assert written.hardware.servo.armature == SCENARIO.hardware.servo.armature
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_limits_that_the_robot_does_not_have_give_no_interval():
     scenario = SCENARIO.with_overrides({"hardware.servo.torque_limit": 0.3})
