@@ -140,27 +140,29 @@ class Parameters:
     contact: PyTree = None  # a `Contact` in place of the gripper that the values above describe
     drive: PyTree = None  # an `Actuator` in place of the servos that the values above describe
     disturbances: PyTree = ()  # a tuple of `Disturbance`, beside cargo and pushes
+    holds: PyTree = None  # `Holds`, the points that can be held; None: all of the ground
 
     @property
     def numbers(self) -> dict[str, AnyArray]:
-        """The values by name, without contact, drive and disturbances, which have values of their own."""
+        """The values by name, without the components, which have values of their own."""
         return {name: value for name, value in vars(self).items() if name not in COMPONENTS}
 
     def with_components(self, change: Callable[[str, Component], Component]) -> "Parameters":
         """Parameters with each component replaced by what `change` makes of its place and itself."""
         changed = {place: change(place, each) for place, each in self.components.items()}
         others = tuple(changed[f"disturbances.{n}"] for n in range(len(self.disturbances)))
-        contact, drive = changed.get("contact"), changed.get("drive")
-        return dataclasses.replace(self, contact=contact, drive=drive, disturbances=others)
+        single: dict[str, Any] = {name: each for name, each in changed.items() if name in COMPONENTS}
+        return dataclasses.replace(self, **single, disturbances=others)
 
     @property
     def components(self) -> dict[str, Component]:
-        """Contact, drive and disturbances, as far as there are any, by their places: "disturbances.0"."""
+        """The components, as far as there are any, by their places: "contact", "disturbances.0"."""
         found = {f"disturbances.{n}": each for n, each in enumerate(self.disturbances)}
-        return {name: each for name in ("contact", "drive") if (each := getattr(self, name)) is not None} | found
+        single = [name for name in COMPONENTS if name != "disturbances"]
+        return {name: each for name in single if (each := getattr(self, name)) is not None} | found
 
 
-COMPONENTS = ("contact", "drive", "disturbances")
+COMPONENTS = ("contact", "drive", "disturbances", "holds")
 KEYS: dict[str, str] = {  # of a scenario, whose values and ranges these are
     field.name: field.metadata["key"] for field in dataclasses.fields(Parameters) if field.metadata.get("key")
 }

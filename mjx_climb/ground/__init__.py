@@ -1,0 +1,5 @@
+"""Ground that can be held here and not there: graspable points."""
+
+from mjx_climb.ground.holds import Holds
+
+__all__ = ["Holds"]
