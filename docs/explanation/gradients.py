@@ -59,12 +59,12 @@ def jumps(values: np.ndarray, slopes: np.ndarray, step: float) -> np.ndarray:
 
 
 def draw(values: dict, slopes: dict) -> Figure:
-    """Draw values above derivatives, a column for each metric."""
+    """Draw values above derivatives, one metric below the other: as wide as a phone."""
     step = np.log(DAMPING[1] / DAMPING[0])
     with plots.style():
-        figure = Figure(figsize=(2 * plots.COLUMN, 3.6), layout="constrained")
-        axes = figure.subplots(2, 2, sharex=True)
-        for (above, below), (name, label) in zip(axes.T, METRICS.items(), strict=True):
+        figure = Figure(figsize=(plots.COLUMN, 6), layout="constrained")
+        axes = figure.subplots(4, 1, sharex=True)
+        for above, below, (name, label) in zip(axes[::2], axes[1::2], METRICS.items(), strict=True):
             difference = (values[name][2:] - values[name][:-2]) / (2 * step)
             above.plot(DAMPING, values[name], ".", color=plots.BLUE, markersize=2.5)
             above.set_ylabel(label)
@@ -74,11 +74,11 @@ def draw(values: dict, slopes: dict) -> Figure:
             low, high = slopes[name].min(), slopes[name].max()
             below.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
             below.set_ylabel("derivative by log D [N]")
-            below.set_xlabel("damping D, all axes [N s/m, N m s/rad]")
             for panel in (above, below):
                 for at in jumps(values[name], slopes[name], step):
                     panel.axvline(np.sqrt(DAMPING[at] * DAMPING[at + 1]), color="0.8", linewidth=0.6, zorder=0)
-        axes[1, 0].legend(fontsize=6.5, loc="upper left")
+        axes[1].legend(loc="upper left")
+        axes[-1].set_xlabel("damping D, all axes [N s/m, N m s/rad]")
     return figure
 
 
@@ -92,7 +92,7 @@ def main() -> None:
             before, after = (contacts(scenario, DAMPING[at + side]) for side in (0, 1))
             change = values[name][at + 1] - values[name][at]
             print(f"{name}: {change:+.4f} N at D = {DAMPING[at]:.2f}; {before - after} -> {after - before}")
-    draw(values, slopes).savefig(ROOT / "docs" / "images" / "gradients.png", dpi=160)
+    draw(values, slopes).savefig(ROOT / "docs" / "images" / "gradients.png", dpi=180)
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ def test_pages_of_users_are_short_and_begin_with_what_they_are_for():
 
 
 def test_a_study_has_its_parts():
-    parts = ("**Question.**", "**Answer.**", "\n|", "## What it rests on")
+    parts = ("**Question.**", "**Answer.**", "\n|", "## What it rests on", "](../images/")
     for page in (ROOT / "docs" / "studies").glob("*.md"):
         text = page.read_text("utf-8")
         assert page.name == MADE or (all(part in text for part in parts) and text.count("\n") < 90), page

@@ -1,0 +1,349 @@
+"""Draw the picture of each study from the tables in docs/studies/.
+
+python docs/images/studies.py [FOLDER]
+"""
+
+import csv
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+HERE = Path(__file__).parent
+STUDIES = HERE.parent / "studies"
+# of a phone's column: 4.2 inches at 96 px
+WIDTH, ROW, MARGIN = 4.2, 0.29, 1.15
+# docs/hooks/dark.py has those that stand for them on dark pages; colour-blind readers tell them apart (Okabe and Ito)
+INK, FAINT = "#222222", "#d0d0d0"
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499")
+MARKERS = "osD^"
+NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
+STYLE = {
+    **{f"{part}.color": INK for part in ("text", "xtick", "ytick")},
+    "axes.labelcolor": INK,
+    "axes.edgecolor": FAINT,
+    "axes.facecolor": "none",
+    "figure.constrained_layout.use": True,
+    "font.size": 11,
+    "grid.color": FAINT,
+    "legend.frameon": False,
+    "legend.fontsize": 10,
+    "svg.fonttype": "none",  # text that a browser draws and a reader can search
+    "svg.hashsalt": "mjx_climb",  # the same file from the same table
+    "ytick.major.size": 0,
+}
+Row = Mapping[str, str]
+Span = tuple[float, float, float]  # value, lower and upper end of its interval
+Series = Mapping[str, Mapping[str, Span]]  # by its name: by row of the picture
+
+
+def table(name: str, **wanted: str) -> list[Row]:
+    """Return the rows of a table that have some values."""
+    with (STUDIES / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    return [row for row in rows if all(row[column.replace("_", " ")] == value for column, value in wanted.items())]
+
+
+def numbers(text: str) -> list[float]:
+    """Return the numbers of a cell."""
+    return [float(found) for found in NUMBER.findall(text)]
+
+
+def span(text: str) -> Span:
+    """Return the middle and the ends of a cell: of "3.8e6 to 4.6e6" both, of one number this alone."""
+    found = numbers(text)
+    return (sum(found) / len(found), min(found), max(found))
+
+
+def change(row: Row, rivals: Sequence[Row], column: str) -> Span:
+    """Return the difference of a row from its rival's in per cent, with the interval that the table has beside it."""
+    rival = np.mean([float(row[column]) for row in rivals])
+    value = 100 * (float(row[column]) / rival - 1)
+    low, high = (next((row[name] for name in row if name.startswith(f"95 % {end}")), "") for end in ("low", "high"))
+    return (value, float(low), float(high)) if low and high else (value, value, value)
+
+
+def gathered(values: Iterable[tuple[str, str, Span]]) -> Series:
+    """Return series by name and label; several values of one, from searches of other seeds, become one span."""
+    found: dict[str, dict[str, list[Span]]] = {}
+    for name, label, value in values:
+        found.setdefault(name, {}).setdefault(label, []).append(value)
+    return {
+        name: {label: (float(np.mean([v for v, _, _ in own])), min(low for _, low, _ in own), max(h for *_, h in own))
+               for label, own in rows.items()}
+        for name, rows in found.items()
+    }  # fmt: skip
+
+
+def dots(panel: Axes, series: Series, at: float | None = None, spread: float = 0.0) -> None:
+    """Draw a row for each label and a mark with its interval for each series; `at` is where nothing differs."""
+    labels = list(dict.fromkeys(label for values in series.values() for label in values))
+    for place, (name, values) in enumerate(series.items()):
+        offset = spread * (place - (len(series) - 1) / 2)
+        rows = [labels.index(label) + offset for label in values]
+        middle, low, high = np.array(list(values.values())).T
+        marker, colour = MARKERS[place % len(MARKERS)], COLOURS[place % len(MARKERS)]
+        panel.hlines(rows, low, high, color=colour, linewidth=2)
+        panel.plot(middle, rows, marker, color=colour, markersize=7, label=name)
+    if at is not None:
+        panel.axvline(at, color=INK, linewidth=1)
+    if max(abs(np.array(panel.get_xlim()))) > 10:
+        panel.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=True))
+    panel.set_yticks(range(len(labels)), labels)
+    panel.set_ylim(len(labels) - 0.5, -0.5)
+    panel.grid(axis="x")
+    panel.spines[["top", "right", "left"]].set_visible(False)
+
+
+def figure(rows: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """Return a picture with so many rows, and its panels side by side."""
+    made = Figure(figsize=(WIDTH, MARGIN + ROW * rows))
+    return made, list(made.subplots(1, columns, sharey=True, squeeze=False)[0])
+
+
+def legend(made: Figure, panel: Axes, columns: int) -> None:
+    """Name the marks above the picture."""
+    made.legend(*panel.get_legend_handles_labels(), loc="outside upper left", ncols=columns, handletextpad=0.2)
+
+
+def plain(series: Series, label: str, at: float | None, **how: Any) -> Figure:
+    """Return a picture of one panel."""
+    columns = how.pop("columns", len(series))
+    made, (panel,) = figure(len({name for values in series.values() for name in values}))
+    dots(panel, series, at, **how)
+    made.supxlabel(label, fontsize=11)
+    if len(series) > 1:
+        legend(made, panel, columns)
+    return made
+
+
+def logarithmic(panel: Axes, ticks: Sequence[float]) -> None:
+    """Scale the axis by powers, with ticks in plain numbers."""
+    panel.set_xscale("log")
+    panel.set_xticks(ticks, map(str, ticks))
+    panel.minorticks_off()
+
+
+def by_case(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
+    """Return rows by servos and case."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((row.get("servos", "dynamixel_x"), row["case"]), []).append(row)
+    return found
+
+
+def place(servos: str, case: str) -> str:
+    return f"case {case}" if servos == "dynamixel_x" else f"case {case}, {servos.replace('_', '-').upper()}"
+
+
+# --- the studies
+
+
+def does_the_sensor_pay() -> Figure:
+    """Force variation of each law relative to pd with its own joint gains searched."""
+
+    def compared(name: str, rows: Sequence[Row], pd: str, law: str) -> Iterator[tuple[str, str, Span]]:
+        for (servos, case), group in by_case(row for row in rows if row["metric"] == "V N").items():
+            rivals = [row for row in group if re.search(pd, row["gains"])]
+            for row in group:
+                if rivals and re.search(law, row["gains"]):
+                    yield name, place(servos, case), change(row, rivals, "mean")
+
+    eq_3, shipped = table("base_admittance_dynamixel_x"), table("gains_in_configs")
+    series = gathered([
+        *compared("Eq. 3", eq_3, "^pd, retuned", "^searched"),
+        *compared("load transfer", shipped, r"(^|_)pd( \(lost|$)", r"(^|_)best( \(lost|$)"),
+    ])  # fmt: skip
+    return plain(series, "change of force variation from searched pd, %", 0, spread=0.2)
+
+
+def which_law() -> Figure:
+    """Force variation of each law relative to pd, by case."""
+    low, high = (f"95 % {end}: difference from pd %" for end in ("low", "high"))
+    rows = [row for row in table("which_law", metric="V N", of_512_walks="mean") if row[low]]
+    ends = [(float(row[low]), float(row[high])) for row in rows]
+    series = gathered(
+        (place(row["servos"], row["case"]), row["law"], (sum(pair) / 2, *pair))
+        for row, pair in zip(rows, ends, strict=True)
+    )
+    return plain(series, "change of force variation from pd, %", 0, columns=2, spread=0.17)
+
+
+def worse_hardware() -> Figure:
+    """Force variation of pd by setting, and of load transfer beside pd in the same setting."""
+    best = {"1.2": "load transfer, kd by phase"}  # of the laws that transfer load, by case
+    short = {"force 2 ms": "2 ms late", "30 ms": "30 ms late", "friction / 2": "half friction", "x 2": "twice friction"}
+    rows = table("worse_hardware", metric="V N")
+    settings = list(rows[0])[5:]  # behind `as drawn`
+
+    def of(kind: str, law: Callable[[str], str]) -> Series:
+        chosen = [row for row in rows if row["values"].startswith(kind) and row["law"] == law(row["case"])]
+        cells = [(row, setting) for row in sorted(chosen, key=lambda row: row["case"]) for setting in settings]
+        return gathered(
+            (f"case {row['case']}", short.get(setting, setting), span(row[setting]))
+            for row, setting in cells
+            if numbers(row[setting])
+        )
+
+    made, panels = figure(len(settings), 2)
+    for panel, series, title, label in (
+        (panels[0], of("change", lambda _: "pd"), "pd", "from as drawn, %"),
+        (panels[1], of("difference", lambda case: best.get(case, "load transfer")), "load transfer", "from pd, %"),
+    ):
+        dots(panel, series, 0, spread=0.2)
+        panel.set_title(title, fontsize=11)
+        panel.set_xlabel(label, fontsize=10)
+    legend(made, panels[0], 3)
+    return made
+
+
+def robust_gains() -> Figure:
+    """Force variation by gains and case, relative to the config's pd: the mean, and a line to the worst twentieth."""
+
+    def values() -> Iterator[tuple[str, str, Span]]:
+        for (_, case), group in by_case(table("robust_gains", metric="V N")).items():
+            pd = np.mean([float(row["mean"]) for row in group if row["gains"] == "pd"])
+            for row in group:
+                mean, worst = (100 * float(row[column]) / pd for column in ("mean", "worst 5 %"))
+                yield row["gains"], f"case {case}", (mean, mean, worst)
+
+    series = gathered(values())
+    made, (panel,) = figure(6)
+    dots(panel, series, spread=0.2)
+    made.supxlabel("force variation, % of pd; line: to the worst 5 %", fontsize=10)
+    legend(made, panel, 4)
+    return made
+
+
+def ceiling() -> Figure:
+    """Objective of each contestant on the drawn walks of Dynamixel X servos."""
+    rows = [(re.fullmatch(r"dynamixel_x_(\w+)_ensemble", row["row"]), row) for row in table("ceiling")]
+    series = gathered(
+        (f"case {found[1].replace('_', '.')}", row["contestant"].replace("_", " "), span(row["objective"]))
+        for found, row in rows
+        if found and row["contestant"] != "pd"
+    )
+    return plain(series, "objective, 1 for the config's pd", None, spread=0.2)
+
+
+def paper() -> Figure:
+    """Force variation and cost of transport in both readings with the paper's gains, relative to pd."""
+    text = (STUDIES / "paper_run.md").read_text("utf-8")
+    cases = re.findall(r"^\*\*Case ([\d.]+):(.*?)(?=^\*\*)", text, re.MULTILINE | re.DOTALL)
+
+    def values(metric: str) -> Iterator[tuple[str, str, Span]]:
+        for case, part in cases:
+            lines = [line.split("|") for line in part.splitlines() if line.startswith((f"| {metric} ", "| metric "))]
+            cells = {name.strip(): cell.strip() for name, cell in zip(*lines, strict=True)}
+            for reading in ("virtual model", "measured pose"):
+                share = 100 * float(cells[reading]) / float(cells["pd"])
+                yield reading, f"case {case}", (share, share, share)
+
+    made, panels = figure(4, 2)
+    for panel, metric, ticks in (
+        (panels[0], "force variation", [25, 50, 100]),
+        (panels[1], "cost of transport", [100, 200, 400]),
+    ):
+        dots(panel, gathered(values(metric)), 100)
+        logarithmic(panel, ticks)
+        panel.set_title(metric, fontsize=11)
+        panel.set_xlabel("% of pd", fontsize=10)
+    legend(made, panels[0], 2)
+    return made
+
+
+def identification() -> Figure:
+    """How many of the 95 % intervals hold the truth."""
+    column = "inside the 95 % interval, %"
+    series = gathered((row["logs"], row["parameter"], span(row[column])) for row in table("identification"))
+    return plain(series, column, 95, columns=1, spread=0.2)
+
+
+def gradient_against_grid() -> Figure:
+    """Env-steps until the gradient reaches the best cell of the grid."""
+    columns = {"seed 0": "Adam reaches it at, seed 0", "seed 1": "seed 1"}
+    series = gathered(
+        (name, f"{row['reading'].replace('_', ' ')}, {row['case']}", (numbers(row[column])[0],) * 3)
+        for name, column in columns.items()
+        for row in table("gradient_against_grid")
+        if numbers(row[column])
+    )
+    made = plain(series, "env-steps, millions; line: the grid", 18.43)
+    logarithmic(made.axes[0], [0.2, 1, 5, 20])
+    return made
+
+
+def other_robots() -> Figure:
+    """Objective of each robot's gains."""
+    series = gathered(
+        (row["config"].replace("_like", "").replace("_", " "), row["gains"].partition(":")[0], span(row["objective"]))
+        for row in table("other_robots_tuned")
+    )
+    return plain(series, "objective, 1 for the config's pd", 1)
+
+
+def low_reaction_swings() -> Figure:
+    """Change of the force variation under pd by swings of low reaction."""
+
+    def values() -> Iterator[tuple[str, str, Span]]:
+        for row in table("low_reaction_swings", law="pd"):
+            name = row["config"].replace(", capture_distance: 0.01", ", reach 1 cm")
+            name = name.replace("_like", "").replace("_", " ")
+            cubic, low = (float(row[f"force variation {swing} N"]) for swing in ("cubic", "low reaction"))
+            yield "pd", name if name[0].isalpha() else f"case {name}", (100 * (low / cubic - 1),) * 3
+
+    return plain(gathered(values()), "change of force variation, %", 0)
+
+
+def speed() -> Figure:
+    """Steps of a robot in a second by machine and program: of each the fastest batch."""
+    rows = table("speed")
+    (ours,) = (span(row["value"])[0] for row in rows if (row["machine"], row["what"]) == ("two cores", "closed loop"))
+    fastest: dict[tuple[str, str], float] = {}
+    for row in rows:
+        if row["quantity"] == "ratio of ours to it":
+            name, rate = row["what"].partition(",")[0], ours / span(row["value"])[0]
+        elif row["quantity"] == "rate" and row["devices"] == "1" and "a thread for" not in row["what"]:
+            name, rate = row["what"].partition(" bare")[0].replace("closed", "this, closed"), span(row["value"])[0]
+        else:
+            continue
+        fastest[row["machine"], name] = max(rate, fastest.get((row["machine"], name), 0.0))
+    made = plain(gathered((*key, (rate,) * 3) for key, rate in fastest.items()), "env-steps a second", None)
+    made.axes[0].set_xscale("log")
+    return made
+
+
+PICTURES: dict[str, Callable[[], Figure]] = {
+    draw.__name__: draw
+    for draw in (
+        ceiling,
+        does_the_sensor_pay,
+        gradient_against_grid,
+        identification,
+        low_reaction_swings,
+        other_robots,
+        paper,
+        robust_gains,
+        speed,
+        which_law,
+        worse_hardware,
+    )
+}
+
+
+def main(folder: Path = HERE) -> None:
+    """Draw all."""
+    with mpl.rc_context(STYLE):
+        for name, draw in PICTURES.items():
+            draw().savefig(folder / f"{name}.svg", metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))
