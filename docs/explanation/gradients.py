@@ -21,8 +21,8 @@ STIFFNESS = 3e3  # N/m, N m/rad
 DAMPING = np.geomspace(70, 130, 361)  # N s/m, N m s/rad
 METRICS = {"peak_pull_force": "peak pulling force [N]", "peak_foot_force": "peak foot force [N]"}
 TITLES = {
-    "peak_pull_force": "jumps where a contact comes or goes a time step earlier",
-    "peak_foot_force": "a kink where another instant is the largest",
+    "peak_pull_force": "jumps where a contact comes or goes",
+    "peak_foot_force": "a kink where the largest is another",
 }
 OVERRIDES = {"duration": 2.2, "disturbance.cargo.start": 0.5}
 

@@ -12,8 +12,13 @@ DISPLAY = re.compile(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', re.DOTALL)
 
 def on_page_content(content: str, **_) -> str:
     """Replace the equations of a page."""
-    content = DISPLAY.sub(lambda found: f'<div class="equation">{_mathml(found[1], "block")}</div>', content)
+    content = DISPLAY.sub(lambda found: f'<div class="equation">{_side_by_side(found[1])}</div>', content)
     return INLINE.sub(lambda found: _mathml(found[1], "inline"), content)
+
+
+def _side_by_side(tex: str) -> str:
+    """Return equations that stand side by side one by one, so that a narrow window has them one below the other."""
+    return "".join(_mathml(part, "block") for part in tex.split(r"\qquad"))
 
 
 def _mathml(tex: str, display: str) -> str:

@@ -1,4 +1,4 @@
-"""Draw the picture of each study from the tables in docs/studies/.
+"""Draw the picture of each study, and of other pages, from the tables beside them.
 
 python docs/images/studies.py [FOLDER]
 """
@@ -320,6 +320,32 @@ def speed() -> Figure:
     return made
 
 
+# --- other pages
+
+
+def margins() -> Figure:
+    """Force variation over force delay and control period: where a gripper is torn off the line ends in a cross."""
+    made = Figure(figsize=(WIDTH, 4.4))
+    rows = table("../explanation/margins")
+    for panel, quantity in zip(made.subplots(2, 1), ("force delay", "control period"), strict=True):
+        for gains, colour in (("K 3e3, D 150", COLOURS[0]), ("pd", INK)):
+            own = [row for row in rows if (row["quantity"], row["gains"]) == (quantity, gains)]
+            held = [row for row in own if row["force variation N"] and not row["gripper torn off at s"]]
+            time, force = np.array([[float(row[name]) for name in ("value s", "force variation N")] for row in held]).T
+            panel.plot(1e3 * time, force, color=colour, linewidth=2, label=gains)
+            if len(held) < len(own):
+                panel.plot(1e3 * time[-1], force[-1], "X", color=COLOURS[1], markersize=9, label="gripper torn off")
+        panel.set_yscale("log")
+        panel.set_yticks(ticks := [50, 100, 500, 2000], map(str, ticks))
+        panel.minorticks_off()
+        panel.set_xlabel(f"{quantity}, ms")
+        panel.grid()
+        panel.spines[["top", "right"]].set_visible(False)
+    made.supylabel("force variation, N", fontsize=11)
+    legend(made, made.axes[0], 3)
+    return made
+
+
 PICTURES: dict[str, Callable[[], Figure]] = {
     draw.__name__: draw
     for draw in (
@@ -328,6 +354,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         gradient_against_grid,
         identification,
         low_reaction_swings,
+        margins,
         other_robots,
         paper,
         robust_gains,
