@@ -78,11 +78,14 @@ def main() -> None:
     parser.add_argument("--members", type=int, default=16)
     parser.add_argument("--iterations", type=int, default=Ceiling().iterations)
     parser.add_argument("--knots", default=",".join(map(str, Ceiling().knots)), help="s, coarse to fine")
+    parser.add_argument("--delays", default=",".join(map(str, Ceiling().delays)), help="s, of the causal plans")
+    parser.add_argument("--random", type=int, default=Ceiling().random, help="random starts")
+    parser.add_argument("--test-members", type=int, default=Ceiling().test_members, help="unseen walks")
     parser.add_argument("--seconds", type=float, default=8.0)
     asked = parser.parse_args()
     os.environ.setdefault("MJX_CLIMB_ON_CPU", "1000")
-    knots = tuple(map(float, asked.knots.split(",")))
-    settings = Ceiling(weights=WEIGHTS, iterations=asked.iterations, knots=knots)
+    how = {name: getattr(asked, name) for name in ("iterations", "knots", "delays", "random", "test_members")}
+    settings = Ceiling(weights=WEIGHTS, **how)
     for hardware in ("dynamixel_x", "ideal"):
         for case in CASES:
             drawn = DRAWS[case].model_copy(update={"members": asked.members})

@@ -1,0 +1,218 @@
+"""Laws that close the gap to the ceiling: searched for its objective, and walked on draws that no search has seen.
+
+    python docs/studies/ceiling_laws.py results/laws 1_2 transfer feet [--minutes 12] [--members 32]
+
+The steps of a case, each from the gains file that the one before it left, or from the shipped gains:
+
+    pd, transfer           the law's gains, joint gains and gait by CMA-ES
+    feet_pd, feet          `PlannedFeet` beside pd, beside load transfer: by gradients
+    network_pd, network    the network of docs/guides/network_law.py beside pd, beside load transfer: by gradients
+    blind, clairvoyant     `TimedFeet` beside pd: one plan for all walks, and a plan of each
+
+Gradients are forward on a GPU, where a tangent of each gain has threads of its own, and in reverse mode on a CPU.
+"""
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "guides")]
+
+import ceiling as study
+from network_law import Network
+from planned_feet import PlannedFeet, TimedFeet
+
+import mjx_climb as mc
+import tuning
+from mjx_climb.control import PD, LoadTransfer, combined
+from mjx_climb.inputs.gait_values import GAIT
+from tuning.gains import gains_file
+from tuning.gains.gains_file import by_name
+from tuning.methods.many_variables import Evaluated, descend
+from tuning.problem import ensemble as ensembles
+from tuning.problem import evaluation, spaces
+from tuning.problem.ceiling import Ceiling
+from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.objectives import Limit
+from tuning.problem.plans import RATE, SWING
+from tuning.problem.search import Search
+from tuning.searches import ceiling as bounds
+from tuning.searches.tune import start_of
+
+TABLE = mc.MetricTable((*mc.METRICS, SWING, RATE))
+ALSO = tuple(name for name in GAIT if name != "gait.stride")
+ADDED = {"feet": PlannedFeet, "network": Network, "blind": TimedFeet, "clairvoyant": TimedFeet}
+FLOATS = {"metrics": TABLE, "engine": "limb", "dtype": np.float32}
+UNSEEN, MOST, WAY, STAGES, LATE = 512, 1500, 0.02, 4, 45.0
+KEPT = (*study.WEIGHTS, "peak_pull_force", "base_deviation", "swing_deviation", "travel")
+
+
+def goals_on(scenario, *draws):
+    """Return the objective of `tuning.ceiling` over the walks of each draw, with the way that pd goes held."""
+    drawn = [bounds._drawn(scenario, draw)[0] for draw in draws]
+    together = jax.tree.map(lambda *each: np.concatenate(each), *drawn)
+    count = sum(draw.members for draw in draws)
+    pd = bounds._contestant(under_pd(scenario), None, {}, together, count, FLOATS).metrics
+    goals, first = [], 0
+    for draw in draws:
+        own = {name: value[first : first + draw.members] for name, value in pd.items()}
+        goal, way = bounds._objective(scenario, Ceiling(weights=study.WEIGHTS), own, TABLE), own["travel"].mean()
+        held = [Limit("travel", float(way * (1 + side * WAY)), float(way), 0.1 * WAY, "pd's", side < 0)
+                for side in (-1, 1)]  # fmt: skip
+        goals.append(dataclasses.replace(goal, limits=(*goal.limits, *held)))
+        first += draw.members
+    return goals
+
+
+def begun(scenario, file, kind):
+    """Return scenario and law with the gains of a file as their own."""
+    if file is None:
+        return scenario, (LoadTransfer if kind == "transfer" else PD)()
+    law, gains = gains_file.whole(file, scenario)
+    own = by_name(gains)
+    law = dataclasses.replace(law, **{name: np.asarray(own[name], float) for name in law.GAINS if name in own})
+    joint = {f"control.{name}": float(own[name]) for name in ("kp", "kd") if name in own}
+    return scenario.with_overrides(joint | {name: float(own[name]) for name in GAIT if name in own}), law
+
+
+def values(problem, theta):
+    """Return objective and metrics of a point in each of the unseen walks, and which are lost."""
+    gains = spaces.to_gains64(problem.space, theta)
+    found = mc.rollout_metrics(problem.scenario, gains, problem.parameters, **problem._how)
+    score = problem.objective.score({name: np.asarray(value) for name, value in found.items()})
+    lost = np.asarray(found["diverged"], bool) | (found["peak_pull_force"] > problem.scenario.contact.holding_limit)
+    kept = {name: np.asarray(found[name]) for name in KEPT} | {"objective": np.asarray(score.value), "lost": lost}
+    return {name: value.reshape(-1).astype(np.float32) for name, value in kept.items()}
+
+
+def means(walks):
+    """Return the means of what `values` gave."""
+    return {name: float(value.mean()) for name, value in walks.items()}
+
+
+def descended(problem, theta, until, log):
+    """Return the best point of each problem and its merit, from descents with ever smaller steps that end in time."""
+    along, count, best, least = np.eye(problem.space.size), 0, theta, np.full(len(theta), np.inf)
+
+    def evaluate(x, sharp):
+        nonlocal count, best, least
+        if count and time.time() > until + LATE:
+            raise TimeoutError
+        found = problem.evaluate(problem.space.clip(x), along)
+        better = found.merit < least
+        best, least = np.where(better[:, None], problem.space.clip(x), best), np.where(better, found.merit, least)
+        count += 1
+        log(count, float(found.merit.mean()), float(found.value.mean()), best, least)
+        return Evaluated(found.merit, (1 - sharp) * found.gradient + sharp * found.sharp)
+
+    evaluate(theta, 0.0)  # compiles
+    try:
+        for left in range(STAGES, 0, -1):  # how long an evaluation takes depends on who else walks on this GPU
+            begin, done = time.time(), count
+            evaluate(best, 0.0)
+            each = time.time() - begin
+            evaluations = int(np.clip((until - time.time()) / left / each, 2, MOST))
+            descend(evaluate, best, evaluations, step=0.06 * 0.5 ** (STAGES - left), known=least)
+            print(f"  {(time.time() - begin) / (count - done):.2f} s an evaluation", flush=True)
+    except TimeoutError:
+        print("  stopped late", flush=True)
+    return best, least
+
+
+def main():
+    """Go through the steps."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("case")
+    parser.add_argument("steps", nargs="+")
+    parser.add_argument("--hardware", default="dynamixel_x")
+    parser.add_argument("--members", type=int, default=32)
+    parser.add_argument("--unseen", type=int, default=UNSEEN)
+    parser.add_argument("--minutes", type=float, default=12.0, help="for all steps together")
+    parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--rounds", type=int, default=150, help="of CMA-ES")
+    parser.add_argument("--points", type=int, default=256, help="of a round")
+    asked = parser.parse_args()
+    asked.out.mkdir(parents=True, exist_ok=True)
+    began = time.time()
+    if jax.default_backend() == "gpu":
+        evaluation.REVERSE_ABOVE = 10**6
+    case, hardware = asked.case, asked.hardware
+    scenario = study.scenario_of(hardware, case, asked.seconds)
+    draw = study.DRAWS[case].model_copy(update={"members": asked.members})
+    unseen = ensembles.fresh(draw).model_copy(update={"members": asked.unseen})
+    goal, judges = goals_on(scenario, draw, unseen)
+    rest = {name: f"configs/gains/{hardware}_case_{case}_{kind}.yaml" for name, kind in
+            (("transfer", "best"), ("pd", "pd"))}  # fmt: skip
+    for place, step in enumerate(asked.steps):
+        until = began + 60 * asked.minutes * (place + 1) / len(asked.steps)
+        stem = asked.out / f"{hardware}_{case}_{step}"
+        print(f"{stem.name}, {time.time() - began:.0f} s", flush=True)
+        kind, _, of = step.partition("_")
+        of = of or {"feet": "transfer", "network": "transfer"}.get(kind, "pd")
+        of = kind if kind in rest else of
+        file = asked.out / f"{hardware}_{case}_{of}.yaml"
+        file = file if file.exists() else rest[of] if hardware != "ideal" else None
+        changed, law = begun(scenario, file, of)
+        changed = under_pd(changed) if of == "pd" else changed
+        if kind in ADDED:
+            law = combined(law, ADDED[kind]()) if of != "pd" else ADDED[kind]()
+        how = {"space": "isotropic", "joint_gains": kind not in ("blind", "clairvoyant"), "precision": "float32"}
+        each = ensembles.draw(changed, draw)
+        lines = []
+
+        def log(count, merit, value, best=None, least=None, lines=lines, stem=stem):
+            lines.append([count, round(time.time() - began, 1), merit, value])
+            if count % 20 == 1:
+                if best is not None:
+                    np.savez_compressed(stem.with_suffix(".npz"), theta=best.astype(np.float32), merit=least)
+                stem.with_suffix(".log.json").write_text(json.dumps(lines))
+                print(f"  {count}: {merit:.4f} {value:.4f}, {time.time() - began:.0f} s", flush=True)
+
+        wanted = Search(**how, also=ALSO if kind in rest else ())
+        space = spaces.space(changed, wanted, law)
+        fresh = Problem(changed, space, objective=judges, parameters=ensembles.draw(changed, unseen), law=law,
+                        members=asked.unseen, metrics=TABLE)  # fmt: skip
+        start = values(fresh, start_of(fresh)[None])  # compiles what the end needs too
+        print(f"  {json.dumps(means(start))}, {time.time() - began:.0f} s", flush=True)
+        if kind in rest:
+            found = tuning.tune(
+                changed, wanted, law=law, objective=goal, metrics=TABLE, parameters=each, method="cmaes",
+                starts=asked.points, iterations=asked.rounds,
+                progress=lambda now: log(now.rounds, now.best, now.best),
+            )  # fmt: skip
+            gains, theta = found.gains, space.from_gains(found.gains)[None]
+        else:
+            theta = start_of(Problem(changed, space, law=law))[None]
+            problem = Problem(
+                changed, space, objective=goal, parameters=each, members=asked.members, metrics=TABLE, law=law
+            )
+            if kind == "clairvoyant":
+                earlier = asked.out / f"{hardware}_{case}_blind.npz"
+                theta = np.load(earlier)["theta"] if earlier.exists() else theta
+                theta = np.repeat(theta, asked.members, 0)
+                problem = dataclasses.replace(problem, parameters=bounds._drawn(changed, draw)[0], members=1)
+            theta, merit = descended(problem, theta, until, log)
+            gains = space.to_gains(theta[0])
+            np.savez_compressed(stem.with_suffix(".npz"), theta=theta.astype(np.float32), merit=merit)
+        if kind != "clairvoyant":
+            gains_file.save(gains, stem.with_suffix(".yaml"), f"{step}, searched for the ceiling of {case}", law)
+            end = values(fresh, theta)
+            summary = {"unseen": means(end), "start": means(start)}
+            np.savez_compressed(asked.out / f"{stem.name}_unseen.npz", **end)
+        else:
+            summary = {"merit": merit.tolist(), "objective": float(merit.mean())}
+        summary["seconds"] = time.time() - began
+        stem.with_suffix(".json").write_text(json.dumps(summary, indent=1))
+        stem.with_suffix(".log.json").write_text(json.dumps(lines))
+        print(json.dumps(summary), flush=True)
+
+
+if __name__ == "__main__":
+    main()
