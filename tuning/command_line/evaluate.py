@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mjx_climb.scenario import shipped
-from tuning.command_line.from_models import command
+from tuning.command_line.from_models import command, in_options
 from tuning.command_line.options import ENSEMBLE, SHARD, Output, Walk
-from tuning.command_line.program import InputError
+from tuning.command_line.program import InputError, repeated
 from tuning.command_line.sweep import merge, walk_rows
-from tuning.problem.search import Judge
+from tuning.problem.ceiling import Ceiling
+from tuning.problem.search import Judge, Search, check_metrics
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from tuning.comparisons.judge import Draw
     from tuning.comparisons.linear_margins import Stable
     from tuning.comparisons.margins import Found
+    from tuning.gains.gains_file import Whole
+    from tuning.problem.ensemble import Ensemble
+    from tuning.problem.evaluation import Problem
 
 
 class Rival(Options):
@@ -116,22 +120,17 @@ def _margins_in_words(found: "Found", stable: "dict[str, Stable]", warnings: lis
     return table, to_json({"own_hardware": own, "margins": each, "warnings": warnings})
 
 
-class Rivals(Rival, Judge):
-    """Which gains are evaluated, on what."""
+class Files(Rival):
+    """Gains that are compared."""
 
-    gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
-    ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
-    shard: str | None = SHARD
+    gains: tuple[Path, ...] = setting((), "gains file to evaluate", metavar="FILE")
 
-    def work(self, walk: Walk) -> "Draw":
-        """Return the walks of the gains."""
+    def named(self, loaded: "Problem") -> "dict[str, Whole]":
+        """Return the gains of the files, each with its law, by the names of the files, and retuned pd."""
         from mjx_climb.control import PD
-        from tuning.comparisons.judge import draw_of
         from tuning.gains import gains_file
-        from tuning.problem.ensemble import Ensemble
         from tuning.searches.retuned_pd import NAME
 
-        loaded = walk.load()
         if (
             loaded.law is None
             and loaded.scenario.control.controller == "pd"
@@ -144,6 +143,23 @@ class Rivals(Rival, Judge):
             raise InputError(f"--gains: expected files of different names, none config, pd or {NAME}, got {got}")
         if joint := self.joint_gains():
             named[NAME] = gains_file.Whole(PD(), joint)
+        return named
+
+
+class Rivals(Files, Judge):
+    """Which gains are evaluated, on what."""
+
+    gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
+    ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
+    shard: str | None = SHARD
+
+    def work(self, walk: Walk) -> "Draw":
+        """Return the walks of the gains."""
+        from tuning.comparisons.judge import draw_of
+        from tuning.problem.ensemble import Ensemble
+
+        loaded = walk.load()
+        named = self.named(loaded)
         ensemble = Ensemble.load(shipped.found(self.ensemble))
         return draw_of(loaded, named, ensemble, self.members)
 
@@ -152,7 +168,72 @@ class Rivals(Rival, Judge):
         return [f"{here} members, {len(work.gains) + 1} walks of {work.problem.scenario.steps} steps each"]
 
 
-@command("results/<config>-judge, or -margins", {"margins": margins, "merge": merge})
+class Bounds(Files):
+    """What bounds every law."""
+
+    ceiling: bool = setting(
+        False, "find how good any law could be on these walks, and what a force sensor is worth at most"
+    )
+    ensemble: Path | None = setting(None, ENSEMBLE, metavar="FILE", complete="ensemble")
+    members: int | None = setting(None, "walks of the ensemble; null: the file's", ge=1)
+
+    def load(self) -> "Ensemble | None":
+        """Return the ensemble, None without one."""
+        from tuning.problem.ensemble import Ensemble
+
+        if self.ensemble is None:
+            if self.members is not None:
+                raise InputError("--members: expected --ensemble with it")
+            return None
+        return Ensemble.load(
+            shipped.found(self.ensemble), **({} if self.members is None else {"members": self.members})
+        )
+
+
+# of the settings those that a first search needs
+_Asked = Annotated[Ceiling, "weights", "limits", "knots", "delays", "iterations", "test_members"]
+
+
+def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], output: Output) -> None:
+    """Find the best joint targets over time, by what they know, beside pd and the laws of gains files."""
+    with output.session() as shell:
+        from mjx_climb.execution import devices
+
+        devices.begin()
+        from mjx_climb.control import law_of
+        from mjx_climb.scenario.messages import ConfigError
+        from tuning.gains.gains_file import Whole, by_name
+        from tuning.searches import ceiling as bounds
+        from tuning.writing.record import settings_of
+
+        loaded = walk.load()
+        check_metrics(Search(weights=search.weights, limits=search.limits), loaded.metrics, "--weight, --limit")
+        laws, ensemble = asked.named(loaded), asked.load()
+        if loaded.law is not None or loaded.scenario.control.controller != "pd":
+            laws["config"] = Whole(loaded.law or law_of(loaded.scenario), {})
+        known = {name: {"law": repr(each.law), "gains": by_name(each.gains)} for name, each in laws.items()}
+        own = {"search": search.model_dump(mode="json"), "gains": known}
+        settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "ceiling", **own)
+        shell.take(walk, "ceiling.nc", settings, "ceiling")
+        shell.opening(loaded.scenario)
+        with shell.stage("ceiling", unit="gradients") as told:
+
+            def shown(name: str, done: int, of: int) -> None:
+                told(done, of, f"{name}: {done} of {of} gradients")
+
+            try:
+                found = bounds.ceiling(
+                    loaded.scenario, laws, search, ensemble=ensemble, metrics=loaded.metrics, engine=loaded.engine,
+                    progress=shown,
+                )  # fmt: skip
+            except ConfigError as error:
+                raise ConfigError(in_options(str(error), Ceiling)) from None
+        again = ["evaluate", "--ceiling", *(["--ensemble", "ensemble.yaml"] if ensemble is not None else [])]
+        shell.result(found, repeated(again, "--gains", "--retuned-pd", "--weight", "--limit", "--knots", "--delays",
+                                     "--iterations", "--test-members", "--engine"))  # fmt: skip
+
+
+@command("results/<config>-judge, -margins or -ceiling", {"margins": margins, "ceiling": ceiling, "merge": merge})
 def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> None:
     """Walk gains through a draw that no search over the ensemble has seen, beside the config's own and pd.
 
@@ -169,6 +250,12 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     bear less than twice what the hardware has. DIR has the margins (margins.json), all walks (margins.nc) and the force
     variation over each quantity (margins, in the formats of --figures).
 
+    --ceiling finds how good any law could be: the best joint targets over time for each walk, known in advance; the
+    same plan for all walks of --ensemble, which needs no sensor; plans that know of a disturbance from a delay after
+    its begin. A sensor is worth at most the difference. Prints them beside pd, the config's law and those of --gains,
+    the plan without a sensor and the laws in --test-members unseen walks too. Takes minutes a walk on two cores:
+    --knots 0.2 --iterations 25 is a first look.
+
     Finished parts are kept in DIR: the same command goes on where it stopped. With --shard, or as a task of a Slurm
     array, the members are spread over machines, and the last one writes what one machine would have written; --merge
     does so by hand.
@@ -179,6 +266,7 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_2 --gains gains.yaml --retuned-pd gains-retuned_pd.yaml
       mjx-climb evaluate case_2 --gains gains.yaml --ensemble mine.yaml --members 100000 --shard 3/16
       mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --margins --json
+      mjx-climb evaluate case_2 --ceiling --gains gains.yaml --hardware dynamixel_x --knots 0.2 --iterations 25
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"
     walk_rows(rivals, walk, output, "judge", again)

@@ -29,6 +29,7 @@ from tuning.gains.gains_file import Whole, by_name
 from tuning.methods.parts import identity_of
 from tuning.problem import ensemble as ensembles
 from tuning.problem.ensemble import Ensemble
+from tuning.problem.ensemble import fresh as fresh
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import BINDING, Objective, Term, in_words, violation
 from tuning.problem.search import Judge
@@ -39,7 +40,6 @@ from tuning.searches.sweep import default_batch_size
 
 MEMBERS = Judge().members
 WORST_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
-FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that no search sees
 PD = "pd"
 LOST = "lost_sensors"  # of a dataset: in words, which laws did without a force sensor
 DRAWN = {  # said of each member: unit and words
@@ -211,11 +211,6 @@ def draw_of(
     """Return the work of `judge`, whose arguments and errors these are."""
     asked = ensemble.model_copy(update={"members": members})
     return through(problem, {**gains, "config": problem.law or gains_of(problem.scenario)}, fresh(asked), asked=asked)
-
-
-def fresh(ensemble: Ensemble) -> Ensemble:
-    """Return the ensemble whose members no search of the given one has seen."""
-    return ensemble.model_copy(update={"seed": ensemble.seed + FRESH_SEED})
 
 
 def through(

@@ -53,6 +53,9 @@ def notes(found: Bounded) -> list[str]:
     lines.append(f"the second search bettered the blind plan by {found.left:.2%}: smaller differences are search noise")
     if np.isfinite(found.spread):
         lines.append(f"the two best starts of the blind plan ended {found.spread:.2%} apart")
+    if tested := found.tested:
+        means = ", ".join(f"{name} {values.mean():.3f}" for name, values in tested.items() if name != PD)
+        lines.append(f"in {found.data.sizes['fresh']} unseen walks, relative to pd in these: {means}")
     if found.data.attrs["hidden"]:
         lines.append(
             "the first disturbance comes at one time in all walks, so the blind plan was searched without "
@@ -68,9 +71,11 @@ def notes(found: Bounded) -> list[str]:
 def table(found: Bounded) -> Table:
     """Return the contestants with their objective, share, and mean metrics."""
     about = found.problem.metrics
+    tested = {name: f"{values.mean():.4f}" for name, values in found.tested.items()}
     columns = [
         "contestant",
         "objective",
+        *(["unseen"] if tested else []),
         "share %",
         *(f"{about.in_words(n)} {unit(n, about)}".strip() for n in _METRICS),
     ]
@@ -78,8 +83,14 @@ def table(found: Bounded) -> Table:
     for name in found.contestants:
         own, share = found.data.sel(contestant=name), 100 * found.share(name)
         means = [number(float(np.mean(own[metric].values))) for metric in _METRICS]
-        rows.append([name, f"{found.values(name).mean():.4f}", f"{share:.0f}" if np.isfinite(share) else "-", *means])
-    return Table("Means over the walks; share: of the way from blind to clairvoyant", columns, [("", rows)], 1)
+        unseen = [tested.get(name, "-")] if tested else []
+        rows.append(
+            [name, f"{found.values(name).mean():.4f}", *unseen, f"{share:.0f}" if np.isfinite(share) else "-", *means]
+        )
+    about_unseen = "; unseen: the objective in walks of a fresh draw" if tested else ""
+    return Table(
+        f"Means over the walks; share: of the way from blind to clairvoyant{about_unseen}", columns, [("", rows)], 1
+    )
 
 
 def searches_table(found: Bounded) -> Table:
@@ -105,7 +116,18 @@ def summary(found: Bounded) -> dict[str, Any]:
         for name in found.contestants
     }  # fmt: skip
     sensor = {"at_most": worth.mean, "low": worth.low, "high": worth.high, "in_words": sentence(found)}
-    return {"sensor": sensor, "contestants": contestants, "search_noise": noise(found), "starts_apart": found.spread}
+    unseen = {
+        name: {"objective": values.mean(),
+               **{metric: float(np.mean(found.data[f"unseen_{metric}"].sel(tested=name))) for metric in _METRICS}}
+        for name, values in found.tested.items()
+    }  # fmt: skip
+    return {
+        "sensor": sensor,
+        "unseen": unseen,
+        "contestants": contestants,
+        "search_noise": noise(found),
+        "starts_apart": found.spread,
+    }
 
 
 @plots.style()

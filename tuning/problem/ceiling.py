@@ -1,11 +1,11 @@
 """The settings of a search for the best joint targets over time: what bounds every control law from below."""
 
 import itertools
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
-from tuning.problem.search import WEIGHTS
+from tuning.problem.search import WEIGHTS, numbers_of
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
 
@@ -28,13 +28,23 @@ class Ceiling(Settings):
     deviation_factor: Positive = setting(
         3.0, "limit, relative to pd's, of base deviation, swing deviation, joint torque and joint rate"
     )
-    knots: tuple[Positive, ...] = setting(
-        (0.2, 0.1, 0.05), "s between two knots of the joint targets, coarse to fine", min_length=1
+    knots: Annotated[tuple[Positive, ...], BeforeValidator(numbers_of)] = setting(
+        (0.2, 0.1, 0.05),
+        "s between two knots of the joint targets, coarse to fine",
+        metavar="S,S,...",
+        default_in_words="0.2,0.1,0.05",
+        min_length=1,
     )
-    delays: tuple[NonNegative, ...] = setting(
-        (0.002, 0.005, 0.015), "s after a disturbance from which on a causal plan may depend on it"
+    delays: Annotated[tuple[NonNegative, ...], BeforeValidator(numbers_of)] = setting(
+        (0.002, 0.005, 0.015),
+        "s after a disturbance from which on a causal plan may depend on it",
+        metavar="S,S,...",
+        default_in_words="0.002,0.005,0.015",
     )
     iterations: int = setting(80, "gradients for each spacing of the knots", ge=2, le=100_000)
+    test_members: int = setting(
+        128, "walks of a fresh draw in which the blind plan and the laws are tested; none without an ensemble", ge=0
+    )
     random: int = setting(1, "random starts beside those of pd and of each law", ge=0, le=100)
     step: Positive = setting(0.05, "first step of the descent, as a share of pd's peak joint torque over kp, 1")
     seed: int = setting(0, "of the random starts", ge=0, lt=2**31)

@@ -26,6 +26,7 @@ from tuning.problem.settings import Finite, NonNegative, Positive, Settings, set
 _Share = Annotated[float, Field(gt=0, le=1)]
 Range = tuple[NonNegative, NonNegative]
 PositiveRange = tuple[Positive, Positive]
+FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that no search sees
 TILTS = ("gravity.tilt_x", "gravity.tilt_y")
 AnyRange = tuple[Finite, Finite]
 
@@ -144,6 +145,11 @@ class Ensemble(_Section):
     hardware: Hardware | None = setting(None, "what stands between the law and the joints")
     posterior: Posterior | None = setting(None, "what identify left of parameters, before all others are drawn")
     worst: Worst = setting(Worst(), "the worst members in the objective")
+
+
+def fresh(ensemble: Ensemble) -> Ensemble:
+    """Return the ensemble whose members no search of the given one has seen."""
+    return ensemble.model_copy(update={"seed": ensemble.seed + FRESH_SEED})
 
 
 def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:

@@ -6,6 +6,7 @@ it on late as it does a law's. What is searched are offsets at knots, on straigh
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -117,31 +118,40 @@ class Scored(NamedTuple):
     value: np.ndarray
     merit: np.ndarray  # value plus penalty, infinite where the walk diverged
     feasible: np.ndarray
-    slopes: np.ndarray  # (N, time, limb, joint) derivatives by the joint targets
+    slopes: np.ndarray | None  # (N, time, limb, joint) derivatives by the joint targets, where asked for
     metrics: dict[str, np.ndarray]
+
+
+def judged(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, parameters: mc.Parameters) -> dict[str, Array]:
+    """Return the score of one walk under joint targets."""
+    return _followed(asked, numbers, law, parameters, targets)[1]
 
 
 def scored(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, parameters: mc.Parameters) -> dict[str, Array]:
     """Return the score of one walk under joint targets, and its derivatives by them."""
-
-    def followed(targets: Array) -> tuple[Array, dict[str, Array]]:
-        metrics = metrics_under(asked.structure, law, parameters, targets)
-        terms = [
-            Term(name, weight, value, smooth, larger)
-            for (name, larger), (weight, value, smooth) in zip(asked.terms, numbers.terms, strict=True)
-        ]
-        limits = [
-            Limit(name, value, scale, margin, "", larger)
-            for (name, larger), (value, scale, margin) in zip(asked.limits, numbers.limits, strict=True)
-        ]
-        score = Objective(tuple(terms), tuple(limits)).score(metrics)
-        value, descent, penalty, feasible = map(jnp.asarray, score)
-        merit = value + penalty
-        along = (1 - numbers.sharp) * descent + numbers.sharp * merit
-        return along, metrics | {"_value": value, "_merit": merit, "_feasible": feasible}
-
+    followed = functools.partial(_followed, asked, numbers, law, parameters)
     along, pull_back, found = jax.vjp(followed, targets, has_aux=True)
     return found | {"_slopes": pull_back(jnp.ones_like(along))[0]}
+
+
+def _followed(
+    asked: Asked, numbers: Numbers, law: mc.Law, parameters: mc.Parameters, targets: Array
+) -> tuple[Array, dict[str, Array]]:
+    """Return what derivatives follow of one walk, and its metrics and score."""
+    metrics = metrics_under(asked.structure, law, parameters, targets)
+    terms = [
+        Term(name, weight, value, smooth, larger)
+        for (name, larger), (weight, value, smooth) in zip(asked.terms, numbers.terms, strict=True)
+    ]
+    limits = [
+        Limit(name, value, scale, margin, "", larger)
+        for (name, larger), (value, scale, margin) in zip(asked.limits, numbers.limits, strict=True)
+    ]
+    score = Objective(tuple(terms), tuple(limits)).score(metrics)
+    value, descent, penalty, feasible = map(jnp.asarray, score)
+    merit = value + penalty
+    along = (1 - numbers.sharp) * descent + numbers.sharp * merit
+    return along, metrics | {"_value": value, "_merit": merit, "_feasible": feasible}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,6 +171,15 @@ class Walks:
             sharp: 0 for derivatives of the objective with smooth companions of the extremes, 1 for those of the true
                 metrics, or a share between.
         """
+        return self._walked(scored, targets, parameters, sharp)
+
+    def judge(self, targets: Float[np.ndarray, "N time limb joint"], parameters: mc.Parameters) -> Scored:
+        """Return the scores that `evaluate` returns, without derivatives."""
+        return self._walked(judged, targets, parameters, 1.0)
+
+    def _walked(
+        self, function: Callable[..., dict[str, Array]], targets: np.ndarray, parameters: mc.Parameters, sharp: float
+    ) -> Scored:
         count, at_once = len(targets), _at_once(len(targets))
         rows = np.arange(-(-count // at_once) * at_once) % count
         cast = functools.partial(np.asarray, dtype=self.dtype)
@@ -168,9 +187,10 @@ class Walks:
         robots, law = jax.tree.map(lambda value: cast(value)[rows], parameters), PD()
         axes = (3, jax.tree.map(np.ndim, numbers), own_axes(law), own_axes(robots))
         batch = execution.Robots((cast(targets)[rows], numbers, law, robots), axes, (len(rows),))
-        found = execution.run(scored, self.asked, batch, batch_size=at_once, over_time=True)
+        found = execution.run(function, self.asked, batch, batch_size=at_once, over_time=True)
         found = {name: value[:count] for name, value in found.items()}
-        value, merit, feasible, slopes = (found.pop(f"_{name}") for name in ("value", "merit", "feasible", "slopes"))
+        value, merit, feasible = (found.pop(f"_{name}") for name in ("value", "merit", "feasible"))
+        slopes = found.pop("_slopes", None)
         return Scored(value, np.where(np.isfinite(merit), merit, np.inf), feasible, slopes, found)
 
 

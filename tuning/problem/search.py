@@ -25,7 +25,7 @@ WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}  # of a search over an ensemble
 
 
-def _numbers(text: Any) -> Any:
+def numbers_of(text: Any) -> Any:
     """Return the numbers of a text, as 0,1/6,1."""
     from fractions import Fraction
 
@@ -116,14 +116,14 @@ class Pareto(Settings):
 class Schedule(Settings):
     """The operating points that a schedule has gains for: every pair."""
 
-    gravity: Annotated[tuple[Positive, ...], BeforeValidator(_numbers)] = setting(
+    gravity: Annotated[tuple[Positive, ...], BeforeValidator(numbers_of)] = setting(
         (1e-6, 1e-2, 1 / 6, 0.38, 1.0),
         "gravities, ascending, 1 G = 9.81 m/s^2",
         metavar="G,G,...",
         default_in_words="1e-6,1e-2,1/6,0.38,1",
         min_length=1,
     )
-    cargo: Annotated[tuple[NonNegative, ...], BeforeValidator(_numbers)] = setting(
+    cargo: Annotated[tuple[NonNegative, ...], BeforeValidator(numbers_of)] = setting(
         (0.0, 0.5, 1.0),
         "masses of the cargo, ascending, kg",
         metavar="KG,KG,...",

@@ -30,7 +30,8 @@ class Bounded(Result):
     the plans among the contestants. Along `descent` each search: the contestant, its start, the s between knots,
     `value`, `merit` (value plus penalty) before and after it, and `slope`, the norm of the derivatives at its end
     relative to that at its begin. Along `contestant` and `instant` the largest foot force and the base's offset in the
-    walk of the first member.
+    walk of the first member. Of an ensemble along `tested` and `fresh` what the blind plan and the laws do in walks of
+    a fresh draw: `unseen_value`, relative to pd in these, `unseen_feasible` and `unseen_` before each metric.
     """
 
     FILE = "ceiling.nc"
@@ -61,6 +62,12 @@ class Bounded(Result):
         """Return which share of that a contestant has, 1; above 1 or below 0 where it lies outside; NaN of nothing."""
         gain = self.values(BLIND).mean() - self.values(CLAIRVOYANT).mean()
         return float((self.values(BLIND).mean() - self.values(name).mean()) / gain) if gain > 0 else np.nan
+
+    @property
+    def tested(self) -> dict[str, np.ndarray]:
+        """The objective of the blind plan and of the laws in walks of a fresh draw, (fresh,) each; empty without."""
+        names = self.data["tested"].values if "tested" in self.data else ()
+        return {str(name): np.asarray(self.data["unseen_value"].sel(tested=name).values, float) for name in names}
 
     @property
     def spread(self) -> float:

@@ -136,7 +136,8 @@ def ceiling(
     step = asked.step * float(pd.metrics["peak_joint_torque"].mean()) / scenario.control.kp
     contest = Contest(scenario, asked, under, members, step, progress or (lambda *_: None))
     ended = _plans(contest, starts, parameters)
-    return _bounded(contest, goal, found, ended, ensemble, table, engine)
+    tested = {} if ensemble is None or not asked.test_members else _tested(contest, found, ended[0], ensemble, walks)
+    return _bounded(contest, goal, found, ended, tested, ensemble, table, engine)
 
 
 # --- who takes part
@@ -339,6 +340,7 @@ def _search(
             nonlocal evaluations
             found = walks.evaluate(_flat(of.targets(x)), walked, sharp=sharp)
             contest.progress(name, evaluations := evaluations + 1, in_all)
+            assert found.slopes is not None
             slopes = of.slopes(x, found.slopes.reshape(of.base.shape))
             return Evaluated(of.of_problems(found.merit), slopes)
 
@@ -395,6 +397,33 @@ def _without_disturbances(parameters: mc.Parameters) -> mc.Parameters:
     return found
 
 
+# --- unseen walks
+
+
+def _tested(
+    contest: Contest,
+    found: Mapping[str, Contestant],
+    ended: Sequence[Ended],
+    ensemble: Ensemble,
+    walks: Mapping[str, Any],
+) -> dict[str, Mapping[str, np.ndarray]]:
+    """Return the metrics of the blind plan and of the contestants in walks of a fresh draw, (fresh,) each, by name."""
+    members, pd = contest.asked.test_members, found[PD]
+    unseen = ensembles.fresh(ensemble.model_copy(update={"members": members}))
+    drawn = _drawn(contest.scenario, unseen)[0]
+    fresh = {name: _contestant(own.scenario, own.law, own.gains, drawn, members, walks) for name, own in found.items()}
+    plan = next(each.plan for each in ended if each.plan.name == BLIND)
+
+    def of_plan(pds: np.ndarray, own: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+        # joint gains and gait of the plan's start differ from pd's, alike in all members; all else is the member's
+        return np.where(own[:1] == pds[:1], unseen, own[:1])
+
+    parameters = jax.tree.map(of_plan, pd.parameters, plan.parameters, fresh[PD].parameters)
+    targets = np.broadcast_to(plan.targets[:1], (members, *plan.targets.shape[1:]))
+    blind = contest.walks.judge(targets, parameters)
+    return {BLIND: blind.metrics, **{name: fresh[name].metrics for name in reversed([*fresh])}}
+
+
 # --- the result
 
 
@@ -403,6 +432,7 @@ def _bounded(
     goal: Objective,
     found: Mapping[str, Contestant],
     ended: tuple[list[Ended], bool],
+    tested: Mapping[str, Mapping[str, np.ndarray]],
     ensemble: Ensemble | None,
     table: mc.MetricTable,
     engine: str,
@@ -412,15 +442,11 @@ def _bounded(
     plans = {each.plan.name: each.plan for each in reversed(ended[0][1:])}
     walked = {each.plan.name: each.scored.metrics for each in reversed(ended[0][1:])}
     walked |= {name: each.metrics for name, each in reversed([*found.items()])}
-    data: dict[str, Any] = {}
-    scores = [goal.score({name: jnp.asarray(value) for name, value in each.items()}) for each in walked.values()]
-    about = {"units": "1", "long_name": "objective"}
-    data["value"] = (("contestant", "member"), np.stack([np.asarray(score.value) for score in scores]), about)
-    kept = {"units": "1", "long_name": "every limit is kept"}
-    data["feasible"] = (("contestant", "member"), np.stack([np.asarray(score.feasible) for score in scores]), kept)
-    for metric in table:
-        values = np.stack([np.asarray(each[metric.name]) for each in walked.values()])
-        data[metric.name] = (("contestant", "member"), values, dataset.metric_attributes(metric))
+    data = _scores(goal, walked, table, ("contestant", "member"))
+    if tested:
+        wanted = dataclasses.replace(goal, terms=_objective(scenario, asked, tested[PD], table).terms)
+        unseen = _scores(wanted, tested, table, ("tested", "fresh"))
+        data |= {f"unseen_{name}": values for name, values in unseen.items()}
     targets = np.stack([plan.targets for plan in plans.values()]).astype(np.float32)
     joint = {"units": "rad", "long_name": "joint target"}
     data["joint_targets"] = (("plan", "member", "time", "limb", "joint"), targets, joint)
@@ -434,11 +460,27 @@ def _bounded(
     attrs["limits"] = "; ".join(objectives.in_words(limit) for limit in goal.limits)
     coordinates = {
         "contestant": list(walked), "member": np.arange(members), "plan": list(plans),
-        "limb": list(robot.limbs), "joint": list(robot.joint_names),
+        "limb": list(robot.limbs), "joint": list(robot.joint_names), **({"tested": list(tested)} if tested else {}),
     }  # fmt: skip
     own = mc.MetricTable(metric for metric in table if metric not in (SWING, RATE))
     problem = Problem(scenario, objective=goal, members=members, engine=engine, metrics=own, ensemble=ensemble)
     return Bounded(xr.Dataset(data, coordinates, attrs), problem, ensemble=ensemble, asked=asked)
+
+
+def _scores(
+    goal: Objective, walked: Mapping[str, Mapping[str, np.ndarray]], table: mc.MetricTable, over: tuple[str, str]
+) -> dict[str, Any]:
+    """Return objective, whether limits are kept, and metrics of contestants, along them and their walks."""
+    scores = [goal.score({name: jnp.asarray(value) for name, value in each.items()}) for each in walked.values()]
+    about, kept = ({"units": "1", "long_name": text} for text in ("objective", "every limit is kept"))
+    data: dict[str, Any] = {
+        "value": (over, np.stack([np.asarray(score.value) for score in scores]), about),
+        "feasible": (over, np.stack([np.asarray(score.feasible) for score in scores]), kept),
+    }
+    for metric in table:
+        values = np.stack([np.asarray(each[metric.name]) for each in walked.values()])
+        data[metric.name] = (over, values, dataset.metric_attributes(metric))
+    return data
 
 
 def _histories(

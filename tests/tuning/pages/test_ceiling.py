@@ -19,7 +19,7 @@ SCENARIO = mc.Scenario().with_overrides({"duration": 0.3})
 MEANS = {"clairvoyant": 0.6, "causal 5 ms": 0.65, "blind": 0.8, "mine": 0.7, "retuned_pd": 0.85, "pd": 1.0}
 
 
-def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=()):
+def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=(), unseen=None):
     """A result whose contestants have these mean objectives; the members differ alike, but for a part of each."""
     rng, names = np.random.default_rng(0), list(means)
     shared = rng.normal(0, 0.1, members)
@@ -31,6 +31,10 @@ def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=()):
     }
     for metric in mc.METRICS:
         data[metric.name] = (("contestant", "member"), np.abs(values) * 3, {"units": metric.unit})
+    if unseen is not None:
+        data["unseen_value"] = (("tested", "fresh"), np.array([[mean - 0.1, mean + 0.1] for mean in unseen.values()]))
+        for metric in mc.METRICS:
+            data[f"unseen_{metric.name}"] = (("tested", "fresh"), np.ones((len(unseen), 2)), {"units": metric.unit})
     records = [("blind, first", "pd", 0.2, 1.0, 0.85), ("blind, first", "mine", 0.2, 0.9, 0.84),
                ("blind, first", "mine", 0.1, 0.84, 0.8), ("blind", "blind", 0.2, 0.8, 0.8),
                ("blind", "blind", 0.1, 0.8, 0.8 * (1 - left))]  # fmt: skip
@@ -41,6 +45,7 @@ def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=()):
     data["base_offset_history"] = (("contestant", "instant", "axis"), np.ones((len(names), 5, 3)))
     data["joint_targets"] = (("plan", "member", "time", "limb", "joint"), np.zeros((3, members, 9, 4, 3)))
     coordinates = {"contestant": names, "plan": names[:3], "instant": np.arange(5) * 0.01}
+    coordinates |= {} if unseen is None else {"tested": list(unseen)}
     attrs = {"limits": "base deviation at most 0.01", "hidden": 0, "scenario": SCENARIO.to_yaml()}
     ensemble = None if members < 2 else Ensemble(members=members)
     asked = Ceiling(knots=(0.2, 0.1))
@@ -76,6 +81,19 @@ def test_a_law_that_breaks_a_limit_is_named_and_not_the_best():
     found = bounded(broken=("mine",))
     assert pages.best_law(found) == "retuned_pd"
     assert any("mine breaks a limit in 6 of 6 walks" in line for line in pages.notes(found))
+
+
+def test_a_blind_plan_is_told_by_walks_that_it_was_not_searched_on():
+    found = bounded(unseen={"blind": 0.9, "mine": 0.75, "pd": 1.0})
+    assert any(
+        "in 2 unseen walks, relative to pd in these: blind 0.900, mine 0.750" in line for line in pages.notes(found)
+    )
+    shown = pages.table(found)
+    unseen = {row[0]: row[shown.columns.index("unseen")] for row in shown.sections[0][1]}
+    assert unseen == {"clairvoyant": "-", "causal 5 ms": "-", "blind": "0.9000", "mine": "0.7500", "retuned_pd": "-",
+                      "pd": "1.0000"}  # fmt: skip
+    assert pages.summary(found)["unseen"]["mine"]["objective"] == pytest.approx(0.75)
+    assert bounded().tested == {} and "unseen" not in pages.table(bounded()).columns
 
 
 def test_one_walk_has_no_interval():

@@ -12,7 +12,7 @@ from tuning.searches import ceiling as search
 
 SHORT = {"duration": 0.1, "disturbance.cargo.start": 0.02}
 LAWS = {"mine": {"kp": 60.0, "kd": 0.3}, "retuned_pd": {"kp": 55.0, "kd": 0.25}}
-BRIEF = Ceiling(knots=(0.05, 0.025), iterations=8, delays=(0.005, 0.02), random=1)
+BRIEF = Ceiling(knots=(0.05, 0.025), iterations=8, delays=(0.005, 0.02), random=1, test_members=3)
 
 
 @pytest.mark.nightly
@@ -32,6 +32,12 @@ def test_who_knows_more_is_no_worse_and_no_law_is_better():
         assert (value["clairvoyant"] <= value[name] * (1 + 1e-5)).all()
     assert value["pd"].mean() == pytest.approx(1.0, rel=1e-5)
     assert found.data["feasible"].sel(contestant="clairvoyant").all()
+
+    assert list(found.tested) == ["blind", "mine", "retuned_pd", "pd"]
+    assert found.tested["pd"].shape == (3,) and found.tested["pd"].mean() == pytest.approx(1.0, rel=1e-5)
+    assert found.tested["blind"].mean() < 0.99  # of walks that no search has seen
+    cargo = found.data["unseen_peak_foot_force"].sel(tested="blind").values
+    assert len(np.unique(cargo)) == 3
 
     plans = found.data["joint_targets"]
     blind, late = plans.sel(plan="blind").values, plans.sel(plan="causal 20 ms").values
