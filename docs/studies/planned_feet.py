@@ -3,8 +3,6 @@
 What they hold is an array of gains, so that `tuning` searches it, and `combined` adds it to a law that reads forces.
 """
 
-import itertools
-
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,17 +10,17 @@ import mjx_climb as mc
 from mjx_climb.control.foot_offsets import Offsets, feet_shifted, released
 from mjx_climb.physics.spatial import quaternion_to_matrix
 
-FEET, LIMIT = 4, 10.0  # mm
+FEET, LIMIT, FAR = 4, 10.0, 1e6  # mm, and a place before the first node and after the last one
 # shares of a stance between which offsets are straight lines; closer where the foot itself lands and lifts off
-NODES = (0.0, 0.01, 0.025, 0.05, *np.arange(0.1, 0.91, 0.05).round(2).tolist(), 0.95, 0.975, 0.99, 1.0)
-KNOTS = tuple(np.arange(0.0, 8.21, 0.2).round(2).tolist())  # s
+NODES = np.array([0.0, 0.01, 0.025, 0.05, *np.arange(0.1, 0.91, 0.05), 0.95, 0.975, 0.99, 1.0])
+KNOTS = np.arange(0.0, 8.21, 0.2)  # s
 
 
 def shares(at, nodes):
-    """Return by how much each node counts (node, ...) at some places (...), on straight lines between nodes."""
-    rising = [(at - before) / (node - before) for before, node in itertools.pairwise(nodes)]
-    up, down = [1.0, *rising], [*(1 - each for each in rising), 1.0]
-    return [jnp.clip(jnp.minimum(one, other), 0.0, 1.0) for one, other in zip(up, down, strict=True)]
+    """Return by how much each node counts at some places (...), on straight lines between nodes, (..., node)."""
+    before, after = np.array([-FAR, *nodes[:-1]]), np.array([*nodes[1:], FAR])
+    up = (at[..., None] - before) / (nodes - before)
+    return jnp.clip(jnp.minimum(up, (after - at[..., None]) / (after - nodes)), 0.0, 1.0)
 
 
 class PlannedFeet(mc.Law):
@@ -38,9 +36,9 @@ class PlannedFeet(mc.Law):
         """Move each foot along its table."""
         since, until = reference.since_touchdown, reference.until_lift_off
         share = since / jnp.maximum(since + until, 1e-6)
-        each = [weight[:, None] * self.offsets[:, node] for node, weight in enumerate(shares(share, NODES))]
+        planned = 1e-3 * (shares(share, NODES)[..., None] * self.offsets).sum(1)
         stands = (until > 0)[:, None]
-        moved = jnp.where(stands, 1e-3 * sum(each), released(state, 1e-3 * self.offsets[:, 0]))
+        moved = jnp.where(stands, planned, released(state, 1e-3 * self.offsets[:, 0]))
         state = state._replace(displacement=moved)
         return state, feet_shifted(reference, state, quaternion_to_matrix(reference.base_orientation))
 
@@ -57,7 +55,7 @@ class TimedFeet(mc.Law):
     def step(self, state, measured, reference):
         """Move the feet along their table."""
         time, offsets = state
-        moved = 1e-3 * sum(weight * self.timed[:, knot] for knot, weight in enumerate(shares(time, KNOTS)))
+        moved = 1e-3 * (shares(time, KNOTS)[:, None] * self.timed).sum(1)
         offsets = offsets._replace(displacement=moved)
         command = feet_shifted(reference, offsets, quaternion_to_matrix(reference.base_orientation))
         return (time + offsets.period, offsets), command
