@@ -53,7 +53,7 @@ UNSEEN, MOST, WAY, STAGES, LATE = 512, 1500, 0.02, 4, 45.0
 KEPT = (*study.WEIGHTS, "peak_pull_force", "base_deviation", "swing_deviation", "travel")
 
 
-def goals_on(scenario, *draws):
+def goals_on(scenario, weights, *draws):
     """Return the objective of `tuning.ceiling` over the walks of each draw, with the way that pd goes held."""
     drawn = [bounds._drawn(scenario, draw)[0] for draw in draws]
     together = jax.tree.map(lambda *each: np.concatenate(each), *drawn)
@@ -62,7 +62,7 @@ def goals_on(scenario, *draws):
     goals, first = [], 0
     for draw in draws:
         own = {name: value[first : first + draw.members] for name, value in pd.items()}
-        goal, way = bounds._objective(scenario, Ceiling(weights=study.WEIGHTS), own, TABLE), own["travel"].mean()
+        goal, way = bounds._objective(scenario, Ceiling(weights=weights), own, TABLE), own["travel"].mean()
         held = [Limit("travel", float(way * (1 + side * WAY)), float(way), 0.1 * WAY, "pd's", side < 0)
                 for side in (-1, 1)]  # fmt: skip
         goals.append(dataclasses.replace(goal, limits=(*goal.limits, *held)))
@@ -131,6 +131,7 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("case")
     parser.add_argument("steps", nargs="+")
+    parser.add_argument("--metric", action="append", help="to better in place of all of the ceiling's")
     parser.add_argument("--hardware", default="dynamixel_x")
     parser.add_argument("--members", type=int, default=32)
     parser.add_argument("--unseen", type=int, default=UNSEEN)
@@ -147,7 +148,7 @@ def main():
     scenario = study.scenario_of(hardware, case, asked.seconds)
     draw = study.DRAWS[case].model_copy(update={"members": asked.members})
     unseen = ensembles.fresh(draw).model_copy(update={"members": asked.unseen})
-    goal, judges = goals_on(scenario, draw, unseen)
+    goal, judges = goals_on(scenario, {name: 1.0 for name in asked.metric or study.WEIGHTS}, draw, unseen)
     rest = {name: f"configs/gains/{hardware}_case_{case}_{kind}.yaml" for name, kind in
             (("transfer", "best"), ("pd", "pd"))}  # fmt: skip
     for place, step in enumerate(asked.steps):
