@@ -151,7 +151,7 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
 
 
 class Environment:
-    """A scenario's robots, to be stepped by hand under its law or another, or under actions of one's own.
+    """A scenario's robots, to be stepped by hand under its law or another, or under actions of your own.
 
     ```python
     env = mjx_climb.Environment(scenario)

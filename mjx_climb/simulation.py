@@ -90,7 +90,7 @@ class SimulationState:
 
     step: Array  # () how many have been made
     carry: Carry  # what one step hands to the next
-    setup: Setup  # the law with its gains, parameters, and what is worked out from them
+    setup: Setup  # the law with its gains, parameters, and what is computed from them
 
     @property
     def law(self) -> Law:

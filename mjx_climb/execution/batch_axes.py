@@ -74,7 +74,7 @@ def batch_shape(*trees: PyTree, others: Mapping[str, tuple[int, ...]] = MappingP
 def over_batch(function: Function, trees: Sequence[PyTree], axes: Sequence[PyTree], shape: Sequence[int]) -> PyTree:
     """Return the results of a function of one robot for all robots of a batch, batch axes in front.
 
-    What does not vary over the batch is passed as it is, so that it is worked out once; of a batch of one what has
+    What does not vary over the batch is passed as it is, so that it is computed once; of a batch of one what has
     batch axes counts as varying, so that it walks by the program of several.
     """
     if not shape:

@@ -275,7 +275,7 @@ class CudaWriter(Writer):
         time = f"t{self._count}"
         self._lines += ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
         after = step(list(carried))
-        # all are worked out before the first is changed
+        # all are computed before the first is changed
         for value, number in zip(carried, after, strict=True):
             self._lines.append(f"const {typed(value.dtype)} next_{value.content} = {_text(number)};")
         self._lines += [f"{value.content} = next_{value.content};" for value in carried] + ["}"]

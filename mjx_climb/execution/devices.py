@@ -21,7 +21,7 @@ from jax.sharding import SingleDeviceSharding
 # Up to so many robots: shares of so many, few enough to keep several cores busy. Two walk one by one: so the last two
 # starts of a search need no program but that of the last one.
 _CPU_SHARES = {2: 1, 8: 2, 64: 16, math.inf: 64}
-# In regions a step of 128 takes 1.4 times that of 64. Whole steps have larger arrays, which XLA works out by several
+# In regions a step of 128 takes 1.4 times that of 64. Whole steps have larger arrays, which XLA computes by several
 # threads: two shares of 128 under engine mjx wait for each other for ever.
 _CPU_SHARES_IN_REGIONS = {1: 1, 8: 2, 64: 16, 128: 64, 192: 96, math.inf: 128}
 

@@ -22,7 +22,7 @@ from mjx_climb.execution.jax_types import Parameters, aval_of
 MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array to XLA as well
 MOST_PRODUCTS = 4096  # of a product of matrices
 MOST_STEPS = 64  # of a loop that is written out step by step
-MOST_OF_BRANCHES = 100  # equations of a condition in a region, which works out all of its branches
+MOST_OF_BRANCHES = 100  # equations of a condition in a region, which computes all of its branches
 MOST_CHOICES = 64  # places of a table at which an operation may read or write
 
 # each result element depends on one element of each operand
@@ -253,7 +253,7 @@ def _searches(loop: core.JaxprEqn) -> bool:
 
 
 def _condition(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
-    """Return the results of the branch that is taken; all are worked out, as under `jax.vmap`."""
+    """Return the results of the branch that is taken; all are computed, as under `jax.vmap`."""
     which, *operands = given
     branches = [results(do, branch, operands) for branch in equation.params["branches"]]
     shapes = [aval_of(variable).shape for variable in equation.outvars]

@@ -1,10 +1,10 @@
 """Arrays written out element by element, as a kernel sees them: numpy arrays whose entries are single numbers.
 
-An element is a number known when the kernel is written, a value that the kernel works out, or the value that one lane
+An element is a number known when the kernel is written, a value that the kernel computes, or the value that one lane
 has of it. An array whose elements are all known is a plain numpy array.
 
-Lanes are the threads that share a robot: a thread for each limb. What is worked out for each limb in the same way is
-worked out once, by all lanes side by side.
+Lanes are the threads that share a robot: a thread for each limb. What is computed for each limb in the same way is
+computed once, by all lanes side by side.
 """
 
 import dataclasses

@@ -2,7 +2,7 @@
 
 The kernel is written in CUDA C (`cuda_writer`), compiled by NVRTC, a library that every installation of JAX for
 NVIDIA's GPUs brings, and launched by a custom call of XLA's. Tangents are asked for beforehand: each direction has
-threads of its own, which work out the values beside it.
+threads of its own, which compute the values beside it.
 """
 
 import contextlib

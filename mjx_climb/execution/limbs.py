@@ -1,6 +1,6 @@
 """Which axis of each value in a program runs over the limbs: found by data flow from the arrays that `of_limbs` marks.
 
-The GPU kernel gives each limb a thread of its own, and the CPU's regions work out all limbs by one operation. Both ask
+The GPU kernel gives each limb a thread of its own, and the CPU's regions compute all limbs by one operation. Both ask
 for the axis by name. It is never guessed from a shape: a quaternion has four components, whatever the limbs.
 """
 

@@ -173,7 +173,7 @@ def swing_path(scenario: Scenario) -> np.ndarray:
     Feet stay above the ground and as high as the cubic in the middle, joints within their limits or those of the cubic.
     A limb that cannot follow its cubic keeps it, as do those that lift off with it.
 
-    It is worked out for the scenario's own stride, step height and timing. In `Parameters` it is one value for all
+    It is computed for the scenario's own stride, step height and timing. In `Parameters` it is one value for all
     robots of a batch, in step heights: other step heights scale it, headings turn it, and it is zero at both ends, so
     that other strides, cycles and grounds get a sound swing, if not their best. For these give the parameters a batch
     of `swing_path`, one from each scenario.

@@ -152,7 +152,7 @@ def given(value: ArrayLike) -> bool:
 
 
 class Pace(NamedTuple):
-    """What is worked out once of a robot's delays, filter and control period; empty, or None, without such a stage."""
+    """What is computed once of a robot's delays, filter and control period; empty, or None, without such a stage."""
 
     force: Buffer  # weights of the samples, see `signals.weights`
     base: Buffer

@@ -32,7 +32,7 @@ def why_fixed(scenario: Scenario, keys: Iterable[str]) -> str:
     for key in keys:
         if low or (scenario.ground.map is not None and key in _WAY):
             what = "gait.swing: low_reaction is" if low else "a map's footholds are"
-            return f"{key}: expected none, as {what} worked out for the scenario's own gait"
+            return f"{key}: expected none, as {what} computed for the scenario's own gait"
     return ""
 
 

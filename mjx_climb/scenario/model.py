@@ -79,7 +79,7 @@ class Gait(v.Section):
     def _low_reaction_is_of_the_plain_way(self) -> Gait:
         for key, plain in (("height", 1.0), ("sway", 0.0), ("landing_speed", 0.0)):
             if self.swing == "low_reaction" and (value := getattr(self, key)) != plain:
-                raise failure(f"{plain:g} with swing: low_reaction, which is worked out for that", key=key, got=value)
+                raise failure(f"{plain:g} with swing: low_reaction, which is computed for that", key=key, got=value)
         return self
 
     @property
@@ -433,7 +433,7 @@ class Springs(_ByName):
 
 
 class RobotFile(v.Section):
-    """A robot of one's own; its base link's axes are x ahead, y left, z up."""
+    """A robot of your own; its base link's axes are x ahead, y left, z up."""
 
     file: v.FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
     height: v.Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
@@ -462,19 +462,19 @@ class OwnObject(v.Section):
 
 
 class OwnGains(_ByName):
-    """Gains by the names that a law of one's own gives them."""
+    """Gains by the names that a law of your own gives them."""
 
     __pydantic_extra__: dict[str, v.Values]
 
 
 class OwnLimits(_ByName):
-    """Limits by the names that a law of one's own gives them: numbers that are none of its gains."""
+    """Limits by the names that a law of your own gives them: numbers that are none of its gains."""
 
     __pydantic_extra__: dict[str, v.Positive]
 
 
 class OwnLaw(OwnObject):
-    """A control law of one's own, in place of the control section's."""
+    """A control law of your own, in place of the control section's."""
 
     gains: OwnGains = setting(OwnGains(), "in place of its own, SI units")
     limits: OwnLimits = setting(OwnLimits(), "in place of its own, SI units; a walk is compiled for them")

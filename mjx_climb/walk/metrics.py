@@ -70,7 +70,7 @@ class Metric:
     scale: float | None = None  # how much counts as much, in its unit, where values pass through zero
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[object, ...]:
-        """A shipped one is pickled by its name, as its functions have none; one's own by its fields."""
+        """A shipped one is pickled by its name, as its functions have none; your own by its fields."""
         own = all(metric is not self for metric in (*METRICS.with_companions, *SENSORS))
         return super().__reduce_ex__(protocol) if own else (_shipped, (self.name,))
 

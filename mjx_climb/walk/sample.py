@@ -1,4 +1,4 @@
-"""The quantities of a walk: what each of them is, declared once, and its value in a step, worked out once.
+"""The quantities of a walk: what each of them is, declared once, and its value in a step, computed once.
 
 Trajectories, files, their units and the API reference follow from `Quantities`. A new quantity is a field there and its
 value in `sample_of`.

@@ -1,6 +1,6 @@
 """One walk of one robot: what happens in a time step, in the order in which it happens.
 
-`prepare` works out what stays the same, `begin` gives the start, `advance` makes one step:
+`prepare` computes what stays the same, `begin` gives the start, `advance` makes one step:
 
     kinematics -> grips -> gait -> control loop -> cargo and pushes -> accelerations -> integration
 

@@ -231,6 +231,13 @@ def test_the_pages_show_every_command():
     assert {arguments[0] for block in blocks for arguments in commands(block)} == set(PROGRAM.commands)
 
 
+def test_a_release_has_one_version():
+    """In the package, in how to cite it, and first in the changelog, below what is not released yet."""
+    cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1]
+    released = re.findall(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert PROJECT["version"] == cited == released[0]
+
+
 def test_what_an_index_shows_needs_no_other_file():
     assert all(re.match(r"https?:", link) for link in LINK.findall((ROOT / PROJECT["readme"]).read_text("utf-8")))
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -19,6 +20,8 @@ FILES = (  # beside the code
     "mjx_climb/robot/models/*.xml", "mjx_climb/*.json", "mjx_climb/viz/plots/*.mplstyle", "tuning/pages/page.*",
     "tuning/gains/*.hpp", "*/py.typed",
 )  # fmt: skip
+
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 
 pytestmark = pytest.mark.slow
 
@@ -98,10 +101,17 @@ def test_the_installed_program_works_outside_the_repository(programs, tmp_path):
     program = programs / "mjx-climb"
     how = {"cwd": tmp_path, "env": plain()}
     assert "case_1_1, case_1_2, case_2" in " ".join(done(program, "run", "--help", **how).split())
-    assert done(program, "--version", **how).startswith("mjx-climb 0.")
+    assert done(program, "--version", **how).strip() == f"mjx-climb {VERSION}"
     metrics = json.loads(done(program, "run", "case_1_2", "--set", "duration=0.05", "--json", "--out", "walk", **how))
     assert list(metrics) == list(mc.METRICS.names)
     assert (tmp_path / "walk" / "walk.png").stat().st_size > 10_000
+
+
+@pytest.mark.nightly
+def test_a_whole_walk_and_the_self_check_of_the_installed_program(programs, tmp_path):
+    how = {"cwd": tmp_path, "env": plain()}
+    assert "held all the way" in done(programs / "mjx-climb", "run", "case_1_2", **how)
+    assert f"mjx-climb {VERSION}" in " ".join(done(programs / "mjx-climb", "doctor", **how).split())
 
 
 INSTALLED = """

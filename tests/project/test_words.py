@@ -1,5 +1,7 @@
-"""Plain words: pages and help texts use none of the patterns that `words.txt` replaces, and no endless sentence."""
+"""Plain words: pages, help, messages and docstrings use no pattern of `words.txt`, and no endless sentence."""
 
+import ast
+import json
 import re
 from pathlib import Path
 
@@ -46,6 +48,25 @@ def test_a_page_uses_plain_words(page):
 def test_a_help_text_uses_plain_words(name):
     command = PROGRAM.commands[name]
     assert found(" ".join(command.get_help(click.Context(command, info_name=name)).split())) == []
+
+
+@pytest.mark.parametrize("package", ["mjx_climb", "tuning"])
+def test_messages_and_docstrings_use_plain_words(package):
+    """All text in the code: help, errors, warnings, reports, docstrings."""
+    wrong = []
+    for file in sorted((ROOT / package).rglob("*.py")):
+        nodes = ast.walk(ast.parse(file.read_text("utf-8")))
+        texts = [node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+        wrong += [(file.name, *match) for text in texts if " " in text for match in found(" ".join(text.split()))]
+    assert wrong == []
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("notebooks/*.ipynb")), ids=lambda path: path.stem)
+def test_a_notebook_begins_with_what_it_shows_in_plain_words(path):
+    cells = [cell for cell in json.loads(path.read_text("utf-8"))["cells"] if cell["cell_type"] == "markdown"]
+    texts = ["".join(cell["source"]) for cell in cells]
+    assert texts[0].split("\n\n")[1].startswith("**This notebook shows**")
+    assert [match for text in texts for match in found(" ".join(text.split()))] == []
 
 
 def test_pages_of_users_are_short_and_begin_with_what_they_are_for():

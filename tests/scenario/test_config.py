@@ -149,7 +149,7 @@ BAD_FILES = [
     ("gait: {base_reference: sagged}", "gait.base_reference: expected 'nominal' or 'actual', got \"sagged\""),
     ("hardware: {force_sensor: {dead: {LX: 1.0}}}", "hardware.force_sensor.dead.LX: expected one of the limbs LF, LH,"),
     ("hardware: {force_sensor: {dead: {LF: -1.0}}}", "hardware.force_sensor.dead.LF: expected a finite number, 0 or"),
-    ("gait: {sway: 0.2, swing: low_reaction}", "gait.sway: expected 0 with swing: low_reaction, which is worked out"),
+    ("gait: {sway: 0.2, swing: low_reaction}", "gait.sway: expected 0 with swing: low_reaction, which is computed"),
     ("gait: {height: 0}", "gait.height: expected a number above 0"),
     ("contact: {holding_limit: -1}", "contact.holding_limit: expected a finite number, 0 or above, or null, got -1"),
     ("control: {controller: lqr}", "control.controller: expected 'pd', 'base_admittance' or 'end_effector_admittance'"),

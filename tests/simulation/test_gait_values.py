@@ -101,7 +101,7 @@ def test_what_no_gait_could_have_is_refused_in_one_line(gains, message):
 def test_swings_worked_out_for_one_stride_keep_it_and_a_robot_that_walks_its_gait():
     low = SHORT.with_overrides(["gait.swing=low_reaction"])
     with pytest.raises(
-        ValueError, match=r"^gains\.gait\.duty: expected none, as gait\.swing: low_reaction is worked out"
+        ValueError, match=r"^gains\.gait\.duty: expected none, as gait\.swing: low_reaction is computed"
     ):
         mc.rollout_metrics(low, {"gait.duty": 0.8})
     simulation = mc.Simulation(SHORT)

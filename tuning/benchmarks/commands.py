@@ -54,7 +54,7 @@ def measure(names: Sequence[str], say: Callable[[str], object]) -> dict[str, Wai
 def compiled(what: str, batch: int, steps: int, engine: str, cache: str) -> dict[str, float]:
     """Return seconds from a process's start to its first result, of that result and of the same again.
 
-    `what` of a walk is worked out, "value" or "gradient"; `cache` is the folder of XLA's cache, "off" for none.
+    `what` of a walk is computed, "value" or "gradient"; `cache` is the folder of XLA's cache, "off" for none.
     """
     begin = time.time()
     output = _python(("-m", "tuning.benchmarks.commands", what, str(batch), str(steps), engine), cache)

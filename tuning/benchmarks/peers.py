@@ -68,7 +68,7 @@ class Walker:
 
     def __call__(self, step: int, base: np.ndarray, foot: np.ndarray, foot_velocity: np.ndarray,
                  angles: np.ndarray, rates: np.ndarray) -> None:  # fmt: skip
-        """Work out the foot forces and joint torques of a step.
+        """Compute the foot forces and joint torques of a step.
 
         Takes base position (3, N) m, feet (3, 4, N) m and their velocities, joint angles (3, 4, N) rad and rates.
         """

@@ -1,7 +1,7 @@
 """Commands made from settings: every field of a pydantic model becomes an argument or option of typer, described there.
 
 A command is a function of models alone. Each is built from what was typed, so that `model_fields_set` tells it from the
-defaults. See `tuning.problem.settings.setting` for what is said of a field; its bounds are checked and shown.
+defaults. See `tuning.problem.settings.setting` for a field's default, help and unit; its bounds are checked and shown.
 """
 
 import ast

@@ -86,7 +86,7 @@ class Interrupted(Exception):
 
 
 def _for_one_signal() -> Callable[[int], None]:
-    """Have the handlers of both signals be good for one, the next then ends the process; return what puts one back."""
+    """Have both signals handled once, the next one ends the process; return a function that puts a handler back."""
     handlers: dict[int, ctypes.c_void_p] = {number: ctypes.c_void_p() for number in SIGNALS}
 
     def put(number: int) -> None:

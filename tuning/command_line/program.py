@@ -122,7 +122,7 @@ def _program(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the program and return its exit code; what went wrong is said on standard error."""
+    """Run the program and return its exit code; errors go to standard error."""
     if (now := old_names.translated(arguments)) != [*arguments]:
         typed, command = shlex.join(arguments), shlex.join(now)
         _say(f"'{typed}' is '{command}' now, and works for this release alone")

@@ -79,7 +79,7 @@ def compare(
     """Tune several laws from several seeds until they converge, and judge them on the same unseen walks.
 
     Each search ends when `PATIENCE` rounds of its points have found nothing better by a thousandth, however many gains
-    it has, or when its rounds are spent. All that a search finds is judged: what is said holds for a law that is
+    it has, or when its rounds are spent. All that a search finds is judged: the intervals are of a law that is
     searched once more. pd with kp and kd retuned is always among them. All search kp and kd too; a gain that `also`,
     `bounds`, `pins` or `frozen` name is searched, bounded, pinned or frozen where a law has it.
     `tuning.write(tuning.compare(scenario, laws, ensemble, out="results/mine"), "results/mine")` is

@@ -31,7 +31,7 @@ class LawsComparison:
 
 
 def compare(found: Comparison, stage: Stage = silent, out: Path | None = None) -> LawsComparison:
-    """Work out which differences are real; nothing walks, and nothing is kept in `out`."""
+    """Compute which differences are real; nothing walks, and nothing is kept in `out`."""
     problem = found.problem
     assert isinstance(problem.objective, Objective)
     reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]

@@ -75,7 +75,7 @@ class SweepComparison:
 def compare(
     found: Swept, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None
 ) -> SweepComparison:
-    """Simulate what a grid is compared with, and work out its limit of stability.
+    """Simulate what a grid is compared with, and compute its limit of stability.
 
     Arguments:
         found: the grid.

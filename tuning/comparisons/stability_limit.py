@@ -58,7 +58,7 @@ _ENTRIES = 512 * 50**2  # of the matrices that are made at once, about: 10 MB
 _MOST_MATRICES = 512
 _ROBOTS_OF_A_CALL = 16
 _FEWEST_MATRICES = 9  # with fewer, calls hold fewer robots, by another program; see `execution.devices`
-# Of the matrices that one call makes, 160 kB: XLA:CPU works out arrays of some 256 kB and more by several threads, and
+# Of the matrices that one call makes, 160 kB: XLA:CPU computes arrays of some 256 kB and more by several threads, and
 # makes invalid code of a region that holds one ("Incorrect number of arguments passed to called function", jaxlib 0.10)
 _ENTRIES_OF_A_CALL = 20_000
 _FINEST = 16  # values along an axis of a map
@@ -317,7 +317,7 @@ def over_axes(
 
 
 def on_map(radius: xr.DataArray, walks: xr.Dataset) -> xr.DataArray:
-    """Return the radius at all gains of a grid of walks, NaN where it was not worked out."""
+    """Return the radius at all gains of a grid of walks, NaN where it was not computed."""
     names = [str(name) for name in walks["diverged"].dims]
     whole = radius.transpose(*names).reindex({name: walks[name] for name in names})
     return whole.assign_coords({name: walks[name] for name in names})  # with their units

@@ -90,7 +90,7 @@ def _array(value: Any, key: str, source: str) -> np.ndarray:
 def walker(
     path: str | os.PathLike[str], scenario: mc.Scenario, law: mc.Law | None = None
 ) -> tuple[mc.Scenario, mc.Law | None]:
-    """Return scenario and law (None: the scenario's) with the shipped law that a gains file names, as they are without.
+    """Return scenario and law (None: the scenario's) with the law that a gains file names, unchanged if it names none.
 
     A law has the limits of the file, where it has some.
 
@@ -240,7 +240,7 @@ def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
 
 
 def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tuple[mc.Scenario, mc.Law | None]:
-    """Return a scenario and a law of one's own (None: the scenario's) with some gains in place of theirs."""
+    """Return a scenario and a law of your own (None: the scenario's) with some gains in place of theirs."""
     values = by_name(gains)
     if law is None:
         return applied(scenario, values), None
@@ -250,7 +250,7 @@ def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tupl
 def registers_in_words(scenario: mc.Scenario, gains: AnyGains) -> str:
     """Return the registers that hold gains of the joint loop, the scenario's where there are none, and what they miss.
 
-    Where the servo's scale is not known that is said. Nothing where the scenario's servos are none whose loop gives a
+    Where the servo's scale is not known a line says so. Nothing where the scenario's servos are none whose loop gives a
     share of the voltage.
     """
     walked = applied(scenario, gains)

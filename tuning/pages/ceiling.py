@@ -49,7 +49,7 @@ def sentence(found: Bounded) -> str:
 
 def notes(found: Bounded) -> list[str]:
     """Return the basis of the numbers, in lines."""
-    lines = ["plans are the best found: the least may be less, and a sensor worth more or less than is said here"]
+    lines = ["plans are the best found: the least may be less, and a sensor worth more or less than these numbers"]
     lines.append(f"the second search bettered the blind plan by {found.left:.2%}: smaller differences are search noise")
     if np.isfinite(found.spread):
         lines.append(f"the two best starts of the blind plan ended {found.spread:.2%} apart")

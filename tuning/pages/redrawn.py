@@ -65,7 +65,7 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Fi
             for metric in metrics:
                 baseline = compared["pd"][1].get(metric) if "pd" in compared else None
                 yield f"{stem}-{metric}", plots.plot_map(data, metric, marks(data, compared), baseline=baseline)
-        elif name == "search.nc" and "law" not in data.attrs:  # the file of a law of one's own is not here
+        elif name == "search.nc" and "law" not in data.attrs:  # the file of a law of your own is not here
             found = tuned.load(folder / name)
             yield "convergence", plot_convergence(found)
             if "map.nc" in there:

@@ -137,7 +137,7 @@ def scored(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, paramete
 def _followed(
     asked: Asked, numbers: Numbers, law: mc.Law, parameters: mc.Parameters, targets: Array
 ) -> tuple[Array, dict[str, Array]]:
-    """Return what derivatives follow of one walk, and its metrics and score."""
+    """Return the derivatives that follow of one walk, and its metrics and score."""
     metrics = metrics_under(asked.structure, law, parameters, targets)
     terms = [
         Term(name, weight, value, smooth, larger)

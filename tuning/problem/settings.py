@@ -23,7 +23,7 @@ class Shell(NamedTuple):
 
 
 def setting(default: Any, text: str, **how: Any) -> Any:
-    """Return a field of a model, all that is said of it: the default (`...` for none), and the help with the unit.
+    """Return a field of a model with its default (`...` for none) and its help with the unit.
 
     "; null: ..." at the end of the text says what None stands for; `how`: fields of `Shell`, or of `pydantic.Field`.
     """

@@ -30,7 +30,7 @@ def write(
     settings: Settings | None = None,
     finished: bool = True,
 ) -> Written:
-    """Write a result, in place of an earlier one, and return what is told of it, with the names of the files.
+    """Write a result, in place of an earlier one, and return its lines for a reader, with the names of the files.
 
     Arguments:
         made: what the folder is to hold.

@@ -68,7 +68,7 @@ def plot_maps(
     if not metrics:
         raise ValueError("expected at least one metric to draw")
     rows, columns = math.ceil(len(metrics) / columns), min(columns, len(metrics))
-    # room for labels by measure: no layout is worked out
+    # room for labels by measure: no layout is computed
     width, height = COLUMN * columns, 0.5 + 2.3 * rows
     (left, right, beside), (bottom, top, between) = (0.62, 0.5, 0.55), (0.75, 0.45, 0.35)
     room = {

@@ -170,7 +170,7 @@ def _beside_jumps(
 def _normal(
     problem: Problem, x: np.ndarray, start: np.ndarray, values: dict[str, Any], tangents: dict[str, Any]
 ) -> Normal:
-    """Return the sums of samples, of priors of the starts, and of what windows' ends miss."""
+    """Return the sums of samples, of priors of the starts, and of the continuity residuals."""
     limbs, joints, size = problem.model.sizes
     count, windows, width = len(problem.model.variables), len(problem.which), joints * size
     made = _predicted(problem, x, values, tangents)
@@ -226,7 +226,7 @@ def _jacobians(problem: Problem, made: _Predicted) -> Iterator[tuple[int, int, i
 
 
 def _with_stamps(problem: Problem, sums: Normal, together: np.ndarray) -> Normal:
-    """Return the sums with the errors of time stamps eliminated: as of one limb that has the states of all."""
+    """Return the sums with the errors of time stamps eliminated, all limbs' states as one block."""
     limbs, windows, width = sums.state_gradient.shape
     count = len(sums.gradient)
     window = np.zeros(len(together), int)
@@ -262,7 +262,7 @@ def _add_guesses(problem: Problem, sums: Normal, start: np.ndarray) -> float:
 
 
 def _add_gaps(problem: Problem, sums: Normal, start: np.ndarray, ends: np.ndarray, along: np.ndarray) -> float:
-    """Add what windows' ends miss of the next ones' starts to the sums, and return the cost.
+    """Add the continuity residuals between windows to the sums, and return their cost.
 
     `ends` are (windows, limb, joint, S), their tangents `along` (windows, lanes, limb, joint, S).
     """

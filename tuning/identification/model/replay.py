@@ -129,7 +129,7 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None, mass: flo
 
 
 def base_of(log: Log, base: Base | None, mass: float) -> Base:
-    """Return whether the base was held: as is said, or, of None, where the log has neither base nor foot forces.
+    """Return whether the base was held: as set, or, of None, where the log has neither base nor foot forces.
 
     Raises:
         ConfigError: a mass that hung on each foot, kg, which is none or of a free base.

@@ -47,7 +47,7 @@ def several(some: Iterable[str]) -> str:
 
 
 def _together(lines: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """Yield one line for all signals of which the same is said."""
+    """Yield one line for all signals under the same suspicion."""
     by_words: dict[str, list[str]] = {}
     for name, words in lines:
         by_words.setdefault(words, []).append(name)

@@ -156,7 +156,7 @@ def _name_in(
     """Return which of some names, as words, stands in a topic and field: the longest, the last of several, () for none.
 
     A name of numbers alone must be all numbers that the field has beside a limb's name, or else the topic's, where
-    these are said to be a joint's.
+    the topic names a joint.
     """
     words, numbers = (*topic, *field), tuple(filter(str.isdecimal, _without(limb, field)))
     if not numbers and _JOINT & {before for before, word in itertools.pairwise(topic) if word.isdecimal()}:

@@ -59,7 +59,7 @@ class Source(Settings):
 
 
 class Signals(Settings):
-    """All that is said of a log. Immutable."""
+    """Where the signals of a log stand, in which units and on which clocks. Immutable."""
 
     time: str = setting("header", "column of the times; of topics header, the stamp where there is one, or log")
     time_unit: TimeUnit = setting("s", "unit of the times in columns")
