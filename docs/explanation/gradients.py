@@ -92,7 +92,7 @@ def main() -> None:
             before, after = (contacts(scenario, DAMPING[at + side]) for side in (0, 1))
             change = values[name][at + 1] - values[name][at]
             print(f"{name}: {change:+.4f} N at D = {DAMPING[at]:.2f}; {before - after} -> {after - before}")
-    draw(values, slopes).savefig(ROOT / "docs" / "images" / "gradients.png", dpi=180)
+    draw(values, slopes).savefig(ROOT / "docs" / "images" / "gradients.png", dpi=150)
 
 
 if __name__ == "__main__":
