@@ -101,7 +101,7 @@ def test_the_installed_program_works_outside_the_repository(programs, tmp_path):
     program = programs / "mjx-climb"
     how = {"cwd": tmp_path, "env": plain()}
     assert "case_1_1, case_1_2, case_2" in " ".join(done(program, "run", "--help", **how).split())
-    assert done(program, "--version", **how).strip() == f"mjx-climb {VERSION}"
+    assert done(program, "--version", **how).startswith(f"mjx-climb {VERSION}, ")
     metrics = json.loads(done(program, "run", "case_1_2", "--set", "duration=0.05", "--json", "--out", "walk", **how))
     assert list(metrics) == list(mc.METRICS.names)
     assert (tmp_path / "walk" / "walk.png").stat().st_size > 10_000
