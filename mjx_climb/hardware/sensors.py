@@ -1,9 +1,5 @@
-"""The measurements that the control law gets: foot forces and the base's pose, late, noisy and filtered.
+"""The measurements that the control law gets: foot forces and the base's pose, late, noisy and filtered."""
 
-Noise is made by counting: the same bits for a seed, a sample and a channel, in any batch, on any device.
-"""
-
-import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,15 +8,11 @@ from jax import Array
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.parameter_types import whole_steps
+from mjx_climb.physics.noise import normal
 from mjx_climb.physics.spatial import quaternion_normalize
 from mjx_climb.physics.state import State
 
 BASE_CHANNELS = 1000  # of the noise of the base estimate, the first; the force sensors have those before
-_PARTS = 8  # of 16 bits each, two to a word
-# a sum of uniform numbers (Irwin-Hall): the variance of one from 0 to n - 1 is (n^2 - 1) / 12
-_MEAN = _PARTS * (2**16 - 1) / 2
-_DEVIATION = math.sqrt(_PARTS * (2.0**32 - 1) / 12)
-_GOLDEN = 0x9E3779B9  # 2^32 / golden ratio: neighbouring counts fall far apart
 
 
 class ForceSensor(NamedTuple):
@@ -85,30 +77,3 @@ def estimated_base(
             linear_velocity=base.linear_velocity + parameters.velocity_noise * noise[3:],
         )
     return buffers, base
-
-
-def normal(seed: Array, sample: Array, channels: Array, dtype: jnp.dtype) -> Array:
-    """Return noise of mean 0 and variance 1 in the shape of `channels`.
-
-    The sum of eight uniform numbers: its excess kurtosis is -0.15, it ends at 4.9 standard deviations, and it is
-    exact in integers up to its scale. `sample` is the number of the time step; `channels` are whole numbers, one for
-    each independent signal.
-    """
-    word = _mixed(seed.astype(jnp.uint32) + jnp.uint32(_GOLDEN))
-    word = _mixed(word ^ sample.astype(jnp.uint32))
-    word = _mixed(word ^ (channels.astype(jnp.uint32) * jnp.uint32(_GOLDEN)))
-    total = jnp.zeros_like(word)
-    for _ in range(_PARTS // 2):
-        word = _mixed(word + jnp.uint32(_GOLDEN))
-        total = total + (word >> jnp.uint32(16)) + (word & jnp.uint32(0xFFFF))
-    return jnp.asarray((total.astype(dtype) - _MEAN) * (1 / _DEVIATION))
-
-
-def _mixed(word: Array) -> Array:
-    """Return 32 bits of which each depends on every bit of `word`, by invertible multiplications and shifts.
-
-    The constants are those of Wellons' `lowbias32` (2018), found by search for the least bias.
-    """
-    word = (word ^ (word >> jnp.uint32(16))) * jnp.uint32(0x7FEB352D)
-    word = (word ^ (word >> jnp.uint32(15))) * jnp.uint32(0x846CA68B)
-    return jnp.asarray(word ^ (word >> jnp.uint32(16)))

@@ -2,6 +2,10 @@
 
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.contact.polyhedron import PolyhedralGripper
+from mjx_climb.physics.contact.uncertain import UncertainGripper
 
 # by the names that --contact and `own.contact.name` take
-SHIPPED: dict[str, type[Contact]] = {"PolyhedralGripper": PolyhedralGripper}
+SHIPPED: dict[str, type[Contact]] = {
+    "PolyhedralGripper": PolyhedralGripper,
+    "UncertainGripper": UncertainGripper,
+}

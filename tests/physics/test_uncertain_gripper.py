@@ -1,0 +1,74 @@
+"""Grippers that may fail: with neither spread nor test they are `Gripper`; a grip that fails is tried again."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from mjx_climb.physics.contact.gripper import Gripper
+from mjx_climb.physics.contact.uncertain import UncertainGripper
+from mjx_climb.physics.kinematics import Feet
+from mjx_climb.physics.noise import normal
+
+LIMBS, RETRY = 4, 3.0
+OPEN, SHUT = np.zeros(LIMBS, bool), np.ones(LIMBS, bool)
+
+
+def gripper(**values):
+    """Return a gripper in double precision, and the plain one in it."""
+    inner = Gripper(*(jnp.asarray(value) for value in (1e4, 20.0, 0.0, 0.0, 15.0, np.inf)))
+    values = {"spread": 0.0, "tested_pull": 0.0, "retry_steps": RETRY, "tries": 3.0, "seed": 5.0} | values
+    return UncertainGripper(**{name: jnp.asarray(value) for name, value in values.items()}, gripper=inner), inner
+
+
+def walked(contact, commands, height):
+    """Return the grips of steps with grippers commanded (time, limb) shut and feet at heights (time,) m."""
+    start = np.zeros((LIMBS, 3))
+    memory = contact.init(jnp.asarray(start), jnp.zeros((LIMBS, 3, 3)))
+    found = []
+    for closed, z in zip(commands, height, strict=True):
+        position = jnp.asarray(start + np.array([0, 0, z]))
+        memory, grip = contact.step(
+            memory, Feet(position, 0 * position, position), None, jnp.asarray(closed), jnp.zeros(LIMBS)
+        )
+        found.append(grip)
+    return memory, found
+
+
+def test_without_spread_and_test_it_is_the_gripper():
+    """Forces, supports and losses are those of `Gripper` to the bit, until one of them opens after a loss."""
+    uncertain, plain = gripper()
+    commands, height = [SHUT, SHUT, OPEN, OPEN, SHUT, SHUT], [0.0, 1e-3, 0.01, 0.02, 0.0, 2e-3]
+    for one, other in zip(walked(uncertain, commands, height)[1], walked(plain, commands, height)[1], strict=True):
+        for name in one._fields:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def test_a_grip_that_was_torn_off_holds_again_after_a_swing():
+    commands, height = [SHUT, SHUT, SHUT, OPEN, SHUT, SHUT], [0.0, 2e-3, 0.0, 0.01, 0.0, 0.0]
+    grips = walked(gripper()[0], commands, height)[1]
+    assert grips[1].torn_off.all() and not grips[2].support.any() and grips[5].support.all()
+
+
+def test_limits_spread_by_seed_limb_and_try():
+    """The limit of the first grip after a swing is 15 N times a normal number, which noise of the robot's makes."""
+    memory, _ = walked(gripper(spread=0.3)[0], [SHUT, OPEN, SHUT], [0.0, 0.01, 0.0])
+    noise = normal(jnp.asarray(5.0), jnp.ones(LIMBS), jnp.arange(LIMBS), np.float64)
+    np.testing.assert_allclose(memory.limit, 15 * (1 + 0.3 * np.asarray(noise)))
+    assert len(np.unique(memory.limit)) == LIMBS
+
+
+def test_a_grip_that_fails_its_test_is_tried_again_so_many_times():
+    """Each try draws anew: a limb holds from the first try on whose limit bears the pull, or gives up after three."""
+    steps = 3 * int(RETRY) + 4
+    contact = gripper(spread=0.3, tested_pull=15.0)[0]
+    _, grips = walked(contact, [SHUT, OPEN, *[SHUT] * steps], [0.0, 0.01, *[0.0] * steps])
+    draws = np.array([normal(jnp.asarray(5.0), jnp.full(LIMBS, n), jnp.arange(LIMBS), np.float64) for n in (1.0, 2, 3)])
+    bears = draws >= 0
+    for limb in range(LIMBS):
+        held = np.array([bool(grip.support[limb]) for grip in grips[2:]])
+        missed = np.array([bool(grip.missed[limb]) for grip in grips[2:]])
+        if bears[:, limb].any():
+            tries = int(bears[:, limb].argmax())
+            assert held.argmax() == tries * int(RETRY + 1) and held[held.argmax() :].all() and not missed.any()
+        else:
+            assert not held.any() and missed.sum() == 1
+    assert 0 < bears[0].sum() < LIMBS
