@@ -141,6 +141,8 @@ class Parameters:
     drive: PyTree = None  # an `Actuator` in place of the servos that the values above describe
     disturbances: PyTree = ()  # a tuple of `Disturbance`, beside cargo and pushes
     holds: PyTree = None  # `Holds`, the points that can be held; None: all of the ground
+    footholds: PyTree = None  # `Footholds`, the choice among the holds; None: the planned ones
+    recovery: PyTree = None  # `Recovery`; None: nothing interrupts the gait
 
     @property
     def numbers(self) -> dict[str, AnyArray]:
@@ -162,7 +164,7 @@ class Parameters:
         return {name: each for name in single if (each := getattr(self, name)) is not None} | found
 
 
-COMPONENTS = ("contact", "drive", "disturbances", "holds")
+COMPONENTS = ("contact", "drive", "disturbances", "holds", "footholds", "recovery")
 KEYS: dict[str, str] = {  # of a scenario, whose values and ranges these are
     field.name: field.metadata["key"] for field in dataclasses.fields(Parameters) if field.metadata.get("key")
 }

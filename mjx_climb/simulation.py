@@ -58,7 +58,7 @@ from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.control_loop import Action, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
-from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, set_up, walk_of
+from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, look_ahead, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
 from mjx_climb.walks import (
     Metrics,
@@ -520,7 +520,11 @@ def _start(structure: Structure, law: Law, parameters: Parameters) -> Simulation
 
 
 def _step(structure: Structure, state: SimulationState, action: Action) -> tuple[SimulationState, Sample]:
-    carry, sample = advance(walk_of(structure, state.setup), state.carry, state.step, action)
+    walk, carry = walk_of(structure, state.setup), state.carry
+    if structure.planning:
+        at_tick = state.step % structure.planning == 0
+        carry = jax.lax.cond(at_tick, lambda: look_ahead(walk, carry, state.step), lambda: carry)
+    carry, sample = advance(walk, carry, state.step, action)
     return SimulationState(state.step + 1, carry, state.setup), sample
 
 

@@ -25,7 +25,7 @@ from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.control_loop import JointTargets
 from mjx_climb.walk.metrics import Context, Running, accumulate, finish, start
 from mjx_climb.walk.sample import Sample
-from mjx_climb.walk.step import Carry, advance, begin, prepare
+from mjx_climb.walk.step import Carry, Walk, advance, begin, look_ahead, prepare
 from mjx_climb.walk.structure import Structure
 
 Metrics = dict[str, Array]
@@ -112,7 +112,8 @@ def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metr
 def samples_of(structure: Structure, law: Law, parameters: Parameters) -> Sample:
     """Return every sample of a walk, stacked over time."""
     walk = prepare(structure, law, parameters)
-    samples: Sample = jax.lax.scan(functools.partial(advance, walk), begin(walk), jnp.arange(structure.steps))[1]
+    steps = jnp.arange(structure.steps)
+    samples: Sample = _over_steps(walk, functools.partial(advance, walk), begin(walk), steps)[1]
     return samples
 
 
@@ -125,7 +126,7 @@ def samples_under(
     def step(carry: Carry, now: tuple[Array, Array]) -> tuple[Carry, Sample]:
         return advance(walk, carry, now[0], JointTargets(now[1]))
 
-    samples: Sample = jax.lax.scan(step, begin(walk), (jnp.arange(structure.steps), targets))[1]
+    samples: Sample = _over_steps(walk, step, begin(walk), (jnp.arange(structure.steps), targets))[1]
     return samples
 
 
@@ -150,8 +151,31 @@ def _walked(
         return (walked, accumulate(table, running, sample, context)), record(sample)
 
     begun = (begin(walk), start(table, parameters.kp.dtype))
-    (_, running), records = scan(step, begun, targets, length=structure.steps)
+    (_, running), records = _over_steps(walk, step, begun, targets, scan)
     return finish(table, running, context), records
+
+
+def _over_steps(
+    walk: Walk, step: Callable[..., PyTree], begun: PyTree, inputs: PyTree, scan: Scan = jax.lax.scan
+) -> tuple[PyTree, PyTree]:
+    """Return the last carry and the records of a walk's steps, by periods of the planner where there is one.
+
+    What is carried is a `Carry`, or a pair of one and running metrics; what is read is nothing, or begins with steps.
+    """
+    steps, period = walk.structure.steps, walk.structure.planning
+    if not period:
+        return scan(step, begun, inputs, length=steps)
+
+    def walk_period(carried: PyTree, given: PyTree) -> tuple[PyTree, PyTree]:
+        if isinstance(carried, Carry):
+            carried = look_ahead(walk, carried, jax.tree.leaves(given)[0][0])
+        else:
+            carried = look_ahead(walk, carried[0], carried[1].steps), carried[1]
+        return jax.lax.scan(step, carried, given, length=period)
+
+    parts = jax.tree.map(lambda value: value.reshape(steps // period, period, *value.shape[1:]), inputs)
+    last, records = scan(walk_period, begun, parts, length=steps // period)
+    return last, jax.tree.map(lambda value: value.reshape(steps, *value.shape[2:]), records)
 
 
 def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parameters) -> Metrics:

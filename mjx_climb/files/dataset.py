@@ -267,7 +267,8 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     of_the_paper = {field.name for field in dataclasses.fields(Gains)} >= set(by_name)
     gains = Gains(**by_name) if of_the_paper else by_name
     with jax.enable_x64(dtype == np.float64):
-        bare = scenario_of(dataset).with_own(contact=None, drive=None, disturbances=[])  # to read a walk runs no file
+        # to read a walk runs no file
+        bare = scenario_of(dataset).with_own(contact=None, drive=None, disturbances=[], footholds=None)
         own = {name: np.asarray(value) for name, value in parameters(bare, dtype).numbers.items()}
     numbers = own | _from_json(dataset.attrs["parameters"], dtype)
     # lists without pushes have lost their second axis

@@ -10,7 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from mjx_climb.component import with_values
 from mjx_climb.execution import check_process
+from mjx_climb.gait.footholds import SHIPPED
+from mjx_climb.gait.footholds.footholds import Footholds
+from mjx_climb.gait.recovery import Recovery
 from mjx_climb.gait.swing import swing_path
 from mjx_climb.inputs.own_objects import components_of
 from mjx_climb.parameter_types import KEYS, Gains, Parameters
@@ -43,7 +47,25 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     arrays = {name: np.asarray(value, float) for name, value in values.items()}
     pushes = {name: arrays[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     numbers = Parameters(**arrays | pushes)
-    return dataclasses.replace(numbers, **components_of(scenario, numbers, source))
+    own: dict[str, Any] = {"footholds": _footholds(scenario), "recovery": _recovery(scenario)}
+    own |= {place: each for place, each in components_of(scenario, numbers, source).items() if each is not None}
+    return dataclasses.replace(numbers, **own)
+
+
+def _footholds(scenario: Scenario) -> Footholds | None:
+    """Return the rule that `gait.footholds` names, None of planned ones."""
+    name = scenario.gait.footholds
+    return None if name == "planned" else with_values(SHIPPED[name](), {}, name="footholds")
+
+
+def _recovery(scenario: Scenario) -> Recovery | None:
+    """Return what interrupts the gait, None where nothing does."""
+    given = scenario.control.recovery
+    if not given.interrupts:
+        return None
+    values = {name: _value(given, name) for name in Recovery.VALUES}
+    values["margin"] = given.margin or 0.0
+    return with_values(Recovery(), {name: np.asarray(value, float) for name, value in values.items()}, name="recovery")
 
 
 def _value(section: object, *names: str) -> object:

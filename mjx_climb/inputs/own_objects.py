@@ -1,4 +1,4 @@
-"""Objects of the user's: FILE.py:NAME, and contact, drive and disturbances that the section `own` names."""
+"""Objects of the user's: FILE.py:NAME, and the components that the section `own` names."""
 
 import dataclasses
 import importlib.util
@@ -15,6 +15,8 @@ import numpy as np
 from mjx_climb import disturbances, hardware
 from mjx_climb.component import Component, with_values
 from mjx_climb.disturbances.disturbance import Disturbance
+from mjx_climb.gait import footholds
+from mjx_climb.gait.footholds.footholds import Footholds
 from mjx_climb.hardware.actuator import Actuator
 from mjx_climb.inputs.file_contents import digest
 from mjx_climb.parameter_types import Parameters
@@ -32,6 +34,7 @@ KINDS: dict[str, tuple[type[Component], Mapping[str, type[Component]]]] = {
     "contact": (Contact, contact.SHIPPED),
     "drive": (Actuator, hardware.SHIPPED),
     "disturbances": (Disturbance, disturbances.SHIPPED),
+    "footholds": (Footholds, footholds.SHIPPED),
 }
 _OF_CONTACT = {"stiffness": "contact_stiffness", "damping": "contact_damping"}  # values of a gripper among parameters
 
@@ -120,12 +123,14 @@ def components_of(scenario: Scenario, numbers: Parameters, source: str = "scenar
         "contact": made.get("contact"),
         "drive": made.get("drive"),
         "disturbances": tuple(each for place, each in made.items() if place.startswith("disturbances")),
+        "footholds": made.get("footholds"),
     }
 
 
 def _made(named: OwnComponent, place: str, numbers: Parameters, source: str) -> Component:
     section = place.partition(".")[0]
-    what, (kind, known) = section.removesuffix("s"), KINDS[section]
+    kind, known = KINDS[section]
+    what = section if section == "footholds" else section.removesuffix("s")
     if named.file is None and named.name in known:
         found: Any = known[named.name]
     else:

@@ -48,16 +48,11 @@ def support_axes(foot_position: Array, support: Array) -> Axes:
     return Axes(polygon, foot_position, end, held[:, 1:], normal)
 
 
-def tumble_stability_margin(
-    axes: Axes, net_wrench: tuple[Array, Array], mass: Array, gravity: Array, holding_force: Array
-) -> Array:
-    """Return the tumble stability margin () in m, after Yoneda & Hirose (1996), with grippers that hold.
+def tumbling_moment(axes: Axes, net_wrench: tuple[Array, Array], holding_force: Array) -> Array:
+    """Return the smallest moment () N m that keeps the robot from tumbling over an axis of the support polygon.
 
-    `net_wrench` is that of `net_external_wrench`; `mass` () kg with cargo; `gravity` () m/s^2, its magnitude;
-    `holding_force` () N.
-
-    The smallest moment |M_ab| that keeps the robot from tumbling over an axis of the support polygon, over m g; zero
-    once it tumbles over any, and with fewer than three supporting feet. Without gravity a stable robot's is infinite.
+    Zero once it tumbles over any, and with fewer than three supporting feet; arguments as of
+    `tumble_stability_margin`.
     """
     net_force, net_moment = net_wrench
     direction = axes.start - axes.end
@@ -70,7 +65,21 @@ def tumble_stability_margin(
     # of two feet none is off the axis, and JAX has no tangent of a maximum over nothing
     longest = (arms.max(1, initial=0.0) if arms.shape[1] else jnp.zeros_like(length)) / length
     # ClimbLab's M_ab = tumbling / length - holding is negative while the axis is stable.
-    smallest = _smallest_over_axes(holding_force * longest - tumbling / length, axes)
+    return _smallest_over_axes(holding_force * longest - tumbling / length, axes)
+
+
+def tumble_stability_margin(
+    axes: Axes, net_wrench: tuple[Array, Array], mass: Array, gravity: Array, holding_force: Array
+) -> Array:
+    """Return the tumble stability margin () in m, after Yoneda & Hirose (1996), with grippers that hold.
+
+    `net_wrench` is that of `net_external_wrench`; `mass` () kg with cargo; `gravity` () m/s^2, its magnitude;
+    `holding_force` () N.
+
+    The smallest moment |M_ab| that keeps the robot from tumbling over an axis of the support polygon, over m g; zero
+    once it tumbles over any, and with fewer than three supporting feet. Without gravity a stable robot's is infinite.
+    """
+    smallest = tumbling_moment(axes, net_wrench, holding_force)
     weight = mass * gravity
     weightless = weight == 0.0
     in_metres = smallest / jnp.where(weightless, 1.0, weight)

@@ -74,6 +74,13 @@ class Gait(v.Section):
         "nominal", "where each cycle's base reference starts: where planned, or where the base is"
     )
     heading: v.Angle = setting(0.0, "direction of walking and initial yaw about world z, rad")
+    footholds: Literal["planned", "nearest", "farthest", "climblab", "best_margin"] = setting(
+        "planned", "footholds of the periodic gait, or the rule that chooses among the points that can be held"
+    )
+    planning_period: v.Positive = setting(
+        0.02,
+        "time between two choices of footholds or looks for danger, s; rounded to time steps that divide the duration",
+    )
 
     @model_validator(mode="after")
     def _low_reaction_is_of_the_plain_way(self) -> Gait:
@@ -144,6 +151,25 @@ class Contact(v.Section):
     )
 
 
+class Recovery(v.Section):
+    """When the gait is interrupted, and how; a threshold of null never interrupts it, and none does by default."""
+
+    shift: v.PositiveOrNull = setting(None, "shift of the base from its reference that interrupts the gait, m")
+    utilization: v.PositiveOrNull = setting(None, "predicted pull of a grip, over its holding limit, that does, 1")
+    margin: v.PositiveOrNull = setting(None, "GIA margin below which the gait is interrupted, m/s^2")
+    lead_time: v.NonNegative = setting(0.02, "time ahead for which the pull of a grip is predicted, s")
+    landing_time: v.Positive = setting(0.15, "time in which a limb in the air comes down, s")
+    rest_time: v.NonNegative = setting(0.3, "time for which the gait then stands still, s")
+    take_over: v.Part = setting(1.0, "share of the base's shift that its reference takes over, 1")
+    return_time: v.Positive = setting(1.0, "time in which the base reference goes back to its path, s")
+    reach: v.NonNegative = setting(0.03, "how far beside itself a foot may land on ground that is all held, m")
+
+    @property
+    def interrupts(self) -> bool:
+        """Whether there is a threshold."""
+        return not self.shift is self.utilization is self.margin is None
+
+
 class Control(v.Section):
     """Joint loop and an admittance law around it. Six values: translations x, y, z, then rotations."""
 
@@ -172,6 +198,7 @@ class Control(v.Section):
     max_velocity: v.Bound = setting(
         None, "largest rate of the virtual mass, m/s, rad/s; a number, one of each, null: any"
     )
+    recovery: Recovery = setting(Recovery(), "thresholds that interrupt the gait, and how it is interrupted")
 
     @model_validator(mode="after")
     def _reading_fits(self) -> Control:
@@ -493,7 +520,7 @@ class OwnOptions(_ByName):
 
 
 class OwnComponent(OwnObject):
-    """A contact, an actuator or a disturbance: one that is shipped, by its name alone, or the user's."""
+    """A contact, an actuator, a disturbance or a choice of footholds: a shipped one, by its name, or the user's."""
 
     values: OwnValues = setting(OwnValues(), "in place of its own, SI units")
     options: OwnOptions = setting(OwnOptions(), "in place of its own; a walk is compiled for them")
@@ -508,11 +535,12 @@ class Own(v.Section):
     contact: OwnComponent | None = setting(None, "what holds feet, in place of the gripper of the contact section")
     drive: OwnComponent | None = setting(None, "what turns joints, in place of the servos of the hardware section")
     disturbances: tuple[OwnComponent, ...] = setting((), "what acts from outside, beside cargo and pushes")
+    footholds: OwnComponent | None = setting(None, "what chooses footholds, in place of gait.footholds")
 
     @property
     def components(self) -> dict[str, OwnComponent]:
-        """Contact, drive and disturbances, as far as there are any, by their places: "disturbances.0"."""
-        found = {"contact": self.contact, "drive": self.drive}
+        """The components, as far as there are any, by their places: "disturbances.0"."""
+        found = {"contact": self.contact, "drive": self.drive, "footholds": self.footholds}
         found |= {f"disturbances.{n}": each for n, each in enumerate(self.disturbances)}
         return {place: each for place, each in found.items() if each is not None}
 
@@ -597,6 +625,16 @@ class Scenario(v.Section):
     def steps(self) -> int:
         """Number of time steps of the walk."""
         return round(self.duration / self.time_step)
+
+    @property
+    def planning_steps(self) -> int:
+        """Number of time steps of a planning period: the nearest number that divides the walk."""
+        wanted = max(1.0, self.gait.planning_period / self.time_step)
+        low, high = (
+            next(n for n in range(start, stop, way) if self.steps % n == 0)
+            for start, stop, way in ((math.floor(wanted), 0, -1), (math.ceil(wanted), self.steps + 1, 1))
+        )
+        return low if wanted - low <= high - wanted else high
 
     def to_yaml(self) -> str:
         """The resolved scenario as YAML; loading it gives an equal scenario."""

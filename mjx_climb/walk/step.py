@@ -4,6 +4,8 @@
 
     kinematics -> grips -> gait -> control loop -> cargo and pushes -> accelerations -> integration
 
+Where footholds are chosen or the robot recovers, `look_ahead` decides every planning period, before a step.
+
 How many robots walk at once is the affair of `mjx_climb.execution`.
 """
 
@@ -21,7 +23,9 @@ from mjx_climb.control import Law
 from mjx_climb.control.law import Reference, constants, measurement_at
 from mjx_climb.disturbances import on_base
 from mjx_climb.disturbances.disturbance import Body, External
+from mjx_climb.gait import planner as planning
 from mjx_climb.gait import schedule as gait
+from mjx_climb.gait.recovery import Body as Whole
 from mjx_climb.hardware.actuator import Drive
 from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import Hardware, hardware_of
@@ -34,6 +38,7 @@ from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geomet
 from mjx_climb.physics.kinematics import (
     LimbFrames,
     base_wrench_of_foot_force,
+    center_of_mass,
     foot_kinematics,
     foot_turning,
     limb_frames,
@@ -68,6 +73,7 @@ class Walk(NamedTuple):
     holding_force: Array  # () N, the pull that margins may count on, in a smooth walk too
     controller: control_loop.Controller
     structure: Structure
+    planner: planning.Planner | None = None  # None: the periodic gait, whatever happens
 
 
 class Carry(NamedTuple):
@@ -77,6 +83,7 @@ class Carry(NamedTuple):
     contact: PyTree  # memory of the contacts
     cycle_start: Array  # (3,) m, what the gait remembers of the base
     memory: control_loop.Memory  # of the law and the hardware
+    progress: planning.Progress | None = None  # of the planner
 
 
 def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
@@ -108,7 +115,14 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     # asked before the limit is taken away: without one, margins are those of bare feet
     holding_force = jnp.asarray(contact.holding_force())
     contact = contact.unbreakable() if structure.smooth else contact
-    return Walk(robot, parameters, setup.plan, setup.windows, contact, holding_force, controller, structure)
+    plans = None
+    if structure.planning:
+        moves = len({share for _, share in structure.lift_off})
+        plans = planning.Planner(
+            robot, geometry, setup.plan, parameters.footholds, parameters.holds, parameters.recovery,
+            structure.planning, moves, structure.time_step,
+        )  # fmt: skip
+    return Walk(robot, parameters, setup.plan, setup.windows, contact, holding_force, controller, structure, plans)
 
 
 def _in_precision(tree: Tree, dtype: jnp.dtype) -> Tree:
@@ -137,7 +151,9 @@ def begin(walk: Walk) -> Carry:
     attitudes = limb_frames(robot, rotation, joints).rotation[:, -1]
     contact = walk.contact.init(reference.foot_position, attitudes)
     memory = control_loop.begin(walk.controller, state, reference)
-    return Carry(state, contact, gait.unswayed(plan, now, reference.base_position), memory)
+    position = gait.unswayed(plan, now, reference.base_position)
+    progress = None if walk.planner is None else planning.begin(walk.planner, position)
+    return Carry(state, contact, position, memory, progress)
 
 
 def constants_of_law(walk: Walk, begun: Carry) -> list[bool | Array]:
@@ -155,7 +171,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     `step` counts them, (). An action takes the place of the law, which then stays as it is.
     """
     state, parameters = carry.state, walk.parameters
-    frames, now = limb_frames(walk.robot, None, state.joint_angles), gait.schedule(walk.plan, step)
+    frames, now = limb_frames(walk.robot, None, state.joint_angles), _schedule(walk, carry, step)
     # Eq. 5: the forces of the grips, and which of them let go
     actual = _evaluate_contacts(walk, carry, frames, now)
 
@@ -164,7 +180,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     if walk.structure.base_reference == "actual":
         here = gait.unswayed(walk.plan, now, state.base_position)
         cycle_start = start = jnp.where(now.cycle_phase == 0, here, carry.cycle_start)
-    reference = gait.reference(walk.plan, now, start, actual.grip.grip_point, walk.structure.time_step)
+    reference = _reference(walk, carry, now, step, start, actual.grip.grip_point)
     external = _external(walk, Body(walk.robot, frames, state), step)
     load = None
     # of all but the actuators: what their gears carry
@@ -187,12 +203,53 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
             holding_force=walk.holding_force,
         )
     )  # fmt: skip
-    return Carry(integrate(state, acceleration, walk.structure.time_step), actual.contact, cycle_start, memory), sample
+    after = integrate(state, acceleration, walk.structure.time_step)
+    return Carry(after, actual.contact, cycle_start, memory, carry.progress), sample
+
+
+def look_ahead(walk: Walk, carry: Carry, step: Array) -> Carry:
+    """Return the walk before a step, () integer, with what the planner decides there."""
+    if walk.planner is None or carry.progress is None:
+        return carry
+    state, parameters = carry.state, walk.parameters
+    frames, now = limb_frames(walk.robot, None, state.joint_angles), _schedule(walk, carry, step)
+    actual = _evaluate_contacts(walk, carry, frames, now)
+    start = carry.cycle_start
+    if walk.structure.base_reference != "actual":
+        start = gait.planned_start(walk.plan, now.cycle)
+    reference = _reference(walk, carry, now, step, start, actual.grip.grip_point)
+    cargo, _ = on_base.acting(parameters, walk.windows, step)
+    mass = cargo + parameters.mass_scale * walk.robot.total_mass
+    body = Whole(
+        mass=mass, center_of_mass=center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale),
+        velocity=state.base_linear_velocity, weight=mass * jnp.asarray(parameters.gravity), feet=actual.feet.position,
+        support=actual.grip.support, foot_force=actual.grip.foot_force, holding_force=walk.holding_force,
+    )  # fmt: skip
+    base = state.base_position, quaternion_to_matrix(state.base_orientation)
+    progress = planning.tick(walk.planner, carry.progress, now, step, reference, base, actual.grip.grip_point, body)
+    return carry._replace(progress=progress)
+
+
+def _schedule(walk: Walk, carry: Carry, step: Array) -> gait.Schedule:
+    """Return the phases of the limbs at a step."""
+    if carry.progress is None:
+        return gait.schedule(walk.plan, step)
+    return planning.schedule_at(walk.plan, carry.progress, step)
+
+
+def _reference(walk: Walk, carry: Carry, now: gait.Schedule, step: Array, start: Array, grip_point: Array) -> Reference:
+    """Return the reference of a base that began its cycle at `start` (3,) m; shut grippers stay where they grip."""
+    if walk.planner is None or carry.progress is None:
+        return gait.reference(walk.plan, now, start, grip_point, walk.structure.time_step)
+    return planning.reference_at(walk.planner, carry.progress, now, step, start, grip_point)
 
 
 def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> control_loop.Actual:
     """Return feet, contacts (paper Eq. 5) and the wrench of the feet on the base, `J_b^T F_e`, in a step."""
-    ground = gait.foothold_height(walk.plan, now.foothold)
+    if carry.progress is None:
+        ground = gait.foothold_height(walk.plan, now.foothold)
+    else:
+        ground = planning.ground_at(carry.progress, now)
     feet = foot_kinematics(walk.robot, frames, carry.state)
     turning = foot_turning(walk.robot, frames, carry.state) if walk.contact.transmits_moments else None
     contact, held = walk.contact.step(carry.contact, feet, turning, now.closed, ground)

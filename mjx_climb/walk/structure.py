@@ -35,6 +35,7 @@ class Structure(NamedTuple):
     model: str = ""  # digest of what a robot's own file says, empty for one that comes with the package
     # digest of law, components, metrics and engine of the user's own: a global that they read may have changed
     own_code: str = ""
+    planning: int = 0  # steps between the ticks of the planner; 0: the periodic gait, whatever happens
 
 
 def structure(
@@ -53,8 +54,11 @@ def structure(
     batch axes, say which stages of hardware there are; see `stages_under_trace`.
 
     Raises:
-        ValueError: two metrics of one name, or parameters that JAX traces and that decide about a stage.
+        ValueError: two metrics of one name, parameters that JAX traces and that decide about a stage, or footholds to
+            be chosen where there are no holds.
     """
+    if parameters.footholds is not None and parameters.holds is None:
+        raise ValueError("gait.footholds: expected planned, as the ground has no holds to choose among")
     table = MetricTable(metrics)
     own: list[object] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
     own += [] if law is None or type(law) in LAWS.values() else [type(law)]
@@ -77,6 +81,7 @@ def structure(
         stages=stages_under_trace(scenario, parameters, load_robot(scenario.robot), called),
         model=_digest(scenario.robot, engine),
         own_code=own_code,
+        planning=0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps,
     )
 
 

@@ -1,0 +1,64 @@
+"""The seam of the choice of footholds: how much a point is worth to a limb that is about to swing."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from mjx_climb.arrays import AnyArray
+from mjx_climb.component import Component
+from mjx_climb.ground import Holds
+
+SAME = 1e-3  # m, points nearer to each other than this are one
+
+
+class Situation(NamedTuple):
+    """What a choice may depend on; world axes."""
+
+    feet: Array  # (limb, 3) m, where limbs stand, or will stand when their swings are over
+    planned: Array  # (limb, 3) m, where the periodic gait has their next footholds
+    forward: Array  # (3,) 1, direction of travel
+    stands: Array  # (limb,) bool, which limbs hold while the others swing
+    center_of_mass: Array  # (3,) m, where the limbs that swing touch down
+    weight: Array  # (3,) N, of the robot
+    holding_force: Array  # () N, pull that a grip of the scenario bears; 0: no grip pulls
+
+
+class Candidate(NamedTuple):
+    """A point, for each limb one."""
+
+    position: Array  # (limb, 3) m, world
+    pull: Array  # () N, along its normal, that it bears
+
+
+class Footholds(Component):
+    """Base of the rules: a class that inherits from it becomes a frozen dataclass and a pytree.
+
+    Fields made by `parameter` are its values. `score` is written for one robot and one point; the planner calls it for
+    each point in turn. Derivatives pass with the choice frozen.
+    """
+
+    def score(self, situation: Situation, candidate: Candidate) -> Array:
+        """How much a point is worth to each limb, (limb,); of several the largest is chosen, -inf is never chosen."""
+        raise NotImplementedError(f"{type(self).__name__}.score")
+
+
+def pulls(holds: Holds, otherwise: Array) -> Array:
+    """Return the largest pull along the normal that each hold bears, (n,) N; `otherwise` () where it names no limit."""
+    count, rows = holds.limit_bound.shape
+    if not rows:
+        return jnp.broadcast_to(otherwise, (count,))
+    down = -holds.limit_matrix[..., 2]
+    found = jnp.where(down > 0, holds.limit_bound / jnp.where(down > 0, down, 1.0), jnp.inf).min(1)
+    return jnp.where(jnp.isfinite(found), found, otherwise)
+
+
+def level(vector: AnyArray) -> Array:
+    """Return vectors (..., 3) without their part along z, which is the ground's normal."""
+    return jnp.concatenate([vector[..., :2], jnp.zeros_like(vector[..., 2:])], axis=-1)
+
+
+def frozen(score: Array) -> Array:
+    """Return a score that derivatives take as it is."""
+    return jax.lax.stop_gradient(score)

@@ -1,0 +1,162 @@
+"""The planner: choice of footholds in a walk, and recovery."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.gait.footholds import ClimbLab, Footholds, Nearest
+from mjx_climb.gait.planner import middle_of
+from mjx_climb.gait.recovery import Recovery
+from mjx_climb.ground import Holds
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.scenario.messages import ConfigError
+
+PUSH = {"force": [0.0, 10.0, 0.0], "start": 0.02, "stop": 0.06}
+NO_PUSH = PUSH | {"force": [0.0, 0.0, 0.0]}
+# a limb swings for 0.2 s; footholds are near, so that nothing tears off
+SHORT = {
+    "duration": 0.3, "gait.cycle": 0.8, "gait.stride": 0.004, "gait.step_height": 0.005,
+    "disturbance.pushes": [NO_PUSH],
+}  # fmt: skip
+SWING = 200  # steps
+THRESHOLD = 0.001  # m
+LH = 1  # swings first
+
+
+def holds(position):
+    """Return holds at points (..., n, 3) on level ground."""
+    batch, count = position.shape[:-2], position.shape[-2]
+    return Holds(
+        position=position, normal=np.broadcast_to([0.0, 0.0, 1.0], position.shape),
+        limit_matrix=np.zeros((*batch, count, 0, 3)), limit_bound=np.zeros((*batch, count, 0)),
+        valid=np.ones((*batch, count)),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scenario(case):
+    return case("case_2", "pd", SHORT)
+
+
+@pytest.fixture(scope="module")
+def planned(scenario):
+    return mc.rollout(scenario)
+
+
+@pytest.mark.slow
+def test_a_planner_that_has_nothing_to_do_changes_no_walk(scenario, planned):
+    """The limbs swing at the same steps, the base reference is the same; swings begin where the feet grip."""
+    watched = mc.rollout(scenario.with_overrides({"control.recovery.shift": 1.0}))
+    assert not planned.detached.any()
+    np.testing.assert_array_equal(watched.support, planned.support)
+    np.testing.assert_allclose(watched.base_reference, planned.base_reference, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(watched.foot_target, planned.foot_target, rtol=0, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_push_interrupts_the_gait(scenario, planned):
+    """The base reference moves to the base, and the limb in the air is on the ground sooner than planned."""
+    recovery = {"control.recovery.shift": THRESHOLD, "control.recovery.landing_time": 0.05}
+    pushed = mc.rollout(scenario.with_overrides(recovery | {"disturbance.pushes": [PUSH]}))
+    moved = np.linalg.norm(pushed.base_reference - planned.base_reference, axis=1)
+    at = int((moved > 1e-9).argmax())
+    assert 20 < at < SWING - 60 and at % 20 == 0
+    # at a tick the reference is where the base is
+    np.testing.assert_allclose(pushed.base_reference[at], pushed.base_position[at], rtol=0, atol=1e-12)
+    assert moved[at] > THRESHOLD
+    assert not pushed.support[:at, LH].any() and pushed.support[at + 52 : SWING, LH].all()
+    # the gait stands still: LF, which is next, would lift off after the swing
+    assert pushed.support[at + 52 :].all() and not planned.support[SWING:].all()
+
+
+@pytest.fixture(scope="module")
+def rock(planned):
+    """Grounds (3, 12, 3) m: a hold near each foot, and eight elsewhere."""
+    random = np.random.default_rng(0)
+    near = planned.foot_position[0] + random.normal(0, 0.004, (3, 4, 3))
+    points = np.concatenate([near, random.uniform(-0.3, 0.3, (3, 8, 3))], axis=1)
+    points[..., 2] = 0
+    return points
+
+
+@pytest.mark.slow
+def test_a_limb_swings_to_the_nearest_hold(scenario, planned, rock):
+    """The first limb that swings grips the hold that is nearest to its planned foothold."""
+    parameters = dataclasses.replace(own_parameters(scenario), holds=holds(rock[0]), footholds=Nearest())
+    walk = mc.rollout(scenario, parameters=parameters)
+    want = planned.foot_position[0, LH] + [scenario.gait.stride, 0, 0]
+    hold = rock[0][np.linalg.norm(rock[0] - want, axis=1).argmin()]
+    np.testing.assert_allclose(walk.grip_point[SWING + 20, LH], hold, rtol=0, atol=5e-4)
+
+
+@pytest.mark.slow
+def test_different_grounds_are_one_program_and_each_walks_as_alone(scenario, rock):
+    """Three grounds in a batch walk as each does alone, and neighbours change no bit."""
+    own, rule = own_parameters(scenario), ClimbLab(stride_cap=0.05)
+
+    def walked(points):
+        return mc.rollout_metrics(
+            scenario, parameters=dataclasses.replace(own, holds=holds(points), footholds=rule), dtype=np.float64
+        )
+
+    together, others = walked(rock), walked(rock[[2, 1, 1]])
+    assert len(np.unique(together["base_deviation"])) == 3
+    for name, values in together.items():
+        np.testing.assert_array_equal(others[name][:2], values[[2, 1]], err_msg=name)
+        np.testing.assert_allclose(walked(rock[:1])[name], values[:1], rtol=1e-12, err_msg=name)
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+def test_tangents_pass_with_the_choice_frozen(scenario, rock):
+    """The derivative by a gain is that of finite differences, between which the choice stays."""
+    parameters = dataclasses.replace(own_parameters(scenario), holds=holds(rock[0]), footholds=Nearest())
+    how = {"parameters": parameters, "dtype": np.float64}
+    _, tangents = mc.rollout_jvp(scenario, {"kp": 50.0}, {"kp": np.array([1.0])}, **how)
+    ends = [mc.rollout_metrics(scenario, {"kp": 50.0 + step}, **how) for step in (-1e-3, 1e-3)]
+    for name in ("cost_of_transport", "force_variation"):
+        difference = (ends[1][name] - ends[0][name]) / 2e-3
+        assert difference != 0
+        np.testing.assert_allclose(tangents[name].ravel()[0], difference, rtol=1e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("limbs", [3, 4, 6])
+def test_the_base_stands_where_the_lines_between_opposite_feet_meet(limbs):
+    """For four feet the intersection of the diagonals; of more the point of least squares; of three the mean."""
+    random = np.random.default_rng(limbs)
+    angles = 2 * np.pi * np.arange(limbs) / limbs
+    feet = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles]) + random.normal(0, 0.1, (limbs, 3))
+    found = np.asarray(middle_of(feet))
+    if limbs == 3:
+        np.testing.assert_allclose(found, feet.mean(0), atol=1e-12)
+        return
+    one, other = feet[: limbs // 2, :2], feet[limbs // 2 :, :2]
+    across = (other - one) @ np.array([[0, 1], [-1, 0]])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    meet = np.linalg.lstsq(across, (across * one).sum(1), rcond=None)[0]
+    np.testing.assert_allclose(found, [*meet, feet[:, 2].mean()], atol=1e-12)
+
+
+def test_footholds_are_chosen_where_there_are_holds_alone(scenario):
+    with pytest.raises((ConfigError, ValueError), match="expected planned, as the ground has no holds"):
+        mc.rollout_metrics(scenario.with_overrides({"gait.footholds": "nearest"}))
+
+
+def test_no_threshold_is_no_recovery(scenario):
+    """By default there is no component: the program is that of the planned walk."""
+    assert own_parameters(scenario).recovery is None
+    assert own_parameters(scenario).footholds is None
+    some = own_parameters(scenario.with_overrides({"control.recovery.margin": 0.5})).recovery
+    assert isinstance(some, Recovery) and some.margin == 0.5 and np.isinf(some.shift)
+
+
+def test_a_rule_of_ones_own_needs_a_score():
+    with pytest.raises(NotImplementedError, match="score"):
+        Footholds().score(None, None)
+
+
+def test_the_choice_is_part_of_the_parameters():
+    assert jax.tree.leaves(ClimbLab()) == [0.1]
