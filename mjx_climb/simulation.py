@@ -486,8 +486,9 @@ class Simulation:
         return after
 
     def _structure_of(self, state: SimulationState) -> Structure:
-        """Return the structure of a robot's walk, with the stages of hardware that it began with."""
-        return self.structure._replace(stages=state.setup.hardware.stages)
+        """Return the structure of a robot's walk, with the stages of hardware and the planner that it began with."""
+        planning = 0 if state.carry.progress is None else self.scenario.planning_steps
+        return self.structure._replace(stages=state.setup.hardware.stages, planning=planning)
 
     def with_gains(self, state: SimulationState, gains: AnyGains) -> SimulationState:
         """Return a robot, or a batch of them with its axes in front, that goes on with other gains; pure.

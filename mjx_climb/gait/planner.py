@@ -172,7 +172,7 @@ def tick(
     grip_point: Array,
     body: Body,
 ) -> Progress:
-    """Return what the planner decides at a step.
+    """Return the progress after the decisions of a step.
 
     Arguments:
         now: schedule at that step.
@@ -353,7 +353,7 @@ def within_reach(planner: Planner, target: Array) -> Array:
             solution = inverse_kinematics(geometry, target, solution.joint_angles)
     angles = solution.joint_angles
     within = (angles >= robot.joint_lower) & (angles <= robot.joint_upper)
-    return solution.reachable & within.all(1)
+    return jnp.asarray(solution.reachable & within.all(1))
 
 
 def _interrupted(

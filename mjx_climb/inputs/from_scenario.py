@@ -59,7 +59,7 @@ def _footholds(scenario: Scenario) -> Footholds | None:
 
 
 def _recovery(scenario: Scenario) -> Recovery | None:
-    """Return what interrupts the gait, None where nothing does."""
+    """Return the recovery of a scenario, None without a threshold."""
     given = scenario.control.recovery
     if not given.interrupts:
         return None

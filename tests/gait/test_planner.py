@@ -160,3 +160,17 @@ def test_a_rule_of_ones_own_needs_a_score():
 
 def test_the_choice_is_part_of_the_parameters():
     assert jax.tree.leaves(ClimbLab()) == [0.1]
+
+
+@pytest.mark.slow
+def test_step_by_step_it_is_the_same_walk(scenario):
+    """A robot that is stepped from outside decides at the same steps as one that walks."""
+    recovery = {"control.recovery.shift": THRESHOLD, "gait.planning_period": 0.01}
+    simulation = mc.Simulation(scenario.with_overrides(recovery | {"disturbance.pushes": [PUSH], "duration": 0.1}))
+    whole, state = simulation.rollout(), simulation.reset(dtype=np.float64)
+    step, references = jax.jit(simulation.step), []
+    for _ in range(100):
+        state, sample = step(state)
+        references.append(sample.base_reference)
+    assert float(state.carry.progress.interruptions) >= 1
+    np.testing.assert_allclose(references, whole.base_reference, rtol=0, atol=1e-9)
