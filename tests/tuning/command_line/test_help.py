@@ -98,7 +98,11 @@ def test_keys_of_the_scenario_complete(tmp_path):
     below = [f"disturbance.cargo.{name}=" for name in ("mass", "start", "stop")]
     assert complete("mjx-climb run case_2 --set disturbance.c", heavy=HEAVY - {"yaml"}) == below
     found = complete("mjx-climb tune case_2 --set control.", "zsh", heavy=HEAVY - {"yaml"})
-    assert found == [f"control.{name}=" for name in type(mc.Scenario().control).model_fields]
+    control, expected = mc.Scenario().control, []
+    for name in type(control).model_fields:
+        below = [f"{name}.{key}" for key in type(control.recovery).model_fields] if name == "recovery" else [name]
+        expected += [f"control.{key}=" for key in below]
+    assert found == expected
 
 
 def test_names_written_for_completion_are_the_real_ones():
