@@ -6,6 +6,9 @@ UNOPTIMISED := XLA_FLAGS=--xla_backend_optimization_level=0
 # Whole files to each worker, which a module's fixtures and programs ask for.
 SPREAD := -n 2 --dist loadfile
 
+# Else each program that a test starts compiles JAX and all else anew: 5 s of CPU time each.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: sweep test test-slow test-nightly lint types docs clean .venv
 
 # The main job: search the paper's case 1.2 for better gains.
@@ -22,7 +25,7 @@ test-slow: .venv/.installed-test
 	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "slow and not timing and not nightly"
 	$(PYTEST) -m "timing and not nightly" $$(grep -rl mark.timing tests)
 
-# Whole searches and notebooks, every robot and shape from start to end: some two hours.
+# Whole searches and notebooks, every robot, shape and law from start to end: some three hours.
 test-nightly: .venv/.installed-test
 	$(PYTEST) $(SPREAD) -m "nightly and not timing"
 	$(PYTEST) -m "nightly and timing"

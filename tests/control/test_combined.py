@@ -126,7 +126,7 @@ def test_gains_of_a_sum_are_saved_and_read_back(tmp_path):
     assert own_section.section(law)["law"]["name"] == "VirtualModelAdmittance+EndEffectorAdmittance"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_walk_with_nothing_added_is_that_of_the_law_alone(case):
     scenario = case("case_1_2", "pd", (("duration", 0.1), ("gait.cycle", 0.4)))
     gains, how = {"stiffness": np.array([[3e3], [3e4]]) * np.ones(6)}, {"dtype": np.float64}

@@ -40,6 +40,9 @@ KINDS = {
     "ClimbSDK": Kind(ClimbSDK(force_gain=4e-4, body_gain=0.15, force_cost=0.02), oracle_laws.ClimbSDK),
 }  # fmt: skip
 kinds = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+quick = pytest.mark.parametrize(  # the others once a night
+    "kind", [pytest.param(k, id=n, marks=[pytest.mark.nightly] * (n != "InternalForce")) for n, k in KINDS.items()]
+)
 
 
 def scene(seed=0):
@@ -101,7 +104,7 @@ def twice(law, measured, reference):
 
 
 @pytest.mark.slow
-@kinds
+@quick
 def test_derivatives_by_every_gain_agree_with_central_differences(kind):
     """The third foot has just lost its grip; the force on the first pulls."""
     reference, measured = scene()
@@ -123,7 +126,7 @@ def test_derivatives_by_every_gain_agree_with_central_differences(kind):
         np.testing.assert_allclose(back, found.sum(), rtol=1e-9, atol=1e-12, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @kinds
 def test_a_batch_moves_as_each_of_its_robots(kind):
     scenes = [scene(seed) for seed in range(3)]
@@ -134,10 +137,7 @@ def test_a_batch_moves_as_each_of_its_robots(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind",
-    [pytest.param(kind, id=name, marks=[pytest.mark.slow] * (name != "InternalForce")) for name, kind in KINDS.items()],
-)
+@quick
 def test_without_forces_feet_go_back_to_where_the_gait_wants_them(kind):
     """(Landing would still act.)"""
     reference, measured = scene()
@@ -153,6 +153,7 @@ def test_without_forces_feet_go_back_to_where_the_gait_wants_them(kind):
 # --- Load transfer alone
 
 
+@pytest.mark.slow
 def test_loads_leave_a_foot_before_it_lifts_off():
     """Of equal loads; the forces on the feet push each as far as it gives way."""
     reference, measured = scene()
@@ -217,7 +218,7 @@ ROBOTS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["hexapod_ceiling", pytest.param("station_arms_handrail", marks=pytest.mark.nightly)])
 def test_other_robots_walk_under_load_transfer(name):
     """Six limbs on a ceiling, limbs of seven joints on a slope, for a second: no grip is lost, feet are moved."""

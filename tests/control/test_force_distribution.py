@@ -55,7 +55,7 @@ def exact(wrench, lever, weight, pull_limit):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("limbs", "count"), [pytest.param(4, 10_000, marks=pytest.mark.slow), (3, 2000), (6, 300)])
+@pytest.mark.parametrize(("limbs", "count"), [pytest.param(4, 10_000, marks=pytest.mark.nightly), (3, 2000), (6, 300)])
 def test_forces_are_those_of_the_exact_program(limbs, count):
     """The wrench to 1e-9; forces to 1e-3 of the largest, as 12 sweeps go; where no limit acts, to 1e-9."""
     wrench, lever, weight, limit = scenes(count, limbs)
@@ -104,7 +104,7 @@ def margins(wrench, lever, cost):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("limbs", "count"), [pytest.param(4, 10_000, marks=pytest.mark.slow), (3, 2000)])
+@pytest.mark.parametrize(("limbs", "count"), [pytest.param(4, 10_000, marks=pytest.mark.nightly), (3, 2000)])
 def test_forces_of_the_largest_margin_are_those_of_the_exact_program(limbs, count):
     wrench, lever, *_ = scenes(count, limbs)
     cost, all_bear = 0.01, np.ones((count, limbs), bool)

@@ -78,7 +78,7 @@ def test_measured_pose_saturates_at_half_a_turn():
 @pytest.mark.parametrize(
     "kind",
     [
-        pytest.param(kind, id=kind.__name__, marks=[pytest.mark.slow] * (kind.__name__ != "VirtualModelAdmittance"))
+        pytest.param(kind, id=kind.__name__, marks=[pytest.mark.slow] * (kind is not PD))
         for kind in dict.fromkeys(LAWS.values())
     ],
 )

@@ -155,7 +155,7 @@ def problem(case):
     return searches.problem_of(scenario, Search(precision="float64"), law=Network())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reverse_derivatives_by_arrays_are_central_differences(problem, random):
     """Along random directions in all of the weights, of the objective with smooth extremes and with true ones."""
     space, rng = problem.space, np.random.default_rng(2)
@@ -173,7 +173,7 @@ def test_reverse_derivatives_by_arrays_are_central_differences(problem, random):
         np.testing.assert_allclose(gradient[0] @ along.T, difference, rtol=1e-4, atol=1e-5 * np.abs(difference).max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_few_steps_of_the_gradient_lower_the_objective(problem):
     found = tune(problem.scenario, law=Network(), precision="float64", starts=1, iterations=4)
     descent = found.data["descent"].values

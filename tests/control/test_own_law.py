@@ -92,7 +92,7 @@ def test_an_open_filter_is_eq_3_and_a_closed_one_is_not(scenario, law):
     assert (walk.law, {name: value.shape for name, value in walk.gains.items()}) == ("Filtered", six | {"share": ()})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tangents_along_own_gains_agree_with_central_differences(scenario, law):
     """Along the cut-off of one axis and the share, for two robots."""
     gains = {"cutoff": np.array([[20.0], [50.0]]) * np.ones(6), "share": np.array([0.9, 0.5])}
@@ -109,7 +109,7 @@ def test_tangents_along_own_gains_agree_with_central_differences(scenario, law):
             np.testing.assert_allclose(tangents[name][row], difference, rtol=1e-3, atol=1e-4 * size, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_swept_over_its_own_gain(scenario, law, tmp_path):
     axes = {"cutoff": np.array([1.0, 100.0]), "share": np.array([0.1, 0.5, 1.0])}
     result = sweep(scenario, axes, law=law, out=tmp_path, dtype=np.float64).data
@@ -125,7 +125,7 @@ def stop(now):
     raise KeyboardInterrupt
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tuned_over_all_of_its_gains_saved_and_read_back(scenario, law, tmp_path):
     how = {"also": ("inertia",), "method": "cmaes", "starts": 4, "iterations": 2, "precision": "float64"}
     undisturbed = tune(scenario, law=law, **how)
@@ -153,7 +153,7 @@ class Other(VirtualModelAdmittance):
     """The shipped law under another name."""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_class_of_the_same_name_walks_as_itself(scenario, law):
     """In one session the program of a law that was replaced is not taken for that of the new one."""
     again = from_script()

@@ -239,7 +239,7 @@ SMALL = (
 )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_walk_with_the_same_gains_in_all_phases_is_that_of_the_law(case):
     """And with others it is another."""
     scenario = case("case_1_2", "pd", SMALL)
@@ -253,7 +253,7 @@ def test_a_walk_with_the_same_gains_in_all_phases_is_that_of_the_law(case):
     assert abs(found["force_variation"][1] / found["force_variation"][0] - 1) > 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tangents_of_a_walk_are_those_of_central_differences(case):
     """By a factor of a joint gain, and by how long it is before a lift-off."""
     scenario, how = case("case_1_2", "pd", SMALL), {"dtype": np.float64, "smooth": True}

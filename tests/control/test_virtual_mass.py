@@ -201,8 +201,8 @@ def test_without_limits_no_norm_is_taken():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gain", ["inertia", "damping", "stiffness"])
-@pytest.mark.parametrize("force", [1.0, 60.0])
+@pytest.mark.parametrize("gain", ["inertia", pytest.param("damping", marks=pytest.mark.nightly), "stiffness"])
+@pytest.mark.parametrize("force", [pytest.param(1.0, marks=pytest.mark.nightly), 60.0])
 def test_derivative_of_bounded_motion(gain, force):
     bounds = ROBOT._replace(max_offset=(0.01, math.inf), max_velocity=(0.3, math.inf), deadband=(0.5, 0.0))
 

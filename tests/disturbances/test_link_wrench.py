@@ -63,7 +63,7 @@ def test_a_window_takes_the_steps_nearest_to_it(case):
     np.testing.assert_allclose(touched.push[acts, :3], FORCE[None] * np.ones((100, 1)), atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_batch_is_touched_as_one_robot_is(case):
     """On the fast path, without a fall back: warnings are errors."""
     scenario = case("case_1_2", "pd", {"duration": 0.3})

@@ -57,7 +57,7 @@ def run(tmp_path, monkeypatch):
     return process
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_next_process_neither_traces_nor_gets_another_executable(run):
     """The same bits; another identity, shape, precision or option: another one; none stored without an identity."""
     first = run()
@@ -70,7 +70,7 @@ def test_the_next_process_neither_traces_nor_gets_another_executable(run):
     assert run(identity="")[0] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_xlas_cache_holds_is_made_and_stored_again(run, tmp_path):
     """After an update, or where a file was lost: what XLA's cache returns could not be stored."""
     _, values = run()
@@ -97,7 +97,7 @@ DAMAGE = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "damage", [pytest.param(d, id=n, marks=[pytest.mark.slow] * (n != "changed")) for n, d in DAMAGE.items()]
+    "damage", [pytest.param(d, id=n, marks=[pytest.mark.nightly] * (n != "cut off")) for n, d in DAMAGE.items()]
 )
 def test_a_file_that_is_not_what_was_written_is_not_executed(run, tmp_path, damage):
     _, values = run()
@@ -145,7 +145,7 @@ def test_a_folder_in_which_another_user_may_have_put_a_file_is_not_used(folder, 
     assert next(machine.cache()).findings == [cache.doubt(folder)]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_folder_that_is_made_here_lets_nobody_else_in(run, tmp_path, monkeypatch):
     """Whatever the user's umask."""
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "cache"))

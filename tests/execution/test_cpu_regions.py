@@ -68,21 +68,19 @@ def agree(names, tangents):
             if xla.dtype != jax.dtypes.float0:
                 np.testing.assert_allclose(mine, xla, rtol=1e-12, atol=1e-12)
 
-names = [name for name in primitives.EVERY if name != "other random bits"]  # which have no vmap
-agree(names, tangents=False)
-agree([name for name in names if name not in NO_TANGENTS], tangents=True)
+tangents = sys.argv[2] == "tangents"
+without = ["other random bits", *(NO_TANGENTS if tangents else [])]  # bits have no vmap
+agree([name for name in primitives.EVERY if name not in without], tangents)
 print("all")
 """
 
 
 @pytest.mark.slow
-def test_every_operation_in_regions():
-    """In a process of its own, in float64 to 1e-12, with operations that call libraries and values nothing reads.
-
-    And their tangents.
-    """
+@pytest.mark.parametrize("what", ["values", pytest.param("tangents", marks=pytest.mark.nightly)])
+def test_every_operation_in_regions(what):
+    """In a process of its own, in float64 to 1e-12, with operations that call libraries and values nothing reads."""
     on_cpu = os.environ | {"JAX_PLATFORMS": "cpu"}
-    command = [sys.executable, "-c", CHECK, str(HERE)]
+    command = [sys.executable, "-c", CHECK, str(HERE), what]
     done = subprocess.run(command, env=on_cpu, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-300:] + done.stderr[-3000:]
     assert done.stdout.splitlines()[-1] == "all"
@@ -185,7 +183,7 @@ def test_a_loop_that_carries_many_rows_copies_few_arrays():
         np.testing.assert_allclose(mine, theirs, rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore:the CPU's regions cannot do")
 def test_a_batch_of_two_shares_ends_by_mjx():
     """Much stands between its regions: two shares that worked it out at once would wait for each other for ever."""
@@ -238,7 +236,7 @@ def test_limbs_that_are_marked_on_the_way_are_worked_out_together():
     assert written == [3, 12]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore:the CPU's regions cannot do")
 def test_a_metric_with_large_arrays_is_as_by_numpy():
     """XLA works them out by several threads, and refuses a region that they are in."""

@@ -156,7 +156,7 @@ def test_what_nothing_is_made_of_is_not_written():
     assert exchanges(summed) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_walk_in_cuda_c(carried_out, case):
     """Metrics of a walk in single precision, by a thread for each limb, agree with XLA's in float64 to 1e-4."""
     with jax.enable_x64(False):

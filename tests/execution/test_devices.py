@@ -62,7 +62,7 @@ def alone(tmp_path_factory):
     return functools.cache(lambda robots: _walk(tmp_path_factory.mktemp("one"), 1, 1, robots)[0])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("devices", "processes", "robots"),
     [(1, 2, 101), *(pytest.param(*how, marks=pytest.mark.nightly) for how in ((2, 1, 101), (3, 1, 101), (1, 2, 12)))],

@@ -50,7 +50,7 @@ def walk_of(case, law, steps, dtype):
     return functools.partial(metrics_of, shape), arguments, [leaf.ndim > own for leaf, own in pairs]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "law",
     ["virtual_model", *(pytest.param(law, marks=pytest.mark.nightly) for law in ("measured_pose", "end_effector"))],
@@ -71,9 +71,7 @@ def test_the_kernel_walks_as_xla_does(case, law, interpreted):
         np.testing.assert_allclose(found[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
-@pytest.mark.parametrize(
-    "law", [pytest.param(law, marks=[pytest.mark.slow] * (law not in ("virtual_model", "pd"))) for law in CASES]
-)
+@pytest.mark.parametrize("law", [pytest.param(law, marks=[pytest.mark.slow] * (law != "pd")) for law in CASES])
 def test_the_kernel_is_written_for_gpus(case, law, without_nvrtc):
     """Every operation of a walk has its form in CUDA C, and the walk of 8000 steps is one kernel."""
     with jax.enable_x64(False):

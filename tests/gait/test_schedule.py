@@ -194,7 +194,7 @@ def test_a_walk_begins_with_its_feet_on_their_footholds(change):
     np.testing.assert_allclose(feet, start.contact.grip_point, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_batch_walks_the_gait_of_one_robot():
     """And no two limbs swing in one step: a swing of 256 steps of 1022 would begin before the last one ends."""
     scenario = mc.load_scenario("case_1_2", {"gait.cycle": 1.022, "duration": 0.8})

@@ -162,7 +162,7 @@ def test_a_swing_out_of_reach_stays_the_cubic(robots):
     assert (summed(walked, each) <= summed(cubic, each)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tangents_through_low_reaction_swings(robots):
     """Derivatives of a walk by a gain and by the added path agree with central differences."""
     small = {"duration": 0.3, "gait.cycle": 0.8, "gait.stride": 0.01, "gait.step_height": 0.01}

@@ -26,6 +26,7 @@ def walked(scenario):
     return mc.rollout(scenario)
 
 
+@pytest.mark.slow
 def test_grippers_close_at_the_heights_of_their_footholds(scenario, walked):
     """Each limb grips where the list says, first foothold to last, and no gripper lets go.
 
@@ -40,7 +41,7 @@ def test_grippers_close_at_the_heights_of_their_footholds(scenario, walked):
         np.testing.assert_allclose(gripped[np.sort(first)], levels, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_engines_agree_on_uneven_ground(scenario, walked):
     other = mc.rollout(scenario, engine="mjx")
     for name in ("base_position", "foot_force", "tsm", "gia_margin"):

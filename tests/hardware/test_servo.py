@@ -395,7 +395,7 @@ def tangents():
     return derivatives.by_each(mc.Scenario().with_overrides(SERVOS), MOVED, "cost_of_transport")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", MOVED)
 def test_derivative_of_a_walk_by_its_servos(tangents, name):
     exact, differences = tangents[name]

@@ -59,7 +59,7 @@ class Showing(PD):
         return state, super().step(state, measured, reference)[1]._replace(base_displacement=seen[:, 1, :2].ravel())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("delay", [pytest.param(0.0, marks=pytest.mark.nightly), 0.0024])
 def test_a_law_is_told_of_the_joints_by_the_bus(delay):
     """Angles and rates of this step and the motors' torque of the one before, late as the targets, once a period."""
@@ -117,7 +117,7 @@ def test_joint_gains_that_a_law_commands_come_by_the_bus(hardware):
     assert np.abs(torque).max() > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_each_robot_of_a_batch_walks_as_it_does_alone(scenario):
     """To rounding: its noise is the same, whatever its neighbours."""
     parameters = parameters_of(scenario, 8)
@@ -128,7 +128,7 @@ def test_each_robot_of_a_batch_walks_as_it_does_alone(scenario):
     assert len(np.unique(together["peak_foot_force"])) == 8
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_walk_does_not_depend_on_the_longest_delay_of_its_batch():
     short = mc.load_scenario("case_1_2", {"duration": 0.05, "control.damping": 150.0, "control.stiffness": 3e3})
 
@@ -147,7 +147,7 @@ def test_an_ideal_profile_is_no_hardware():
     assert with_hardware(plain, load_hardware("ideal")) == plain
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_neutral_parameters_change_nothing(scenario):
     """A stage that is there for a neighbour leaves a robot with neutral parameters as it is, to rounding."""
     plain = mc.load_scenario("case_1_2", {"duration": 0.15, "disturbance.pushes": [PUSH]})
@@ -183,7 +183,7 @@ def tangents(scenario):
     return derivatives.by_each(gentle, DIFFERENTIATED, "peak_joint_torque")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", DIFFERENTIATED)
 def test_derivative_of_a_walk_by_its_hardware(tangents, name):
     exact, differences = tangents[name]

@@ -79,7 +79,7 @@ def test_one_state_without_batch_axes(engine, states, forces):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[3], rtol=1e-12), alone, batch)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @engines
 def test_a_second_of_motion_is_that_of_mujoco(engine):
     """Random torques, foot forces, pushes and gravity; cargo comes and goes: our steps are mj_step's."""

@@ -44,7 +44,7 @@ def standing(case):
     return scenario
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_energy_of_an_undamped_grip(standing, walk):
     """Springs alone: the energy of a pushed robot stays for 6 s, in a band that narrows with the time step."""
     push = [{"force": [2.0, 4.0, -6.0], "moment": [0.1, 0.04, 0.06], "start": 0.6, "stop": 0.7}]
@@ -124,7 +124,11 @@ def turned(vector, angle):
 
 @pytest.mark.parametrize(
     "law",
-    ["pd", "virtual_model", *(pytest.param(law, marks=pytest.mark.slow) for law in ("measured_pose", "end_effector"))],
+    [
+        "pd",
+        *(pytest.param(law, marks=pytest.mark.slow) for law in ("virtual_model", "end_effector")),
+        pytest.param("measured_pose", marks=pytest.mark.nightly),
+    ],
 )
 def test_no_direction_is_preferred(case, walk, law):
     """Case 2 on a slope, turned about z as a whole, gives the same metrics, unequal gains per axis included."""

@@ -53,7 +53,7 @@ def test_the_scalar_limit_is_one_of_them(case):
     np.testing.assert_allclose(ruled.foot_force[alike], faceted.foot_force[alike], atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_batch_of_limits_is_torn_off_as_one_robot_is(case):
     """On the fast path, without a fall back: warnings are errors."""
     scenario = case("case_1_2", "pd", {"duration": 0.3})

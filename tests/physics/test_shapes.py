@@ -27,10 +27,7 @@ SHAPES = {
     "four of seven, armature, two slide": (4, 7, (0, 4), 0.01),
     "eight of three": (8, 3, (), 0.0),
 }
-QUICK = ("four of three with armature",)
-NIGHTLY = ("four of four", "four of six", "six of three")  # between others, for the limb engine
-OF_MJX = ("three of four, one slides",)  # MuJoCo's own: slow to compile
-LONG = (pytest.mark.slow, pytest.mark.nightly)
+SLOW = ("four of three with armature", "three of four, one slides")
 
 
 def numbers(values):
@@ -75,9 +72,9 @@ def mjcf(limbs, joints, slides=(), armature=0.0, seed=0):
 
 @pytest.mark.parametrize(
     ("engine", "name"),
-    [("limb", name) for name in QUICK]
-    + [pytest.param("limb", n, marks=LONG[n in NIGHTLY]) for n in SHAPES if n not in QUICK]
-    + [pytest.param("mjx", n, marks=LONG[n not in OF_MJX]) for n in SHAPES],
+    [pytest.param("limb", name, marks=pytest.mark.slow) for name in SLOW]
+    + [pytest.param("limb", name, marks=pytest.mark.nightly) for name in SHAPES if name not in SLOW]
+    + [pytest.param("mjx", name, marks=pytest.mark.nightly) for name in SHAPES],  # slow to compile
 )
 def test_accelerations_are_those_of_mujoco(engine, name):
     """A hundred random states under torques, foot forces and a push: each acceleration to 1e-9 of its vector."""

@@ -147,7 +147,7 @@ def check_names(source: str) -> None:
             inspect.signature(function).bind(*call.args, **keywords)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_code_of_the_readme_runs(monkeypatch):
     (block,) = fences(README, "python")
     load = mc.load_scenario

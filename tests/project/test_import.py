@@ -76,7 +76,7 @@ def test_import_writes_nothing_and_starts_no_device(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")
-@pytest.mark.parametrize("when", ["late", "early"])
+@pytest.mark.parametrize("when", ["late", pytest.param("early", marks=pytest.mark.nightly)])
 def test_a_process_forked_from_one_that_has_computed_says_so_where_it_would_hang(when):
     said = printed(FORKED, when)
     if when == "late":

@@ -97,6 +97,7 @@ def test_the_sdist_gives_the_same_wheel(built, tmp_path):
     assert files_in(tmp_path / "again" / wheel.name) == files_in(wheel)
 
 
+@pytest.mark.nightly
 def test_the_installed_program_works_outside_the_repository(programs, tmp_path):
     program = programs / "mjx-climb"
     how = {"cwd": tmp_path, "env": plain()}

@@ -49,7 +49,7 @@ def plain(case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [pytest.param(p, marks=[pytest.mark.nightly] * (p != "actuator")) for p in PAGES])
 def test_the_page_walks_its_example_alone_and_in_a_batch(page, own, plain, monkeypatch):
     """By the page's own lines: in float64 alone, in float32 in a batch. Warnings, as of a fall back, are errors."""
     monkeypatch.setattr(mc, "load_scenario", {"case_1_2": plain.scenario}.__getitem__)

@@ -24,7 +24,7 @@ def site(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_reference_shows_every_field(site):
     """Of each public record, and of the sample that laws and metrics see, with what the code says of it."""
     page = html.unescape((site / "reference" / "mjx_climb.html").read_text("utf-8"))
@@ -40,7 +40,7 @@ def test_the_reference_shows_every_field(site):
     assert "(6,) m, rad: the law's shift of the base, reference axes" in command
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_docstrings_and_lists_are_shown_as_they_are_written(site):
     """(*batch, 3) twice is no emphasis, what is returned is one thing however many lines say what, and no item of a
     list is lost in a paragraph: Python-Markdown wants an empty line where GitHub does not."""
@@ -68,7 +68,7 @@ def resize(chromium, width):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_search_works_from_disk(site, chromium):
     from selenium.webdriver.support.wait import WebDriverWait
 
@@ -91,7 +91,7 @@ return [wide(document.documentElement), [...parts].filter(wide).map((part) => pa
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pages_fit_their_window(site, chromium):
     """At 1400 px no block of code, table or equation scrolls sideways; at 400 px they may, the page itself does not."""
     for page in sorted(site.rglob("*.html")):

@@ -47,7 +47,7 @@ def case(*values, name="", marks=pytest.mark.nightly):
         case(4, (), {}, name="four", marks=()),
         *(case(joints, (), {}, name=str(joints)) for joints in (5, 6, 7)),
         case(3, (2,), OF_SLIDES, name="the last slides"),
-        case(7, (2, 5), OF_SLIDES, name="of seven two slide", marks=pytest.mark.slow),
+        case(7, (2, 5), OF_SLIDES, name="of seven two slide", marks=pytest.mark.nightly),
     ],
 )
 def test_ten_thousand_targets_are_met_from_nearby(climber, joints, slides, stance):

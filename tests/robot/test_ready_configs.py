@@ -30,7 +30,7 @@ def test_a_ready_config_stands(name):
     check_time_step(scenario)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", [pytest.param("lemur_like_cliff", marks=pytest.mark.nightly), "station_arms_handrail"])
 def test_a_ready_config_begins_to_walk(name):
     """XLA has ended the process while it compiled one of them."""

@@ -415,7 +415,7 @@ def test_robots_of_a_batch_that_are_stiff_in_turn_are_not_one_that_is_so_in_all(
             check_time_step(scenario, parameters=batch([*sound, row]))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
     """v2.2 walks at 0.1 ms, forces calm; 0.2 ms is refused, rightly: walked all the same, it blows up."""
     walks = mc.Scenario(robot="hubrobo_v2_2", duration=1.2).with_overrides({"control.controller": "pd"})

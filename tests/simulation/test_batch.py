@@ -40,7 +40,7 @@ def together(scenario, batch):
     return mc.rollout_metrics(scenario, *batch, dtype=np.float64)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_batch_of_64_gives_each_what_it_has_alone(scenario, batch, together):
     """Walked one at a time, every environment has the metrics that it had among 64 others."""
     alone = mc.rollout_metrics(scenario, *batch, dtype=np.float64, batch_size=1)
@@ -68,7 +68,7 @@ def test_bad_neighbours_change_nothing(scenario, batch, together):
         assert np.isfinite(values[BLOWN_UP]), name
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_parts_of_a_batch_have_its_shape(scenario, batch, together):
     """Batch axes of any number come back, and a last part that is not full changes nothing."""
     rows = np.arange(70) % COUNT
@@ -83,7 +83,9 @@ def test_parts_of_a_batch_have_its_shape(scenario, batch, together):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("varies", ["push_force", "push_moment", "foothold_height"])
+@pytest.mark.parametrize(
+    "varies", [*(pytest.param(v, marks=pytest.mark.nightly) for v in ("push_force", "push_moment")), "foothold_height"]
+)
 def test_what_varies_may_stand_beside_what_does_not(case, varies):
     """Forces with a batch axis beside moments without one, and so on: each walk is the one that it is alone."""
     push = {"force": [1.0, 0.3, 0.0], "moment": [0.1, 0.1, 0.1], "start": 0.01, "stop": 0.05}
@@ -137,7 +139,7 @@ def test_batches_that_do_not_broadcast_are_named():
         )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tangents_of_a_batch_agree_with_central_differences(short):
     """Every robot under every member's parameters, along directions of its own."""
     rng = np.random.default_rng(0)
@@ -182,7 +184,7 @@ def test_one_robot_has_the_tangents_that_it_has_in_a_batch(case):
         np.testing.assert_allclose(tangent, beside[name][:, :1], rtol=1e-9, atol=1e-12, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gains_that_a_law_does_not_have_move_nothing(case):
     scenario, six = case("case_1_2", "pd", (("duration", 0.02),)), np.ones((1, 6))
     _, tangents = mc.rollout_jvp(scenario, mc.Gains(six, six, six), mc.Gains(six, six, six), dtype=np.float64)

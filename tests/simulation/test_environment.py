@@ -44,7 +44,7 @@ def test_one_robot_walks_as_in_a_rollout(scenario, alone):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_simulation_steps_one_robot(scenario, alone):
     """And `vmap` makes a batch of it, as `Environment` does."""
     simulation, first = mc.Simulation(scenario), alone[1].joint_torque[0]
@@ -66,7 +66,7 @@ def test_robots_have_the_precision_that_is_asked_for(scenario):
     assert {value.dtype for value in vars(carry.state).values()} == {np.dtype(np.float32)}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_law_by_hand_is_the_law(env, walked, alone):
     """Joint targets as the law gave them, and the base shifted as the law shifted it, make the same walk."""
     samples = alone[1]
@@ -88,7 +88,7 @@ def test_an_action_moves_the_robots(env, alone):
     np.testing.assert_allclose(each.joint_targets, targets)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_some_robots_begin_again_while_others_go_on(env, walked):
     start, first = env.reset(batch=(2,)), jnp.array([True, False])
     state, _ = env.step(start)
@@ -100,7 +100,7 @@ def test_some_robots_begin_again_while_others_go_on(env, walked):
     np.testing.assert_allclose(sample.base_position[0], env.step(start)[1].base_position[0], rtol=0, atol=0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_derivatives_by_an_action(env):
     """By central differences: in reverse the base's velocity after two steps, forward a torque after one."""
 
@@ -161,7 +161,7 @@ def test_stepping_by_hand_is_nearly_as_fast_as_a_rollout(case):
     assert theirs > 0.6 * mine
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gains_change_in_mid_walk(env, walked):
     """From then on it walks as a robot that began with them and was brought to this state; what is not given stays."""
     state, _ = walked(env.reset({"stiffness": 1e3, "kp": 40.0}))

@@ -24,7 +24,7 @@ def test_the_walk_is_that_of_the_scenario_with_these_values():
     np.testing.assert_array_equal(walk.base_position, again.base_position)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_batch_of_gaits_is_walked_side_by_side():
     """A cycle between two time steps counts as the nearer one; a stride that is given is kept."""
     pd = SHORT.with_overrides(["control.controller=pd"])
@@ -49,7 +49,7 @@ def test_times_have_no_derivative():
 LENGTHS = {"gait.step_height": 0.02, "gait.height": 0.95, "gait.sway": 0.05, "gait.landing_speed": 0.02}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_heights_sway_and_landing_speed_have_derivatives():
     """Of the sway also where there is none, from above."""
     every = ("cost_of_transport", "base_deviation", "force_variation")

@@ -21,10 +21,8 @@ TABLE = [  # case, law, peak foot force N, variation N, cost of transport, final
 ]
 
 
-@pytest.mark.parametrize(
-    ("name", "law", "peak", "variation", "cost", "final_x"),
-    [pytest.param(*row, marks=[pytest.mark.slow] * (row[1] != "pd")) for row in TABLE],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "law", "peak", "variation", "cost", "final_x"), TABLE)
 def test_figures_of_the_prototype(case, walk, name, law, peak, variation, cost, final_x):
     """Of each case and law; the prototype's variation and cost are given to two or three digits."""
     trajectory = walk(case(name, law, (("contact.holding_limit", None),)))
@@ -68,7 +66,7 @@ def test_a_walk_is_climblabs_and_calmer(case, walk, recording):
     assert np.median(ours["gia_margin"]) == pytest.approx(np.median(theirs["gia_margin"]), rel=0.0045)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("law", "within"),
     [

@@ -124,6 +124,7 @@ OF_THE_JOINTS = 'damping="0.03" armature="0.002" frictionloss="0.015" actuatorfr
 
 
 LONG = (
+    "measured pose",
     "hardware on uneven ground", "servos on a voltage", "servos of limited current", "end effector",
     "a base that sways, low over feet that land fast", "a robot of its own",
     "motors that follow rates, limbs that are touched",

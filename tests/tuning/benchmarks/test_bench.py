@@ -91,7 +91,7 @@ def of_ones_own(request, tmp_path_factory):
     return scenario.with_overrides(changes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_robots_of_ones_own_walk_the_same_walk(of_ones_own):
     walked = mc.rollout_metrics(of_ones_own, mc.Gains(**gains(SETS)), dtype=np.float64)
     check(peers.Batch(of_ones_own, gains(SETS), threads=2), of_ones_own, walked)
@@ -117,7 +117,7 @@ def test_mujoco_warp_falls_as_mujoco_does(of_ones_own):
     np.testing.assert_allclose(peer.data.qpos.numpy(), other.states[:, -1, 1:20], atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_peers_lose_a_gripper_in_the_same_step():
     scenario = mc.load_scenario(CASE, ["duration=0.4", "contact.holding_limit=1.0", "gait.cycle=1.6"])
     ours = mc.rollout_metrics(scenario, mc.Gains(**gains(SETS)), dtype=np.float64)

@@ -96,7 +96,9 @@ UNWEIGHABLE = {  # in free fall no transport has a cost relative to the weight
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", UNWEIGHABLE)
+@pytest.mark.parametrize(
+    "line", [pytest.param(n, marks=[pytest.mark.nightly] * ("--members" in n or "--over" in n)) for n in UNWEIGHABLE]
+)
 def test_a_weight_on_what_pd_has_not_is_refused_before_anything_is_written(line, call, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "search.yaml").write_text("weights: {cost_of_transport: 1.0}")
@@ -126,7 +128,8 @@ SURROUNDINGS = {  # a line for the shell, and what is said
 }
 
 
-SLOW_TO_END = ("no cuda", "no tpu", "no truth", "no nan", "full")  # those like them stay
+SLOW_TO_END = ("no cuda", "no truth")  # those like them stay
+ONCE_A_NIGHT = ("no tpu", "no nan", "full")
 
 
 def in_bash(line, folder):
@@ -135,7 +138,11 @@ def in_bash(line, folder):
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="writes to /dev/full")
-@pytest.mark.parametrize("case", [pytest.param(c, marks=[pytest.mark.slow] * (c in SLOW_TO_END)) for c in SURROUNDINGS])
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=[pytest.mark.slow] * (c in SLOW_TO_END) + [pytest.mark.nightly] * (c in ONCE_A_NIGHT))
+     for c in SURROUNDINGS],
+)  # fmt: skip
 def test_surroundings_that_a_command_cannot_work_in_get_one_line(case, tmp_path):
     line, expected = SURROUNDINGS[case]
     done = in_bash(line, tmp_path)
@@ -144,7 +151,7 @@ def test_surroundings_that_a_command_cannot_work_in_get_one_line(case, tmp_path)
     assert done.stderr.splitlines()[-1].startswith(f"mjx-climb: error: {expected}"), done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_closed_standard_error_leaves_standard_output_alone(tmp_path):
     done = in_bash("{program} run nowhere 2>&-", tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
@@ -175,6 +182,7 @@ def test_a_bug_is_not_taken_for_bad_input(monkeypatch, tmp_path):
         main(["run", CONFIG, "--out", str(tmp_path)])
 
 
+@pytest.mark.slow
 def test_run_writes_and_prints(call, tmp_path):
     code, out, err = call("run", CONFIG, *SHORT, "--controller", "pd", "--mcap", "--out", tmp_path)
     assert code == 0
@@ -282,7 +290,7 @@ def swept(tmp_path_factory):
     return out, *finish("sweep", CONFIG, *SHORT, *GRID, "--out", out, "--json")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sweep_prints_json_alone_on_stdout_and_writes_grid_maps_and_config(swept):
     folder, out, err = swept
     found = strict_json(out)

@@ -163,7 +163,7 @@ def test_an_engine_that_has_no_value_is_seen(doctor, monkeypatch):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_this_code_computes_what_is_stored(tmp_path):
     """In a process of its own; `python -m mjx_climb.self_check` stores the values anew."""
     environment = os.environ | {"MJX_CLIMB_CACHE": str(tmp_path)}

@@ -87,7 +87,7 @@ def check_refusal(code, out: str, err: str, arguments: list[str]) -> None:
 
 
 STARTS = [
-    pytest.param(start, marks=() if start < QUICK else pytest.mark.slow if start < CASES / 2 else pytest.mark.nightly)
+    pytest.param(start, marks=() if start < QUICK else pytest.mark.slow if start < CASES / 5 else pytest.mark.nightly)
     for start in range(0, CASES, CHUNK)
 ]
 

@@ -70,8 +70,7 @@ def interrupted_in(module, folder):
     "module",
     [
         "tuning.command_line.program",
-        "typer",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("jax", "mjx_climb.simulation")),
+        *(pytest.param(n, marks=pytest.mark.nightly) for n in ("typer", "jax", "mjx_climb.simulation")),
     ],
 )
 def test_a_signal_while_modules_are_imported(module, tmp_path):
@@ -148,7 +147,7 @@ def test_a_command_that_came_to_its_end_says_so(monkeypatch, call, tmp_path):
     assert code == 130 and "all that it writes is written" in err.splitlines()[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "command", ["schema", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("export", "run"))]
 )  # the others take minutes: the script has them

@@ -363,7 +363,9 @@ def lines_of(command):
     assert shown == set().union(*options.values())
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(  # two have many options
+    "command", [pytest.param(c, marks=[pytest.mark.slow] * (c in ("tune", "evaluate"))) for c in COMMANDS]
+)
 def test_every_option_changes_what_a_command_asks_for_or_says(command, traced):
     """An option that is parsed and not used leaves the recorded calls and the printed text as they are without it."""
     known = functools.cache(traced)

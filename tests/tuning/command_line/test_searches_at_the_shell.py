@@ -24,7 +24,7 @@ SEARCHES = {  # arguments, and what the result is in
     "pareto": (["tune", CASE, *SHORT, "--against", "base_deviation", "--points", "3"], "front.nc"),
     "schedule": (["tune", CASE, *SHORT, "--over", "gravity=0.1,1", "--over", "cargo=0.5"], "schedule.nc"),
 }
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,6 @@ def quiet(tmp_path_factory):
     return run
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("search", SEARCHES)
 def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
     """SIGKILL at a random instant once rounds are kept; what the same command ends with is that of a quiet run."""
@@ -55,7 +54,6 @@ def test_a_killed_command_goes_on_with_the_same_result(search, quiet, tmp_path):
     assert not (folder / "parts").exists()
 
 
-@pytest.mark.nightly
 def test_a_limit_that_fresh_walks_break_is_named_and_what_the_force_sensor_is_worth(quiet):
     """A tenth of a millimetre is asked of a base that sags further by itself."""
     told = json.loads((quiet("ensemble") / "printed.json").read_text())
@@ -79,7 +77,6 @@ def from_python(search, folder):
     return tuning.robust(scenario, drawn, starts=2, iterations=3, out=folder, **asked)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("search", ["pareto", "schedule", "ensemble"])
 def test_a_search_from_python_writes_what_the_command_writes(search, quiet, tmp_path):
     found = from_python(search, tmp_path)

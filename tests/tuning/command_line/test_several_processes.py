@@ -141,23 +141,29 @@ def test_two_processes_write_what_one_writes(command, files, tmp_path):
     same_files(two, alone, *files)
 
 
-@pytest.mark.slow
-def test_what_is_wrong_in_one_process_ends_all_and_is_said_once(tmp_path):
-    bad = [word.replace("duration=0.3", "durations=0.3") for word in SWEEP]
-    other = [word.replace("1e5:3", "1e6:3") for word in SWEEP]
-    for commands, expected in (
-        ((bad, bad), "mjx-climb: error: .*durations"),
-        ((SWEEP, bad), "mjx-climb: error: process 1: .*durations"),
-        ((SWEEP, other), "mjx-climb: error: process 1: expected the same command and config in all processes"),
-    ):
-        first, second = ends(*together(*([*command, "--out", tmp_path / "out"] for command in commands)))
-        lines = [line for line in first[2].splitlines() if line.startswith("mjx-climb")]
-        assert (first[:2], len(lines)) == ((2, ""), 1), first
-        assert re.match(expected, lines[0])
-        assert second == (2, "", "")
+BAD = [word.replace("duration=0.3", "durations=0.3") for word in SWEEP]
+OTHER = [word.replace("1e5:3", "1e6:3") for word in SWEEP]
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("commands", "expected"),
+    [
+        pytest.param((BAD, BAD), "mjx-climb: error: .*durations", marks=pytest.mark.nightly),
+        pytest.param((SWEEP, BAD), "mjx-climb: error: process 1: .*durations", marks=pytest.mark.nightly),
+        ((SWEEP, OTHER), "mjx-climb: error: process 1: expected the same command and config in all processes"),
+    ],
+    ids=["both", "one", "unlike"],
+)
+def test_what_is_wrong_in_one_process_ends_all_and_is_said_once(commands, expected, tmp_path):
+    first, second = ends(*together(*([*command, "--out", tmp_path / "out"] for command in commands)))
+    lines = [line for line in first[2].splitlines() if line.startswith("mjx-climb")]
+    assert (first[:2], len(lines)) == ((2, ""), 1), first
+    assert re.match(expected, lines[0])
+    assert second == (2, "", "")
+
+
+@pytest.mark.nightly
 def test_interrupted_processes_end_and_say_what_is_kept(tmp_path):
     running = together(*[[*LONG, "--out", tmp_path]] * 2)
     wait_for_parts(running[0], tmp_path)
@@ -169,7 +175,7 @@ def test_interrupted_processes_end_and_say_what_is_kept(tmp_path):
     assert second[0] != 0 and not second[1] + second[2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_process_that_dies_ends_the_other_with_a_line(tmp_path):
     running = together(*[[*LONG, "--out", tmp_path]] * 2)
     wait_for_parts(running[0], tmp_path)
@@ -179,7 +185,7 @@ def test_a_process_that_dies_ends_the_other_with_a_line(tmp_path):
     assert first[2].splitlines()[-1].startswith("mjx-climb: error: another process of this computation has ended: ")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_four_shards_merged_are_the_same_files(tmp_path):
     """One shard dies, is named, and goes on; all that is written is that of one machine, but for the typed command."""
     one, four = tmp_path / "one", tmp_path / "four"

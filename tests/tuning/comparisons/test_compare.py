@@ -183,7 +183,7 @@ def shell(files, tmp_path_factory):
     return folder, *finish(*COMMAND.format(files=files).split(), "--out", folder)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_writes_table_page_data_and_gains(shell, scenario):
     folder, out, _ = shell
     told = json.loads((folder / "summary.json").read_text())
@@ -222,7 +222,7 @@ def test_the_command_writes_table_page_data_and_gains(shell, scenario):
     assert row["real"] == (row["low"] > 0 or row["high"] < 0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_pictures_are_drawn_again(shell, tmp_path):
     for metric, name in (((), "compared"), (("--metric", "force_variation"), "judged")):
         finish("plot", shell[0], *metric, "--out", tmp_path)

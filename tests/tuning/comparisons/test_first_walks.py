@@ -11,7 +11,7 @@ from tuning.comparisons.first_walks import heavy_load, on_ceiling, slow_enough, 
 HASTY = mc.load_scenario("case_1_2").with_overrides({"gait.cycle": 0.4, "disturbance.cargo.mass": 0.0})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_fastest_cycle_that_holds():
     """It holds, and the one that is twice as fast does not."""
     scenario, holds, how, _ = slow_enough(HASTY.with_overrides({"contact.holding_limit": 5.0}))

@@ -152,7 +152,7 @@ def test_the_linearised_loop_warns_where_walks_do_not(own, holds, stable, warned
     assert lines == [says] * warned
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
     """Shaking grows in the worst stance, and tears a gripper off a little beyond where it begins to."""
     scenario, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 100.0, 2e3)
@@ -165,7 +165,7 @@ def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
     assert radius[0] < 1 < radius[1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("law", [pytest.param("pd", marks=pytest.mark.nightly), "end_effector"])
 def test_gains_of_any_law_have_margins(case, law):
     """Six values of a law of three, and those of one without any."""
@@ -175,7 +175,7 @@ def test_gains_of_any_law_have_margins(case, law):
     assert np.isfinite(found.walks["force_variation"]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("name", [pytest.param("soft", marks=pytest.mark.nightly), "damped"])
 def test_margins_are_those_of_the_independent_program(case, name):

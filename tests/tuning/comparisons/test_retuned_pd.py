@@ -101,7 +101,7 @@ def test_no_joint_gains_of_a_grid_are_those_that_the_time_step_cannot_follow(mon
         np.testing.assert_array_equal(walks["diverged"].reshape(20, -1).all(1), ~steady)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_further_search_of_pd_finds_nothing_better():
     """A dense grid about the best, and one over all bounds: at most 1 % less force variation."""
     scenario = CASE.with_overrides({"duration": 0.3, "disturbance.cargo.start": 0.1})

@@ -67,7 +67,7 @@ def test_stances_begin_halve_and_end_the_times_in_which_the_same_feet_hold(case)
     assert {802, 900, 998} < {*standing[0]}  # between two swings of 800 steps
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_grips_that_keep_attitudes_are_in_the_loop(case):
     """Held too stiffly for the time step, feet shake about as fast as the check of the time step says of its stance."""
     scenario = case("case_1_2", "virtual_model", {"control.controller": "pd", "contact.rotational_stiffness": 1.0})
@@ -95,7 +95,7 @@ def test_a_loop_that_is_stable_in_the_first_mid_swing_alone_is_unstable(case, na
     assert first_middle.max() < 1 and stability_limit.spectral_radius(scenario, gains) == radii.max() > least
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_worst_stance_is_the_limit_of_walks_and_all_feet_count_where_the_gait_has_them(case):
     """K 3e3, D 150: a walk loses a gripper at 9.54 ms of delay, and diverges at 7 ms where it pauses on all feet."""
     turn, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 150.0, 3e3)
@@ -174,7 +174,7 @@ def test_one_robot_and_a_batch_are_looked_at_over_their_control_period(case, mon
     np.testing.assert_array_equal(found, np.full(shape, 4.0))  # steps
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypatch):
     """Soft gains, a law at 250 Hz, a cargo from the start: 5 ms of delay are borne, 15 ms are not.
 
@@ -197,7 +197,7 @@ def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypa
     assert radius[1] > 1.004
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_law_whose_sensors_may_die_is_in_the_loop(case):
     """No force is no dead sensor: feet that give way much faster than their grips and forces allow are unstable."""
     sensor = {"delay": 0.005, "resolution": 0.1, "dead": {"LF": 0.0}}
@@ -247,7 +247,7 @@ def test_a_map_shows_where_the_loop_turns_unstable():
     assert legends == {"some": ["stability limit"], "none": []}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sweep_gets_its_objective_and_radius(case):
     scenario = case("case_2", "virtual_model", {"duration": 0.2})
     swept = sweep(scenario, {"stiffness": [1e3, 1e6], "damping": [1e0, 1e2, 1e4]}).data

@@ -313,7 +313,7 @@ def received(walk, gains, share, period):
     return np.array(offsets)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_walk_has_the_filter_of_the_controller_that_gets_it():
     """At 200 Hz, of 40 Hz, with the coefficient that is written; filtered by the sensors it is another walk."""
     sensor = {"duration": 0.4, "gait.cycle": 1.0, "hardware.control_period": 0.005, "hardware.force_sensor.filter": 40}

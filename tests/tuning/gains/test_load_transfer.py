@@ -97,7 +97,7 @@ def there(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.skipif(COMPILER is None, reason="no C++ compiler")
-@pytest.mark.parametrize("limbs", [4, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("limbs", [4, pytest.param(6, marks=pytest.mark.nightly)])
 def test_the_law_in_cpp_takes_the_steps_of_the_law_here(there, limbs):
     """Offsets to 1e-10 of the largest: what a reference in metres rounds is a part of them."""
     measured, reference = scenes(limbs)

@@ -198,7 +198,7 @@ def test_commands_that_fit_grippers_and_servos_refuse_others(command, call, tmp_
     assert code == 2 and f"own.drive: expected none with {command}, got VelocityCommanded" in line
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_polyhedron_that_holds_is_as_stable_as_the_gripper_in_it():
     """The linearised loop knows no limits: contacts are those of the same springs and dampers."""
     scenario = mc.load_scenario("case_1_2", ["control.controller=pd"])

@@ -81,7 +81,7 @@ def found():
     return tuning.excite(scenario(), FIT, duration=3, candidates=2, drop=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_limits_hold_in_mujoco_and_are_used(found):
     values = columns(found)
     off = values["torque_off"] == 1
@@ -123,7 +123,7 @@ def test_a_command_that_changes_as_the_torque_goes_off_gives_no_kick():
     np.testing.assert_allclose(angles, theirs, atol=5e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_information_is_that_of_central_differences_in_mujoco():
     found = tuning.excite(scenario(), FIT, duration=2, candidates=1, family=["multisine"])
     theirs = {}
@@ -183,7 +183,7 @@ def told(fit, noise, moved, **changes):
         return excitation.informations(rig, [one])[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_log_without_motion_tells_no_inertia_and_no_masses_apart():
     """Two joints of a limb sag: two numbers, for three unknowns of its links."""
     still = ("hardware.servo.armature", "hardware.command_delay")
@@ -198,7 +198,7 @@ def test_a_log_without_motion_tells_no_inertia_and_no_masses_apart():
     assert "next to nothing of hardware.servo.armature and hardware.command_delay" in said
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_armature_and_inertia_about_the_axis_of_a_joint_without_gravity_look_the_same():
     fit = ("robot.LF.coxa.armature", "robot.LF.coxa.inertia.yy", "robot.LF.coxa.damping")
     time, moved = np.arange(200) * 0.01, np.zeros((200, 12))

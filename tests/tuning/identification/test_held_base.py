@@ -59,7 +59,7 @@ def test_tangents_are_finite_differences():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.0, 0.05])
+@pytest.mark.parametrize("friction", [0.0, pytest.param(0.05, marks=pytest.mark.nightly)])
 def test_a_step_of_a_millisecond_is_right_to_second_order(friction):
     """Against MuJoCo at 0.05 ms; dry friction is a bristle here and a constraint there."""
     truth = dataclasses.replace(TRUTH, friction=friction)

@@ -23,7 +23,7 @@ BOUNDS = {"position": 2e-4, "velocity": 5e-3, "effort": 0.2, "force": 0.02, "bas
           "base_orientation": 3e-5}  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("stiffness", "damping"), [(1e4, 20.0), (5e4, 60.0)])
 def test_a_step_of_a_millisecond_is_right_to_second_order(stiffness, damping):
     truth = dataclasses.replace(TRUTH, stiffness=stiffness, damping=damping)

@@ -84,7 +84,7 @@ def test_states_that_only_together_are_told_do_not_end_a_fit():
     assert np.isfinite(gradient).all() and (told[1] > 0.9 * told[0]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_truths_are_inside_their_intervals_with_noise_delay_and_jitter():
     found = identified(jitter=0.0005)
     for key, truth in VALUES.items():
@@ -101,7 +101,7 @@ def test_truths_are_inside_their_intervals_with_noise_delay_and_jitter():
         assert noise == pytest.approx(NOISE[signal.rpartition(".")[2]], rel=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_picture_of_the_worst_signal_shows_the_model_before_and_after_and_what_each_misses():
     found = identified(jitter=0.0005)
     above, below = plot_prediction(found).axes
@@ -118,7 +118,7 @@ def test_the_picture_of_the_worst_signal_shows_the_model_before_and_after_and_wh
     assert np.ptp(log.get_xdata()) == pytest.approx(SHOWN, abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_errors_of_time_stamps_are_told_from_noise():
     """Half a millisecond moves a joint by three times the noise of its position."""
     found = identified(misread=0.0005)
@@ -134,7 +134,7 @@ def test_errors_of_time_stamps_are_told_from_noise():
     assert not any("time stamps" in line for line in identified(jitter=0.0005).warnings)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_states_of_all_limbs_together_leave_the_same_variables_as_one_by_one():
     at = problem(("hardware.servo.armature", "robot.LF.tibia.friction", "hardware.command_delay"))
     x, start = begin(at.model.variables)[None], at.guess[None]
@@ -144,7 +144,7 @@ def test_states_of_all_limbs_together_leave_the_same_variables_as_one_by_one():
         np.testing.assert_allclose(other, one, rtol=1e-6, atol=1e-6 * np.abs(one).max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_gap_is_cut_out_and_costs_only_what_it_holds():
     whole, gap = identified(jitter=0.0005), identified(jitter=0.0005, drop=((1.3, 2.4),))
     assert not gap.model.windows.abuts.all()
@@ -153,7 +153,7 @@ def test_a_gap_is_cut_out_and_costs_only_what_it_holds():
 
 @pytest.mark.slow
 def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_path, call):
-    write_csv(tmp_path / "log.csv", columns_of(log_of(TRUE, 4.0)))
+    write_csv(tmp_path / "log.csv", columns_of(of_one_limb(log_of(TRUE, 4.0))))
     fit = [word for key in VALUES for word in ("--fit", key)]
     code, out, _ = call(
         "identify", "case_1_2", "--log", tmp_path / "log.csv", *fit, "--fit", "robot.LF.tibia.mass", "--starts", 1,
@@ -213,7 +213,7 @@ def test_p_gains_and_a_drop_are_read_and_without_them_the_answer_is_another(sche
     assert any("the model is wrong" in line for line in without.warnings)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_velocities_sampled_as_the_command_jumps_are_predicted():
     """By the mean over the step about the jump the armature of the coxa was 0.7 % too small."""
     log = log_of(dataclasses.replace(TRUE, delay=0.0), 3.0, noise={"position": 1e-4, "velocity": 3e-3})
@@ -225,7 +225,7 @@ def test_velocities_sampled_as_the_command_jumps_are_predicted():
         assert found.estimates[f"robot.LF.{joint}.armature"].value == pytest.approx(TRUE.armature, rel=0.005)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_bound_that_binds_beside_what_is_asked_for_is_named():
     """Commands come 1 ms late, which the config does not say: their clock may take a quarter of a time step."""
     log = log_of(dataclasses.replace(TRUE, delay=0.001), 2.0)
@@ -253,7 +253,7 @@ def test_a_known_mass_on_the_feet_tells_torques_from_masses_where_no_effort_is_r
 # ---------------------------------------------------------------------------------------------- what is not told
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("fit", "unseen", "words"), [
     # without torques recorded, what brakes a joint is one number
     (("control.kd", "hardware.servo.viscous_friction"), {"control.kd", "hardware.servo.viscous_friction"},
@@ -278,7 +278,7 @@ def test_what_the_log_cannot_see_is_said(fit, unseen, words):
         assert any("control.kd" in line and "viscous" in line for line in found.combined)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("change", [{"stribeck": 0.15}, pytest.param({"flexible": 4.0}, marks=pytest.mark.nightly)])
 def test_a_truth_that_the_model_does_not_have_is_never_a_narrow_wrong_answer(change):
     found = identified(dataclasses.replace(TRUE, **change))
@@ -288,7 +288,7 @@ def test_a_truth_that_the_model_does_not_have_is_never_a_narrow_wrong_answer(cha
     assert not wrong or (told and found.posterior.widening.min() > 3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_dry_friction_as_mujoco_has_it_by_default_is_in_the_model():
     found = identified(dataclasses.replace(TRUE, soft=True))
     for key, truth in VALUES.items():
@@ -312,7 +312,7 @@ def without_rows(log, holes):
     return dataclasses.replace(log, signals=signals)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rows_that_were_lost_with_their_commands_cost_only_what_they_hold():
     """Eighteen holes of 60 ms: friction was 0.271 (0.271 to 0.271) for 0.05."""
     starts = np.sort(np.random.default_rng(5).uniform(0.2, 5.8, 18))
@@ -326,7 +326,7 @@ def test_rows_that_were_lost_with_their_commands_cost_only_what_they_hold():
     assert any(line.startswith("commands are missing in 14 holes") for line in found.warnings)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_a_log_with_the_torque_off_or_a_p_gain_of_nothing_cannot_tell_keeps_its_prior(tmp_path):
     log = of_one_limb(log_of(TRUE, 3.0))
     time = log.signals["LF.coxa.command"].time
@@ -353,7 +353,7 @@ def test_limits_that_the_robot_does_not_have_give_no_interval():
     assert found.sentence.startswith("log.csv tells 0 of 5 parameters")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_step_of_a_simulator_that_made_the_log_is_a_doubt():
     """Armature is 0.0117 for 0.012, the delay 2.1 ms for 4; a search that ended where damping let it gain little was
     59 in the cost above the minimum."""
@@ -372,7 +372,7 @@ def test_the_step_of_a_simulator_that_made_the_log_is_a_doubt():
 # ------------------------------------------------------------------------------------- starts, bounds, bad input
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_start_on_a_bound_and_a_link_without_weight_are_no_obstacle():
     scenario = SCENARIO.with_overrides({"hardware.servo.armature": 0.0, "hardware.servo.coulomb_friction": 0.0})
     key, truth = "robot.LF.tibia.mass", float(ROBOT.link_mass[0, 2])
@@ -409,7 +409,7 @@ def test_a_pattern_is_of_keys_with_a_derivative_and_a_value():
 # --------------------------------------------------------------------------------------------------- what is written
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_fit_that_is_interrupted_goes_on_where_it_stopped_and_ends_alike(tmp_path, monkeypatch):
     scenario = SCENARIO.with_overrides({"hardware.servo.armature": 0.01, "hardware.command_delay": 0.004})
     log, fit, calls = log_of(TRUE, 2.0, kinds=("position",)), ("control.kp", "control.kd"), []
@@ -443,7 +443,7 @@ def test_a_fit_that_is_interrupted_goes_on_where_it_stopped_and_ends_alike(tmp_p
     assert not (tmp_path / "parts").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_any_point_is_a_body_that_can_exist_and_its_mjcf_moves_alike(tmp_path):
     chosen = variables(SCENARIO, ["robot.LF.femur", "robot.RH.tibia", "robot.*.armature", "robot.base"], held=False)
     rng = np.random.default_rng(3)

@@ -54,6 +54,7 @@ def test_a_broken_table_is_told_in_one_line(tmp_path, text, expected):
         read_log(tmp_path / "log.csv", ROBOT)
 
 
+@pytest.mark.slow
 def test_a_walk_of_run_is_read_by_its_own_names(pushed, tmp_path):
     walk = pushed
     dataset.save(dataset.to_dataset(walk), tmp_path / "trajectory.nc")
@@ -241,6 +242,7 @@ def test_what_is_no_recording_is_told_in_one_line(tmp_path):
         read_log(tmp_path / "bag", ROBOT)
 
 
+@pytest.mark.slow
 def test_a_walk_is_read_back_from_its_mcap_to_the_last_digit(pushed, tmp_path):
     log = read_log(save_mcap(pushed, tmp_path / "walk.mcap"), ROBOT)
     expected = {
@@ -267,6 +269,7 @@ def test_a_walk_is_read_back_from_its_mcap_to_the_last_digit(pushed, tmp_path):
     assert log.guessed is not None and log.warnings == ()
 
 
+@pytest.mark.slow
 def test_the_same_walk_gives_the_same_mcap_with_base_and_feet_as_transforms(pushed, tmp_path):
     one, other = save_mcap(pushed, tmp_path / "a.mcap"), save_mcap(pushed, tmp_path / "b.mcap")
     assert one.read_bytes() == other.read_bytes()
@@ -278,6 +281,7 @@ def test_the_same_walk_gives_the_same_mcap_with_base_and_feet_as_transforms(push
         np.testing.assert_array_equal(found, values[rows])
 
 
+@pytest.mark.slow
 def test_every_channel_is_decoded_by_the_readers_of_mcap_themselves(pushed, tmp_path):
     """Those of Foxglove: by the definitions of the messages that the file itself holds."""
     from mcap.reader import make_reader

@@ -39,7 +39,7 @@ def log(walk, tmp_path_factory):
     return read_log(save_mcap(walk, tmp_path_factory.mktemp("log") / "walk.mcap"), ROBOT)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_log_of_a_walk_gives_the_walk_again_with_its_pushes(walk, log):
     quiet = SCENARIO.with_overrides({"disturbance.pushes": [], "control.stiffness": 1.0})
     found = replay(log, quiet)

@@ -145,7 +145,7 @@ def assert_right(found: dict) -> None:
         assert np.abs(derivative).max() > 1e-3, name
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "reading", [pytest.param(name, marks=() if name == "virtual_model" else pytest.mark.nightly) for name in NOMINAL]
 )

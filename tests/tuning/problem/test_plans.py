@@ -67,7 +67,7 @@ def test_a_plan_walks_as_the_law_did_that_it_was_taken_from():
     np.testing.assert_allclose(again.joint_targets, walk.joint_targets, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_derivatives_by_a_knot_are_central_differences():
     """In double precision, through the law's bus and servos, along single knots and along all at once."""
     hardware = {"hardware.control_period": 0.005, "hardware.command_delay": 0.004, "hardware.servo.armature": 0.01}

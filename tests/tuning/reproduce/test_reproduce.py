@@ -219,7 +219,7 @@ def test_the_configs_are_the_papers():
         assert (scenario.contact.holding_limit, scenario.duration) == (15.0, 8.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_whole_command(tmp_path, call):
     code, out, _ = call("reproduce", "--out", tmp_path, "--json")
     found = json.loads(out)

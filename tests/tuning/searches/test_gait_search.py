@@ -105,7 +105,7 @@ def found():
     return tune(PD, ASKED.changed(asked))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pd_with_its_gait_retuned_is_better_and_walks_again_from_its_file(found, tmp_path, call):
     assert found.value < 0.9 and found.feasible
     write_found(found, tmp_path)
@@ -140,7 +140,7 @@ def test_the_rival_of_a_law_has_the_same_freedom(monkeypatch):
     assert "than pd with kp 17, kd 1, duty 0.8, cycle 0.9, which needs none" in told
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_files_of_other_laws_and_gaits_are_judged_in_one_call(tmp_path):
     """Each as it walks by itself."""
     files = {

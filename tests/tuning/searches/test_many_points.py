@@ -112,10 +112,16 @@ def test_a_chosen_method_stays(kernel, monkeypatch, robust):
 
 
 @pytest.mark.slow
-def test_the_search_is_a_call_of_the_package():
+@pytest.mark.parametrize(
+    "first",
+    [
+        "import tuning.searches.tune",
+        *(pytest.param(n, marks=pytest.mark.nightly) for n in ("import tuning", "from tuning import tune")),
+    ],
+)
+def test_the_search_is_a_call_of_the_package(first):
     """Whatever is imported first."""
-    for first in ("import tuning", "import tuning.searches.tune", "from tuning import tune"):
-        code = f"{first}\nimport tuning\nfrom tuning import tune\ntry: tuning.tune(None, method='none')\n"
-        code += "except Exception as error: print(type(error).__name__)\nprint(callable(tune))"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        assert done.stdout.split() == ["ConfigError", "True"], done.stderr
+    code = f"{first}\nimport tuning\nfrom tuning import tune\ntry: tuning.tune(None, method='none')\n"
+    code += "except Exception as error: print(type(error).__name__)\nprint(callable(tune))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.split() == ["ConfigError", "True"], done.stderr

@@ -40,7 +40,7 @@ def example(monkeypatch, tmp_path):
     return run
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_example_is_resumed_bit_for_bit_and_seen_everywhere(example, stop):
     cut = example("one", stop(2))["found"]
     assert cut.interrupted

@@ -108,7 +108,7 @@ def test_a_front_of_a_law_of_ones_own(few):
     assert len(front_table(front, 0, 3).columns) == 7
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_front_and_resume(few, tmp_path, stop):
     scenario = mc.load_scenario(config_path("case_1_2.yaml"), ["duration=0.3", "disturbance.cargo.start=0.1"])
     whole = pareto.pareto(scenario, points=3).data

@@ -140,7 +140,7 @@ def test_sections_that_are_null_leave_the_scenario(scenario):
         np.testing.assert_allclose(getattr(drawn, name), getattr(own, name), rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_mass_scale_is_a_robot_of_other_mass(scenario):
     """With all forces, masses and inertias twice as large the motion is the same."""
     numbers = jax.tree.map(np.asarray, mc.parameters(scenario.with_overrides({"gravity": [0, 0, -1.635]})))
@@ -203,7 +203,7 @@ def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble, pd):
     assert float(score.penalty[1]) > float(score.penalty[0])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_search_and_judgement(scenario):
     """Forces are late in every walk: the joint loop is searched and judged with the admittance."""
     late = {"force_delay": (0.002, 0.005)}

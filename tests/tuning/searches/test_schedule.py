@@ -100,7 +100,7 @@ def test_rounds_of_other_operating_points_are_refused(scenario, tmp_path, monkey
         schedule.schedule(scenario, **(points | other), out=tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_no_operating_point_would_rather_have_the_gains_of_another(table):
     others = np.nanmin(table["transfer"].values, axis=(2, 3))
     assert table["feasible"].values.all() and (table["value"].values <= others + 1e-6).all()
@@ -155,7 +155,7 @@ def test_lookup(table):
     np.testing.assert_allclose(lookup(table, 50.0, 0.0).damping, ends[1], rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_interrupted_schedule_goes_on_with_the_same_result(scenario, table, tmp_path, stop):
     with pytest.raises(KeyboardInterrupt):
         made(scenario, out=tmp_path, progress=stop(3))

@@ -153,7 +153,7 @@ def test_gradients_agree_with_central_differences(scenario, layout):
     np.testing.assert_allclose(slopes, differences, rtol=1e-3, atol=1e-6 * np.abs(slopes).max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_ensemble_scores_the_mean_of_its_members(scenario):
     problem = dataclasses.replace(problem_of(scenario, search.Search()), dtype=np.float64)
     theta = problem.space.draw(np.random.default_rng(1), 3)
@@ -431,7 +431,7 @@ tune(scenario, out=sys.argv[2], progress=lambda now: print(now.rounds, flush=Tru
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_killed_search_goes_on_bit_by_bit(scenario, undisturbed, tmp_path, killed):
     config = tmp_path / "scenario.yaml"
     config.write_text(scenario.to_yaml())

@@ -390,7 +390,7 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_library_that_is_not_installed_is_named(tmp_path):
     """In a process of its own, because MuJoCo's import fails where the OpenGL of MUJOCO_GL is missing."""
     arguments = ["run", str(CONFIG), "--video", "--out", str(tmp_path / "out")]
@@ -408,7 +408,7 @@ assert backend.find() == sys.argv[2]
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "library"), [("egl", "EGL"), ("osmesa", "OSMesa")])
 def test_every_way_to_opengl_draws_the_same_picture(name, library, tmp_path):
     from PIL import Image
