@@ -76,7 +76,7 @@ def test_a_dataclass_that_does_not_inherit_from_law_is_refused_in_one_line(tmp_p
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_open_filter_is_eq_3_and_a_closed_one_is_not(scenario, law):
     """The filter passes everything at 1e6 Hz; at 1e-6 Hz next to nothing, which is the walk of pd."""
     cutoff = np.array([1e6, 1e-6])[:, None] * np.ones(6)
@@ -109,7 +109,7 @@ def test_tangents_along_own_gains_agree_with_central_differences(scenario, law):
             np.testing.assert_allclose(tangents[name][row], difference, rtol=1e-3, atol=1e-4 * size, err_msg=name)
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 def test_swept_over_its_own_gain(scenario, law, tmp_path):
     axes = {"cutoff": np.array([1.0, 100.0]), "share": np.array([0.1, 0.5, 1.0])}
     result = sweep(scenario, axes, law=law, out=tmp_path, dtype=np.float64).data

@@ -75,8 +75,8 @@ print("all")
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["values", pytest.param("tangents", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("what", ["values", "tangents"])
 def test_every_operation_in_regions(what):
     """In a process of its own, in float64 to 1e-12, with operations that call libraries and values nothing reads."""
     on_cpu = os.environ | {"JAX_PLATFORMS": "cpu"}

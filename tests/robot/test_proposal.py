@@ -601,11 +601,8 @@ def test_a_held_joint_is_a_body_turned(saved):
         np.testing.assert_allclose(one, other, atol=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("limbs", "joints"),
-    [pytest.param(*shape, marks=() if shape == (2, 2) else pytest.mark.nightly) for shape in MANY],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("limbs", "joints"), MANY)
 def test_every_shape_walks_alone_in_a_batch_and_with_tangents(saved, limbs, joints):
     """As proposed, for some steps: a batch walks as the rollout does, tangents are central differences."""
     scenario = scenario_of(propose(saved(climbers.mjcf(limbs, joints))))

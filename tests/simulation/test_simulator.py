@@ -84,21 +84,33 @@ def late(case):
     return mc.Simulation(scenario), dataclasses.replace(own_parameters(scenario), **own)
 
 
+METHODS = {
+    "simulate": lambda simulation, parameters: simulation.simulate(None, parameters),
+    "metrics": lambda simulation, parameters: simulation.metrics(None, parameters, dtype=np.float64),
+    "jit": lambda simulation, parameters: jax.jit(
+        lambda damping: simulation.simulate({"damping": damping}, parameters)
+    )(simulation.law.damping),
+}
+
+
 @pytest.mark.slow
-def test_hardware_in_the_parameters_is_walked_by_every_method(late):
-    """Whatever hardware the scenario has: the walk is that of the rollout, and not the ideal one."""
+@pytest.mark.parametrize(
+    "method", ["simulate", *(pytest.param(m, marks=pytest.mark.nightly) for m in ("metrics", "jit"))]
+)
+def test_hardware_in_the_parameters_is_walked_by_every_method(late, method):
+    """Whatever hardware the scenario has: the walk is that of the rollout."""
+    simulation, parameters = late
+    expected, found = mc.metrics(simulation.rollout(None, parameters)), METHODS[method](simulation, parameters)
+    for name in ("peak_foot_force", "force_variation", "peak_joint_torque", "cost_of_transport"):
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-9, err_msg=name)
+
+
+@pytest.mark.nightly
+def test_hardware_in_the_parameters_is_walked_step_by_step_and_is_not_the_ideal_one(late):
     simulation, parameters = late
     walk = simulation.rollout(None, parameters)
-    expected = mc.metrics(walk)
-    found = {
-        "metrics": simulation.metrics(None, parameters, dtype=np.float64),
-        "simulate": simulation.simulate(None, parameters),
-        "jit": jax.jit(lambda gains: simulation.simulate(gains, parameters))({"damping": simulation.law.damping}),
-    }
-    ideal = simulation.metrics(dtype=np.float64)
+    expected, ideal = mc.metrics(walk), simulation.metrics(dtype=np.float64)
     for name in ("peak_foot_force", "force_variation", "peak_joint_torque", "cost_of_transport"):
-        for method, values in found.items():
-            np.testing.assert_allclose(values[name], expected[name], rtol=1e-9, err_msg=f"{method} {name}")
         assert abs(ideal[name] / expected[name] - 1) > 1e-3
     steps = jax.jit(lambda state: jax.lax.scan(lambda s, _: simulation.step(s), state, length=walk.scenario.steps))
     torque = steps(simulation.reset(None, parameters))[1].joint_torque

@@ -38,7 +38,7 @@ def recorded(duration, kinds=("position", "velocity", "force")):
     return log_of(TRUE, duration, kinds=kinds)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gradient_is_that_of_the_cost_by_finite_differences():
     """Through two windows and what is before them, with a filter, late forces and cross-talk."""
     scenario = SCENARIO.with_overrides({"hardware.force_sensor.filter": 20.0})

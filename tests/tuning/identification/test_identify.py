@@ -153,7 +153,7 @@ def test_a_gap_is_cut_out_and_costs_only_what_it_holds():
 
 @pytest.mark.slow
 def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_path, call):
-    write_csv(tmp_path / "log.csv", columns_of(of_one_limb(log_of(TRUE, 4.0))))
+    write_csv(tmp_path / "log.csv", columns_of(log_of(TRUE, 4.0)))
     fit = [word for key in VALUES for word in ("--fit", key)]
     code, out, _ = call(
         "identify", "case_1_2", "--log", tmp_path / "log.csv", *fit, "--fit", "robot.LF.tibia.mass", "--starts", 1,
