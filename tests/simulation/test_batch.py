@@ -50,7 +50,7 @@ def test_a_batch_of_64_gives_each_what_it_has_alone(scenario, batch, together):
         np.testing.assert_allclose(alone[name], values, rtol=1e-12, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_bad_neighbours_change_nothing(scenario, batch, together):
     """One environment tears off and one diverges: both say so, and the other 62 stay the same to the last bit."""
     gains, parameters = batch

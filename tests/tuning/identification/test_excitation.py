@@ -97,7 +97,7 @@ def test_limits_hold_in_mujoco_and_are_used(found):
     assert max(moved) > 0.55, moved
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_torque_goes_off_as_late_as_commands_come(found):
     off = columns(found)["torque_off"] == 1
     targets = found.best.motion.targets.reshape(-1, 12)
@@ -139,7 +139,7 @@ def test_information_is_that_of_central_differences_in_mujoco():
     np.testing.assert_allclose(found.best.information.deviations, expected, rtol=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_written_is_read_back(found, tmp_path):
     names = tuning.write(found, tmp_path / "a").files.split(", ")
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == sorted([*names, "settings.json"])
@@ -161,7 +161,7 @@ def test_what_is_written_is_read_back(found, tmp_path):
     assert json.loads((tmp_path / "a" / "excitation.json").read_text()) == json.loads(json.dumps(summary(found)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_picture_has_a_lane_for_each_joint_and_the_largest_rate_and_torque_of_each_kind(found):
     commanded, rates, torques = plot(found).axes
     lanes = [line.get_ydata() for line in commanded.lines[:12]]

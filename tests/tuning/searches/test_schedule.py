@@ -119,7 +119,7 @@ def test_one_for_all():
     assert pages.one_for_all(table.assign(transfer=np.nan * table["transfer"]))[2] == np.inf
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_values_are_relative_to_pd_there(table):
     """Pd's own joint gains are of the grid what is worth most there: never less than pd, whose kp and kd are on it."""
     terms = ("force_variation", "peak_foot_force", "cost_of_transport")
@@ -145,7 +145,7 @@ def test_what_a_force_sensor_is_worth_over_the_points(ours, theirs, expected):
     assert expected in of_schedule(xr.Dataset({"value": ("gravity", ours), "retuned_value": ("gravity", theirs)}))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_lookup(table):
     for g, level in enumerate(table["gravity"].values):
         at = lookup(table, level, 1.0)
@@ -167,7 +167,7 @@ def test_an_interrupted_schedule_goes_on_with_the_same_result(scenario, table, t
     xr.testing.assert_equal(resumed, table)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tables(table, tmp_path):
     lines = list(csv.DictReader(io.StringIO(pages.to_csv(table))))
     there = [(float(row["gravity_G"]), float(row["cargo_kg"])) for row in lines]
