@@ -1,14 +1,12 @@
 """The ground under the feet: a height for each foothold, from a list or a height map."""
 
-import functools
 import math
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
 from mjx_climb.gait.base_path import raised, sway_of, swayed
 from mjx_climb.gait.swing import rest_to_rest
+from mjx_climb.ground.height_map import grid_of
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.postures import MET, limb_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -44,13 +42,6 @@ def footholds(scenario: Scenario) -> np.ndarray:
     planned = stance + np.arange(_foothold_count(scenario))[:, None] * np.array([gait.stride, 0.0])
     c, s = np.cos(gait.heading), np.sin(gait.heading)
     return np.asarray(planned @ np.array([[c, s], [-s, c]]))
-
-
-def relief(ground: HeightMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a height map in the world: x (N,) m, y (M,) m, heights (M, N) m."""
-    grid = _grid(ground.file)
-    y, x = (start + ground.resolution * np.arange(n) for start, n in zip(ground.origin[::-1], grid.shape, strict=True))
-    return x, y, ground.scale * grid
 
 
 def _foothold_count(scenario: Scenario) -> int:
@@ -120,7 +111,7 @@ def _stance_feet(robot: Robot) -> np.ndarray:
 
 def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> np.ndarray:
     """Return the map's heights (limb, N) m at points (limb, N, 2), linear between its samples."""
-    grid = _grid(ground.file)
+    grid = grid_of(ground.file)
     column, row = np.moveaxis((points - np.array(ground.origin)) / ground.resolution, -1, 0)
     rows, columns = grid.shape
     inside = (column >= -1e-9) & (column <= columns - 1 + 1e-9) & (row >= -1e-9) & (row <= rows - 1 + 1e-9)
@@ -137,34 +128,3 @@ def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> n
     low = (1 - v) * grid[i, j] + v * grid[i, j + 1]
     high = (1 - v) * grid[i + 1, j] + v * grid[i + 1, j + 1]
     return np.asarray(ground.scale * ((1 - u) * low + u * high))
-
-
-@functools.lru_cache(maxsize=8)
-def _grid(file: str) -> np.ndarray:
-    """Return the samples of a map: rows along y, columns along x, both ascending."""
-    readers: dict[str, Callable[[str], np.ndarray]] = {".csv": _csv, ".npy": np.load, ".png": _png}
-    suffix, key = Path(file).suffix.lower(), f"{file}: ground.map.file"
-    if suffix not in readers:
-        raise ConfigError(f"{key}: expected a .csv, .npy or .png, got {suffix or 'no suffix'}")
-    try:
-        grid = np.asarray(readers[suffix](file), float)
-    except (OSError, ValueError, SyntaxError, EOFError) as error:  # SyntaxError: a broken PNG
-        reason = (getattr(error, "strerror", None) or str(error) or "a damaged one").splitlines()[0]
-        raise ConfigError(f"{key}: expected a grid of numbers, got {reason}") from None
-    if grid.ndim != 2 or min(grid.shape) < 2 or not np.isfinite(grid).all():
-        got = "values that are not finite" if grid.ndim == 2 and min(grid.shape) > 1 else f"shape {grid.shape}"
-        raise ConfigError(f"{key}: expected two rows and columns or more of finite numbers, got {got}")
-    return grid
-
-
-def _csv(file: str) -> np.ndarray:
-    lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
-    return np.array([[float(cell) for cell in line.split(",")] for line in lines if line.strip()])
-
-
-def _png(file: str) -> np.ndarray:
-    """Return the grey levels, 0 to 1; the picture's top row is the far side, the largest y."""
-    from matplotlib.image import imread
-
-    image = imread(file, format="png")
-    return (image if image.ndim == 2 else image[..., :3].mean(-1))[::-1]

@@ -6,6 +6,8 @@ from jax import Array
 from mjx_climb.component import Component, parameter
 
 _ANY = (-np.inf, np.inf)
+# a pull along the normal has a negative force of the ground on the foot
+_PULL = np.array([[0.0, 0.0, -1.0]]), np.array([1.0])
 
 
 class Holds(Component):
@@ -20,3 +22,40 @@ class Holds(Component):
     limit_matrix: Array = parameter("1", shape=(None, None, 3), bounds=_ANY)
     limit_bound: Array = parameter("N", shape=(None, None), bounds=(0.0, np.inf))
     valid: Array = parameter("1", shape=(None,), bounds=(0.0, 1.0))  # 1: a hold, 0: padding
+
+
+def of(
+    position: np.ndarray,
+    normal: np.ndarray | None = None,
+    limit: np.ndarray | float | None = None,
+    polyhedron: tuple[np.ndarray, np.ndarray] | None = None,
+    count: int | None = None,
+) -> Holds:
+    """Holds as arrays of NumPy in double precision, padded to a number of them.
+
+    Arguments:
+        position: (n, 3) m, world.
+        normal: (n, 3) 1, of any length above 0; None: up.
+        limit: (n,) or () N, infinite for a point that holds any force; None: no point has a limit.
+        polyhedron: A (m, 3) and b (m,), a share of the limit, of `A f <= b limit`; None: the pull along the normal.
+        count: how many holds there are with the padding; None: n.
+
+    Raises:
+        ValueError: more points than the count.
+    """
+    number = len(position)
+    if (room := (number if count is None else count) - number) < 0:
+        raise ValueError(f"holds: expected {count} points at most, got {number}")
+    normal = np.tile([0.0, 0.0, 1.0], (number, 1)) if normal is None else np.asarray(normal, float)
+    matrix, bound = _PULL if polyhedron is None else polyhedron
+    rows = len(matrix) if limit is not None else 0
+    limits = np.broadcast_to(np.inf if limit is None else limit, number)
+    # a share of 0 of a limit that is infinite is 0
+    bounds = np.multiply.outer(limits, bound, where=np.asarray(bound) > 0, out=np.zeros((number, len(matrix))))
+    return Holds(
+        position=np.pad(np.asarray(position, float), ((0, room), (0, 0))),
+        normal=np.vstack([normal / np.linalg.norm(normal, axis=1, keepdims=True), np.tile([0.0, 0.0, 1.0], (room, 1))]),
+        limit_matrix=np.pad(np.tile(matrix[:rows], (number, 1, 1)), ((0, room), (0, 0), (0, 0))),
+        limit_bound=np.pad(bounds[:, :rows], ((0, room), (0, 0)), constant_values=1.0),
+        valid=np.repeat([1.0, 0.0], [number, room]),
+    )

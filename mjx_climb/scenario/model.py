@@ -120,16 +120,164 @@ class HeightMap(v.Section):
     scale: v.Number = setting(1.0, "height of one unit of the file, m")
 
 
+class Hold(v.Section):
+    """A point that can be held."""
+
+    at: v.Vector = Field(description="where it is, m")
+    normal: v.Vector = setting((0.0, 0.0, 1.0), "direction out of the ground, of any length above 0, 1")
+    limit: v.Limit = setting(None, "its holding limit, N; null: that of all points")
+
+    @model_validator(mode="after")
+    def _has_a_direction(self) -> Hold:
+        if not any(self.normal):
+            raise failure("a direction, not zero", key="normal", got=self.normal)
+        return self
+
+
+class HoldCloud(v.Section):
+    """Points from a file."""
+
+    file: v.FileName = Field(
+        description="points, beside the config, if relative: .csv with a header, .ply, .pcd, ClimbLab's .mat, or a "
+        "recording of ROS 2, .mcap or .db3"
+    )
+    topic: v.Word | None = setting(None, "topic of a recording with sensor_msgs/PointCloud2; null: the only one")
+    limit: v.Word = setting("limit", "name of the column with holding limits; without it all have the same")
+    limit_unit: v.Positive = setting(1.0, "holding limit for a 1 in that column, N")
+    neighbours: v.Count = setting(
+        1, "nearest points to which a plane is fitted for normals that the file lacks; below 3: they are up"
+    )
+
+
+class HoldMap(HeightMap):
+    """A height map whose samples can be held, but for those that are not a number."""
+
+    mask: v.FileName | None = setting(
+        None, "grid of the same shape, above 0 where the ground can be held; null: everywhere"
+    )
+
+
+class _Area(v.Section):
+    """A rectangle of the ground."""
+
+    corner: v.Pair = setting((-0.5, -0.5), "corner with the smallest x and y, m")
+    size: v.Sides = setting((2.5, 1.0), "sides along x and y, m")
+
+
+class Handrails(_Area):
+    """Rails along x, as far apart as the area allows, at height zero."""
+
+    rails: v.Count = setting(2, "number of rails over the area's width")
+    pitch: v.Positive = setting(0.05, "distance of points along a rail, m")
+
+
+class Truss(_Area):
+    """A lattice of square bays with diagonals; a box of four faces where it has a depth."""
+
+    bay: v.Positive = setting(0.25, "side of a bay, m")
+    depth: v.NonNegative = setting(0.0, "depth of the box below its upper face, m; 0: one face")
+    pitch: v.Positive = setting(0.05, "distance of points along a member, m; at most")
+
+
+class Pipe(_Area):
+    """A pipe along x in the middle of the area, which touches height zero from below."""
+
+    radius: v.Positive = setting(0.5, "radius, m")
+    around: v.Count = setting(32, "points around the pipe")
+    pitch: v.Positive = setting(0.05, "distance of points along the pipe, m")
+
+
+class HoldWall(_Area):
+    """Climbing holds on a grid in which every other row is shifted by half a pitch."""
+
+    pitch: v.Positive = setting(0.1, "distance of holds in a row, and of rows, m")
+    filled: v.Part = setting(1.0, "share of the places that have a hold, 1")
+    height: v.NonNegative = setting(0.0, "largest height of a hold, m")
+    tilt: v.NonNegative = setting(0.0, "standard deviation of the tilt of normals about each level axis, rad")
+
+
+class Rock(_Area):
+    """Random points on a rough surface."""
+
+    density: v.Positive = setting(200.0, "points for each square metre, 1/m^2")
+    roughness: v.NonNegative = setting(0.01, "standard deviation of heights, m")
+    wavelength: v.Positive = setting(0.3, "wavelength of the longest waves of the surface, m")
+
+
+class HoldPolyhedron(v.Section):
+    """Forces that a point holds: A f <= b times its limit, f of the ground on the foot.
+
+    In the point's own axes: z along the normal, x uphill in the surface, or the world's x where gravity has no part in
+    it. A pull has f_z below 0.
+    """
+
+    matrix: v.Rows = Field(description="rows of A, 1")
+    bound: v.Bounds = Field(description="b, a share of the point's limit for each row, 1")
+
+    @model_validator(mode="after")
+    def _fit(self) -> HoldPolyhedron:
+        if len(self.matrix) != len(self.bound):
+            raise failure(f"{len(self.matrix)} numbers, one for each row of matrix", key="bound", got=self.bound)
+        return self
+
+
+class Holds(v.Section):
+    """Points that can be held, from one source; the ground between them cannot."""
+
+    points: tuple[Hold, ...] | None = setting(None, "a list of points")
+    cloud: HoldCloud | None = setting(None, "a file of points")
+    map: HoldMap | None = setting(None, "a height map with a mask")
+    handrails: Handrails | None = setting(None, "rails along x")
+    truss: Truss | None = setting(None, "a lattice, or a box of lattices")
+    pipe: Pipe | None = setting(None, "a pipe along x")
+    wall: HoldWall | None = setting(None, "climbing holds on a grid")
+    rock: Rock | None = setting(None, "random points on a rough surface")
+    limit: v.Limit = setting(
+        None, "holding limit of points that have none of their own, N; null: the contact's limit alone"
+    )
+    spread: v.NonNegative = setting(0.0, "standard deviation of the natural logarithm of limits, drawn by the seed, 1")
+    polyhedron: HoldPolyhedron | None = setting(
+        None, "forces that points hold; null: any that does not pull along the normal by more than the limit"
+    )
+    seed: v.Seed = setting(0, "of all that is random in points and limits; equal seeds, equal ground")
+    spacing: v.NonNegative = setting(
+        0.0, "edge of cubes of which each keeps one point, that with the largest limit, m; 0: all points"
+    )
+    at: v.Vector = setting((0.0, 0.0, 0.0), "where the source's origin is in the world, m")
+    turn: v.Vector = setting((0.0, 0.0, 0.0), "roll, pitch and yaw of the source's axes in the world, rad")
+    count: v.Count | None = setting(
+        None, "number of points that a walk is compiled for, so that grounds share a program; null: as many as there are"
+    )
+
+    @property
+    def source(self) -> tuple[str, Any]:
+        """The key of the source, and its value."""
+        return next((name, each) for name in HOLD_SOURCES if (each := getattr(self, name)) is not None)
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Holds:
+        given = [name for name in HOLD_SOURCES if getattr(self, name) is not None]
+        if len(given) != 1:
+            key = {"key": given[1]} if given else {}
+            raise failure(f"one of {', '.join(HOLD_SOURCES)}", **key, got=" and ".join(given) or "none")
+        return self
+
+
+HOLD_SOURCES = ("points", "cloud", "map", "handrails", "truss", "pipe", "wall", "rock")
+
+
 class Ground(v.Section):
-    """Uneven ground; flat at height zero unless one of these is given."""
+    """Uneven ground; flat at height zero, and held everywhere, unless one of these is given."""
 
     footholds: Footholds | None = setting(None, "a height for each foothold")
     map: HeightMap | None = setting(None, "a height map, read at the planned footholds")
+    holds: Holds | None = setting(None, "points that can be held")
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Ground:
-        if self.footholds is not None and self.map is not None:
-            raise failure("footholds or map, not both", key="map", got=self.map.file)
+        given = [name for name in ("footholds", "map", "holds") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise failure(f"{given[0]} or {given[1]}, not both", key=given[1], got=" and ".join(given))
         return self
 
 
@@ -654,12 +802,16 @@ class Scenario(v.Section):
 
     def with_files(self, change: Callable[[str, str], str]) -> Scenario:
         """A copy with the paths in it changed; `change` is given a dotted key and its path."""
+        holds = self.ground.holds
         named: dict[str, object] = {"robot": self.robot, "ground.map": self.ground.map}
+        if holds is not None:
+            named |= {"ground.holds.cloud": holds.cloud, "ground.holds.map": holds.map}
         if self.own is not None:
             named |= {"own.law": self.own.law, "own.objective": self.own.objective}
             named |= {f"own.metrics.{n}": metric for n, metric in enumerate(self.own.metrics)}
             named |= {f"own.{place}": each for place, each in self.own.components.items()}
-        files = {f"{key}.file": getattr(section, "file", None) for key, section in named.items()}
+        keys = ("file", "mask")
+        files = {f"{place}.{key}": getattr(section, key, None) for place, section in named.items() for key in keys}
         return self.with_overrides({key: change(key, file) for key, file in files.items() if file is not None})
 
     def relative_to(self, folder: str | os.PathLike[str]) -> Scenario:

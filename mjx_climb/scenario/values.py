@@ -53,8 +53,10 @@ def _is_name(text: str) -> str:
 
 MAX_GRAVITY = 1e4  # m/s^2, a thousand G
 MAX_LENGTH = 100.0  # m, of a step
+MAX_COUNT = 20_000  # of points that can be held
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]  # strict: no booleans, no strings
 
+_Length = Annotated[Finite, Field(gt=0, le=MAX_LENGTH)]
 _Gravity = Annotated[Finite, Field(ge=-MAX_GRAVITY, le=MAX_GRAVITY)]
 Number = Annotated[Finite, _expects("a finite number")]
 Positive = Annotated[Finite, Field(gt=0), _expects("a finite number above 0")]
@@ -69,6 +71,7 @@ Register = Annotated[
     int, Strict(), Field(ge=0, le=16383), _expects("a whole number from 0 to 16383, as the servo's register holds")
 ]
 Seed = Annotated[int, Strict(), Field(ge=0, lt=2**24), _expects("a whole number from 0 to below 2^24")]
+Count = Annotated[int, Strict(), Field(ge=1, le=MAX_COUNT), _expects(f"a whole number from 1 to {MAX_COUNT}")]
 Threshold = Annotated[
     NonNegative | tuple[NonNegative, NonNegative],
     _expects("a finite number, 0 or above, or two: of translations, of rotations"),
@@ -88,6 +91,13 @@ Gravity = Annotated[
 Way = Annotated[Finite, Field(ge=0, le=MAX_LENGTH), _expects(f"a number from 0 to {MAX_LENGTH:g}")]
 Height = Annotated[Finite, Field(gt=0, le=MAX_LENGTH), _expects(f"a number above 0, {MAX_LENGTH:g} at most")]
 Pair = Annotated[tuple[Finite, Finite], _expects("a list of two finite numbers")]
+Sides = Annotated[tuple[_Length, _Length], _expects(f"a list of two numbers above 0, {MAX_LENGTH:g} at most")]
+Rows = Annotated[
+    tuple[tuple[Finite, Finite, Finite], ...], Field(min_length=1), _expects("a list of rows of three finite numbers")
+]
+Bounds = Annotated[
+    tuple[NonNegative, ...], Field(min_length=1), _expects("a list of one finite number or more, 0 or above")
+]
 Name = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the name of a robot")]
 Word = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name in the robot's file")]
 OwnName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("a name of Python's")]

@@ -13,7 +13,8 @@ from matplotlib.lines import Line2D
 
 from mjx_climb.files.dataset import AXES
 from mjx_climb.scenario.model import HeightMap
-from mjx_climb.terrain import foothold_heights, footholds, relief
+from mjx_climb.ground.height_map import relief
+from mjx_climb.terrain import foothold_heights, footholds
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.viz.plots import events
 from mjx_climb.viz.plots.styling import AXIS_COLORS, BLACK, COLUMN, GREY, LIMB_COLORS, RED, SERIES, key, legend, style

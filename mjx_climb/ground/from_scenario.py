@@ -1,0 +1,127 @@
+"""The points of a scenario that can be held, from a list, a file, a height map or a rule."""
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+
+from mjx_climb.ground import rules
+from mjx_climb.ground.height_map import holdable
+from mjx_climb.ground.holds import Holds, of
+from mjx_climb.ground.readers import columns_of
+from mjx_climb.scenario import model
+from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.values import MAX_COUNT
+
+# names of normals in files, of ROS and PLY, and of PCL
+_NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
+
+# positions (n, 3) m, normals (n, 3) 1, limits (n,) N, NaN where a point has none of its own
+_Found = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@functools.lru_cache(maxsize=32)
+def holds_of(ground: model.Ground) -> Holds | None:
+    """The points of a ground that can be held; None: it can be held everywhere.
+
+    Raises:
+        ConfigError: in one line with file and key, what cannot be read, too many points, or none.
+    """
+    if (section := ground.holds) is None:
+        return None
+    name, source = section.source
+    random, key = np.random.default_rng(section.seed), f"ground.holds.{name}"
+    position, normal, limit = _FOUND[name](source, random)
+    place = getattr(source, "file", "scenario")
+    if section.limit is not None:
+        limit = np.where(np.isnan(limit), section.limit, limit)
+    limit = limit * np.exp(section.spread * random.standard_normal(limit.size))
+    kept = _thinned(position, limit, section.spacing)
+    if not kept.size:
+        raise config_error(place, key, "one point that can be held", "none")
+    if kept.size > (most := section.count or MAX_COUNT):
+        key = "ground.holds.count" if section.count else key
+        raise config_error(place, key, f"{most} points at most (ground.holds.spacing thins them out)", str(kept.size))
+    turn = _rotation(*section.turn)
+    return of(
+        position[kept] @ turn.T + section.at,
+        normal[kept] @ turn.T,
+        None if np.isnan(limit).all() else np.where(np.isnan(limit), np.inf, limit)[kept],
+        section.polyhedron and (np.array(section.polyhedron.matrix), np.array(section.polyhedron.bound)),
+        section.count,
+    )
+
+
+def _listed(points: tuple[model.Hold, ...], random: np.random.Generator) -> _Found:
+    limits = [np.nan if each.limit is None else each.limit for each in points]
+    return np.array([each.at for each in points]), np.array([each.normal for each in points]), np.array(limits)
+
+
+def _from_file(cloud: model.HoldCloud, random: np.random.Generator) -> _Found:
+    columns = columns_of(cloud.file, cloud.topic)
+    position = np.stack([columns[name] for name in "xyz"], axis=-1)
+    finite = np.isfinite(position).all(1)
+    named = next((names for names in _NORMALS if columns.keys() >= {*names}), None)
+    if named is not None:
+        normal = np.stack([columns[name] for name in named], axis=-1)
+        finite &= np.isfinite(normal).all(1) & (normal != 0).any(1)
+        normal = normal[finite]
+    else:
+        normal = _fitted(position[finite], cloud.neighbours)
+    limit = np.full(len(position), np.nan)
+    if cloud.limit in columns:
+        limit = cloud.limit_unit * columns[cloud.limit]
+        if (limit < 0).any():
+            raise config_error(cloud.file, cloud.limit, "limits of 0 or above", f"{np.nanmin(limit):g}")
+    return position[finite], normal, limit[finite]
+
+
+def _on_map(ground: model.HoldMap, random: np.random.Generator) -> _Found:
+    position, normal = holdable(ground)
+    return position, normal, np.full(len(position), np.nan)
+
+
+def _by_rule(rule: Callable[..., rules.Points]) -> Callable[..., _Found]:
+    def found(source: object, random: np.random.Generator) -> _Found:
+        position, normal = rule(source, random)
+        return position, normal, np.full(len(position), np.nan)
+
+    return found
+
+
+_FOUND: dict[str, Callable[..., _Found]] = {
+    "points": _listed,
+    "cloud": _from_file,
+    "map": _on_map,
+    **{name: _by_rule(getattr(rules, name)) for name in ("handrails", "truss", "pipe", "wall", "rock")},
+}
+
+
+def _fitted(position: np.ndarray, neighbours: int) -> np.ndarray:
+    """Normals (n, 3) of planes through the nearest points, up; up where these are on a line."""
+    from scipy.spatial import cKDTree
+
+    up = np.tile([0.0, 0.0, 1.0], (len(position), 1))
+    if min(neighbours, len(position)) < 3:
+        return up
+    _, near = cKDTree(position).query(position, min(neighbours, len(position)))
+    around = position[near] - position[near].mean(1, keepdims=True)
+    spread, axes = np.linalg.eigh(around.mT @ around)
+    normal = axes[..., 0] * np.where(axes[..., 2, :1] < 0, -1.0, 1.0)
+    return np.where(spread[:, 1:2] > 1e-6 * spread[:, 2:], normal, up)
+
+
+def _thinned(position: np.ndarray, limit: np.ndarray, spacing: float) -> np.ndarray:
+    """The numbers of the points that stay, (n,), in their order: of each cube the one with the largest limit."""
+    if not spacing:
+        return np.arange(len(position))
+    best_first = np.argsort(-np.nan_to_num(limit, nan=np.inf), kind="stable")
+    _, first = np.unique(np.floor(position[best_first] / spacing), axis=0, return_index=True)
+    return np.sort(best_first[first])
+
+
+def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """The rotation (3, 3) by roll about x, then pitch about y, then yaw about z, axes that stay."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()

@@ -1,0 +1,78 @@
+"""Height maps: grids of heights from a file, where they lie in the world, and what of them can be held."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import HeightMap, HoldMap
+
+
+def relief(ground: HeightMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A height map in the world: x (N,) m, y (M,) m, heights (M, N) m; NaN is a gap in the map of holds."""
+    of_holds = isinstance(ground, HoldMap)
+    grid = grid_of(ground.file, f"ground.{'holds.' * of_holds}map.file", gaps=of_holds)
+    y, x = (start + ground.resolution * np.arange(n) for start, n in zip(ground.origin[::-1], grid.shape, strict=True))
+    return x, y, ground.scale * grid
+
+
+def holdable(ground: HoldMap) -> tuple[np.ndarray, np.ndarray]:
+    """The samples of a map that can be held: positions (n, 3) m and normals (n, 3) 1 of the surface.
+
+    A normal is worked out from the samples around; next to one that is not a number it points up.
+
+    Raises:
+        ConfigError: map or mask cannot be read, or have different shapes.
+    """
+    x, y, heights = relief(ground)
+    held = np.isfinite(heights)
+    if ground.mask is not None:
+        mask = grid_of(ground.mask, "ground.holds.map.mask", gaps=True)
+        if mask.shape != heights.shape:
+            expected = f"the {heights.shape[0]} rows and {heights.shape[1]} columns of the map"
+            got = f"{mask.shape[0]} and {mask.shape[1]}"
+            raise ConfigError(f"{ground.mask}: ground.holds.map.mask: expected {expected}, got {got}")
+        held &= mask > 0
+    slope = np.stack(np.gradient(heights, ground.resolution)[::-1], axis=-1)
+    slope = np.where(np.isfinite(slope).all(-1, keepdims=True), slope, 0.0)
+    normal = np.concatenate([-slope, np.ones_like(heights)[..., None]], axis=-1)
+    position = np.stack([*np.meshgrid(x, y), heights], axis=-1)
+    return position[held], normal[held]
+
+
+@functools.lru_cache(maxsize=8)
+def grid_of(file: str, key: str = "ground.map.file", gaps: bool = False) -> np.ndarray:
+    """The samples of a grid: rows along y, columns along x, both ascending; `gaps` are NaN.
+
+    Raises:
+        ConfigError: in one line that begins with file and key, what cannot be read or is no grid.
+    """
+    readers: dict[str, Callable[[str], np.ndarray]] = {".csv": _csv, ".npy": np.load, ".png": _png}
+    suffix, place = Path(file).suffix.lower(), f"{file}: {key}"
+    if suffix not in readers:
+        raise ConfigError(f"{place}: expected a .csv, .npy or .png, got {suffix or 'no suffix'}")
+    try:
+        grid = np.asarray(readers[suffix](file), float)
+    except (OSError, ValueError, SyntaxError, EOFError) as error:  # SyntaxError: a broken PNG
+        reason = (getattr(error, "strerror", None) or str(error) or "a damaged one").splitlines()[0]
+        raise ConfigError(f"{place}: expected a grid of numbers, got {reason}") from None
+    usable = not np.isinf(grid).any() if gaps else np.isfinite(grid).all()
+    if grid.ndim != 2 or min(grid.shape) < 2 or not usable:
+        got = "values that are not finite" if grid.ndim == 2 and min(grid.shape) > 1 else f"shape {grid.shape}"
+        raise ConfigError(f"{place}: expected two rows and columns or more of finite numbers, got {got}")
+    return grid
+
+
+def _csv(file: str) -> np.ndarray:
+    lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
+    return np.array([[float(cell) for cell in line.split(",")] for line in lines if line.strip()])
+
+
+def _png(file: str) -> np.ndarray:
+    """The grey levels, 0 to 1; the picture's top row is the far side, the largest y."""
+    from matplotlib.image import imread
+
+    image = imread(file, format="png")
+    return (image if image.ndim == 2 else image[..., :3].mean(-1))[::-1]

@@ -1,0 +1,325 @@
+"""Points that can be held: from a list, from files as others write them, by rule; and what is refused."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+import scipy.io
+import trimesh
+
+import mjx_climb as mc
+from mjx_climb.ground import holds_of, of
+
+POINTS = np.array([[0.1, 0.2, 0.0], [0.3, -0.2, 0.05], [-0.1, 0.0, 0.02]])
+NORMALS = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
+LIMITS = np.array([15.0, 4.0, 30.0])
+UP = [0.0, 0.0, 1.0]
+
+
+def ground(**holds):
+    return mc.Scenario.model_validate({"ground": {"holds": holds}}).ground
+
+
+def found(**holds):
+    return holds_of(ground(**holds))
+
+
+def refusal(**holds):
+    with pytest.raises(mc.ConfigError) as refused:
+        found(**holds)
+    assert len(str(refused.value).splitlines()) == 1
+    return str(refused.value)
+
+
+def test_the_points_of_a_list():
+    """A hold has a normal of length one and bears a pull along it up to its limit; without any no row is there."""
+    assert holds_of(mc.Scenario().ground) is None
+    listed = [{"at": [1, 2, 3], "normal": [0, 3, 4], "limit": 5.0}, {"at": [0, 0, 0]}]
+    made = found(points=listed, limit=15.0, count=3)
+    np.testing.assert_array_equal(made.position, [[1, 2, 3], [0, 0, 0], [0, 0, 0]])
+    np.testing.assert_allclose(made.normal, [[0, 0.6, 0.8], UP, UP])
+    np.testing.assert_array_equal(made.limit_matrix, [[[0, 0, -1]], [[0, 0, -1]], [[0, 0, 0]]])
+    np.testing.assert_array_equal(made.limit_bound, [[5], [15], [1]])
+    np.testing.assert_array_equal(made.valid, [1, 1, 0])
+    assert found(points=listed[1:]).limit_bound.shape == (1, 0)
+    np.testing.assert_array_equal(found(points=listed).limit_bound, [[5], [np.inf]])
+
+
+def test_a_polyhedron_is_a_share_of_each_limit():
+    pyramid = {"matrix": [[1, 0, -0.5], [0, 0, -1]], "bound": [0.0, 1.0]}
+    made = found(points=[{"at": [0, 0, 0], "limit": 8.0}, {"at": [1, 0, 0]}], polyhedron=pyramid)
+    np.testing.assert_array_equal(made.limit_matrix, [pyramid["matrix"]] * 2)
+    np.testing.assert_array_equal(made.limit_bound, [[0, 8], [0, np.inf]])
+
+
+def test_limits_spread_by_the_seed():
+    many = [{"at": [n, 0, 0], "limit": 10.0} for n in range(400)]
+    one, same, other = (found(points=many, spread=0.3, seed=seed).limit_bound[:, 0] for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).all()
+    assert np.log(one / 10).std() == pytest.approx(0.3, rel=0.15) and abs(np.log(one / 10).mean()) < 0.05
+
+
+def test_a_ground_is_moved_and_turned_as_a_whole():
+    """A yaw of 90 degrees has what was ahead on the left; a pitch of -90 degrees makes a floor a wall ahead."""
+    listed = [{"at": [1, 0, 0], "normal": [0, 0, 1]}]
+    left = found(points=listed, turn=[0, 0, np.pi / 2], at=[0, 0, 0.5])
+    np.testing.assert_allclose([left.position[0], left.normal[0]], [[0, 1, 0.5], UP], atol=1e-12)
+    wall = found(points=listed, turn=[0, -np.pi / 2, 0])
+    np.testing.assert_allclose([wall.position[0], wall.normal[0]], [UP, [-1, 0, 0]], atol=1e-12)
+
+
+# --- files
+
+
+def csv(path):
+    table = np.column_stack([POINTS, NORMALS, LIMITS])
+    np.savetxt(path, table, delimiter=", ", header="x, y, z, nx, ny, nz, limit", comments="", fmt="%.17g")
+
+
+def ply(path):
+    """As text, as PCL and CloudCompare write it, with a property of its own."""
+    names = ("x", "y", "z", "nx", "ny", "nz", "limit")
+    header = ["ply", "format ascii 1.0", "element vertex 3", *(f"property double {name}" for name in names)]
+    rows = [" ".join(map(repr, row)) for row in np.column_stack([POINTS, NORMALS, LIMITS]).tolist()]
+    path.write_text("\n".join([*header, "end_header", *rows]) + "\n")
+
+
+def pcd_header(kind, fields, sizes, types, counts):
+    lines = ["# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", f"FIELDS {fields}", f"SIZE {sizes}"]
+    lines += [f"TYPE {types}", f"COUNT {counts}", "WIDTH 3", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", "POINTS 3"]
+    return ("\n".join([*lines, f"DATA {kind}"]) + "\n").encode()
+
+
+def pcd(path):
+    """Binary, as PCL writes points with normals: padding named `_`, and a curvature."""
+    names = "x y z _ normal_x normal_y normal_z _ limit"
+    header = pcd_header("binary", names, "4 4 4 1 4 4 4 1 8", "F F F U F F F U F", "1 1 1 4 1 1 1 4 1")
+    rows = zip(POINTS, NORMALS, LIMITS, strict=True)
+    path.write_bytes(header + b"".join(struct.pack("<3f4x3f4xd", *at, *up, limit) for at, up, limit in rows))
+
+
+def pcd_text(path):
+    header = pcd_header("ascii", "x y z histogram normal_x normal_y normal_z limit", "4 " * 8, "F " * 8, "1 1 1 2 1 1 1 1")
+    rows = zip(POINTS, NORMALS, LIMITS, strict=True)
+    text = "".join(" ".join(map(str, [*at, 7, 8, *up, limit])) + "\n" for at, up, limit in rows)
+    path.write_bytes(header + text.encode())
+
+
+def recorded(path, topics=("/holds",)):
+    """An MCAP file with PointCloud2 messages, the last of which counts."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    names = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "limit")
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "map")
+    fields = [types["sensor_msgs/msg/PointField"](name, 8 * n, 8, 1) for n, name in enumerate(names)]
+    table = np.column_stack([POINTS, NORMALS, LIMITS])
+    kind = "sensor_msgs/msg/PointCloud2"
+    folder = path.with_suffix(".folder")
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic in topics:
+            to = writer.add_connection(topic, kind, typestore=store)
+            for stamp, shift in enumerate((9.0, 0.0)):
+                data = np.frombuffer((table + shift).tobytes(), np.uint8)
+                cloud = types[kind](header, 1, 3, fields, False, 56, 168, data, True)
+                writer.write(to, stamp, store.serialize_cdr(cloud, kind))
+    next(folder.glob("*.mcap")).rename(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [("a.csv", csv), ("a.ply", ply), ("a.pcd", pcd), ("b.pcd", pcd_text), ("a.mcap", recorded)],
+)
+def test_each_format_gives_positions_normals_and_limits(name, write, tmp_path):
+    write(tmp_path / name)
+    made = found(cloud={"file": str(tmp_path / name)})
+    np.testing.assert_allclose(made.position, POINTS, atol=1e-8)
+    np.testing.assert_allclose(made.normal, NORMALS, atol=1e-7)
+    np.testing.assert_allclose(made.limit_bound[:, 0], LIMITS)
+    scaled = found(cloud={"file": str(tmp_path / name), "limit": "z", "limit_unit": 100.0})
+    np.testing.assert_allclose(scaled.limit_bound[:, 0], 100 * POINTS[:, 2], rtol=1e-6)
+
+
+def test_a_mesh_has_the_normals_of_its_surface(tmp_path):
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    sphere.export(tmp_path / "sphere.ply")
+    made = found(cloud={"file": str(tmp_path / "sphere.ply")})
+    np.testing.assert_allclose(made.normal, made.position / 0.5, atol=0.02)
+
+
+def test_maps_of_climblab(tmp_path):
+    """A grid whose z has a row for each y and NaN where nothing holds; or one matrix of three rows."""
+    x, y = np.array([0.0, 0.1, 0.2]), np.array([-0.3, 0.3])
+    z = np.array([[0.01, np.nan, 0.02], [np.nan, 0.03, 0.04]])
+    scipy.io.savemat(tmp_path / "map_grid.mat", {"x": x, "y": y, "z": z})
+    expected = [[0, -0.3, 0.01], [0.2, -0.3, 0.02], [0.1, 0.3, 0.03], [0.2, 0.3, 0.04]]
+    made = found(cloud={"file": str(tmp_path / "map_grid.mat")})
+    np.testing.assert_allclose(made.position, expected)
+    np.testing.assert_array_equal(made.normal, np.tile(UP, (4, 1)))
+    scipy.io.savemat(tmp_path / "list.mat", {"graspable_points_on_full_testfield": POINTS.T})
+    np.testing.assert_allclose(found(cloud={"file": str(tmp_path / "list.mat")}).position, POINTS)
+
+
+def test_normals_that_a_file_lacks_are_those_of_planes_through_neighbours(tmp_path):
+    """A plane that rises by 1 in 2 along x; points on a line have no plane, and point up."""
+    level = np.random.default_rng(0).random((60, 2))
+    plane, line = np.column_stack([level, level[:, 0] / 2]), np.column_stack([level[:, :1], np.zeros((60, 2))])
+    for name, points, normal in (("plane", plane, [-1, 0, 2]), ("line", line, UP)):
+        np.savetxt(tmp_path / f"{name}.csv", points, delimiter=",", header="x,y,z", comments="")
+        made = found(cloud={"file": str(tmp_path / f"{name}.csv"), "neighbours": 8})
+        np.testing.assert_allclose(made.normal, np.tile(normal / np.linalg.norm(normal), (60, 1)), atol=1e-6)
+
+
+def test_samples_of_a_height_map_but_for_gaps_and_the_mask(tmp_path):
+    heights = np.add.outer(0.02 * np.arange(4.0), 0.01 * np.arange(5.0))
+    heights[3, 4] = np.nan
+    mask = np.ones((4, 5))
+    mask[0] = 0
+    np.save(tmp_path / "map.npy", heights)
+    np.save(tmp_path / "mask.npy", mask)
+    source = {"file": str(tmp_path / "map.npy"), "resolution": 0.1, "origin": [1, 2], "mask": str(tmp_path / "mask.npy")}
+    made = found(map=source)
+    assert made.position.shape == (14, 3)
+    np.testing.assert_allclose(made.position[0], [1, 2.1, 0.02])
+    np.testing.assert_allclose(made.normal[0], np.array([-0.1, -0.2, 1]) / np.sqrt(1.05))
+    np.save(tmp_path / "mask.npy", mask[1:])
+    (tmp_path / "mask.npy").rename(tmp_path / "short.npy")
+    words = refusal(map=source | {"mask": str(tmp_path / "short.npy")})
+    assert "ground.holds.map.mask: expected the 4 rows and 5 columns of the map, got 3 and 5" in words
+
+
+def test_the_strongest_point_of_each_cube_stays():
+    listed = [{"at": [0.01 * n, 0, 0], "limit": float(n % 7)} for n in range(100)]
+    made = found(points=listed, spacing=0.1)
+    assert made.position.shape == (10, 3) and (made.limit_bound == 6).all()
+
+
+# --- rules
+
+
+def test_handrails_and_lattices():
+    rails = found(handrails={"corner": [-0.2, -0.3], "size": [1.0, 0.6], "rails": 3, "pitch": 0.1})
+    assert rails.position.shape == (33, 3)
+    np.testing.assert_allclose(np.unique(rails.position[:, 1]), [-0.3, 0, 0.3], atol=1e-12)
+    np.testing.assert_allclose(np.unique(rails.position[:, 0].round(9)), np.linspace(-0.2, 0.8, 11), atol=1e-9)
+    box = found(truss={"corner": [0, 0], "size": [2.0, 0.5], "bay": 0.5, "depth": 0.5, "pitch": 0.1})
+    for normal, axis, place in (([0, 0, 1], 2, 0), ([0, 0, -1], 2, -0.5), ([0, 1, 0], 1, 0.5), ([0, -1, 0], 1, 0)):
+        face = box.position[(box.normal == normal).all(1)]
+        np.testing.assert_allclose(face[:, axis], place, atol=1e-12)
+        flat = face[:, [0, 3 - axis]]
+        # each is on a chord, a batten or a diagonal
+        bay = np.abs(flat / 0.5 - np.round(flat / 0.5)).min(1)
+        across = np.abs((flat.sum(1) / 0.5) % 1), np.abs(((flat[:, 0] - flat[:, 1]) / 0.5) % 1)
+        diagonal = np.min([np.minimum(each, 1 - each) for each in across], axis=0)
+        assert (np.minimum(bay, diagonal) < 1e-9).all()
+        assert len(np.unique(face.round(9), axis=0)) == len(face) > 50
+
+
+def test_a_pipe_and_a_wall():
+    pipe = found(pipe={"size": [0.4, 1.0], "radius": 0.3, "around": 12, "pitch": 0.1})
+    assert pipe.position.shape == (60, 3) and pipe.position[:, 2].max() == 0
+    center = np.array([0, 0, -0.3])
+    np.testing.assert_allclose((pipe.position - center)[:, 1:], 0.3 * pipe.normal[:, 1:], atol=1e-12)
+    wall = found(wall={"corner": [0, 0], "size": [3.0, 3.0], "filled": 0.4, "height": 0.05, "tilt": 0.2})
+    assert 0.35 < len(wall.position) / (31 * 31) < 0.45 and 0.04 < wall.position[:, 2].max() <= 0.05
+    np.testing.assert_allclose(np.arctan(wall.normal[:, :2] / wall.normal[:, 2:]).std(0), 0.2, rtol=0.15)
+
+
+def test_rock_has_its_density_its_roughness_and_the_normals_of_its_surface():
+    source = {"corner": [0, 0], "size": [3.0, 3.0], "density": 1000.0, "roughness": 0.02, "wavelength": 0.8}
+    rock = found(rock=source, seed=4)
+    assert rock.position.shape == (9000, 3)
+    assert rock.position[:, 2].std() == pytest.approx(0.02, rel=0.3)
+    assert (found(rock=source, seed=5).position != rock.position).all()
+    np.testing.assert_array_equal(found(rock=source, seed=4).position, rock.position)
+    # a neighbour lies in the plane of a point, but for the curvature over the way to it
+    distance = np.linalg.norm(rock.position[:, None, :2] - rock.position[:200, :2], axis=-1)
+    other, point = np.nonzero((distance > 0) & (distance < 0.01))
+    away = rock.position[other] - rock.position[point]
+    off = np.abs((away * rock.normal[point]).sum(1))
+    assert len(off) > 30 and off.max() < 0.15 * np.abs(away[:, 2]).max()
+
+
+# --- refused
+
+
+BAD = {
+    "none.csv": (None, "none.csv: expected a file of points, got none"),
+    "a.xyz": (b"", "expected points as .csv, .db3, .mat, .mcap, .pcd, .ply, got .xyz"),
+    "head.csv": (b"x,y\n1,2\n", "head.csv: z: expected columns x, y and z, got x, y"),
+    "ragged.csv": (b"x,y,z\n1,2,3\n1,2\n", "row 3: expected 3 numbers, got 2"),
+    "word.csv": (b"x,y,z\n1,two,3\n", "row 2: expected numbers, got 'two'"),
+    "nothing.csv": (b"x,y,z\n", "nothing.csv: ground.holds.cloud: expected one point that can be held, got none"),
+    "minus.csv": (b"x,y,z,limit\n0,0,0,-2\n", "minus.csv: limit: expected limits of 0 or above, got -2"),
+    "cut.ply": (b"ply\nformat ascii 1.0\nelement vertex 3\n", "cut.ply: expected a whole file of points"),
+    "cut.pcd": (b"VERSION 0.7\n", "cut.pcd: expected a header that ends with DATA, got none"),
+    "packed.pcd": (pcd_header("binary_compressed", "x y z", "4 4 4", "F F F", "1 1 1"), "DATA: expected ascii or binary"),
+    "short.pcd": (pcd_header("binary", "x y z", "4 4 4", "F F F", "1 1 1") + b"12", "expected a whole file of points"),
+    "noise.mat": (b"noise", "noise.mat: expected a whole file of points"),
+    "noise.mcap": (b"noise", "noise.mcap: expected a whole file of points"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_file_that_cannot_be_used_is_refused_in_one_line(name, tmp_path):
+    content, expected = BAD[name]
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    assert expected in refusal(cloud={"file": str(tmp_path / name)})
+
+
+def test_a_matrix_or_a_topic_that_is_none_of_those_expected(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"x": [0.0], "y": [0.0, 1.0], "z": [[1.0, 2.0]]})
+    assert "a.mat: z: expected a matrix of 2 x 1, as y and x have it, got" in refusal(
+        cloud={"file": str(tmp_path / "a.mat")}
+    )
+    scipy.io.savemat(tmp_path / "b.mat", {"a": POINTS.T, "b": POINTS.T})
+    assert "b.mat: expected x, y and z, or one matrix with three rows, got a, b" in refusal(
+        cloud={"file": str(tmp_path / "b.mat")}
+    )
+    recorded(tmp_path / "a.mcap", ("/holds", "/rock"))
+    source = {"file": str(tmp_path / "a.mcap")}
+    assert "topic: expected one topic with sensor_msgs/msg/PointCloud2, got /holds, /rock" in refusal(cloud=source)
+    assert "topic: expected sensor_msgs/msg/PointCloud2 on /x, got none" in refusal(cloud=source | {"topic": "/x"})
+    assert found(cloud=source | {"topic": "/rock"}).position.shape == (3, 3)
+
+
+def test_too_many_points():
+    rock = {"density": 100.0, "size": [1.0, 1.0]}
+    words = "ground.holds.count: expected 50 points at most (ground.holds.spacing thins them out), got 100"
+    assert words in refusal(rock=rock, count=50)
+    assert "ground.holds.rock: expected 20000 points at most" in refusal(rock={"density": 1e4})
+    with pytest.raises(ValueError, match="expected 2 points at most, got 3"):
+        of(POINTS, count=2)
+
+
+@pytest.mark.parametrize(
+    ("holds", "expected"),
+    [
+        ({}, "ground.holds: expected one of points, cloud, map,"),
+        ({"rock": {}, "pipe": {}}, "ground.holds.rock: expected one of points, cloud"),
+        ({"rock": {"density": 0}}, "ground.holds.rock.density: expected a finite number above 0"),
+        ({"rocks": {}}, "ground.holds.rocks: expected a known key, got an unknown one (did you mean rock?)"),
+        ({"points": [{"at": [0, 0]}]}, "ground.holds.points.0.at: expected a list of three"),
+        ({"points": [{"at": [0, 0, 0], "normal": [0, 0, 0]}]}, "points.0.normal: expected a direction, not zero"),
+        ({"pipe": {"around": 0}}, "ground.holds.pipe.around: expected a whole number from 1 to 20000"),
+        ({"rock": {}, "polyhedron": {"matrix": [[1, 0, 0]], "bound": [1, 2]}}, "polyhedron.bound: expected 1 numbers"),
+    ],
+)
+def test_keys_are_checked(holds, expected):
+    with pytest.raises(mc.ConfigError) as refused:
+        mc.Scenario.from_yaml(json.dumps({"ground": {"holds": holds}}))
+    assert expected in str(refused.value)
+
+
+def test_files_of_holds_lie_beside_the_config(tmp_path, monkeypatch):
+    csv(tmp_path / "rock.csv")
+    (tmp_path / "walk.yaml").write_text("ground: {holds: {cloud: {file: rock.csv}}}")
+    monkeypatch.chdir("/")
+    loaded = mc.load_scenario(tmp_path / "walk.yaml")
+    assert len(holds_of(loaded.ground).position) == 3
+    assert loaded.relative_to(tmp_path).ground.holds.cloud.file == "rock.csv"
