@@ -41,7 +41,8 @@ def _rows(key: str, field: dict[str, Any], models: dict[str, Any]) -> Iterator[t
 
 def _models(field: dict[str, Any]) -> list[str]:
     """Return the names of the models that a field may hold."""
-    kinds = [field, *field.get("anyOf", ()), *field.get("oneOf", ()), field.get("items", {})]
+    kinds = [field, *field.get("anyOf", ()), *field.get("oneOf", ())]
+    kinds += [kind.get("items", {}) for kind in kinds]
     return [kind["$ref"].rpartition("/")[2] for kind in kinds if isinstance(kind, dict) and "$ref" in kind]
 
 

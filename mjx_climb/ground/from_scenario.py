@@ -42,12 +42,12 @@ def holds_of(ground: model.Ground) -> Holds | None:
     if kept.size > (most := section.count or MAX_COUNT):
         key = "ground.holds.count" if section.count else key
         raise config_error(place, key, f"{most} points at most (ground.holds.spacing thins them out)", str(kept.size))
-    turn = _rotation(*section.turn)
+    turn, shape = _rotation(*section.turn), section.polyhedron
     return of(
         position[kept] @ turn.T + section.at,
         normal[kept] @ turn.T,
         None if np.isnan(limit).all() else np.where(np.isnan(limit), np.inf, limit)[kept],
-        section.polyhedron and (np.array(section.polyhedron.matrix), np.array(section.polyhedron.bound)),
+        None if shape is None else (np.array(shape.matrix), np.array(shape.bound)),
         section.count,
     )
 
@@ -124,4 +124,4 @@ def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """The rotation (3, 3) by roll about x, then pitch about y, then yaw about z, axes that stay."""
     from scipy.spatial.transform import Rotation
 
-    return Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
+    return np.asarray(Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix())

@@ -1,13 +1,24 @@
 """Graspable points of a ground: where a gripper can hold, how the surface lies there, and how much it bears."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jax import Array
 
+from mjx_climb.arrays import AnyArray, namespace
 from mjx_climb.component import Component, parameter
 
 _ANY = (-np.inf, np.inf)
 # a pull along the normal has a negative force of the ground on the foot
 _PULL = np.array([[0.0, 0.0, -1.0]]), np.array([1.0])
+
+
+class Shown(NamedTuple):
+    """Holds as they are drawn."""
+
+    position: np.ndarray  # (n, 3) m, world
+    normal: np.ndarray  # (n, 3) 1
+    pull: np.ndarray  # (n,) N, the largest along the normal; infinite: any
 
 
 class Holds(Component):
@@ -22,6 +33,17 @@ class Holds(Component):
     limit_matrix: Array = parameter("1", shape=(None, None, 3), bounds=_ANY)
     limit_bound: Array = parameter("N", shape=(None, None), bounds=(0.0, np.inf))
     valid: Array = parameter("1", shape=(None,), bounds=(0.0, 1.0))  # 1: a hold, 0: padding
+
+    def pulls(self) -> AnyArray:
+        """The largest pull along the normal alone that each hold bears, (n,) N; infinite where it bears any."""
+        xp, down = namespace(self.limit_bound, self.limit_matrix), -self.limit_matrix[..., 2]
+        most = xp.where(down > 0, self.limit_bound / xp.where(down > 0, down, 1.0), np.inf)
+        return most.min(1, initial=np.inf)
+
+    def shown(self) -> Shown:
+        """The holds without the padding, for pictures."""
+        there = np.asarray(self.valid) > 0
+        return Shown(*(np.asarray(each)[there] for each in (self.position, self.normal, self.pulls())))
 
 
 def of(
@@ -52,10 +74,12 @@ def of(
     limits = np.broadcast_to(np.inf if limit is None else limit, number)
     # a share of 0 of a limit that is infinite is 0
     bounds = np.multiply.outer(limits, bound, where=np.asarray(bound) > 0, out=np.zeros((number, len(matrix))))
-    return Holds(
-        position=np.pad(np.asarray(position, float), ((0, room), (0, 0))),
-        normal=np.vstack([normal / np.linalg.norm(normal, axis=1, keepdims=True), np.tile([0.0, 0.0, 1.0], (room, 1))]),
-        limit_matrix=np.pad(np.tile(matrix[:rows], (number, 1, 1)), ((0, room), (0, 0), (0, 0))),
-        limit_bound=np.pad(bounds[:, :rows], ((0, room), (0, 0)), constant_values=1.0),
-        valid=np.repeat([1.0, 0.0], [number, room]),
-    )
+    unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    arrays: dict[str, AnyArray] = {
+        "position": np.pad(np.asarray(position, float), ((0, room), (0, 0))),
+        "normal": np.vstack([unit, np.tile([0.0, 0.0, 1.0], (room, 1))]),
+        "limit_matrix": np.pad(np.tile(matrix[:rows], (number, 1, 1)), ((0, room), (0, 0), (0, 0))),
+        "limit_bound": np.pad(bounds[:, :rows], ((0, room), (0, 0)), constant_values=1.0),
+        "valid": np.repeat([1.0, 0.0], [number, room]),
+    }
+    return Holds(**arrays)

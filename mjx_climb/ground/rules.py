@@ -101,4 +101,4 @@ def _spread(length: float, pitch: float) -> np.ndarray:
 
 def _placed(position: np.ndarray, corner: tuple[float, float]) -> np.ndarray:
     """Positions from the corner of their area, in the world."""
-    return position + [*corner, 0.0]
+    return np.asarray(position + np.array([*corner, 0.0]))

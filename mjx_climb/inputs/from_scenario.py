@@ -15,7 +15,9 @@ from mjx_climb.execution import check_process
 from mjx_climb.gait.footholds import SHIPPED
 from mjx_climb.gait.footholds.footholds import Footholds
 from mjx_climb.gait.recovery import Recovery
+from mjx_climb.gait.published_swing import published_path
 from mjx_climb.gait.swing import swing_path
+from mjx_climb.ground import holds_of
 from mjx_climb.inputs.own_objects import components_of
 from mjx_climb.parameter_types import KEYS, Gains, Parameters
 from mjx_climb.robot_import.load import load_robot
@@ -39,7 +41,7 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     """Return the parameters of a scenario in double precision, as arrays of NumPy; files of its section own are run."""
     check_process()
     values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
-    values |= {"foothold_height": foothold_heights(scenario), "swing_path": swing_path(scenario), "mass_scale": 1.0}
+    values |= {"foothold_height": foothold_heights(scenario), "swing_path": _swing_path(scenario), "mass_scale": 1.0}
     control, dead = scenario.control, scenario.hardware.force_sensor.dead
     values["safe_kp"] = control.kp if control.safe_kp is None else control.safe_kp
     instants = dict(dead.items()) if dead is not None else {}
@@ -48,6 +50,7 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     pushes = {name: arrays[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
     numbers = Parameters(**arrays | pushes)
     own: dict[str, Any] = {"footholds": _footholds(scenario), "recovery": _recovery(scenario)}
+    own["holds"] = holds_of(scenario.ground)
     own |= {place: each for place, each in components_of(scenario, numbers, source).items() if each is not None}
     return dataclasses.replace(numbers, **own)
 
@@ -66,6 +69,13 @@ def _recovery(scenario: Scenario) -> Recovery | None:
     values = {name: _value(given, name) for name in Recovery.VALUES}
     values["margin"] = given.margin or 0.0
     return with_values(Recovery(), {name: np.asarray(value, float) for name, value in values.items()}, name="recovery")
+
+def _swing_path(scenario: Scenario) -> np.ndarray:
+    """Return the coefficients (limb, 3, K) of the gait's swing, or of a published one."""
+    gait = scenario.gait
+    if gait.swing_file is None:
+        return swing_path(scenario)
+    return published_path(gait.swing_file, gait, len(gait.lift_off))
 
 
 def _value(section: object, *names: str) -> object:

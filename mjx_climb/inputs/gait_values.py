@@ -28,10 +28,12 @@ def gait_of(gains: Mapping[str, Value]) -> dict[str, Value]:
 
 def why_fixed(scenario: Scenario, keys: Iterable[str]) -> str:
     """Return why a key cannot be a gain in a scenario, "" where all can."""
-    low = scenario.gait.swing == "low_reaction"
+    low, read = scenario.gait.swing == "low_reaction", scenario.gait.swing_file is not None
     for key in keys:
-        if low or (scenario.ground.map is not None and key in _WAY):
-            what = "gait.swing: low_reaction is" if low else "a map's footholds are"
+        if low or read or (scenario.ground.map is not None and key in _WAY):
+            what = "a map's footholds are"
+            if low or read:
+                what = "gait.swing: low_reaction is" if low else "gait.swing_file is"
             return f"{key}: expected none, as {what} computed for the scenario's own gait"
     return ""
 

@@ -47,6 +47,16 @@ class Phases(_ByName):
     __pydantic_extra__: dict[str, v.Share]
 
 
+class SwingFile(v.Section):
+    """A swing that others planned, scaled to the stride and the step height."""
+
+    file: v.FileName = Field(
+        description="beside the config, if relative: RAMP's matrix of control points (.txt, three rows), or a plan of "
+        "ReSTO as a recording of ROS 2 (.db3, .mcap) or PlotJuggler's export of it (.csv)"
+    )
+    frame: v.Word = setting("planned/limb_2_palm_link", "frame in /tf of the foot that swings")
+
+
 class Gait(v.Section):
     """Periodic gait: which limbs swing when, how far and how high."""
 
@@ -70,6 +80,7 @@ class Gait(v.Section):
     swing: Literal["cubic", "low_reaction"] = setting(
         "cubic", "path of a swinging foot: cubics, or the one near them that disturbs the base least"
     )
+    swing_file: SwingFile | None = setting(None, "a published swing in place of the cubics; null: none")
     base_reference: Literal["nominal", "actual"] = setting(
         "nominal", "where each cycle's base reference starts: where planned, or where the base is"
     )
@@ -84,6 +95,8 @@ class Gait(v.Section):
 
     @model_validator(mode="after")
     def _low_reaction_is_of_the_plain_way(self) -> Gait:
+        if self.swing == "low_reaction" and self.swing_file is not None:
+            raise failure("none with swing: low_reaction", key="swing_file", got=self.swing_file.file)
         for key, plain in (("height", 1.0), ("sway", 0.0), ("landing_speed", 0.0)):
             if self.swing == "low_reaction" and (value := getattr(self, key)) != plain:
                 raise failure(f"{plain:g} with swing: low_reaction, which is computed for that", key=key, got=value)
@@ -246,7 +259,7 @@ class Holds(v.Section):
     at: v.Vector = setting((0.0, 0.0, 0.0), "where the source's origin is in the world, m")
     turn: v.Vector = setting((0.0, 0.0, 0.0), "roll, pitch and yaw of the source's axes in the world, rad")
     count: v.Count | None = setting(
-        None, "number of points that a walk is compiled for, so that grounds share a program; null: as many as there are"
+        None, "number of points that a walk is compiled for, so that grounds share a program; null: that of the ground"
     )
 
     @property
@@ -804,6 +817,7 @@ class Scenario(v.Section):
         """A copy with the paths in it changed; `change` is given a dotted key and its path."""
         holds = self.ground.holds
         named: dict[str, object] = {"robot": self.robot, "ground.map": self.ground.map}
+        named["gait.swing_file"] = self.gait.swing_file
         if holds is not None:
             named |= {"ground.holds.cloud": holds.cloud, "ground.holds.map": holds.map}
         if self.own is not None:

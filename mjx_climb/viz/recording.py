@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.files.writing import write_bytes_atomically
+from mjx_climb.ground import Holds, holds_of
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.limbs import quaternion
@@ -30,6 +31,7 @@ class _Topic(NamedTuple):
     name: str
     kind: str  # type of its messages
     message: Callable[[int, object], object]  # of a row, with the header that it is given
+    every: int = 1  # rows between two messages
 
 
 def save_mcap(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
@@ -37,7 +39,8 @@ def save_mcap(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
 
     Topics: `/joint_states` and `/joint_commands` (by the names in the robot's file), `/LIMB/force` (of the ground on
     the foot) and `/LIMB/support`, `/base_pose` and `/base_twist` of the base's centre of mass, `/push` (from outside),
-    `/tf` of the file's root link and of the feet. Frame `world`, SI units.
+    `/tf` of the file's root link and of the feet, `/holds`, once, of the points that can be held, with normals and the
+    largest pull along them. Frame `world`, SI units.
 
     Raises:
         OutputError: the file cannot be written.
@@ -53,11 +56,10 @@ def save_mcap(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
         with writer:
             topics = [*_topics(trajectory, store.types)]
             to = [writer.add_connection(topic.name, topic.kind, typestore=store) for topic in topics]
-            every = max(round(1 / (FRAMES_PER_SECOND * trajectory.scenario.time_step)), 1)
             for row, stamp in enumerate(stamps):
                 header = _header(store.types, stamp)
                 for topic, connection in zip(topics, to, strict=True):
-                    if topic.name != "/tf" or row % every == 0:
+                    if row % topic.every == 0:
                         message = topic.message(row, header)
                         writer.write(connection, stamp, store.serialize_cdr(message, topic.kind))
         return write_bytes_atomically(path, (Path(folder) / "walk" / "walk.mcap").read_bytes())
@@ -119,7 +121,10 @@ def _topics(walk: Trajectory, types: _Types) -> Iterator[_Topic]:
         "/push", "geometry_msgs/msg/WrenchStamped",
         lambda row, header: wrench(header, pair(vector(walk.push[row, :3]), vector(walk.push[row, 3:]))),
     )  # fmt: skip
-    yield _Topic("/tf", "tf2_msgs/msg/TFMessage", _transforms(walk, robot, types))
+    every = max(round(1 / (FRAMES_PER_SECOND * walk.scenario.time_step)), 1)
+    yield _Topic("/tf", "tf2_msgs/msg/TFMessage", _transforms(walk, robot, types), every)
+    if (holds := holds_of(walk.scenario.ground)) is not None:
+        yield _Topic("/holds", "sensor_msgs/msg/PointCloud2", _cloud(holds, types), len(walk.time))
 
 
 def _joints(walk: Trajectory, robot: Robot) -> tuple[dict[str, np.ndarray], Mapping[str, float]]:
@@ -160,6 +165,17 @@ def _transforms(walk: Trajectory, robot: Robot, types: _Types) -> Callable[[int,
         return types["tf2_msgs/msg/TFMessage"](made)
 
     return message
+
+
+def _cloud(holds: Holds, types: _Types) -> Callable[[int, object], object]:
+    """Return the maker of messages with the points that can be held, as `ground.holds.cloud` reads them."""
+    names = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "limit")
+    table = np.column_stack(holds.shown()).astype("<f4")
+    float32, width = 7, table.itemsize
+    field, cloud = types["sensor_msgs/msg/PointField"], types["sensor_msgs/msg/PointCloud2"]
+    fields = [field(name, width * place, float32, 1) for place, name in enumerate(names)]
+    row, data = width * len(names), np.frombuffer(table.tobytes(), np.uint8)
+    return lambda _, header: cloud(header, 1, len(table), fields, False, row, row * len(table), data, True)
 
 
 def _vector(kind: Callable[..., object]) -> Callable[[np.ndarray], object]:

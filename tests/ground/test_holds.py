@@ -9,6 +9,7 @@ import scipy.io
 import trimesh
 
 import mjx_climb as mc
+from mjx_climb.files.scenario_files import copied
 from mjx_climb.ground import holds_of, of
 
 POINTS = np.array([[0.1, 0.2, 0.0], [0.3, -0.2, 0.05], [-0.1, 0.0, 0.02]])
@@ -101,7 +102,8 @@ def pcd(path):
 
 
 def pcd_text(path):
-    header = pcd_header("ascii", "x y z histogram normal_x normal_y normal_z limit", "4 " * 8, "F " * 8, "1 1 1 2 1 1 1 1")
+    names = "x y z histogram normal_x normal_y normal_z limit"
+    header = pcd_header("ascii", names, "4 " * 8, "F " * 8, "1 1 1 2 1 1 1 1")
     rows = zip(POINTS, NORMALS, LIMITS, strict=True)
     text = "".join(" ".join(map(str, [*at, 7, 8, *up, limit])) + "\n" for at, up, limit in rows)
     path.write_bytes(header + text.encode())
@@ -181,7 +183,8 @@ def test_samples_of_a_height_map_but_for_gaps_and_the_mask(tmp_path):
     mask[0] = 0
     np.save(tmp_path / "map.npy", heights)
     np.save(tmp_path / "mask.npy", mask)
-    source = {"file": str(tmp_path / "map.npy"), "resolution": 0.1, "origin": [1, 2], "mask": str(tmp_path / "mask.npy")}
+    source = {"file": str(tmp_path / "map.npy"), "resolution": 0.1, "origin": [1, 2]}
+    source |= {"mask": str(tmp_path / "mask.npy")}
     made = found(map=source)
     assert made.position.shape == (14, 3)
     np.testing.assert_allclose(made.position[0], [1, 2.1, 0.02])
@@ -257,7 +260,7 @@ BAD = {
     "minus.csv": (b"x,y,z,limit\n0,0,0,-2\n", "minus.csv: limit: expected limits of 0 or above, got -2"),
     "cut.ply": (b"ply\nformat ascii 1.0\nelement vertex 3\n", "cut.ply: expected a whole file of points"),
     "cut.pcd": (b"VERSION 0.7\n", "cut.pcd: expected a header that ends with DATA, got none"),
-    "packed.pcd": (pcd_header("binary_compressed", "x y z", "4 4 4", "F F F", "1 1 1"), "DATA: expected ascii or binary"),
+    "packed.pcd": (pcd_header("binary_compressed", "x y z", "4 4 4", "F F F", "1 1 1"), "DATA: expected ascii"),
     "short.pcd": (pcd_header("binary", "x y z", "4 4 4", "F F F", "1 1 1") + b"12", "expected a whole file of points"),
     "noise.mat": (b"noise", "noise.mat: expected a whole file of points"),
     "noise.mcap": (b"noise", "noise.mcap: expected a whole file of points"),
@@ -323,3 +326,16 @@ def test_files_of_holds_lie_beside_the_config(tmp_path, monkeypatch):
     loaded = mc.load_scenario(tmp_path / "walk.yaml")
     assert len(holds_of(loaded.ground).position) == 3
     assert loaded.relative_to(tmp_path).ground.holds.cloud.file == "rock.csv"
+
+
+def test_files_of_holds_go_along_with_a_result(tmp_path):
+    """Map and mask are copied, and the copies are found from another place."""
+    for name, grid in (("map", np.zeros((3, 4))), ("mask", np.eye(3, 4))):
+        np.save(tmp_path / f"{name}.npy", grid)
+    source = {"file": str(tmp_path / "map.npy"), "resolution": 0.1, "mask": str(tmp_path / "mask.npy")}
+    kept = copied(mc.Scenario.model_validate({"ground": {"holds": {"map": source}}}), tmp_path / "out")
+    (tmp_path / "map.npy").unlink()
+    (tmp_path / "mask.npy").unlink()
+    moved = (tmp_path / "out").rename(tmp_path / "moved")
+    again = mc.Scenario.from_yaml(kept.relative_to(tmp_path / "out").to_yaml()).beside(moved)
+    assert len(holds_of(again.ground).position) == 3

@@ -1,6 +1,7 @@
 """Point clouds in recordings of ROS 2 (`sensor_msgs/PointCloud2`), by `rosbags`: the last one of a topic."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,16 +24,15 @@ def read(path: Path, topic: str | None) -> dict[str, np.ndarray]:
             expected = f"one topic with {_CLOUD}" if topic is None else f"{_CLOUD} on {topic}"
             raise config_error(str(path), "topic", expected, ", ".join(each.topic for each in found) or "none")
         *_, (connection, _, raw) = reader.messages(found)
-        cloud = reader.deserialize(raw, connection.msgtype)
+        cloud: Any = reader.deserialize(raw, connection.msgtype)
     order = ">" if cloud.is_bigendian else "<"
-    layout = np.dtype(
-        {
-            "names": [field.name for field in cloud.fields],
-            "formats": [f"{order}{_KINDS[field.datatype]}" for field in cloud.fields],
-            "offsets": [field.offset for field in cloud.fields],
-            "itemsize": cloud.point_step,
-        }
-    )
+    kinds: Any = {
+        "names": [field.name for field in cloud.fields],
+        "formats": [f"{order}{_KINDS[field.datatype]}" for field in cloud.fields],
+        "offsets": [field.offset for field in cloud.fields],
+        "itemsize": cloud.point_step,
+    }
+    layout = np.dtype(kinds)
     rows = cloud.data.reshape(cloud.height, cloud.row_step)[:, : cloud.width * cloud.point_step]
     table = np.frombuffer(rows.tobytes(), layout)
     return {field.name: table[field.name].astype(float) for field in cloud.fields}

@@ -1,6 +1,7 @@
 """Pictures of walks and of sweeps, for a column of a paper; colour-blind safe, SI units on every axis."""
 
 from mjx_climb.viz.plots.events import detachments, disturbances, grip_changes, largest_foot_force, thin
+from mjx_climb.viz.plots.holds import plot_holds
 from mjx_climb.viz.plots.maps import color_scale, comparable, failed_walks, plot_map, plot_maps, stability_lines
 from mjx_climb.viz.plots.styling import (
     BLACK,
@@ -52,6 +53,7 @@ __all__ = [
     "over_style",
     "plot_comparison",
     "plot_feet",
+    "plot_holds",
     "plot_map",
     "plot_maps",
     "plot_walk",

@@ -12,11 +12,13 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from mjx_climb.files.dataset import AXES
-from mjx_climb.scenario.model import HeightMap
+from mjx_climb.ground import holds_of
 from mjx_climb.ground.height_map import relief
+from mjx_climb.scenario.model import HeightMap
 from mjx_climb.terrain import foothold_heights, footholds
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.viz.plots import events
+from mjx_climb.viz.plots.holds import draw_holds
 from mjx_climb.viz.plots.styling import AXIS_COLORS, BLACK, COLUMN, GREY, LIMB_COLORS, RED, SERIES, key, legend, style
 
 _SMALL: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5}  # words within a panel
@@ -266,10 +268,10 @@ def _draw_cross(panel: Axes, x: float, y: float) -> None:
 
 @style()
 def plot_feet(trajectory: Trajectory) -> Figure:
-    """Draw the way of feet and base from the side and from above, with the ground: its footholds and its height map.
+    """Draw the way of feet and base from the side and from above on the ground: footholds, height map, points to hold.
 
-    Bars and rings are the footholds that the gait plans; a red cross is where a gripper was torn off, and soon after
-    that the picture ends.
+    Bars and rings are the footholds that the periodic gait plans; a red cross is where a gripper was torn off, and soon
+    after that the picture ends. Points that can be held have the colour of their holding limit.
     """
     scenario, along = trajectory.scenario, _along(trajectory)
     end = np.searchsorted(trajectory.time, events.failure_time(trajectory) + 0.1)
@@ -280,7 +282,9 @@ def plot_feet(trajectory: Trajectory) -> Figure:
     # a robot that falls leaves the picture
     top = 1e3 * (trajectory.base_reference[:, 2].max() + scenario.gait.step_height)
     bottom = planned[..., 2].min() - 0.1 * top
-    width = COLUMN - (1.3 if scenario.ground.map is not None else 0.6)  # inch, of a panel
+    holds = holds_of(scenario.ground)
+    with_bar = scenario.ground.map is not None or holds is not None
+    width = COLUMN - (1.3 if with_bar else 0.6)  # inch, of a panel
     tall, flat = (width * size / (high[0] - low[0]) for size in (high[1] - low[1], top - bottom))
 
     layout = ConstrainedLayoutEngine(h_pad=0.02, w_pad=0.02, hspace=0.03)
@@ -288,16 +292,19 @@ def plot_feet(trajectory: Trajectory) -> Figure:
     side, above = figure.subplots(2, 1, sharex=True, height_ratios=[flat, tall])
     if scenario.ground.map is not None:
         _draw_relief(figure, above, scenario.ground.map, along)
+    if holds is not None:
+        draw_holds(figure, above, holds, along, (0, 1))
+        draw_holds(None, side, holds, along, (0, 2))
     side.axhline(0, color=GREY, linewidth=0.6, zorder=0.5)
     limbs = [*zip(trajectory.limbs, limb_colors(trajectory), strict=True)]
-    for (name, color), path, holds in zip(limbs, feet.swapaxes(0, 1), planned, strict=True):
+    for (name, color), path, places in zip(limbs, feet.swapaxes(0, 1), planned, strict=True):
         path = path[:: max(rows // 1500, 1)]
         far = name.startswith("R")  # in line with a left one
         side.plot(path[:, 0], path[:, 2], color=color, linestyle=(0, (3, 1.5)) if far else "-", zorder=3)
         above.plot(path[:, 0], path[:, 1], color=color, zorder=3)
-        for ahead, _, height in holds:
+        for ahead, _, height in places:
             side.plot([ahead - 12, ahead + 12], [height] * 2, color=color, linewidth=2.5, alpha=0.45, gid="foothold")
-        above.plot(holds[:, 0], holds[:, 1], "o", markersize=7, mec=color, mfc="none", gid="foothold")
+        above.plot(places[:, 0], places[:, 1], "o", markersize=7, mec=color, mfc="none", gid="foothold")
     torn = [(*event, int(np.searchsorted(trajectory.time, event[0]))) for event in events.detachments(trajectory)]
     for panel, axis in ((side, 2), (above, 1)):
         panel.plot(base[:, 0], base[:, axis], color=BLACK, linewidth=0.8, zorder=3)

@@ -4,12 +4,15 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike
 
+from mjx_climb.ground import holds_of
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.viz.plots.events import whole
+from mjx_climb.viz.plots.holds import SCALE
 from mjx_climb.viz.plots.styling import LIMB_COLORS, ORANGE, RED, SKY, VERMILLION
 from mjx_climb.viz.rendering.proportions import size_of
 
@@ -27,6 +30,9 @@ PRESSED = to_rgb(SKY)
 PULLED = (to_rgb("#FFF3A0"), to_rgb("#F0C020"), to_rgb(ORANGE), to_rgb(VERMILLION), to_rgb("#B00020"))
 PUSH = to_rgb("#E24FB0")
 GRIP, STRAP = (0.95, 0.95, 0.95), (0.25, 0.22, 0.18)
+# points that can be held, of those around the base; a scene has room for some thousand shapes
+MOST_HOLDS = 1000
+ANY_HOLD = (0.74, 0.74, 0.74)
 CARGO_DENSITY = 2600.0  # kg/m^3, of the box that stands for the cargo
 
 _ARROW, _CAPSULE, _CYLINDER, _BOX = (
@@ -75,10 +81,11 @@ def forces(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, scale: floa
 
 
 def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
-    """Add the grip points and foot paths up to this row, and the cargo.
+    """Add the grip points and foot paths up to this row, the cargo, and the points that can be held.
 
     A disc is a point that a limb gripped, a larger one what it holds now.
     """
+    holds(scene, trajectory, row)
     every = max(round(PATH_STEP / trajectory.scenario.time_step), 1)
     rows = np.unique([*range(0, row + 1, every), row])
     size = size_of(trajectory)
@@ -104,6 +111,26 @@ def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
         position = trajectory.base_position[row] + rotation.reshape(3, 3)[:, 2] * (0.036 * size + half)
         for sides, rgb in (([1, 1, 1], to_rgb("#C9A227")), ([1.03, 0.2, 1.03], STRAP), ([0.2, 1.03, 1.03], STRAP)):
             _add(scene, _BOX, half * np.array(sides), position, rgb, rotation)
+
+
+def holds(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
+    """Add a disc for each point that can be held around the base, in the colour of the largest pull that it bears."""
+    if (ground := holds_of(trajectory.scenario.ground)) is None:
+        return
+    points, size = ground.shown(), size_of(trajectory)
+    away = np.linalg.norm(points.position - trajectory.base_position[row], axis=1)
+    limited = np.isfinite(points.pull)
+    largest = np.max(points.pull, where=limited, initial=1e-9)
+    colors = np.where(
+        limited[:, None], colormaps[SCALE](np.where(limited, points.pull / largest, 1.0))[:, :3], ANY_HOLD
+    )
+    for number in np.argsort(away, kind="stable")[:MOST_HOLDS]:
+        rotation, turn = np.empty(9), np.empty(4)
+        mujoco.mju_quatZ2Vec(turn, points.normal[number])
+        mujoco.mju_quat2Mat(rotation, turn)
+        red, green, blue = map(float, colors[number])
+        disc = size * np.array([0.010, 0.0008, 0])
+        _add(scene, _CYLINDER, disc, points.position[number], (red, green, blue), rotation)
 
 
 def limb(scene: mujoco.MjvScene, points: np.ndarray, radius: float, color: str) -> None:

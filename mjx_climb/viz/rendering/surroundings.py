@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjx_climb.ground import holds_of
+from mjx_climb.ground.holds import Shown
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot_import.load import load_spec
 from mjx_climb.trajectory import Trajectory
@@ -17,6 +19,8 @@ REACH = 1.8  # m, half the width of the ground that has relief
 CELLS = 120  # of the relief, along each side
 TEXTURE = 512  # pixels
 PANEL = 0.35  # m, a panel of the station
+LEVEL = 0.3  # of a normal's part along z: the surface of the ground, not of a body above it
+MOST_GRIPS = 400  # of points that the relief follows
 SINK = 0.003  # m, the ground lies this far below the grip points, which look like holds on it
 
 
@@ -51,6 +55,8 @@ def model(trajectories: Sequence[Trajectory]) -> mujoco.MjModel:
         rows = whole(walk)
         gripped = walk.grip_point[:rows][walk.contact[:rows] | walk.support[:rows]]
         grips.append(np.unique(gripped.round(3), axis=0) if gripped.size else walk.grip_point[0])
+    if (holds := holds_of(scenario.ground)) is not None:
+        grips.append(below(holds.shown()))
     looks = next(style for style in STYLES if np.linalg.norm(scenario.gravity) < style.below)
     spec = load_spec(scenario.robot)
     skybox, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
@@ -105,6 +111,14 @@ def _add_ground(spec: mujoco.MjSpec, looks: Style, grips: np.ndarray, center: np
             spec.worldbody.add_geom(fromto=[left, y, high, right, y, high], size=[0.009 * size, 0, 0], **rail)
             for x in (left, right):
                 spec.worldbody.add_geom(fromto=[x, y, low, x, y, high], size=[0.007 * size, 0, 0], **rail)
+
+
+def below(holds: Shown) -> np.ndarray:
+    """Points (n, 3) m that the ground passes below, of those that can be held: level ones, or the lowest of a body."""
+    level = holds.position[holds.normal[:, 2] > LEVEL]
+    if len(level) < len(holds.position):  # a pipe, a truss: the ground is all below it
+        level = holds.position[[holds.position[:, 2].argmin()]]
+    return np.asarray(level[:: max(len(level) // MOST_GRIPS, 1)])
 
 
 def _noise(random: np.random.Generator, size: int, power: float, shortest: int = 2) -> np.ndarray:
