@@ -20,7 +20,7 @@ from mjx_climb.scenario.messages import ConfigError, config_error
 from mjx_climb.scenario.model import Gait, SwingFile
 
 _SAMPLES = 201  # of a curve
-_STILL = 1e-4  # of the way of a swing: nearer to its ends a foot is at rest
+_STILL = 1e-6  # of the way of a swing, which begins slowly: nearer to its ends a foot is at rest
 _LEAST = 8  # samples of a recorded swing
 
 
