@@ -1,10 +1,11 @@
 """The points of a scenario that can be held, from a list, a file, a height map or a rule."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from mjx_climb.arrays import AnyArray
 from mjx_climb.ground import rules
 from mjx_climb.ground.height_map import holdable
 from mjx_climb.ground.holds import Holds, of
@@ -50,6 +51,27 @@ def holds_of(ground: model.Ground) -> Holds | None:
         None if shape is None else (np.array(shape.matrix), np.array(shape.bound)),
         section.count,
     )
+
+
+def holds_of_seeds(ground: model.Ground, seeds: Sequence[int]) -> Holds:
+    """The points of a ground under several seeds, with a batch axis in front, all padded to the largest number.
+
+    Raises:
+        ConfigError: as `holds_of`.
+        ValueError: a ground that can be held everywhere.
+    """
+    if (section := ground.holds) is None:
+        raise ValueError("ground.holds: expected points that can be held, got none")
+
+    def each(count: int | None) -> list[Holds | None]:
+        changed = [section.model_copy(update={"seed": seed, "count": count}) for seed in seeds]
+        return [holds_of(ground.model_copy(update={"holds": one})) for one in changed]
+
+    most = max(len(holds.position) for holds in each(section.count) if holds is not None)
+    made: dict[str, AnyArray] = {
+        name: np.stack([getattr(holds, name) for holds in each(most)]) for name in Holds.VALUES
+    }
+    return Holds(**made)
 
 
 def _listed(points: tuple[model.Hold, ...], random: np.random.Generator) -> _Found:

@@ -10,7 +10,7 @@ import trimesh
 
 import mjx_climb as mc
 from mjx_climb.files.scenario_files import copied
-from mjx_climb.ground import holds_of, of
+from mjx_climb.ground import holds_of, holds_of_seeds, of
 
 POINTS = np.array([[0.1, 0.2, 0.0], [0.3, -0.2, 0.05], [-0.1, 0.0, 0.02]])
 NORMALS = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
@@ -245,6 +245,18 @@ def test_rock_has_its_density_its_roughness_and_the_normals_of_its_surface():
     away = rock.position[other] - rock.position[point]
     off = np.abs((away * rock.normal[point]).sum(1))
     assert len(off) > 30 and off.max() < 0.15 * np.abs(away[:, 2]).max()
+
+
+def test_grounds_of_several_seeds_are_one_batch():
+    """Each is what its seed gives alone, padded to the largest."""
+    wall = {"filled": 0.5, "size": [1.0, 1.0]}
+    batch = holds_of_seeds(ground(wall=wall, limit=5.0, spread=0.2), range(4))
+    counts = batch.valid.sum(1).astype(int)
+    assert len({*counts}) > 1 and batch.position.shape == (4, counts.max(), 3)
+    for seed, count in enumerate(counts):
+        alone = found(wall=wall, limit=5.0, spread=0.2, seed=seed)
+        np.testing.assert_array_equal(batch.position[seed, :count], alone.position)
+        np.testing.assert_array_equal(batch.limit_bound[seed, :count], alone.limit_bound)
 
 
 # --- refused
