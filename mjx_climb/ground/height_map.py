@@ -21,7 +21,7 @@ def relief(ground: HeightMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def holdable(ground: HoldMap) -> tuple[np.ndarray, np.ndarray]:
     """The samples of a map that can be held: positions (n, 3) m and normals (n, 3) 1 of the surface.
 
-    A normal is worked out from the samples around; next to one that is not a number it points up.
+    A normal comes from the samples around; next to one that is not a number it points up.
 
     Raises:
         ConfigError: map or mask cannot be read, or have different shapes.
