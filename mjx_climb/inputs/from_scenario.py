@@ -14,8 +14,8 @@ from mjx_climb.component import with_values
 from mjx_climb.execution import check_process
 from mjx_climb.gait.footholds import SHIPPED
 from mjx_climb.gait.footholds.footholds import Footholds
-from mjx_climb.gait.recovery import Recovery
 from mjx_climb.gait.published_swing import published_path
+from mjx_climb.gait.recovery import Recovery
 from mjx_climb.gait.swing import swing_path
 from mjx_climb.ground import holds_of
 from mjx_climb.inputs.own_objects import components_of
@@ -69,6 +69,7 @@ def _recovery(scenario: Scenario) -> Recovery | None:
     values = {name: _value(given, name) for name in Recovery.VALUES}
     values["margin"] = given.margin or 0.0
     return with_values(Recovery(), {name: np.asarray(value, float) for name, value in values.items()}, name="recovery")
+
 
 def _swing_path(scenario: Scenario) -> np.ndarray:
     """Return the coefficients (limb, 3, K) of the gait's swing, or of a published one."""

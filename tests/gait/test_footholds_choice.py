@@ -1,0 +1,88 @@
+"""The rules of footholds choose what the references choose, on random grounds."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mjx_climb.gait.footholds import SHIPPED
+from mjx_climb.gait.footholds.footholds import Candidate, Situation
+
+from tests.gait import footholds_reference as reference
+
+POINTS, DEFAULT, NIGHTLY = 12, 300, 10_000
+CAP = 0.15
+NAMES = ["nearest", "farthest", "climblab", "best_margin"]
+LIMBS = {"four": 4, "six": 6}
+
+
+def ground(random, limbs):
+    """Return a case: feet around a base, points around the feet, of which limbs may use some."""
+    angle = 2 * np.pi * (np.arange(limbs) + 0.5) / limbs
+    feet = 0.2 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(limbs)])
+    feet += random.normal(0, 0.02, feet.shape)
+    position = np.column_stack([random.uniform(-0.35, 0.35, (POINTS, 2)), random.normal(0, 0.02, POINTS)])
+    allowed = random.random((limbs, POINTS)) < random.uniform(0.2, 1.0)
+    heading = random.uniform(0, 2 * np.pi)
+    forward = np.array([np.cos(heading), np.sin(heading), 0])
+    stands = np.ones(limbs, bool)
+    stands[random.integers(limbs)] = False
+    weight = random.uniform(0, 20) * np.array([*random.normal(0, 0.3, 2), random.choice([-1.0, 1.0])])
+    return {
+        "feet": feet, "planned": feet + 0.05 * forward, "forward": forward, "stands": stands,
+        "center_of_mass": random.normal([0, 0, 0.1], 0.02), "weight": weight,
+        "holding_force": random.choice([0.0, 5.0, 15.0]), "position": position, "allowed": allowed,
+        "pulls": random.uniform(1, 20, POINTS),
+    }  # fmt: skip
+
+
+def expected(name, case):
+    """Return the point of each limb by the reference."""
+    position, allowed, feet, forward = (case[key] for key in ("position", "allowed", "feet", "forward"))
+    if name == "nearest":
+        return reference.nearest(position, allowed, case["planned"])
+    if name == "farthest":
+        return reference.farthest(position, allowed, feet, forward)
+    if name == "climblab":
+        return reference.climblab(position, allowed, feet, forward, CAP)
+    own = ("pulls", "allowed", "feet", "planned", "stands", "center_of_mass", "weight", "holding_force")
+    return reference.best_margin(position, *(case[key] for key in own))
+
+
+def chosen(names, cases):
+    """Return the points of all limbs in all cases by each rule, in one program."""
+    rules = [SHIPPED[name](**({"stride_cap": CAP} if name == "climblab" else {})) for name in names]
+    stacked = {key: jnp.array([case[key] for case in cases]) for key in cases[0]}
+
+    def choose(case):
+        situation = Situation(**{key: case[key] for key in Situation._fields})
+
+        def scores(point, pull):
+            candidate = Candidate(jnp.broadcast_to(point, situation.feet.shape), pull)
+            return [rule.score(situation, candidate) for rule in rules]
+
+        worth = [
+            jnp.where(case["allowed"], each.T, -jnp.inf) for each in jax.vmap(scores)(case["position"], case["pulls"])
+        ]
+        return [jnp.where(jnp.isfinite(each.max(1)), each.argmax(1), reference.NONE) for each in worth]
+
+    return dict(zip(names, map(np.asarray, jax.jit(jax.vmap(choose))(stacked)), strict=True))
+
+
+def compare(names, limbs, count):
+    random = np.random.default_rng(limbs)
+    cases = [ground(random, limbs) for _ in range(count)]
+    for name, found in chosen(names, cases).items():
+        np.testing.assert_array_equal(found, [expected(name, case) for case in cases], err_msg=name)
+        assert (found == reference.NONE).any() and len(np.unique(found)) == POINTS + 1
+
+
+def test_rules_choose_as_their_references():
+    compare(NAMES, 4, DEFAULT // len(NAMES))
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+@pytest.mark.parametrize("limbs", LIMBS.values(), ids=LIMBS)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_rule_chooses_as_its_reference_on_ten_thousand_grounds(name, limbs):
+    compare([name], limbs, NIGHTLY)
