@@ -81,12 +81,13 @@ def best_margin(position, pulls, allowed, feet, planned, stands, com, weight, ho
 
     Limbs that do not stand are all on the point, whose pull counts where it is below the grips'.
     """
-    scale = np.linalg.norm(weight) + holding
+    scale, moments = np.linalg.norm(weight) + holding, []
+    for point, pull in zip(position, pulls, strict=True):
+        placed = np.where(stands[:, None], feet, point)
+        moments.append(tumbling_margin(placed, com, weight, min(holding, pull)))
 
     def worth(limb, point, number):
-        placed = np.where(stands[:, None], feet, point)
-        margin = tumbling_margin(placed, com, weight, min(holding, pulls[number]))
-        return margin / scale - distance_weight * np.linalg.norm(point - planned[limb])
+        return moments[number] / scale - distance_weight * np.linalg.norm(point - planned[limb])
 
     return _best(position, allowed, worth)
 
