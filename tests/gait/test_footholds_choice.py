@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from mjx_climb.gait.footholds import SHIPPED
 from mjx_climb.gait.footholds.footholds import Candidate, Situation
-
 from tests.gait import footholds_reference as reference
 
 POINTS, DEFAULT, NIGHTLY = 12, 300, 10_000
