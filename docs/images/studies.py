@@ -147,28 +147,25 @@ def place(servos: str, case: str) -> str:
 
 
 def does_the_sensor_pay() -> Figure:
-    """Force variation of each law relative to pd with its own joint gains searched."""
-
-    def compared(name: str, rows: Sequence[Row], pd: str, law: str) -> Iterator[tuple[str, str, Span]]:
-        for (servos, case), group in by_case(row for row in rows if row["metric"] == "V N").items():
-            rivals = [row for row in group if re.search(pd, row["gains"])]
-            for row in group:
-                if rivals and re.search(law, row["gains"]):
-                    yield name, place(servos, case), change(row, rivals, "mean")
-
-    eq_3, shipped = table("base_admittance_dynamixel_x"), table("gains_in_configs")
-    series = gathered([
-        *compared("Eq. 3", eq_3, "^pd, retuned", "^searched"),
-        *compared("load transfer", shipped, r"(^|_)pd( \(lost|$)", r"(^|_)best( \(lost|$)"),
-    ])  # fmt: skip
+    """Force variation of Eq. 3 and load transfer relative to pd with its own gains searched, by robot and gait."""
+    low, high = (f"95 % {end}: difference from pd %" for end in ("low", "high"))
+    laws = {"Eq. 3, virtual model": "Eq. 3", "load transfer": "load transfer"}
+    rows = [
+        (laws[row["law"]], f"{row['case']}, {row['servos'].replace('_', '-')}, {gait}", row)
+        for name, gait in (("paper_gait", "paper's gait"), ("which_law", "own gait"))
+        for row in table(name, metric="V N", of_512_walks="mean")
+        if row["law"] in laws
+    ]
+    ends = [(float(row[low]), float(row[high])) for _, _, row in rows]
+    series = gathered((law, label, (sum(pair) / 2, *pair)) for (law, label, _), pair in zip(rows, ends, strict=True))
     return plain(series, "change of force variation from searched pd, %", 0, spread=0.2)
 
 
 def which_law() -> Figure:
     """Force variation of each law relative to pd, by case."""
     low, high = (f"95 % {end}: difference from pd %" for end in ("low", "high"))
-    # of each metric the table has the mean of all walks and that of the worst
-    rows = [row for row in table("which_law", metric="V N") if row[low] and "mean" in row.values()]
+    rows = [row for row in table("which_law", metric="V N", of_512_walks="mean") if row[low]]
+    rows = [row for row in rows if row["law"] != "pd as configured"]
     ends = [(float(row[low]), float(row[high])) for row in rows]
     series = gathered(
         (place(row["servos"], row["case"]), row["law"], (sum(pair) / 2, *pair))
@@ -179,13 +176,12 @@ def which_law() -> Figure:
 
 def worse_hardware() -> Figure:
     """Force variation of pd by setting, and of load transfer beside pd in the same setting."""
-    best = {"1.2": "load transfer, kd by phase"}  # of the laws that transfer load, by case
     short = {"force 2 ms": "2 ms late", "30 ms": "30 ms late", "friction / 2": "half friction", "x 2": "twice friction"}
     rows = table("worse_hardware", metric="V N")
     settings = [name for name in list(rows[0])[5:] if name != "seed"]  # behind `as drawn`
 
-    def of(kind: str, law: Callable[[str], str]) -> Series:
-        chosen = [row for row in rows if row["values"].startswith(kind) and row["law"] == law(row["case"])]
+    def of(kind: str, law: str) -> Series:
+        chosen = [row for row in rows if row["values"].startswith(kind) and row["law"] == law]
         cells = [(row, setting) for row in sorted(chosen, key=lambda row: row["case"]) for setting in settings]
         return gathered(
             (f"case {row['case']}", short.get(setting, setting), span(row[setting]))
@@ -195,8 +191,8 @@ def worse_hardware() -> Figure:
 
     made, panels = figure(len(settings), 2)
     for panel, series, title, label in (
-        (panels[0], of("change", lambda _: "pd"), "pd", "from as drawn, %"),
-        (panels[1], of("difference", lambda case: best.get(case, "load transfer")), "load transfer", "from pd, %"),
+        (panels[0], of("change", "pd"), "pd", "from as drawn, %"),
+        (panels[1], of("difference", "load transfer"), "load transfer", "from pd, %"),
     ):
         dots(panel, series, 0, spread=0.2)
         panel.set_title(title, fontsize=11)
