@@ -198,6 +198,9 @@ def user_error(error: Exception) -> str | None:
         message = f"JAX_PLATFORMS: expected devices that JAX can use, got {asked!r}, of which there are none"
     elif isinstance(error, RuntimeError) and "Unable to initialize backend" in str(error):
         message = f"JAX_PLATFORMS: expected devices that JAX can use, got '{str(error).partition(' (set ')[0]}'"
+    elif isinstance(error, RuntimeError) and str(error).startswith("Unknown backend cpu"):
+        asked = os.environ.get("JAX_PLATFORMS", "")
+        message = f"JAX_PLATFORMS: expected cpu among them, where what is exact is computed, got {asked!r}"
     elif type(error).__name__ in ("InternalFloatingPointError", "FloatingPointError"):
         expected = "expected none of them: what a walk does not have is NaN or infinite here"
         message = f"JAX_DEBUG_NANS, JAX_DEBUG_INFS: {expected}"

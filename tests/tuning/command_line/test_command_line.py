@@ -157,6 +157,13 @@ def test_a_closed_standard_error_leaves_standard_output_alone(tmp_path):
     assert (done.returncode, done.stdout) == (2, "")
 
 
+def test_a_gpu_without_the_cpu_beside_it_is_refused(monkeypatch):
+    """What is exact is computed on the CPU: JAX's own error names no variable."""
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    line = user_error(RuntimeError("Unknown backend cpu. Available backends are ['cuda']"))
+    assert line == "JAX_PLATFORMS: expected cpu among them, where what is exact is computed, got 'cuda'"
+
+
 def test_a_long_line_is_shortened_in_the_middle():
     line = user_error(InputError(f"--option: {'x' * 10_000} its end"))
     assert len(line) < 1100 and line.startswith("--option: ") and line.endswith(" its end")
