@@ -211,8 +211,7 @@ class Environment:
         shape = state.step.shape
         acting = checked_action(action, load_robot(self.scenario.robot), self.dtype, shape)
         axes = (axes_behind(state, shape), jax.tree.map(lambda _: 2 if isinstance(action, JointTargets) else 1, acting))
-        after: tuple[SimulationState, Sample] = over_batch(self.simulation.step, (state, acting), axes, shape)
-        return after
+        return over_batch(self.simulation.step, (state, acting), axes, shape)
 
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

@@ -15,7 +15,7 @@ The walk itself is `mjx_climb.walk.step`; how a function of one robot is carried
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Mapping
-from typing import TypedDict, TypeVar, Unpack
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -309,11 +309,7 @@ class Simulation:
         gains: AnyGains,
         weights: Mapping[str, ArrayLike],
         parameters: Parameters | None = None,
-        *,
-        dtype: DTypeLike = np.float32,
-        batch_size: int | None = None,
-        progress: Progress | None = None,
-        unsteady: bool = False,
+        **how: Unpack[BatchOptions],
     ) -> dict[str, np.ndarray]:
         """Walk a batch of robots and return the derivatives, by all the gains given, of k weighted sums of metrics.
 
@@ -329,8 +325,9 @@ class Simulation:
         Raises:
             ValueError: weights of another shape.
         """
-        resolved = self._checked(gains, parameters, dtype, unsteady)
-        batch, summed = resolved.shape, {name: np.asarray(value, dtype) for name, value in weights.items()}
+        resolved, run = self._prepared(gains, parameters, over_time=True, **how)
+        batch, dtype = resolved.shape, resolved.parameters.kp.dtype
+        summed = {name: np.asarray(value, dtype) for name, value in weights.items()}
         counts = {len(value) for value in summed.values() if value.ndim and value.shape[1:] == batch}
         if len(counts) != 1 or any(value.shape != (*counts, *batch) for value in summed.values()):
             got = ", ".join(f"{name} {value.shape}" for name, value in summed.items())
@@ -343,9 +340,7 @@ class Simulation:
             arguments=(moving, {name: np.moveaxis(value, 0, -1) for name, value in summed.items()}, *others),
             axes=(robots.axes[0], dict.fromkeys(summed, 1), *robots.axes[1:]),
         )
-        run = functools.partial(execution.run, batch_size=batch_size, progress=progress, over_time=True)
-        found = run(gradients_of, shape, robots)
-        found = {name: np.moveaxis(value, len(batch), 0) for name, value in found.items()}
+        found = {name: np.moveaxis(value, len(batch), 0) for name, value in run(gradients_of, shape, robots).items()}
         nothing = np.zeros((*counts, 1), dtype)
         return {
             name: summed_to(found.get(places.get(name, ""), nothing), np.shape(value))
@@ -359,15 +354,11 @@ class Simulation:
         parameters: Parameters | None,
         directions: AnyGains | None = None,
         *,
-        dtype: DTypeLike = np.float32,
-        batch_size: int | None = None,
-        progress: Progress | None = None,
-        unsteady: bool = False,
         over_time: bool = False,
+        **how: Unpack[BatchOptions],
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return a function's results for all robots of a batch, and their tangents if there are directions."""
-        run = functools.partial(execution.run, batch_size=batch_size, progress=progress, over_time=over_time)
-        resolved = self._checked(gains, parameters, dtype, unsteady)
+        resolved, run = self._prepared(gains, parameters, over_time=over_time, **how)
         law, own, batch = resolved[:3]
         if directions is None:
             shape = self._structure(resolved.walked, resolved.called)
@@ -377,13 +368,17 @@ class Simulation:
         values, tangents = run(function, shape, robots._replace(directions=along))
         return values, {name: np.moveaxis(value, len(batch), 0) for name, value in tangents.items()}
 
-    def _checked(
-        self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike, unsteady: bool
-    ) -> WalkInputs:
-        """Return the inputs of the walks as arrays of NumPy; refuse too long a time step, unless `unsteady`."""
-        resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
-        check_time_step(self.scenario, parameters=None if unsteady else resolved.walked)
-        return resolved
+    def _prepared(
+        self, gains: AnyGains | None, parameters: Parameters | None, *, over_time: bool, **how: Unpack[BatchOptions]
+    ) -> tuple[WalkInputs, Callable[..., Any]]:
+        """Return the inputs of the walks as arrays of NumPy, and `execution.run` with its options.
+
+        Too long a time step is refused, unless `unsteady`.
+        """
+        resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), how.get("dtype", np.float32))
+        check_time_step(self.scenario, parameters=None if how.get("unsteady") else resolved.walked)
+        batch_size, progress = how.get("batch_size"), how.get("progress")
+        return resolved, functools.partial(execution.run, over_time=over_time, batch_size=batch_size, progress=progress)
 
     def _moving(self, resolved: WalkInputs, names: Iterable[str]) -> tuple[execution.Robots, Structure]:
         """Return the arguments of `metrics_of_moved` for derivatives by some gains, and what that is compiled for."""
@@ -418,8 +413,7 @@ class Simulation:
         resolved = resolve(self.scenario, self.law, gains, self._given(parameters), precision)
         check_time_step(self.scenario, parameters=resolved.walked)
         walk = _carried_out(metrics_of, self._structure(resolved.walked, resolved.called))
-        found: Metrics = over_batch(walk, resolved[:2], resolved.axes, resolved.shape)
-        return found
+        return over_batch(walk, resolved[:2], resolved.axes, resolved.shape)
 
     def reset(
         self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, dtype: DTypeLike | None = None
@@ -462,10 +456,8 @@ class Simulation:
         if batch is None and resolved.shape:
             raise ValueError("reset is of one robot: a batch is made by jax.vmap, or by mjx_climb.Environment")
         shape = batch_shape(others={"gains and parameters": resolved.shape, "batch": batch or ()})
-        begin_one = functools.partial(_start, structure)
         check_robots(shape)
-        state: SimulationState = over_batch(begin_one, resolved[:2], resolved.axes, shape)
-        return state
+        return over_batch(functools.partial(_start, structure), resolved[:2], resolved.axes, shape)
 
     def step(self, state: SimulationState, action: Action = None) -> tuple[SimulationState, Sample]:
         """Return one robot one time step later, and all that is known about this step; pure.
@@ -482,8 +474,7 @@ class Simulation:
             ValueError: an action of another shape.
         """
         action = checked_action(action, load_robot(self.scenario.robot), state.parameters.kp.dtype)
-        after: tuple[SimulationState, Sample] = _carried_out(_step, self._structure_of(state))(state, action)
-        return after
+        return _carried_out(_step, self._structure_of(state))(state, action)
 
     def _structure_of(self, state: SimulationState) -> Structure:
         """Return the structure of a robot's walk, with the stages of hardware and the planner that it began with."""
@@ -510,8 +501,7 @@ class Simulation:
         if "ki" in resolved.called and not structure.stages.integral and (is_traced(ki) or given(ki)):
             raise ValueError("gains.ki: expected 0, as the robot began without an integral gain, got another value")
         change, axes = functools.partial(_with_law, structure), (axes_behind(state, shape), *resolved.axes)
-        changed: SimulationState = over_batch(change, (state, *resolved[:2]), axes, shape)
-        return changed
+        return over_batch(change, (state, *resolved[:2]), axes, shape)
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -6,18 +6,18 @@ no scalar.
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.execution.batches import flattened
-from mjx_climb.execution.jax_types import Function, PyTree
+from mjx_climb.execution.jax_types import PyTree
 
-Tree = TypeVar("Tree")
+Tree, Result = TypeVar("Tree"), TypeVar("Result")
 
 
 def is_traced(tree: PyTree) -> bool:
@@ -71,7 +71,9 @@ def batch_shape(*trees: PyTree, others: Mapping[str, tuple[int, ...]] = MappingP
         raise ValueError(f"batch axes of gains and parameters: expected some that broadcast, got {got}") from None
 
 
-def over_batch(function: Function, trees: Sequence[PyTree], axes: Sequence[PyTree], shape: Sequence[int]) -> PyTree:
+def over_batch(
+    function: Callable[..., Result], trees: Sequence[PyTree], axes: Sequence[PyTree], shape: Sequence[int]
+) -> Result:
     """Return the results of a function of one robot for all robots of a batch, batch axes in front.
 
     What does not vary over the batch is passed as it is, so that it is computed once; of a batch of one what has
@@ -84,8 +86,8 @@ def over_batch(function: Function, trees: Sequence[PyTree], axes: Sequence[PyTre
     leaves = [flattened(value, own, shape) for value, own in zip(leaves, owns, strict=True)]
     mapped = [0 if value.ndim > own else None for value, own in zip(leaves, owns, strict=True)]
 
-    def of_leaves(*leaves: Array) -> PyTree:
+    def of_leaves(*leaves: Array) -> Result:
         return function(*jax.tree.unflatten(tree, leaves))
 
     found = jax.vmap(of_leaves, in_axes=mapped, axis_size=math.prod(shape))(*leaves)
-    return jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), found)
+    return cast(Result, jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), found))

@@ -1,1 +1,1 @@
-"""Results on disk: labelled arrays in netCDF, and copies of the files that a scenario names."""
+"""Results on disk: labelled arrays in netCDF."""

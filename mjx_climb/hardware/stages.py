@@ -79,14 +79,16 @@ def stages_of(
     The parameters named in `moving` have their stages whatever their values, as derivatives along them need.
 
     Raises:
-        TypeError: parameters that JAX traces, by which nothing can be decided: see `mjx_climb.inputs.traced_stages`.
+        ValueError: motors on a voltage without a torque at standstill or a speed without load.
+        TypeError: parameters that JAX traces, by which nothing can be decided: see `stages_under_trace`.
     """
     for name, value in parameters.numbers.items():
         if isinstance(value, jax.core.Tracer):
             raise TypeError(f"parameters.{name}: expected an array, got one that JAX traces")
     step, voltage = scenario.time_step, scenario.hardware.servo.drive == "voltage"
-    if voltage:
-        _check_voltage(parameters)
+    for name in ("torque_limit", "no_load_speed") if voltage else ():
+        if not np.isfinite(np.asarray(getattr(parameters, name))).all():
+            raise ValueError(f"parameters.{name}: expected finite numbers with drive: voltage, got inf")
     limited, dry, viscous = (
         robot is not None and getattr(robot, name) is not None for name in ("torque_limit", "friction", "damping")
     )
@@ -137,13 +139,6 @@ def stages_of(
 def lacking(stages: Stages, asked: Stages) -> bool:
     """Return whether a stage that is asked for is missing."""
     return any(wanted and not there for there, wanted in zip(stages, asked, strict=True))
-
-
-def _check_voltage(parameters: Parameters) -> None:
-    """Refuse by a ValueError motors on a voltage without a torque at standstill or a speed without load."""
-    for name in ("torque_limit", "no_load_speed"):
-        if not np.isfinite(np.asarray(getattr(parameters, name))).all():
-            raise ValueError(f"parameters.{name}: expected finite numbers with drive: voltage, got inf")
 
 
 def given(value: ArrayLike) -> bool:

@@ -3,11 +3,13 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, get_args, get_origin
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import concrete_or_error
 from pydantic import TypeAdapter, ValidationError
 
 from mjx_climb.component import with_values
@@ -18,8 +20,10 @@ from mjx_climb.gait.published_swing import published_path
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.gait.swing import swing_path
 from mjx_climb.ground import holds_of
+from mjx_climb.hardware.stages import DELAYED, Stages, lacking, stages_of
 from mjx_climb.inputs.own_objects import components_of
 from mjx_climb.parameter_types import KEYS, Gains, Parameters
+from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import section
 from mjx_climb.scenario.model import Scenario
@@ -136,3 +140,38 @@ def _type(name: str) -> tuple[object, TypeAdapter[object]]:
     field = section(Scenario, place).model_fields[key]
     kind = Annotated[field.annotation, *field.metadata]
     return field.annotation, TypeAdapter(kind)
+
+
+def stages_under_trace(
+    scenario: Scenario,
+    parameters: Parameters,
+    robot: Robot | None = None,
+    called: Callable[[str], str] = "parameters.{}".format,
+) -> Stages:
+    """Return the stages that parameters need, of which JAX may trace some.
+
+    What a derivative alone traces is known; what `jit` or `vmap` traces counts as the scenario's own.
+
+    Arguments:
+        called: how a parameter, by its name, is called where it is refused.
+
+    Raises:
+        ValueError: a parameter that is traced and decides about a stage which is not there, or a delay that is traced,
+            whose buffer has a length.
+    """
+    values, traced = dict(vars(parameters)), {}
+    for name, value in parameters.numbers.items():
+        if isinstance(value, jax.core.Tracer):
+            try:
+                values[name], traced[name] = np.asarray(concrete_or_error(None, value)), True
+            except jax.errors.ConcretizationTypeError:
+                values[name], traced[name] = getattr(own_parameters(scenario), name), False
+    known = Parameters(**values)
+    stages = stages_of(scenario, known, robot)
+    for name, is_known in traced.items():
+        late = name.removesuffix("_delay") in DELAYED and not is_known
+        if late or lacking(stages, stages_of(scenario, known, robot, (name,))):
+            known_one = "a value that is known where the walk is compiled"
+            expected = known_one if late else f"{known_one}, or a scenario that has such a stage"
+            raise ValueError(f"{called(name)}: expected {expected}, got one that JAX traces: trace only what varies")
+    return stages

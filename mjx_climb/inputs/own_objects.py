@@ -36,7 +36,6 @@ KINDS: dict[str, tuple[type[Component], Mapping[str, type[Component]]]] = {
     "disturbances": (Disturbance, disturbances.SHIPPED),
     "footholds": (Footholds, footholds.SHIPPED),
 }
-_OF_CONTACT = {"stiffness": "contact_stiffness", "damping": "contact_damping"}  # values of a gripper among parameters
 
 
 def load(text: str, what: str) -> tuple[Any, str, str]:
@@ -82,29 +81,6 @@ def reference_to(named: OwnObject, key: str, source: str) -> str:
         expected = f"expected {named.file} as it was, {str(named.digest)[:12]}"
         raise ConfigError(f"{source}: own.{key}.digest: {expected}, got {found[:12]}")
     return f"{named.file}:{named.name}"
-
-
-def named_by(text: str, place: str, option: str) -> dict[str, Any]:
-    """Return the section of a shipped class, or of FILE.py:NAME; `option` is where it was typed.
-
-    Raises:
-        ConfigError: in one line, neither of them.
-    """
-    known = KINDS[place][1]
-    file, colon, name = text.rpartition(":")
-    if text not in known and not (colon and file and name):
-        raise ConfigError(f"{option}: expected FILE.py:NAME, or one of {', '.join(known)}, got {text!r}")
-    if text in known:
-        return {"file": None, "name": text, "digest": None}
-    return {"file": os.path.abspath(file), "name": name, "digest": digest(Path(file))}
-
-
-def with_digests(scenario: Scenario) -> Scenario:
-    """Return a scenario that says how the files of contact, drive and disturbances are now."""
-    own = scenario.own
-    open_ends = {} if own is None else own.components
-    files = {place: each.file for place, each in open_ends.items() if each.file is not None}
-    return scenario.with_overrides({f"own.{place}.digest": digest(Path(file)) for place, file in files.items()})
 
 
 def components_of(scenario: Scenario, numbers: Parameters, source: str = "scenario") -> dict[str, Any]:
@@ -161,7 +137,10 @@ def _with(found: Any, values: dict[str, Any], options: dict[str, Any], numbers: 
             raise ValueError(f"options.{name}: expected one like {before!r}, got {value!r}")
     arrays = {name: np.asarray(value, float) for name, value in values.items()}
     if isinstance(found, type):
-        inner = {"gripper": _gripper(numbers)} if "tree" in getattr(fields.get("gripper"), "metadata", ()) else {}
+        inner: dict[str, Any] = {}
+        if "tree" in getattr(fields.get("gripper"), "metadata", ()):
+            reach, turns = np.isfinite(numbers.capture_distance), numbers.rotational_stiffness > 0
+            inner["gripper"] = Gripper.of(numbers, limited_reach=bool(reach), rotational=bool(turns))
         if lacking := [
             name for name in made.VALUES if name not in values and fields[name].default is dataclasses.MISSING
         ]:
@@ -174,13 +153,3 @@ def _with(found: Any, values: dict[str, Any], options: dict[str, Any], numbers: 
         if np.ndim(getattr(component, name)) > len(field.shape):
             raise ValueError(f"values.{name}: expected that of one robot, got shape {np.shape(arrays[name])}")
     return component
-
-
-def _gripper(numbers: Parameters) -> Gripper:
-    """Return the gripper of a scenario's contact section, in double precision."""
-    values = {name: getattr(numbers, _OF_CONTACT.get(name, name)) for name in Gripper.VALUES}
-    return Gripper(
-        **values,
-        limited_reach=bool(np.isfinite(numbers.capture_distance)),
-        rotational=bool(numbers.rotational_stiffness > 0),
-    )

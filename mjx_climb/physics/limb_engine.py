@@ -11,7 +11,6 @@ References:
     J. Carpentier, N. Mansard, Analytical Derivatives of Rigid Body Dynamics Algorithms, 2018.
 """
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from typing import NamedTuple
@@ -29,8 +28,8 @@ from mjx_climb.physics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot
 
 _Three = tuple[Array, Array, Array]
-_Primals = tuple[Robot, State, *tuple[Array, ...]]  # robot, state and the fields of `Loads`
-_Tangents = tuple[object, ...]  # of these, with a `SymbolicZero` for each array that does not move
+Primals = tuple[Robot, State, *tuple[Array, ...]]  # robot, state and the fields of `Loads`
+Tangents = tuple[object, ...]  # of these, with a `SymbolicZero` for each array that does not move
 
 
 class Factors(NamedTuple):
@@ -47,14 +46,14 @@ class Factors(NamedTuple):
 def factorized(robot: Robot, joint_angles: Array, cargo_mass: Array) -> Factors:
     """Return the factors of the mass matrix, for joint angles (limb, joint) rad and a cargo () kg."""
     frames = limb_frames(robot, None, joint_angles)
-    joints, blocks = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
+    joints, blocks = jax.vmap(eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
     linear, mixed, angular = (block.sum(0) for block in blocks)
     linear = inverse_3x3((robot.base_mass + cargo_mass) * jnp.eye(3, dtype=joint_angles.dtype) + linear)
     columns = linear @ mixed
     return Factors(*joints, linear, columns, inverse_3x3(robot.base_inertia + angular - mixed.T @ columns))
 
 
-def _eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[_Three, _Three]:
+def eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[_Three, _Three]:
     """Return the factors of a limb's joints, and what is left for the base: its inertia less what its joints give way.
 
     The former are the first three of `Factors`, the latter the blocks A, C, D of the mass matrix (3, 3).
@@ -133,7 +132,7 @@ def _forward_dynamics(robot: Robot, state: State, *acting: Array) -> tuple[Array
 
 
 @functools.partial(_forward_dynamics.defjvp, symbolic_zeros=True)
-def _jvp(primals: _Primals, tangents: _Tangents) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+def _jvp(primals: Primals, tangents: Tangents) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Return the accelerations and their tangents: `M^-1` times the tangents of the forces missing at them.
 
     So the mass matrix and its factors need no derivatives (Carpentier and Mansard). Orientations stay of unit length.
@@ -141,11 +140,11 @@ def _jvp(primals: _Primals, tangents: _Tangents) -> tuple[tuple[Array, ...], tup
     robot, state, *acting = primals
     factors, acceleration = solved(robot, state, Loads(*acting))
     # what is missing is zero: so is what the turn of the base's axes adds to it
-    change = _missing_change(primals, tangents, Acceleration(*acceleration))
+    change = missing_change(primals, tangents, Acceleration(*acceleration))
     return acceleration, _in_world_axes(state, *accelerations(factors, change))
 
 
-def _missing_change(primals: _Primals, tangents: _Tangents, acceleration: Acceleration) -> Forces:
+def missing_change(primals: Primals, tangents: Tangents, acceleration: Acceleration) -> Forces:
     """Return the tangents of the forces that are missing at accelerations which stay as they are."""
     leaves, tree = jax.tree.flatten(primals)
     directions = jax.tree.leaves(tangents, is_leaf=lambda tangent: isinstance(tangent, SymbolicZero))
@@ -161,44 +160,3 @@ def _missing_change(primals: _Primals, tangents: _Tangents, acceleration: Accele
     change: Forces
     _, change = jax.jvp(missing, ([leaves[place] for place in moving],), ([directions[place] for place in moving],))
     return change
-
-
-def held_accelerations(robot: Robot, state: State, joint_torque: Array, gravity: Array) -> Array:
-    """Return the joints' accelerations (limb, joint) rad/s^2 of a robot whose base is held still, its feet in the air.
-
-    Each limb is then a robot of its own, `H qdd + c = tau`; `joint_torque` is (limb, joint) N m, `gravity` (3,) m/s^2
-    in world axes.
-    """
-    still = jnp.zeros_like(gravity)
-    loads = Loads(joint_torque, jnp.zeros_like(robot.foot_center), jnp.zeros_like(gravity, shape=6), still[0], gravity)
-    state = dataclasses.replace(state, base_linear_velocity=still, base_angular_velocity=still)
-    return jnp.asarray(_held(robot, state, *loads))
-
-
-def held_mobility(robot: Robot, state: State) -> Array:
-    """Return the inverse of each limb's mass matrix (limb, N, N) 1/(kg m^2), the base held still."""
-    frames = limb_frames(robot, None, state.joint_angles)
-    (inverse, *_), _ = jax.vmap(_eliminated)(limbs_of(robot), frames, joint_axes(robot, frames))
-    return jnp.asarray(inverse)
-
-
-@jax.custom_jvp
-def _held(robot: Robot, state: State, *acting: Array) -> Array:
-    return _held_solved(robot, state, Loads(*acting))[1]
-
-
-def _held_solved(robot: Robot, state: State, loads: Loads) -> tuple[Array, Array]:
-    """Return the inverse of each limb's mass matrix (limb, N, N), and the accelerations of the joints."""
-    inverse = held_mobility(robot, state)
-    still = Acceleration(*map(jnp.zeros_like, (loads.gravity, loads.gravity, loads.joint_torque)))
-    return inverse, jnp.matvec(inverse, missing_forces(robot, state, still, loads).joint)
-
-
-@functools.partial(_held.defjvp, symbolic_zeros=True)
-def _held_jvp(primals: _Primals, tangents: _Tangents) -> tuple[Array, Array]:
-    """Return the joints' accelerations and their tangents, as `_jvp` does."""
-    robot, state, *acting = primals
-    inverse, joints = _held_solved(robot, state, Loads(*acting))
-    still = jnp.zeros_like(state.base_position)
-    change = _missing_change(primals, tangents, Acceleration(still, still, joints))
-    return joints, jnp.matvec(inverse, change.joint)

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, Validatio
 from mjx_climb.scenario import registers
 from mjx_climb.scenario import values as v
 from mjx_climb.scenario.messages import config_error, failure, refusal
+from mjx_climb.scenario.registers import RegisterScale
 from mjx_climb.scenario.values import setting
 from mjx_climb.scenario.yaml_text import Dumper, assign, pairs, parse
 
@@ -443,15 +444,6 @@ class BaseEstimate(v.Section):
     velocity_noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis, m/s")
 
 
-class RegisterScale(v.Section):
-    """What one unit of each register of the servo's position loop stands for: a share of the supply voltage."""
-
-    p: v.Positive = Field(description="of Position P Gain, for an error of one rad, 1/rad")
-    i: v.PositiveOrNull = setting(None, "of Position I Gain, for its integral, 1/(rad s); null: not known")
-    d: v.PositiveOrNull = setting(None, "of Position D Gain, for the rate, s/rad; null: not known")
-    largest: v.Register = setting(16383, "largest value that a register holds")
-
-
 class Registers(v.Section):
     """Gains of the joint loop as the registers of a servo's position loop hold them."""
 
@@ -761,14 +753,14 @@ class Scenario(v.Section):
             if gait.phases is None:
                 raise failure(f"{known}, each once, in any order", key="gait.sequence", got=gait.sequence)
             raise failure(f"a phase for each of {known}", key="gait.phases", got=gait.lift_off)
-        for name in dict(self.ground.footholds.items()) if self.ground.footholds is not None else ():
-            if name not in limbs:
-                raise failure(f"one of the limbs {', '.join(limbs)}", key=f"ground.footholds.{name}", got=name)
-        dead = self.hardware.force_sensor.dead
-        for name in dict(dead.items()) if dead is not None else ():
-            if name not in limbs:
-                key = f"hardware.force_sensor.dead.{name}"
-                raise failure(f"one of the limbs {', '.join(limbs)}", key=key, got=name)
+        by_limb = {
+            "ground.footholds": self.ground.footholds,
+            "hardware.force_sensor.dead": self.hardware.force_sensor.dead,
+        }
+        for key, values in by_limb.items():
+            for name in dict(values.items()) if values is not None else ():
+                if name not in limbs:
+                    raise failure(f"one of the limbs {', '.join(limbs)}", key=f"{key}.{name}", got=name)
         # one limb stands at any time
         least, swing = 1 - 1 / len(gait.sequence), 1 - gait.duty
         if gait.phases is None and gait.duty < least - _ROUNDING:

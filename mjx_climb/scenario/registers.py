@@ -5,20 +5,21 @@ integral and the rate. Under the whole voltage a motor at rest gives its stall t
 from servo to servo, also where manuals give the same formula: it comes with each servo's file.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
+
+from pydantic import Field
+
+from mjx_climb.scenario import values as v
+from mjx_climb.scenario.values import setting
 
 
-class Scale(Protocol):
-    """What one unit of each register stands for; None where that is not known."""
+class RegisterScale(v.Section):
+    """What one unit of each register of the servo's position loop stands for: a share of the supply voltage."""
 
-    @property
-    def p(self) -> float: ...  # 1/rad
-    @property
-    def i(self) -> float | None: ...  # 1/(rad s)
-    @property
-    def d(self) -> float | None: ...  # s/rad
-    @property
-    def largest(self) -> int: ...  # that a register holds
+    p: v.Positive = Field(description="of Position P Gain, for an error of one rad, 1/rad")
+    i: v.PositiveOrNull = setting(None, "of Position I Gain, for its integral, 1/(rad s); null: not known")
+    d: v.PositiveOrNull = setting(None, "of Position D Gain, for the rate, s/rad; null: not known")
+    largest: v.Register = setting(16383, "largest value that a register holds")
 
 
 class Registers(NamedTuple):
@@ -37,7 +38,7 @@ class LoopGains(NamedTuple):
     kd: float  # N m s/rad
 
 
-def gains_of(registers: Registers, scale: Scale, stall_torque: float) -> LoopGains:
+def gains_of(registers: Registers, scale: RegisterScale, stall_torque: float) -> LoopGains:
     """Return the gains for which registers stand, with the stall torque in N m at the voltage that the gains are for.
 
     A register that is not known, or without a scale, counts as 0.
@@ -48,7 +49,7 @@ def gains_of(registers: Registers, scale: Scale, stall_torque: float) -> LoopGai
     )
 
 
-def registers_of(gains: LoopGains, scale: Scale, stall_torque: float) -> Registers:
+def registers_of(gains: LoopGains, scale: RegisterScale, stall_torque: float) -> Registers:
     """Return the registers that stand for gains, the inverse of `gains_of`: real numbers, and as large as it takes."""
     return Registers(
         p=gains.kp / (stall_torque * scale.p),

@@ -22,8 +22,7 @@ from mjx_climb.trajectory import Trajectory
 
 WORLD = "world"
 FRAMES_PER_SECOND = 100  # of transforms, which are there to be looked at
-
-
+_JOINTS, _WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 _Types = Mapping[str, Callable[..., object]]  # what makes the messages of a type, by its name
 
 
@@ -73,54 +72,43 @@ def _header(types: _Types, stamp: int) -> object:
 
 def _topics(walk: Trajectory, types: _Types) -> Iterator[_Topic]:
     """Yield the topics of a walk."""
-    state, wrench = types["sensor_msgs/msg/JointState"], types["geometry_msgs/msg/WrenchStamped"]
-    pose, twist = types["geometry_msgs/msg/PoseStamped"], types["geometry_msgs/msg/TwistStamped"]
-    pair, at = types["geometry_msgs/msg/Wrench"], types["geometry_msgs/msg/Pose"]
-    rates, flag = types["geometry_msgs/msg/Twist"], types["std_msgs/msg/Bool"]
-    vector, none = _vector(types["geometry_msgs/msg/Vector3"]), np.array([])
-    point, turn = _vector(types["geometry_msgs/msg/Point"]), _quaternion(types)
+    vector, point = (_vector(types[f"geometry_msgs/msg/{kind}"]) for kind in ("Vector3", "Point"))
+    pose, turn = types["geometry_msgs/msg/Pose"], _quaternion(types)
+    flag, none = types["std_msgs/msg/Bool"], np.array([])
+
+    def stamped(name: str, kind: str, *fields: Callable[[int], object]) -> _Topic:
+        return _Topic(name, kind, lambda row, header: types[kind](header, *(field(row) for field in fields)))
+
+    def pair(kind: str, first: np.ndarray, second: np.ndarray) -> Callable[[int], object]:
+        return lambda row: types[kind](vector(first[row]), vector(second[row]))
+
+    def support(place: int) -> Callable[[int, object], object]:
+        return lambda row, _: flag(bool(walk.support[row, place]))
+
     robot = load_robot(walk.scenario.robot)
     joints, held = _joints(walk, robot)
-    angles, velocity, effort = (
-        np.hstack([values, np.broadcast_to(fixed, (len(values), len(held)))])
-        for values, fixed in (
-            (joints["joint_angles"], [*held.values()]), (joints["joint_rates"], 0.0), (joints["joint_torque"], 0.0)
-        )
-    )  # fmt: skip
-    names, targets = [*robot.places_in_file()], joints["joint_targets"]
-    yield _Topic(
-        "/joint_states", "sensor_msgs/msg/JointState",
-        lambda row, header: state(header, [*names, *held], angles[row], velocity[row], effort[row]),
-    )  # fmt: skip
-    yield _Topic(
-        "/joint_commands", "sensor_msgs/msg/JointState",
-        lambda row, header: state(header, names, targets[row], none, none),
-    )  # fmt: skip
+    resting: dict[str, list[float] | float] = {
+        "joint_angles": [*held.values()],
+        "joint_rates": 0.0,
+        "joint_torque": 0.0,
+    }
+    states = [
+        np.hstack([joints[name], np.broadcast_to(fixed, (len(walk.time), len(held)))]).__getitem__
+        for name, fixed in resting.items()
+    ]
+    names, targets = [*robot.places_in_file()], joints["joint_targets"].__getitem__
+    yield stamped("/joint_states", _JOINTS, lambda _: [*names, *held], *states)
+    yield stamped("/joint_commands", _JOINTS, lambda _: names, targets, lambda _: none, lambda _: none)
     for place, limb in enumerate(walk.limbs):
-        force, moment, support = walk.foot_force[:, place], walk.foot_moment[:, place], walk.support[:, place]
-
-        def forces(row: int, header: object, force: np.ndarray = force, moment: np.ndarray = moment) -> object:
-            return wrench(header, pair(vector(force[row]), vector(moment[row])))
-
-        def supports(row: int, header: object, support: np.ndarray = support) -> object:
-            return flag(bool(support[row]))
-
-        yield _Topic(f"/{_word(limb)}/force", "geometry_msgs/msg/WrenchStamped", forces)
-        yield _Topic(f"/{_word(limb)}/support", "std_msgs/msg/Bool", supports)
+        force = pair("geometry_msgs/msg/Wrench", walk.foot_force[:, place], walk.foot_moment[:, place])
+        yield stamped(f"/{_word(limb)}/force", _WRENCH, force)
+        yield _Topic(f"/{_word(limb)}/support", "std_msgs/msg/Bool", support(place))
     position, orientation = walk.base_position, walk.base_orientation
-    yield _Topic(
-        "/base_pose", "geometry_msgs/msg/PoseStamped",
-        lambda row, header: pose(header, at(point(position[row]), turn(orientation[row]))),
-    )  # fmt: skip
-    linear, angular = walk.base_linear_velocity, walk.base_angular_velocity
-    yield _Topic(
-        "/base_twist", "geometry_msgs/msg/TwistStamped",
-        lambda row, header: twist(header, rates(vector(linear[row]), vector(angular[row]))),
-    )  # fmt: skip
-    yield _Topic(
-        "/push", "geometry_msgs/msg/WrenchStamped",
-        lambda row, header: wrench(header, pair(vector(walk.push[row, :3]), vector(walk.push[row, 3:]))),
-    )  # fmt: skip
+    placed = "geometry_msgs/msg/PoseStamped"
+    yield stamped("/base_pose", placed, lambda row: pose(point(position[row]), turn(orientation[row])))
+    moving = pair("geometry_msgs/msg/Twist", walk.base_linear_velocity, walk.base_angular_velocity)
+    yield stamped("/base_twist", "geometry_msgs/msg/TwistStamped", moving)
+    yield stamped("/push", _WRENCH, pair("geometry_msgs/msg/Wrench", walk.push[:, :3], walk.push[:, 3:]))
     every = max(round(1 / (FRAMES_PER_SECOND * walk.scenario.time_step)), 1)
     yield _Topic("/tf", "tf2_msgs/msg/TFMessage", _transforms(walk, robot, types), every)
     if (holds := holds_of(walk.scenario.ground)) is not None:

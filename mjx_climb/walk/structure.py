@@ -9,7 +9,7 @@ import numpy as np
 from mjx_climb.control import LAWS, Law
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.hardware.stages import IDEAL, Stages
-from mjx_climb.inputs.traced_stages import stages_under_trace
+from mjx_climb.inputs.from_scenario import stages_under_trace
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.equations_of_motion import ENGINES

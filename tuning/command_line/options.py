@@ -160,7 +160,7 @@ class Walk(Options):
 
     def _components(self) -> dict[str, Any]:
         """Return contact, drive and disturbances as changes of the config, which those of `--set` may follow."""
-        from mjx_climb.inputs.own_objects import named_by
+        from tuning.gains.own_section import named_by
 
         changes: dict[str, Any] = {}
         for place, text in (("contact", self.contact), ("drive", self.drive)):

@@ -174,8 +174,9 @@ def _written(
     loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording, out: Path
 ) -> tuple[Walks, dict[str, dict[str, Any]], list[str]]:
     """Walk and write into a folder; return the walks, their metrics, and the names of the files."""
-    from mjx_climb.files import dataset, scenario_files
+    from mjx_climb.files import dataset
     from mjx_climb.viz.recording import save_mcap
+    from tuning import scenario_files
     from tuning.numbers import to_json
     from tuning.results.config_file import write_config
 

@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import operator
+import os
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -16,7 +17,7 @@ from mjx_climb.component import with_values
 from mjx_climb.control import SHIPPED, is_shipped, shipped
 from mjx_climb.execution.contents import in_library
 from mjx_climb.inputs.file_contents import digest
-from mjx_climb.inputs.own_objects import RUN, load, reference_to
+from mjx_climb.inputs.own_objects import KINDS, RUN, load, reference_to
 from mjx_climb.scenario.messages import ConfigError
 
 THE_CONFIG = "the config's law"
@@ -176,3 +177,18 @@ def _makes(found: Any, law: mc.Law) -> bool:
         except TypeError:  # a gain without a default
             return False
     return type(found) is type(law) and bool(operator.eq(*map(jax.tree.structure, (found, law))))
+
+
+def named_by(text: str, place: str, option: str) -> dict[str, Any]:
+    """Return the section of a shipped class, or of FILE.py:NAME; `option` is where it was typed.
+
+    Raises:
+        ConfigError: in one line, neither of them.
+    """
+    known = KINDS[place][1]
+    file, colon, name = text.rpartition(":")
+    if text not in known and not (colon and file and name):
+        raise ConfigError(f"{option}: expected FILE.py:NAME, or one of {', '.join(known)}, got {text!r}")
+    if text in known:
+        return {"file": None, "name": text, "digest": None}
+    return {"file": os.path.abspath(file), "name": name, "digest": digest(Path(file))}

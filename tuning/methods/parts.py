@@ -18,10 +18,10 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.execution.contents import identity
-from mjx_climb.files import scenario_files
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.files.writing import OutputError, write_bytes_atomically, write_text_atomically
 from mjx_climb.robot_import.load import model_path
+from tuning import scenario_files
 from tuning.problem.evaluation import Problem
 
 FOLDER = "parts"

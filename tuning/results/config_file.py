@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import mjx_climb as mc
-from mjx_climb.files import dataset, scenario_files
-from mjx_climb.inputs.own_objects import with_digests
+from mjx_climb.files import dataset
+from mjx_climb.inputs.file_contents import digest
+from tuning import scenario_files
 from tuning.gains.own_section import section
 
 
@@ -21,7 +22,15 @@ def write_config(
 
     `law`, `metrics` and `objective` are the user's own, where there are any: config.yaml names them.
     """
-    own, scenario = section(law, metrics, objective), with_digests(scenario)
+    own, scenario = section(law, metrics, objective), _with_digests(scenario)
     written = scenario_files.copied(scenario if own is None else scenario.with_own(**own), folder)
     dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(written, folder))
     return written if own is None else written.with_own(law=None, metrics=[], objective=None)
+
+
+def _with_digests(scenario: mc.Scenario) -> mc.Scenario:
+    """Return a scenario that says how the files of contact, drive and disturbances are now."""
+    own = scenario.own
+    open_ends = {} if own is None else own.components
+    files = {place: each.file for place, each in open_ends.items() if each.file is not None}
+    return scenario.with_overrides({f"own.{place}.digest": digest(Path(file)) for place, file in files.items()})

@@ -17,6 +17,7 @@ from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
 
 _NORMAL = np.array([False, False, True])  # of the ground, among the axes of the world
+_OF_PARAMETERS = {"stiffness": "contact_stiffness", "damping": "contact_damping"}  # values of other names there
 
 
 class Reach(NamedTuple):
@@ -68,16 +69,8 @@ class Gripper(Contact):
     @classmethod
     def of(cls, parameters: Parameters, *, limited_reach: bool, rotational: bool) -> "Gripper":
         """The grippers that a scenario's contact section describes."""
-        return cls(
-            stiffness=jnp.asarray(parameters.contact_stiffness),
-            damping=jnp.asarray(parameters.contact_damping),
-            rotational_stiffness=jnp.asarray(parameters.rotational_stiffness),
-            rotational_damping=jnp.asarray(parameters.rotational_damping),
-            holding_limit=jnp.asarray(parameters.holding_limit),
-            capture_distance=jnp.asarray(parameters.capture_distance),
-            limited_reach=limited_reach,
-            rotational=rotational,
-        )
+        values = {name: getattr(parameters, _OF_PARAMETERS.get(name, name)) for name in cls.VALUES}
+        return cls(**values, limited_reach=limited_reach, rotational=rotational)
 
     @property
     def transmits_moments(self) -> bool:

@@ -8,12 +8,12 @@ import pytest
 import yaml
 
 import mjx_climb as mc
-from mjx_climb.files import scenario_files
 from mjx_climb.files.writing import OutputError
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.inputs import own_objects
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.messages import ConfigError
+from tuning import scenario_files
 from tuning.command_line import options
 from tuning.comparisons.stability_limit import spectral_radius
 from tuning.methods import parts

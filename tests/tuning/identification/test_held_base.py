@@ -12,11 +12,11 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import parameters
-from mjx_climb.physics.limb_engine import held_accelerations
 from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
 from tests.tuning.identification.stand_in_mujoco import TRUTH, recorded, sines, welded
 from tuning.identification.model import held_base as stands
+from tuning.identification.model.held_dynamics import held_accelerations
 
 ROBOT = load_robot("hubrobo_v3_2")
 

@@ -12,7 +12,6 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.files.scenario_files import portable_yaml
 from mjx_climb.parameter_types import KEYS
 from tuning.background import Stage, silent
 from tuning.identification.fit import robot_files
@@ -30,6 +29,7 @@ from tuning.pages import page
 from tuning.pages.contents import Files, Picture, Written
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.results.config_file import write_config
+from tuning.scenario_files import portable_yaml
 from tuning.writing.folder import fill
 from tuning.writing.record import Settings, check_own, whole
 

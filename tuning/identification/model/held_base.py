@@ -29,10 +29,10 @@ from mjx_climb.hardware import servo
 from mjx_climb.hardware.actuator import Drive, Joints
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.physics.inverse_dynamics import load_torque
-from mjx_climb.physics.limb_engine import held_accelerations, held_mobility
 from mjx_climb.physics.state import Acceleration, Loads, State, integrate
 from mjx_climb.robot.constants import Robot
 from mjx_climb.walk.step import driven_robot
+from tuning.identification.model.held_dynamics import held_accelerations, held_mobility
 
 _SWEEPS = 4  # of Gauss-Seidel, over the joints of a limb
 

@@ -16,7 +16,6 @@ from mjx_climb.hardware.stages import Stages, hardware_of
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, solve_to_convergence
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.physics.limb_engine import held_accelerations
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
 from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot
@@ -28,6 +27,7 @@ from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.force_sensors import logged_force
 from tuning.identification.model.gripped import LATE_FORCE
 from tuning.identification.model.held_base import Sent
+from tuning.identification.model.held_dynamics import held_accelerations
 from tuning.identification.model.predicted import CLOCK, LEAD
 from tuning.identification.model.schedule import Schedule
 from tuning.identification.model.variables import Place, Variable, applied

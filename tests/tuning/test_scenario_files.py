@@ -9,11 +9,12 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.files import dataset, scenario_files
+from mjx_climb.files import dataset
 from mjx_climb.robot_import.description import bare
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.terrain import foothold_heights
 from tests.robot.test_robot_file import keys, urdf
+from tuning import scenario_files
 from tuning.command_line import main
 
 MESH = "v 0 0 0\nv 0.02 0 0\nv 0 0.02 0\nv 0 0 0.02\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
