@@ -474,7 +474,8 @@ class Simulation:
             ValueError: an action of another shape.
         """
         action = checked_action(action, load_robot(self.scenario.robot), state.parameters.kp.dtype)
-        return _carried_out(_step, self._structure_of(state))(state, action)
+        after: tuple[SimulationState, Sample] = _carried_out(_step, self._structure_of(state))(state, action)
+        return after
 
     def _structure_of(self, state: SimulationState) -> Structure:
         """Return the structure of a robot's walk, with the stages of hardware and the planner that it began with."""

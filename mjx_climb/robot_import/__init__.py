@@ -1,1 +1,1 @@
-"""Robots from URDF and MJCF files: read, checked, proposed, put into a rest stance."""
+"""Robots from URDF and MJCF files: read, checked, put into a rest stance."""

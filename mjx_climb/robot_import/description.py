@@ -5,7 +5,6 @@ import re
 import warnings
 from collections.abc import Collection
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -18,7 +17,7 @@ SPECK_MOMENT = 1e-14  # kg m^2, of these and of points: MuJoCo wants some, and a
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # of an inertia, as MuJoCo writes it in a row
 _ROUNDING = 1e-6  # of the largest moment of inertia
 _POSITIONS = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}  # in a keyframe; of others 1
-_TURNED = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)  # by an actuator: a joint
+TURNED = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)  # by an actuator: a joint
 _OF_ACTUATORS = ("gaintype", "gainprm", "biastype", "forcerange", "forcelimited", "ctrlrange", "ctrllimited")
 _SIZES = {  # numbers that a plain shape's size has, and how many where its ends are given
     mujoco.mjtGeom.mjGEOM_SPHERE: (1, 1),
@@ -65,7 +64,7 @@ def described(file: str, looks: bool = False) -> mujoco.MjSpec:
 def _read(file: str, looks: bool) -> mujoco.MjSpec:
     if not file.endswith((".xml", ".urdf")):
         raise RobotError(f"{file}: expected a file whose name ends in .xml or .urdf")
-    text = _text(file)
+    text = text_of(file)
     if macro := re.search(r"<xacro:\w+", text):
         place = f"{file}:{text.count(chr(10), 0, macro.start()) + 1}"
         raise RobotError(f"{place}: expected a URDF that xacro has written out, got {macro[0]}>")
@@ -88,10 +87,10 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
         mujoco.set_mju_user_warning(None)
 
 
-def _text(file: str) -> str:
+def text_of(file: str) -> str:
     """Return a file without comments, their lines kept; nothing of one that cannot be read."""
     try:
-        text = Path(file).read_text(encoding="utf-8", errors="replace")
+        text = Path(file).readtext_of(encoding="utf-8", errors="replace")
     except OSError:
         return ""
     return re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
@@ -99,18 +98,8 @@ def _text(file: str) -> str:
 
 def is_urdf(file: str) -> bool:
     """Return whether a file is a URDF, by its outermost element; MuJoCo goes by that too, whatever a file is called."""
-    outermost = re.search(r"<\s*([\w:]+)", re.sub(r"<[?!].*?>", "", _text(file), flags=re.DOTALL))
+    outermost = re.search(r"<\s*([\w:]+)", re.sub(r"<[?!].*?>", "", text_of(file), flags=re.DOTALL))
     return outermost is not None and outermost[1] == "robot"
-
-
-def urdf_limits(file: str, attribute: str) -> dict[str, float]:
-    """Return an attribute of the limits of a URDF's joints, by joint, where it is given; nothing of an MJCF."""
-    try:
-        joints = ElementTree.fromstring(_text(file)).iter("joint") if is_urdf(file) else ()
-    except ElementTree.ParseError:  # MuJoCo is less strict
-        return {}
-    given = ((joint.get("name", ""), limit.get(attribute)) for joint in joints for limit in joint.iter("limit"))
-    return {name: float(value) for name, value in given if value is not None}
 
 
 def _check_numbers(file: str, spec: mujoco.MjSpec) -> None:
@@ -142,13 +131,13 @@ def _check_numbers(file: str, spec: mujoco.MjSpec) -> None:
             raise RobotError(f"{place}: expected a mass and moments of zero or more, got {got}")
     known = {joint.name for joint in spec.joints}
     for actuator in spec.actuators:
-        if actuator.trntype in _TURNED and actuator.target not in known:
+        if actuator.trntype in TURNED and actuator.target not in known:
             place = line_of(file, actuator.target)
             raise RobotError(f"{place}: expected actuators of joints in the file, got one of {actuator.target!r}")
 
 
 def _as_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> None:
-    for actuator in [each for each in spec.actuators if each.trntype in _TURNED and each.target == ball.name]:
+    for actuator in [each for each in spec.actuators if each.trntype in TURNED and each.target == ball.name]:
         own = {key: getattr(actuator, key) for key in _OF_ACTUATORS}
         for letter, gear in zip("xyz", actuator.gear[:3], strict=True):
             if gear:
@@ -272,7 +261,7 @@ def _limit_torques(spec: mujoco.MjSpec) -> None:
     """Write what the actuators can give, in sum, into the joints that they turn, where these have no limits."""
     most: dict[str, float] = collections.defaultdict(float)
     off = mujoco.mjtLimited.mjLIMITED_FALSE
-    for actuator in (each for each in spec.actuators if each.trntype in _TURNED):
+    for actuator in (each for each in spec.actuators if each.trntype in TURNED):
         force, control = np.array(actuator.forcerange), np.array(actuator.ctrlrange)
         direct = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
         if not (force.any() and actuator.forcelimited != off):
@@ -289,17 +278,6 @@ def _limit_torques(spec: mujoco.MjSpec) -> None:
 def one_limit(lower: float, upper: float) -> float:
     """Return one limit of a torque both ways: the smaller of two, or that of a drive that goes one way alone."""
     return float(min(-lower, upper) if lower < 0 < upper else max(-lower, upper))
-
-
-def driven_joints(described: mujoco.MjSpec) -> set[str]:
-    """Return the joints that an actuator drives, itself or by a tendon; none where the file has no actuators."""
-    joints = set()
-    for actuator in described.actuators:
-        if actuator.trntype in _TURNED:
-            joints.add(actuator.target)
-        elif actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and (tendon := described.tendon(actuator.target)):
-            joints |= {wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
-    return joints
 
 
 def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -323,7 +301,7 @@ def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
 def _lines(file: Path, around: tuple[Path, ...] = ()) -> list[tuple[str, str]]:
     """Return the lines of a file, and of those that it includes in their places: each line's file:number, and text."""
     try:
-        text = file.read_text(encoding="utf-8", errors="replace")
+        text = file.readtext_of(encoding="utf-8", errors="replace")
     except OSError:
         return []
     found = []

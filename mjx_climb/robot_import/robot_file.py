@@ -9,8 +9,8 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import FILLING, PASSIVE, Robot, RobotError, frame_along, robot_from_model
+from mjx_climb.robot_import.bodies import add_joint, at_zero, beginning, foot_of, quaternion, rigid_parts, robot_in
 from mjx_climb.robot_import.description import COLUMNS, JOINTS, ROWS, SPECK, is_urdf, line_of
-from mjx_climb.robot_import.limbs import add_joint, at_zero, beginning, foot_of, quaternion, rigid_parts, robot_in
 from mjx_climb.scenario.model import RobotFile
 
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708
@@ -230,7 +230,7 @@ class _File:
         if self.part[body] != model.jnt_bodyid[last]:
             expected = f"a place on the link of joint {model.joint(last).name!r}"
             raise refusal(self.source, f"limbs.{limb}.foot", expected, f"{name!r}, which is not fixed to it")
-        return foot_of(model, self.data, self.limbs[limb])
+        return foot_of(model, self.data, name, self.limbs[limb].at)
 
     def axes(self, limb: str) -> list[np.ndarray]:
         """Return the axes of a limb's joints; of a yaw and two pitches, nearly, what has a closed form, exactly."""

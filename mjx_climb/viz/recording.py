@@ -14,7 +14,7 @@ from mjx_climb.files.writing import write_bytes_atomically
 from mjx_climb.ground import Holds, holds_of
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
-from mjx_climb.robot_import.limbs import quaternion
+from mjx_climb.robot_import.bodies import quaternion
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.robot_import.robot_file import root_link
 from mjx_climb.scenario.model import RobotFile

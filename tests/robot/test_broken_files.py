@@ -5,9 +5,9 @@ import re
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.robot_import.proposal import propose
 from tests.robot import climbers
 from tests.robot.test_robot_file import urdf
+from tuning.proposal.propose import propose
 
 MJCF = climbers.mjcf(4, 3).replace("><", ">\n<")
 URDF = urdf(1)[0].replace("><", ">\n<")

@@ -13,15 +13,16 @@ import mjx_climb as mc
 from mjx_climb.inputs.time_step import check_time_step, growth, largest_time_step
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.robot_import.description import bare, compiled, described, driven_joints
-from mjx_climb.robot_import.limbs import Found, rerooted
+from mjx_climb.robot_import.bodies import rerooted
+from mjx_climb.robot_import.description import bare, compiled, described
 from mjx_climb.robot_import.load import load_model, load_robot
-from mjx_climb.robot_import.proposal import propose
-from mjx_climb.robot_import.stance import Stance, Standing
 from mjx_climb.viz import rendering
 from tests.robot import climbers
 from tests.robot.test_robot_file import robot_of, urdf
 from tuning.comparisons import first_walks
+from tuning.proposal.limbs import Found, driven_joints
+from tuning.proposal.propose import propose
+from tuning.proposal.stance import Stance, Standing
 
 PLAIN = climbers.mjcf(4, 3).replace("><", ">\n<")
 FEET = re.compile(r'<site name="foot\d" pos="0.15 0 0"/>')

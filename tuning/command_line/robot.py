@@ -57,11 +57,11 @@ def robot(asked: Robot, incline: Incline) -> None:
     """
     from mjx_climb.files import dataset
     from mjx_climb.inputs.time_step import largest_time_step
-    from mjx_climb.robot_import.proposal import propose
     from mjx_climb.scenario.model import validated
     from mjx_climb.viz import rendering
     from tuning.command_line.session import Session
     from tuning.comparisons import first_walks
+    from tuning.proposal.propose import propose
 
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():

@@ -15,8 +15,8 @@ from PIL import Image
 
 from mjx_climb.files.writing import whole, write_bytes_atomically
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot_import.bodies import foot_of
 from mjx_climb.robot_import.description import bare, compiled, described
-from mjx_climb.robot_import.limbs import foot_of
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile
 from mjx_climb.trajectory import Trajectory
@@ -290,7 +290,7 @@ def stance(robot: str | RobotFile) -> np.ndarray:
         upright = data.xmat[base].reshape(3, 3).T @ data.xmat[root].reshape(3, 3)
         mujoco.mju_mat2Quat(model.body_quat[root], upright.ravel())
         mujoco.mj_kinematics(model, data)
-    feet = np.array([foot_of(model, data, limb) for limb in limbs])
+    feet = np.array([foot_of(model, data, limb.foot, limb.at) for limb in limbs])
     model.geom(ground.name).pos[2] = feet[:, 2].mean()
     anchors = [data.xanchor[[model.joint(joint).id for joint in limb.joints]] for limb in limbs]
     hips = np.array([points[0] for points in anchors])

@@ -31,7 +31,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "mjx_climb.viz.plots": "over_style plot_comparison plot_feet plot_walk save_figure",
     "mjx_climb.viz.rendering": "save_image save_video snapshots stance view",
     "mjx_climb.viz.rendering.backend": "find require_display",
-    "mjx_climb.robot_import.proposal": "propose",
+    "tuning.proposal.propose": "propose",
     "tuning.comparisons.first_walks": "heavy_load on_ceiling slow_enough with_joint_gains",
     "tuning.background": "background",
     "tuning.benchmarks.commands": "measure",
@@ -278,7 +278,7 @@ def traced(monkeypatch, tmp_path, folder):
         "mjx_climb.inputs.time_step.largest_time_step": 0.001,
         "mjx_climb.viz.rendering.save_image": "picture",
         "mjx_climb.viz.recording.save_mcap": SimpleNamespace(name="walk.mcap"),
-        "mjx_climb.robot_import.proposal.propose": SimpleNamespace(
+        "tuning.proposal.propose.propose": SimpleNamespace(
             sections=scenario.model_dump(exclude={"time_step"}), notes=[("a", "b", "c")]
         ),
         "tuning.comparisons.first_walks.heavy_load": "",

@@ -11,8 +11,8 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.robot_import.bodies import rerooted
 from mjx_climb.robot_import.description import bare
-from mjx_climb.robot_import.limbs import rerooted
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile
 from mjx_climb.viz.recording import save_mcap

@@ -7,19 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot_import.bodies import at_zero, foot_of
 from mjx_climb.robot_import.description import (
     JOINTS,
     SPECK,
     SPECK_MOMENT,
-    driven_joints,
     impossible,
     is_urdf,
     one_limit,
-    urdf_limits,
 )
-from mjx_climb.robot_import.limbs import Found, Note, at_zero, foot_of
 from mjx_climb.robot_import.robot_file import REACH
-from mjx_climb.robot_import.stance import STANDING, Section, Stance, Standing, checked, searched
+from tuning.proposal.limbs import Found, Note, driven_joints, urdf_limits
+from tuning.proposal.stance import STANDING, Section, Stance, Standing, checked, searched
 
 EARTH = 9.81  # m/s^2
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
@@ -64,7 +63,10 @@ def propose(
     robot = Found(file, base, stand_on)
     model, limbs = robot.model, robot.limbs
     data = at_zero(model)
-    points = [np.array([*data.xanchor[list(chain.joints)], foot_of(model, data, chain)]) for chain in limbs.values()]
+    points = [
+        np.array([*data.xanchor[list(chain.joints)], foot_of(model, data, chain.foot, chain.at)])
+        for chain in limbs.values()
+    ]
     hips = (np.array([row[0] for row in points]) - data.xpos[robot.base]) @ data.xmat[robot.base].reshape(3, 3)
     lengths = np.array([np.linalg.norm(np.diff(row, axis=0), axis=1).sum() for row in points])
     reach, mass = float(lengths.mean()), float(model.body_subtreemass[robot.base])
@@ -102,7 +104,7 @@ def _of_keyframe(robot: Found, key: int, section: Section) -> Stance | None:
     what, data = f"keyframe {robot.model.key(key).name!r}", mujoco.MjData(robot.model)
     data.qpos[:] = robot.model.key_qpos[key]
     mujoco.mj_kinematics(robot.model, data)
-    feet = np.array([foot_of(robot.model, data, chain) for chain in robot.limbs.values()])
+    feet = np.array([foot_of(robot.model, data, chain.foot, chain.at) for chain in robot.limbs.values()])
     feet = (feet - data.xpos[robot.base]) @ data.xmat[robot.base].reshape(3, 3)
     height = -float(feet[:, 2].mean())
     if height > 0 and (stance := checked(section, Stance(height, feet[:, :2]))):

@@ -1,22 +1,19 @@
-"""The limbs of a robot in its file: rows of joints from one base outwards, each ending in a foot.
-
-A file that begins at a foot is turned round first, so that it begins at the base.
-"""
+"""The limbs of a robot in its file: rows of joints from one base outwards, each ending in a foot."""
 
 import collections
-import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence, Set
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import RobotError
-from mjx_climb.robot_import.description import JOINTS, SPECK, bare, compiled, described, driven_joints, one_limit
-from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS, Limb
+from mjx_climb.robot_import.bodies import at_zero, beginning, joints_of, rigid_parts, robot_in
+from mjx_climb.robot_import.description import SPECK, TURNED, bare, compiled, described, is_urdf, text_of
+from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS
 
 MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
 # beyond `_ARM` joints, branches of `_FINGER` joints or fewer are the fingers of a hand
@@ -162,7 +159,7 @@ def _hub_of(model: mujoco.MjModel) -> int:
 def _middle_of(model: mujoco.MjModel) -> str | None:
     """Return the body in the middle of a robot that is one row of joints, from foot to foot; None of any other."""
     rows = _rows(model, 1)
-    joints = [body for body in rows[0] for _ in _joints(model, body)] if len(rows) == 1 else []
+    joints = [body for body in rows[0] for _ in joints_of(model, body)] if len(rows) == 1 else []
     floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
     if floats or len(joints) < 2 * FEWEST_JOINTS or any(len(_beyond(model, body)) > 1 for body in joints):
         return None
@@ -188,20 +185,6 @@ def _below_dummies(model: mujoco.MjModel) -> str | None:
     return str(model.body(shared[-1]).name)
 
 
-def rigid_parts(model: mujoco.MjModel, held: Set[int] = frozenset()) -> np.ndarray:
-    """Return for each body the first body of the rigid part that it belongs to, where some joints are held."""
-    part = np.arange(model.nbody)
-    for body in range(1, model.nbody):
-        parent = model.body_parentid[body]
-        if parent != 0 and held >= set(_joints(model, body)):
-            part[body] = part[parent]
-    return part
-
-
-def _joints(model: mujoco.MjModel, body: int) -> list[int]:
-    return [int(joint) for joint in np.flatnonzero(model.jnt_bodyid == body)]
-
-
 def _beyond(model: mujoco.MjModel, body: int) -> list[int]:
     """Return the jointed bodies that hang on the rigid part that begins with a body."""
     part = rigid_parts(model)
@@ -223,12 +206,6 @@ def _rows(model: mujoco.MjModel, base: int) -> list[list[int]]:
     return [longest(body, 0) for body in _beyond(model, rigid_parts(model)[base])]
 
 
-def beginning(names: Sequence[list[str]]) -> list[str]:
-    """Return the words with which all names begin."""
-    alike = itertools.takewhile(lambda words: len(set(words)) == 1, zip(*names, strict=False))
-    return [words[0] for words in alike]
-
-
 def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
     """Return the limbs by what the names of their joints have in common, at the beginning or at the end."""
     names = [[model.joint(joint).name for joint in chain.joints] for chain in limbs]
@@ -247,7 +224,7 @@ def _footed(model: mujoco.MjModel, row: list[int], last: list[int], shaped: mujo
 
     `last` are the bodies of the last link; `shaped` is the robot with the shapes of these.
     """
-    joints = [joint for body in row for joint in _joints(model, body)]
+    joints = [joint for body in row for joint in joints_of(model, body)]
     data = at_zero(model)
     anchor, place, axes = data.xanchor[joints[-1]], data.xpos[row[-1]], data.xmat[row[-1]].reshape(3, 3)
     sites = [s for s in range(model.nsite) if model.site_bodyid[s] in last]
@@ -308,97 +285,22 @@ def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tup
     return ends[away >= _AS_FAR * away.max()].mean(0), what
 
 
-def at_zero(model: mujoco.MjModel, held: Mapping[int, float] = MappingProxyType({})) -> mujoco.MjData:
-    """Return the robot with its joints at zero, but for those that are held."""
-    data = mujoco.MjData(model)
-    data.qpos[model.jnt_qposadr[np.isin(model.jnt_type, JOINTS)]] = 0
-    data.qpos[model.jnt_qposadr[list(held)]] = list(held.values())
-    mujoco.mj_kinematics(model, data)
-    return data
+def driven_joints(described: mujoco.MjSpec) -> set[str]:
+    """Return the joints that an actuator drives, itself or by a tendon; none where the file has no actuators."""
+    joints = set()
+    for actuator in described.actuators:
+        if actuator.trntype in TURNED:
+            joints.add(actuator.target)
+        elif actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and (tendon := described.tendon(actuator.target)):
+            joints |= {wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
+    return joints
 
 
-def foot_of(model: mujoco.MjModel, data: mujoco.MjData, limb: Chain | Limb) -> np.ndarray:
-    """Return where a limb's foot is, (3,) m in world axes; at a site as far off it as from a body."""
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, limb.foot)
-    place = data.site(site) if site >= 0 else data.body(limb.foot)
-    return np.asarray(place.xpos + place.xmat.reshape(3, 3) @ np.array(limb.at))
-
-
-# ------------------------------------------------------------------------------------------------------------
-# A file that begins at a foot
-
-
-def robot_in(file: str, base: str | None = None) -> mujoco.MjModel:
-    """Return the robot in a file, with `base` as its root where that is given.
-
-    Raises:
-        RobotError: a file that MuJoCo does not load, or no such body.
-    """
-    model = compiled(file, bare(file))
-    if base is None:
-        return model
-    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, base) < 1:
-        known = ", ".join(model.body(body).name for body in range(1, model.nbody)) or "none"
-        raise RobotError(f"{file}: robot.base: expected a body of the file ({known[:200]}), got {base!r}")
-    return compiled(file, rerooted(model, base))
-
-
-def rerooted(model: mujoco.MjModel, base: str) -> mujoco.MjSpec:
-    """Return a robot with another of its bodies as the root: masses, joints, sites and constraints, no shapes.
-
-    With the joints at zero all bodies are where they were; a joint that is passed the other way round turns about the
-    opposite axis, so that its angle stays what it was. Joints between the old root and the world are left out.
-    """
-    data, spec = at_zero(model), mujoco.MjSpec()
-    spec.compiler.degree = False
-    first = model.body(base).id
-    todo = [(first, 0, spec.worldbody, np.zeros(3), np.eye(3))]
-    while todo:
-        body, before, parent, origin, axes = todo.pop()
-        place, turn = data.xpos[body], data.xmat[body].reshape(3, 3)
-        pose = {"pos": axes.T @ (place - origin), "quat": quaternion(axes.T @ turn)}
-        made = parent.add_body(name=model.body(body).name, **pose, explicitinertial=True)
-        made.mass, made.inertia = model.body_mass[body], model.body_inertia[body]
-        made.ipos, made.iquat = model.body_ipos[body], model.body_iquat[body]
-        outwards = model.body_parentid[body] == before
-        between = () if body == first else _joints(model, body) if outwards else _joints(model, before)[::-1]
-        for joint in between:
-            moved = add_joint(made, model, joint, model.joint(joint).name)
-            moved.pos = turn.T @ (data.xanchor[joint] - place)
-            moved.axis = (1.0 if outwards else -1.0) * (turn.T @ data.xaxis[joint])
-        for site in np.flatnonzero(model.site_bodyid == body):
-            if model.site(site).name:
-                made.add_site(name=model.site(site).name, pos=model.site_pos[site], quat=model.site_quat[site])
-        around = [*np.flatnonzero(model.body_parentid == body), model.body_parentid[body]]
-        todo += [(int(other), body, made, place, turn) for other in around if other not in (0, before, body)]
-    for constraint in range(model.neq):
-        kind, of = mujoco.mjtEq(model.eq_type[constraint]), mujoco.mjtObj(model.eq_objtype[constraint])
-        named = mujoco.mjtObj.mjOBJ_JOINT if kind == mujoco.mjtEq.mjEQ_JOINT else of
-        ends = (model.eq_obj1id[constraint], model.eq_obj2id[constraint])
-        name1, name2 = (mujoco.mj_id2name(model, named, end) or "" for end in ends)
-        spec.add_equality(
-            name=model.equality(constraint).name, type=kind, objtype=of, name1=name1, name2=name2,
-            data=model.eq_data[constraint], active=bool(model.eq_active0[constraint]),
-        )  # fmt: skip
-    return spec
-
-
-def add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int, name: str) -> mujoco.MjsJoint:
-    """Add to a body a joint with the drive, spring and limits of one of a model, and return it."""
-    dof, made = model.jnt_dofadr[joint], body.add_joint(name=name, type=mujoco.mjtJoint(model.jnt_type[joint]))
-    made.armature, made.frictionloss = model.dof_armature[dof], model.dof_frictionloss[dof]
-    made.damping, made.stiffness = [model.dof_damping[dof], 0, 0], [model.jnt_stiffness[joint], 0, 0]
-    made.springref = model.qpos_spring[model.jnt_qposadr[joint]]
-    if model.jnt_limited[joint]:
-        made.range, made.limited = model.jnt_range[joint], mujoco.mjtLimited.mjLIMITED_TRUE
-    if model.jnt_actfrclimited[joint]:
-        most = one_limit(*model.jnt_actfrcrange[joint])
-        made.actfrcrange, made.actfrclimited = [-most, most], mujoco.mjtLimited.mjLIMITED_TRUE
-    return made
-
-
-def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Return the unit quaternion (4,) wxyz of a rotation matrix (3, 3)."""
-    found = np.empty(4)
-    mujoco.mju_mat2Quat(found, rotation.ravel())
-    return found
+def urdf_limits(file: str, attribute: str) -> dict[str, float]:
+    """Return an attribute of the limits of a URDF's joints, by joint, where it is given; nothing of an MJCF."""
+    try:
+        joints = ElementTree.fromstring(text_of(file)).iter("joint") if is_urdf(file) else ()
+    except ElementTree.ParseError:  # MuJoCo is less strict
+        return {}
+    given = ((joint.get("name", ""), limit.get(attribute)) for joint in joints for limit in joint.iter("limit"))
+    return {name: float(value) for name, value in given if value is not None}
