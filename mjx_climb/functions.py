@@ -2,14 +2,12 @@
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.typing import ArrayLike
 from numpy.typing import DTypeLike
 
@@ -268,13 +266,8 @@ def _forward_dynamics(state: State, loads: Loads, robot: Robot, engine: str) -> 
         result = solve(state, loads.joint_torque.reshape(joints), *loads[1:])
         return dataclasses.replace(result, joints=result.joints.ravel())
 
-    def in_batch(value: Array, *own: int) -> Array:
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (*shape, *own)).reshape(-1, *own)
-
-    batch = jax.tree.map(lambda value: in_batch(value, value.shape[-1]), state)
-    own: list[tuple[int, ...]] = [(math.prod(joints),), (joints[0], 3), (6,), (), (3,)]  # shapes of one robot's
-    acting = Loads(*(in_batch(load, *size) for load, size in zip(loads, own, strict=True)))
+    given = jax.tree.map(lambda value: jnp.asarray(value, dtype), (state, loads))
+    axes = axes_behind(state, shape), Loads._make((1, 2, 1, 0, 1))
     # XLA's default for float32 on a GPU is TF32, of ten bits
     with jax.default_matmul_precision("highest"):
-        result = jax.vmap(alone)(batch, acting)
-    return cast(Acceleration, jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), result))
+        return over_batch(alone, given, axes, shape)

@@ -67,7 +67,6 @@ from mjx_climb.walks import (
     metrics_of,
     metrics_of_moved,
     samples_of,
-    samples_under,
     together,
 )
 
@@ -220,19 +219,17 @@ class Simulation:
             raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
         check_time_step(self.scenario, parameters=resolved.walked)
         shape = self._structure(resolved.walked, resolved.called)
-        if targets is None:
-            samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters)
-        else:
-            robot = load_robot(self.scenario.robot)
+        robot = load_robot(self.scenario.robot)
+        if targets is not None:
             if np.shape(targets) != (expected := (shape.steps, len(robot.limbs), robot.joints)):
                 raise ValueError(f"targets: expected shape {expected}, got {np.shape(targets)}")
-            own = np.asarray(targets, dtype)
-            samples = execution.run_one(samples_under, shape, resolved.law, resolved.parameters, own)
+            targets = np.asarray(targets, dtype)
+        samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters, targets)
         return Trajectory(
             scenario=scenario_with_gait(self.scenario, {} if gains is None else by_name(gains)),
             gains=recorded(self.scenario, gains, resolved),
             parameters=jax.tree.map(functools.partial(np.asarray, dtype=dtype), resolved.own),
-            limbs=load_robot(self.scenario.robot).limbs,
+            limbs=robot.limbs,
             law=self.law_name if targets is None else "JointTargets",
             **{name: np.asarray(value) for name, value in vars(samples).items()},
         )

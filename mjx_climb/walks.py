@@ -109,22 +109,15 @@ def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metr
     return metrics | _extremes(over_time)
 
 
-def samples_of(structure: Structure, law: Law, parameters: Parameters) -> Sample:
-    """Return every sample of a walk, stacked over time."""
-    walk = prepare(structure, law, parameters)
-    steps = jnp.arange(structure.steps)
-    samples: Sample = _over_steps(walk, functools.partial(advance, walk), begin(walk), steps)[1]
-    return samples
-
-
-def samples_under(
-    structure: Structure, law: Law, parameters: Parameters, targets: Float[Array, "time limb joint"]
+def samples_of(
+    structure: Structure, law: Law, parameters: Parameters, targets: Float[Array, "time limb joint"] | None = None
 ) -> Sample:
-    """Return every sample of a walk whose joint targets, rad, take the law's place, stacked over time."""
+    """Return every sample of a walk, stacked over time; joint targets, rad, take the law's place where given."""
     walk = prepare(structure, law, parameters)
 
-    def step(carry: Carry, now: tuple[Array, Array]) -> tuple[Carry, Sample]:
-        return advance(walk, carry, now[0], JointTargets(now[1]))
+    def step(carry: Carry, now: tuple[Array, Array | None]) -> tuple[Carry, Sample]:
+        number, angles = now
+        return advance(walk, carry, number, None if angles is None else JointTargets(angles))
 
     samples: Sample = _over_steps(walk, step, begin(walk), (jnp.arange(structure.steps), targets))[1]
     return samples

@@ -145,7 +145,7 @@ class _Program(NamedTuple):
         written_has: list[Has] = []
         constants, carry = scan_sizes(parameters)
         read = given[constants + carry :]
-        moving = by_axis(functools.partial(carried_on, parameters), has, len(self.batch), carry)
+        moving = by_axis(functools.partial(carried_on, parameters), has, len(self.batch), carry)[:carry]
         begun = [*map(self._wide, given[constants : constants + carry], moving)]
         stacks, body = self._stacked(parameters["jaxpr"], constants, moving)
         carried_has = stacks.stacked(moving, lambda some: some[0])

@@ -154,14 +154,14 @@ def reached(jaxpr: core.Jaxpr, moving: Sequence[bool]) -> list[bool]:
 
 
 def carried_on(parameters: Parameters, given: Sequence[bool]) -> list[bool]:
-    """Return which of the values that a loop carries depend, after some steps, on what is moving of its operands."""
+    """Return which values that a loop carries, then which it writes, depend in the end on operands that are moving."""
     constants, carry = scan_sizes(parameters)
     common, moving, read = given[:constants], list(given[constants : constants + carry]), given[constants + carry :]
     while True:
-        found = reached(parameters["jaxpr"].jaxpr, [*common, *moving, *read])[:carry]
-        after = [before or now for before, now in zip(moving, found, strict=True)]
+        found = reached(parameters["jaxpr"].jaxpr, [*common, *moving, *read])
+        after = [before or now for before, now in zip(moving, found[:carry], strict=True)]
         if after == moving:
-            return moving
+            return [*moving, *found[carry:]]
         moving = after
 
 
@@ -169,12 +169,7 @@ def _through(equation: core.JaxprEqn, given: Sequence[bool]) -> list[bool]:
     name, inner = equation.primitive.name, inner_program(equation)
     if inner is not None and name != "custom_vjp_call":
         return reached(inner.jaxpr, given)
-    if name != "scan":
-        return [True] * len(equation.outvars)
-    constants, carry = scan_sizes(equation.params)
-    moving = carried_on(equation.params, given)
-    last = reached(equation.params["jaxpr"].jaxpr, [*given[:constants], *moving, *given[constants + carry :]])
-    return [*moving, *last[carry:]]
+    return carried_on(equation.params, given) if name == "scan" else [True] * len(equation.outvars)
 
 
 def by_axis(of_axis: Callable[[list[bool]], Sequence[bool]], varies: Sequence[Has], axes: int, count: int) -> list[Has]:
