@@ -9,7 +9,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Container, Hashable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,21 +21,7 @@ from mjx_climb.execution.array_writer import ArrayWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import can_write, results
 from mjx_climb.execution.elements import Unsupported
-from mjx_climb.execution.flat import (
-    Has,
-    Stacks,
-    by_axis,
-    carried_on,
-    carrying,
-    flat,
-    mapped,
-    needed,
-    reached,
-    region,
-    rows_of,
-    runs,
-    variables_of,
-)
+from mjx_climb.execution.flat import Has, by_axis, carried_on, flat, mapped, needed, reached, region, runs, variables_of
 from mjx_climb.execution.jax_internals import as_one_kernel, carried_out, line_of, new_program, scan_sizes
 from mjx_climb.execution.jax_types import aval_of
 from mjx_climb.execution.limbs import LimbAxes
@@ -69,6 +55,47 @@ def _unseen(values: Sequence[Array]) -> list[Array]:
     reads (jaxlib 0.10: "All or none of the slices should have an explicit index").
     """
     return list(lax.optimization_barrier(tuple(values)))
+
+
+Item = TypeVar("Item")
+
+
+class _Stacks(NamedTuple):
+    """Which of some values, each of one shape and type, are one array: places in a sequence, in groups."""
+
+    groups: tuple[tuple[int, ...], ...]
+
+    def stacked(self, values: Sequence[Item], stack: Callable[[list[Item]], Item]) -> list[Item]:
+        """Return each group stacked by `stack`, and then the values of no group."""
+        within = set(itertools.chain.from_iterable(self.groups))
+        made = [stack([values[place] for place in group]) for group in self.groups]
+        return made + [value for place, value in enumerate(values) if place not in within]
+
+    def apart(self, arrays: Sequence[Array]) -> list[Array]:
+        """Return the values of which `stacked` made arrays by `_rows_of`."""
+        rest = iter(arrays[len(self.groups) :])
+        rows: dict[int, Array] = {}
+        for array, group in zip(arrays, self.groups, strict=False):
+            rows |= {place: lax.index_in_dim(array, row, keepdims=False) for row, place in enumerate(group)}
+        count = len(rows) + len(arrays) - len(self.groups)
+        return [rows[place] if place in rows else next(rest) for place in range(count)]
+
+
+def _rows_of(values: Sequence[Array]) -> Array:
+    """Return values of one shape and type as one array, along a first axis."""
+    return lax.concatenate([lax.expand_dims(jnp.asarray(value), (0,)) for value in values], 0)
+
+
+def _carrying(stacks: _Stacks, body: core.ClosedJaxpr, constants: int, carry: int) -> core.ClosedJaxpr:
+    """Return a loop's body that carries stacks and what is behind them in place of `carry` values."""
+    avals = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in body.in_avals]
+    common, carried, read = avals[:constants], avals[constants : constants + carry], avals[constants + carry :]
+
+    def step(common: list[Array], carried: list[Array], read: list[Array]) -> list[Array]:
+        made = core.jaxpr_as_fun(body)(*common, *stacks.apart(carried), *read)
+        return [*stacks.stacked(made[:carry], _rows_of), *made[carry:]]
+
+    return jax.make_jaxpr(step)(common, stacks.stacked(carried, lambda some: jax.eval_shape(_rows_of, some)), read)
 
 
 Varying = tuple[Array, Has]  # and which batch axes it has
@@ -156,13 +183,13 @@ class _Program(NamedTuple):
             written_has[:] = [has for _, has in made[len(carried) :]]
             return [*map(self._wide, made, carried_has)], [value for value, _ in made[len(carried) :]]
 
-        start, how = _unseen(stacks.stacked(begun, rows_of)), ("length", "reverse", "unroll")
+        start, how = _unseen(stacks.stacked(begun, _rows_of)), ("length", "reverse", "unroll")
         after, written = lax.scan(step, start, [value for value, _ in read], **{name: parameters[name] for name in how})
         return [*zip(stacks.apart(after), moving, strict=True), *zip(written, written_has, strict=True)]
 
     def _stacked(
         self, body: core.ClosedJaxpr, constants: int, moving: Sequence[Has]
-    ) -> tuple[Stacks, core.ClosedJaxpr]:
+    ) -> tuple[_Stacks, core.ClosedJaxpr]:
         """Return which values a loop carries as one array, those that are one row of robots, and its body with these.
 
         XLA:CPU copies each such value in each step, as the first region hands it on under another shape. Where more
@@ -175,8 +202,8 @@ class _Program(NamedTuple):
             if aval.size == (1 if axis is None else self.limbs.count):
                 groups.setdefault((aval.shape, aval.dtype, axis, has), []).append(place)
         split = [g[n : n + MOST_ROWS] for g in groups.values() for n in range(0, len(g), MOST_ROWS)]
-        stacks = Stacks(tuple(tuple(group) for group in split if len(group) > 1))
-        stacked = carrying(stacks, body, constants, len(moving))
+        stacks = _Stacks(tuple(tuple(group) for group in split if len(group) > 1))
+        stacked = _carrying(stacks, body, constants, len(moving))
         axes = [self.limbs.of(variable) for variable in body.jaxpr.invars]
         axes[carried] = stacks.stacked(axes[carried], lambda same: None if same[0] is None else same[0] + 1)
         self.limbs.follow(stacked.jaxpr, axes)

@@ -9,7 +9,6 @@ where JAX takes the mean; what is not a number stays, as in JAX's own.
 import functools
 import itertools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,8 +26,6 @@ from mjx_climb.execution.jax_internals import (
     with_inner,
 )
 from mjx_climb.execution.jax_types import Atom, Function, Parameters
-
-Item = TypeVar("Item")
 
 
 def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
@@ -94,44 +91,6 @@ def region(like: core.Jaxpr, equations: list[core.JaxprEqn], later: dict[core.Va
     made = variables_of([variable for equation in equations for variable in equation.outvars])
     read = variables_of([atom for equation in equations for atom in equation.invars])
     return new_program(like, equations, [v for v in read if v not in made], [v for v in made if v in later])
-
-
-class Stacks(NamedTuple):
-    """Which of some values, each of one shape and type, are one array: places in a sequence, in groups."""
-
-    groups: tuple[tuple[int, ...], ...]
-
-    def stacked(self, values: Sequence[Item], stack: Callable[[list[Item]], Item]) -> list[Item]:
-        """Return each group stacked by `stack`, and then the values of no group."""
-        within = set(itertools.chain.from_iterable(self.groups))
-        made = [stack([values[place] for place in group]) for group in self.groups]
-        return made + [value for place, value in enumerate(values) if place not in within]
-
-    def apart(self, arrays: Sequence[Array]) -> list[Array]:
-        """Return the values of which `stacked` made arrays by `rows_of`."""
-        rest = iter(arrays[len(self.groups) :])
-        rows: dict[int, Array] = {}
-        for array, group in zip(arrays, self.groups, strict=False):
-            rows |= {place: lax.index_in_dim(array, row, keepdims=False) for row, place in enumerate(group)}
-        count = len(rows) + len(arrays) - len(self.groups)
-        return [rows[place] if place in rows else next(rest) for place in range(count)]
-
-
-def rows_of(values: Sequence[Array]) -> Array:
-    """Return values of one shape and type as one array, along a first axis."""
-    return lax.concatenate([lax.expand_dims(jnp.asarray(value), (0,)) for value in values], 0)
-
-
-def carrying(stacks: Stacks, body: core.ClosedJaxpr, constants: int, carry: int) -> core.ClosedJaxpr:
-    """Return a loop's body that carries stacks and what is behind them in place of `carry` values."""
-    avals = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in body.in_avals]
-    common, carried, read = avals[:constants], avals[constants : constants + carry], avals[constants + carry :]
-
-    def step(common: list[Array], carried: list[Array], read: list[Array]) -> list[Array]:
-        made = core.jaxpr_as_fun(body)(*common, *stacks.apart(carried), *read)
-        return [*stacks.stacked(made[:carry], rows_of), *made[carry:]]
-
-    return jax.make_jaxpr(step)(common, stacks.stacked(carried, lambda some: jax.eval_shape(rows_of, some)), read)
 
 
 # --- activity analysis: what depends on what, and so which batch axes a value has

@@ -8,14 +8,7 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot_import.bodies import at_zero, foot_of
-from mjx_climb.robot_import.description import (
-    JOINTS,
-    SPECK,
-    SPECK_MOMENT,
-    impossible,
-    is_urdf,
-    one_limit,
-)
+from mjx_climb.robot_import.description import JOINTS, SPECK, SPECK_MOMENT, impossible, is_urdf, one_limit
 from mjx_climb.robot_import.robot_file import REACH
 from tuning.proposal.limbs import Found, Note, driven_joints, urdf_limits
 from tuning.proposal.stance import STANDING, Section, Stance, Standing, checked, searched
