@@ -114,14 +114,12 @@ def with_values(
     values: Mapping[str, ArrayLike],
     array: Callable[[AnyArray], AnyArray] = np.asarray,
     name: str = "gains",
-    zero: tuple[str, ...] = (),
 ) -> AnyComponent:
     """Return a component with some values replaced, all of them as arrays of their full shape.
 
     Arguments:
         array: makes an array of JAX or of NumPy, in the precision of the walk.
         name: of the component in messages, as "gains".
-        zero: values that may be 0 whatever their bounds.
 
     Raises:
         ValueError: in one line, a wrong shape, or a value that is not positive.

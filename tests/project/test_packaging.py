@@ -116,9 +116,9 @@ def test_a_whole_walk_and_the_self_check_of_the_installed_program(programs, tmp_
 
 
 INSTALLED = """
-from mjx_climb import self_check
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario import load, shipped
+from tuning.benchmarks import self_check
 from tuning.problem import ensemble
 from tuning.pages import page
 print(self_check.__file__, page.__file__, shipped.config_path("case_2.yaml"), self_check.STORED, sep="\\n")

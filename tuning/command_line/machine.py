@@ -156,7 +156,7 @@ def renderer() -> Iterator[Part]:
 
 def simulation() -> Iterator[Part]:
     """Yield how far walk, gradient and dynamics on this machine are from the stored values."""
-    from mjx_climb import self_check
+    from tuning.benchmarks import self_check
 
     with warnings.catch_warnings():
         # what `cache` has found already

@@ -10,8 +10,8 @@ from pathlib import Path
 import jax
 import pytest
 
-from mjx_climb import self_check
 from mjx_climb.viz.rendering import RenderingError, backend
+from tuning.benchmarks import self_check
 from tuning.command_line import machine
 
 ROOT = Path(__file__).parents[3]
@@ -165,7 +165,7 @@ def test_an_engine_that_has_no_value_is_seen(doctor, monkeypatch):
 
 @pytest.mark.nightly
 def test_this_code_computes_what_is_stored(tmp_path):
-    """In a process of its own; `python -m mjx_climb.self_check` stores the values anew."""
+    """In a process of its own; `python -m tuning.benchmarks.self_check` stores the values anew."""
     environment = os.environ | {"MJX_CLIMB_CACHE": str(tmp_path)}
     command = [sys.executable, "-m", "tuning.command_line", "doctor"]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)

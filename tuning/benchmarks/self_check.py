@@ -2,13 +2,12 @@
 
 What is compared: the metrics of half a second's walk under Eq. 3 (two swings, two touchdowns, cargo, a push, a slope)
 and their forward derivative by stiffness and damping, in double precision; and the accelerations of one state by both
-engines and by MuJoCo's C code. `python -m mjx_climb.self_check` stores the values anew.
+engines and by MuJoCo's C code. `python -m tuning.benchmarks.self_check` stores the values anew.
 """
 
 import json
 import math
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +27,7 @@ from mjx_climb.trajectory import named
 
 LIMBS = ("LF", "LH", "RH", "RF")
 MUJOCO = "mujoco"  # among the engines: its C code
-STORED = Path(str(resources.files("mjx_climb"))) / "self_check.json"
+STORED = Path(__file__).with_name("self_check.json")
 
 # Relative. Another order of the same arithmetic (the other engine all through the walk) moves the values by 3e-14 at
 # most, so other processors stay far below this; a mass or a gain that is off by a millionth moves them far above.
