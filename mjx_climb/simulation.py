@@ -50,8 +50,7 @@ from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE, checked_engine
 from mjx_climb.physics.state import State
-from mjx_climb.robot_import.load import load_robot
-from mjx_climb.robot_import.stance import check_stance
+from mjx_climb.robot_import.load import check_stance, load_robot
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import summed_to
 from mjx_climb.trajectory import Trajectory

@@ -1,4 +1,4 @@
-"""Robots by name or from a file of the user's own."""
+"""Robots by name or from a file of the user's own, and the check of their rest stance."""
 
 import dataclasses
 import functools
@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.physics.postures import MET, limb_joints
+from mjx_climb.physics.postures import MET, SINGULAR, keeps_attitude, least_singular_values, limb_joints
 from mjx_climb.robot.constants import Robot, RobotError, robot_from_model
 from mjx_climb.robot_import.robot_file import refusal, unposed
-from mjx_climb.scenario.model import RobotFile
+from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import RobotFile, Scenario
 
 
 def model_path(name: str | RobotFile) -> Path:
@@ -79,3 +80,28 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
     spec.add_key(name="stance", qpos=[*position, 1, 0, 0, 0, *joints.angles.ravel()])
     spec.body("base").pos = position
     return spec
+
+
+def check_stance(scenario: Scenario, source: str = "scenario") -> None:
+    """Refuse a rest stance in which a limb is singular: it cannot move its foot every way, or turn it as its grip asks.
+
+    Raises:
+        ConfigError: in one line, the limb and the smallest singular value of its Jacobian.
+    """
+    if wrong := _singular_limb(scenario.robot, scenario.contact.rotational_stiffness > 0):
+        raise ConfigError(f"{source}: {wrong}")
+
+
+@functools.lru_cache(maxsize=64)
+def _singular_limb(name: str | RobotFile, moments: bool) -> str | None:
+    robot = load_robot(name)
+    turned = moments and keeps_attitude(robot)
+    values = least_singular_values(robot, robot.stance_joints, turned)
+    limb, least, does = robot.limbs[values.argmin()], values.min(), "move and turn" if turned else "move"
+    if least >= SINGULAR:
+        return None
+    return (
+        f"robot.limbs.{limb}.foothold: expected a stance in which the limb can {does} its foot every way, got a "
+        f"singular one (smallest singular value of its Jacobian {least:.2g}, lengths over the limb's): another height "
+        "or foothold"
+    )

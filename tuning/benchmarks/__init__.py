@@ -1,1 +1,1 @@
-"""What `mjx-climb doctor` checks, and measures with `--bench`: this program, and its peers built on MuJoCo and NumPy."""
+"""What `mjx-climb doctor` checks, and measures with `--bench`: this program, and peers built on MuJoCo and NumPy."""

@@ -304,7 +304,7 @@ def scenario_from(
     from mjx_climb.execution import paths
     from mjx_climb.gait.base_path import check_base
     from mjx_climb.inputs.time_step import check_time_step
-    from mjx_climb.robot_import.stance import check_stance
+    from mjx_climb.robot_import.load import check_stance
     from mjx_climb.scenario.load import load_hardware, with_hardware
     from mjx_climb.scenario.model import overridden
     from mjx_climb.terrain import check_reach

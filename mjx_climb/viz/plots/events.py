@@ -1,4 +1,4 @@
-"""What happened in a walk, for those who draw it: how far it goes, torn grippers, changes of grip, disturbances."""
+"""What happened in a walk, for those who draw it: how far it goes, torn grippers, changes of grip, disturbances; sizes."""
 
 import math
 
@@ -7,6 +7,8 @@ import numpy as np
 from mjx_climb.files.dataset import AXES
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.viz.plots.styling import CARGO, PUSH
+
+HUBROBO = 0.23  # m, between HubRobo's base and its feet, for which all lengths of pictures are written
 
 
 def finite_rows(trajectory: Trajectory) -> int:
@@ -85,6 +87,12 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths (...) of vectors (..., 3)."""
     with np.errstate(over="ignore", invalid="ignore"):  # a walk that diverges
         return np.asarray(np.linalg.norm(vectors, axis=-1))
+
+
+def size_of(trajectory: Trajectory) -> float:
+    """Return the robot's size in HubRobos: by the mean distance between base and feet where the walk begins."""
+    away = np.linalg.norm(trajectory.foot_position[0] - trajectory.base_position[0], axis=-1)
+    return float(away.mean()) / HUBROBO
 
 
 def thin(time: np.ndarray, values: np.ndarray, points: int = 1500) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,8 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.trajectory import Trajectory
-from mjx_climb.viz.plots.events import row_at, whole
+from mjx_climb.viz.plots.events import row_at, size_of, whole
 from mjx_climb.viz.rendering import backend
-from mjx_climb.viz.rendering.proportions import size_of
 
 AZIMUTH, ELEVATION = 98.0, -38.0  # degrees, at heading zero: to the robot's right, so high that no limb hides
 MICROGRAVITY = 0.02  # m/s^2; below, there is no down

@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 from mjx_climb.ground import holds_of
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.trajectory import Trajectory
-from mjx_climb.viz.plots.events import whole
+from mjx_climb.viz.plots.events import size_of, whole
 from mjx_climb.viz.plots.holds import SCALE
 from mjx_climb.viz.plots.styling import LIMB_COLORS, ORANGE, RED, SKY, VERMILLION
-from mjx_climb.viz.rendering.proportions import size_of
 
 RGB = tuple[float, float, float]  # a colour, in [0, 1]
 

@@ -10,8 +10,7 @@ from mjx_climb.ground.holds import Shown
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot_import.load import load_spec
 from mjx_climb.trajectory import Trajectory
-from mjx_climb.viz.plots.events import whole
-from mjx_climb.viz.rendering.proportions import size_of
+from mjx_climb.viz.plots.events import size_of, whole
 
 GROUND = "relief"  # the geom's name
 # lengths beside HubRobo, others in proportion
