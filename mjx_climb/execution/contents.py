@@ -118,15 +118,9 @@ class _Digests:
         home = function.__globals__.get("__name__", "")
         yield _version(home)
         # what a library made, as jax.vmap does, takes from its module what the version tells
-        yield from self._code(function.__code__, {} if in_library(home) else function.__globals__)
-
-    def _code(self, code: types.CodeType, space: dict[str, object]) -> Iterator[object]:
-        """Yield the instructions of code, and the values that it takes from its module and by imports."""
-        for said in _said(code):
-            if isinstance(said, _Taken):
-                yield from self._taken(said, space)
-            else:
-                yield said
+        space = {} if in_library(home) else function.__globals__
+        for said in _said(function.__code__):
+            yield from self._taken(said, space) if isinstance(said, _Taken) else (said,)
 
     def _taken(self, taken: "_Taken", space: dict[str, object]) -> Iterator[object]:
         name, code = taken.name, taken.by

@@ -104,24 +104,19 @@ def stages_of(
         return buffer_length(np.maximum(getattr(parameters, name), step if name in moving else 0.0), step)
 
     filtered, by_law = finite("force_filter"), scenario.hardware.force_sensor.filtered_by == "law"
-    simple = ("force_noise", "force_bias", "force_resolution", "control_period", "armature", "backlash")
+    simple = "force_noise force_bias force_resolution control_period armature backlash sway landing_speed".split()
     found = {name: some(name) for name in simple}
+    found |= {name: finite(name) for name in ("force_dead", "servo_rate", "supply_voltage")}
     return Stages(
         **found,
-        force_delay=length("force_delay"),
-        base_delay=length("base_delay"),
-        command_delay=length("command_delay"),
-        servo_delay=length("servo_delay"),
+        **{f"{part}_delay": length(f"{part}_delay") for part in DELAYED},
         force_filter=filtered and not by_law,
-        force_dead=finite("force_dead"),
         sampled_filter=filtered and by_law,
         base_noise=some("position_noise", "velocity_noise"),
         linear=found["control_period"] and scenario.hardware.interpolation == "linear",
-        servo_rate=finite("servo_rate"),
         profile=finite("profile_velocity"),
         integral=some("ki"),
         voltage=voltage,
-        supply_voltage=finite("supply_voltage"),
         torque_limit=limited or finite("torque_limit"),
         current_limit=(voltage and limited) or finite("current_limit"),
         dry_friction=dry or some("coulomb_friction", "load_friction", *_OF_LOAD, *_STRIBECK),
@@ -131,8 +126,6 @@ def stages_of(
         capture=finite("capture_distance"),
         rotational=some("rotational_stiffness"),
         height="height" in moving or given(np.asarray(parameters.height) - 1),
-        sway=some("sway"),
-        landing_speed=some("landing_speed"),
     )
 
 
