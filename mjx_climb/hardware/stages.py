@@ -109,7 +109,10 @@ def stages_of(
     found |= {name: finite(name) for name in ("force_dead", "servo_rate", "supply_voltage")}
     return Stages(
         **found,
-        **{f"{part}_delay": length(f"{part}_delay") for part in DELAYED},
+        force_delay=length("force_delay"),
+        base_delay=length("base_delay"),
+        command_delay=length("command_delay"),
+        servo_delay=length("servo_delay"),
         force_filter=filtered and not by_law,
         sampled_filter=filtered and by_law,
         base_noise=some("position_noise", "velocity_noise"),
