@@ -1,6 +1,6 @@
 """Walks made visible: frames, snapshots, videos and the interactive viewer.
 
-from mjx_climb import rendering
+from mjx_climb.viz import rendering
 
 rendering.save_video("walk.mp4", trajectory, baseline)
 strip = rendering.snapshots(trajectory, count=4)
