@@ -211,11 +211,10 @@ class Simulation:
         check_time_step(self.scenario, parameters=resolved.walked)
         shape = self._structure(resolved.walked, resolved.called)
         robot = load_robot(self.scenario.robot)
-        if targets is not None:
-            if np.shape(targets) != (expected := (shape.steps, len(robot.limbs), robot.joints)):
-                raise ValueError(f"targets: expected shape {expected}, got {np.shape(targets)}")
-            targets = np.asarray(targets, dtype)
-        samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters, targets)
+        under = () if targets is None else (np.asarray(targets, dtype),)
+        if under and under[0].shape != (expected := (shape.steps, len(robot.limbs), robot.joints)):
+            raise ValueError(f"targets: expected shape {expected}, got {under[0].shape}")
+        samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters, *under)
         return Trajectory(
             scenario=scenario_with_gait(self.scenario, {} if gains is None else by_name(gains)),
             gains=recorded(self.scenario, gains, resolved),
