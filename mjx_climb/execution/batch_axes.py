@@ -17,7 +17,8 @@ from jax import Array
 from mjx_climb.execution.batches import flattened
 from mjx_climb.execution.jax_types import PyTree
 
-Tree, Result = TypeVar("Tree"), TypeVar("Result")
+Tree = TypeVar("Tree")
+Result = TypeVar("Result")
 
 
 def is_traced(tree: PyTree) -> bool:

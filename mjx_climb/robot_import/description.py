@@ -90,7 +90,7 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
 def text_of(file: str) -> str:
     """Return a file without comments, their lines kept; nothing of one that cannot be read."""
     try:
-        text = Path(file).readtext_of(encoding="utf-8", errors="replace")
+        text = Path(file).read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
     return re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
@@ -301,7 +301,7 @@ def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
 def _lines(file: Path, around: tuple[Path, ...] = ()) -> list[tuple[str, str]]:
     """Return the lines of a file, and of those that it includes in their places: each line's file:number, and text."""
     try:
-        text = file.readtext_of(encoding="utf-8", errors="replace")
+        text = file.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return []
     found = []
