@@ -444,7 +444,8 @@ class Simulation:
             raise ValueError("reset is of one robot: a batch is made by jax.vmap, or by mjx_climb.Environment")
         shape = batch_shape(others={"gains and parameters": resolved.shape, "batch": batch or ()})
         check_robots(shape)
-        return over_batch(functools.partial(_start, structure), resolved[:2], resolved.axes, shape)
+        begun: SimulationState = over_batch(functools.partial(_start, structure), resolved[:2], resolved.axes, shape)
+        return begun
 
     def step(self, state: SimulationState, action: Action = None) -> tuple[SimulationState, Sample]:
         """Return one robot one time step later, and all that is known about this step; pure.
@@ -489,7 +490,8 @@ class Simulation:
         if "ki" in resolved.called and not structure.stages.integral and (is_traced(ki) or given(ki)):
             raise ValueError("gains.ki: expected 0, as the robot began without an integral gain, got another value")
         change, axes = functools.partial(_with_law, structure), (axes_behind(state, shape), *resolved.axes)
-        return over_batch(change, (state, *resolved[:2]), axes, shape)
+        changed: SimulationState = over_batch(change, (state, *resolved[:2]), axes, shape)
+        return changed
 
 
 @functools.partial(jax.jit, static_argnums=0)
