@@ -9,8 +9,8 @@ import scipy.io
 import trimesh
 
 import mjx_climb as mc
-from mjx_climb.files.scenario_files import copied
 from mjx_climb.ground import holds_of, holds_of_seeds, of
+from tuning.scenario_files import copied
 
 POINTS = np.array([[0.1, 0.2, 0.0], [0.3, -0.2, 0.05], [-0.1, 0.0, 0.02]])
 NORMALS = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
