@@ -31,7 +31,7 @@ from planned_feet import PlannedFeet, TimedFeet
 import mjx_climb as mc
 import tuning
 from mjx_climb.control import PD, LoadTransfer, combined
-from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.inputs.gait_values import GAIT, scenario_with_gait
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name
 from tuning.methods.many_variables import Evaluated, descend
@@ -78,7 +78,7 @@ def begun(scenario, file, kind):
     own = by_name(gains)
     law = dataclasses.replace(law, **{name: np.asarray(own[name], float) for name in law.GAINS if name in own})
     joint = {f"control.{name}": float(own[name]) for name in ("kp", "kd") if name in own}
-    return scenario.with_overrides(joint | {name: float(own[name]) for name in GAIT if name in own}), law
+    return scenario_with_gait(scenario.with_overrides(joint), {name: own[name] for name in GAIT if name in own}), law
 
 
 def values(problem, theta):
