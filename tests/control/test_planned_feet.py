@@ -4,7 +4,6 @@ import importlib.util
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import mjx_climb as mc
 from mjx_climb.control.law import Start
@@ -61,11 +60,3 @@ def test_a_plan_in_time_is_followed_from_knot_to_knot():
         state, command = law.step(state, None, now)
         expected = [[np.interp(0.11 * step, study.KNOTS, foot[:, axis]) for axis in range(3)] for foot in table]
         np.testing.assert_allclose(command.foot_position, FEET + 1e-3 * np.array(expected), atol=1e-6)
-
-
-def test_no_offsets_are_pd():
-    now = reference([1.0, 0.0, 1.0, 1.0], [1.0, 0.0, 1.0, 1.0])
-    none = np.zeros((4, len(study.NODES), 3)), np.zeros((4, len(study.KNOTS), 3))
-    for law in (study.PlannedFeet(offsets=none[0]), study.TimedFeet(timed=none[1])):
-        _, command = law.step(law.init(Start(PERIOD, now)), None, now)
-        assert command.foot_position == pytest.approx(FEET, abs=1e-9)
