@@ -236,7 +236,7 @@ class HoldPolyhedron(v.Section):
 
 
 class Holds(v.Section):
-    """Points that can be held, from one source; the ground between them cannot."""
+    """Points that can be held, from one source, among which `gait.footholds` chooses."""
 
     points: tuple[Hold, ...] | None = setting(None, "a list of points")
     cloud: HoldCloud | None = setting(None, "a file of points")
