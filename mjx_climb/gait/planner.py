@@ -11,12 +11,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.lax import stop_gradient
 
 from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
-from mjx_climb.gait.footholds.footholds import SAME, Candidate, Footholds, Situation, pulls
+from mjx_climb.gait.footholds.footholds import AHEAD, SAME, Candidate, Footholds, Prospects, Situation, pulls
 from mjx_climb.gait.recovery import Body, Recovery, danger, interrupts, stopping_margin, ways_beside
 from mjx_climb.gait.schedule import Plan, Schedule, base_reference, first_footholds, foothold_height, schedule
 from mjx_climb.gait.swing import added_shapes, lift, rest_to_rest
@@ -39,6 +40,7 @@ class Planner(NamedTuple):
     period: int  # steps between ticks
     moves: int  # of the base in a cycle: the lift-offs
     time_step: float
+    free: bool = False  # the limb that gains most is next, in place of the order of the periodic gait
 
 
 class Progress(NamedTuple):
@@ -85,17 +87,24 @@ def clock_at(progress: Progress, step: Array) -> Array:
     return progress.clock + progress.running * (step.astype(progress.clock.dtype) - progress.step)
 
 
-def schedule_at(plan: Plan, progress: Progress, step: Array) -> Schedule:
-    """Return the phases of the limbs at a step, () integer; `foothold` is that of the periodic gait."""
+def schedule_at(planner: Planner, progress: Progress, step: Array) -> Schedule:
+    """Return the phases of the limbs at a step, () integer; `foothold` is that of the periodic gait.
+
+    In a free order a limb is known to lift off once it is chosen; the others are not expected to within a cycle.
+    """
+    plan = planner.plan
     clock, now = clock_at(progress, step), step.astype(progress.clock.dtype)
     periodic, elapsed = schedule(plan, clock), now - progress.begun
     closed = (elapsed < 0) | (elapsed >= progress.span)
     since_lift_off = jnp.mod(clock - plan.swing_offset, plan.cycle_steps)
+    until = plan.cycle_steps - since_lift_off
+    if planner.free:
+        until = jnp.where(elapsed < 0, -elapsed, plan.cycle_steps)
     stood = jnp.where(elapsed < 0, now - progress.touched, elapsed - progress.span)
     return periodic._replace(
         closed=closed,
         swing_phase=elapsed / progress.span,
-        until_lift_off=jnp.where(closed, plan.cycle_steps - since_lift_off, 0.0),
+        until_lift_off=jnp.where(closed, until, 0.0),
         since_touchdown=jnp.where(closed, stood, 0.0),
     )
 
@@ -207,19 +216,24 @@ def _lifted_off(
 ) -> Progress:
     """Return the progress with swings of the limbs that lift off before the next tick."""
     plan, clock = planner.plan, progress.clock
-    wait = jnp.mod(plan.swing_offset - clock, plan.cycle_steps)
-    lifts = now.closed & (at >= progress.begun) & (wait < planner.period) & (progress.running > 0)
-    planned, goal, height = _planned(plan, clock + wait), progress.goal, progress.goal[:, 2]
-    if planner.rule is not None and planner.holds is not None:
-        swing = planner.plan.swing_steps / plan.cycle_steps
-        situation = Situation(
-            feet=goal, planned=planned, forward=_forward(plan), stands=~lifts,
-            center_of_mass=body.center_of_mass + swing * plan.advance, weight=body.weight,
-            holding_force=body.holding_force,
-        )  # fmt: skip
-        chosen = choose(planner, planner.rule, planner.holds, situation, base, (swing * plan.advance, plan.advance))
+    swing = plan.swing_steps / plan.cycle_steps
+    ways = swing * plan.advance, plan.advance  # of the base until the touchdown, and until the next lift-off
+    situation = Situation(
+        feet=progress.goal, planned=progress.goal + plan.advance, forward=_forward(plan), stands=body.support,
+        center_of_mass=body.center_of_mass + ways[0], weight=body.weight, holding_force=body.holding_force,
+    )  # fmt: skip
+    if planner.free and planner.rule is not None and planner.holds is not None:
+        wait = jnp.maximum(plan.cycle_steps / planner.moves - plan.swing_steps, 0.0)
+        stand = (at >= progress.begun + progress.span).all() & (progress.running > 0)
+        prospects = prospects_of(planner, planner.holds, situation, base, ways)
+        lifts = stand & _first_largest(planner.rule.limb_worth(prospects))
     else:
-        chosen = planned
+        wait = jnp.mod(plan.swing_offset - clock, plan.cycle_steps)
+        lifts = now.closed & (at >= progress.begun) & (wait < planner.period) & (progress.running > 0)
+        situation = situation._replace(planned=_planned(plan, clock + wait))
+    chosen, goal, height = situation.planned, progress.goal, progress.goal[:, 2]
+    if planner.rule is not None and planner.holds is not None:
+        chosen = choose(planner, planner.rule, planner.holds, situation._replace(stands=~lifts), base, ways)
     each = lifts[:, None]
     goal = jnp.where(each, chosen, goal)
     progress = progress._replace(
@@ -301,18 +315,55 @@ def choose(
         return rule.score(situation, Candidate(position, pull))
 
     def allowed(position: Array) -> Array:
-        apart = jnp.sum((position[:, None] - situation.feet) ** 2, axis=2) > SAME**2
-        others = ~jnp.eye(len(apart), dtype=bool)
-        free = (apart | ~others).all(1)
-        for way in ways:
-            free = free & within_reach(planner, (position - base[0] - way) @ base[1])
-        return free
+        return _allowed(planner, situation, base, ways, position)
 
     def of_all(position: Array) -> Array:
         return jnp.broadcast_to(position, situation.feet.shape)
 
     each = (holds.position, pulls(holds, situation.holding_force), holds.valid > 0)
     return _best(score, allowed, of_all, each, situation.feet)
+
+
+def _allowed(
+    planner: Planner, situation: Situation, base: tuple[Array, Array], ways: tuple[Array, Array], position: Array
+) -> Array:
+    """Return which limbs may swing to points (limb, 3) m, (limb,) bool: they reach them, and no other limb is there."""
+    apart = jnp.sum((position[:, None] - situation.feet) ** 2, axis=2) > SAME**2
+    others = ~np.eye(len(position), dtype=bool)
+    free = (apart | ~others).all(1)
+    for way in ways:
+        free = free & within_reach(planner, (position - base[0] - way) @ base[1])
+    return free
+
+
+def prospects_of(
+    planner: Planner, holds: Holds, situation: Situation, base: tuple[Array, Array], ways: tuple[Array, Array]
+) -> Prospects:
+    """Return the prospects of each limb; arguments as of `choose`."""
+
+    def look(found: Prospects, hold: tuple[Array, Array]) -> tuple[Prospects, None]:
+        point, valid = hold
+        position = stop_gradient(jnp.broadcast_to(point, situation.feet.shape))
+        step = position - situation.feet
+        ahead = (step * situation.forward).sum(1)
+        may = _allowed(planner, situation, base, ways, position) & valid
+        near = may & (ahead > 0) & ((step * step).sum(1) <= AHEAD**2)
+        farthest = jnp.where(may, jnp.maximum(found.farthest, ahead), found.farthest)
+        return Prospects(farthest, found.near + near), None
+
+    none = jnp.zeros_like(situation.feet[:, 0])
+    found, _ = jax.lax.scan(look, Prospects(none - jnp.inf, none), (holds.position, holds.valid > 0))
+    return Prospects(*map(stop_gradient, found))
+
+
+def _first_largest(values: Array) -> Array:
+    """Return which of values (limb,) is the largest, of equal ones the first, (limb,) bool."""
+    largest, before, found = values.max(), jnp.asarray(False), []
+    for limb in range(len(values)):
+        is_it = (values[limb] == largest) & ~before
+        before = before | is_it
+        found.append(is_it)
+    return jnp.stack(found)
 
 
 def _best(

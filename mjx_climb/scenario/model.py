@@ -89,6 +89,9 @@ class Gait(v.Section):
     footholds: Literal["planned", "nearest", "farthest", "climblab", "best_margin"] = setting(
         "planned", "footholds of the periodic gait, or the rule that chooses among the points that can be held"
     )
+    order: Literal["periodic", "free"] = setting(
+        "periodic", "order of the limbs: by the sequence, or the limb next that gains most, one at a time"
+    )
     planning_period: v.Positive = setting(
         0.02,
         "time between two choices of footholds or looks for danger, s; rounded to time steps that divide the duration",

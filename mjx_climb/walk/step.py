@@ -118,9 +118,10 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     plans = None
     if structure.planning:
         moves = len({share for _, share in structure.lift_off})
+        moves = len(structure.lift_off) if structure.free else moves
         plans = planning.Planner(
             robot, geometry, setup.plan, parameters.footholds, parameters.holds, parameters.recovery,
-            structure.planning, moves, structure.time_step,
+            structure.planning, moves, structure.time_step, structure.free,
         )  # fmt: skip
     return Walk(robot, parameters, setup.plan, setup.windows, contact, holding_force, controller, structure, plans)
 
@@ -232,9 +233,9 @@ def look_ahead(walk: Walk, carry: Carry, step: Array) -> Carry:
 
 def _schedule(walk: Walk, carry: Carry, step: Array) -> gait.Schedule:
     """Return the phases of the limbs at a step."""
-    if carry.progress is None:
+    if walk.planner is None or carry.progress is None:
         return gait.schedule(walk.plan, step)
-    return planning.schedule_at(walk.plan, carry.progress, step)
+    return planning.schedule_at(walk.planner, carry.progress, step)
 
 
 def _reference(walk: Walk, carry: Carry, now: gait.Schedule, step: Array, start: Array, grip_point: Array) -> Reference:

@@ -35,6 +35,7 @@ class Structure(NamedTuple):
     model: str = ""  # digest of what a robot's own file says, empty for one that comes with the package
     # digest of law, components, metrics and engine of the user's own: a global that they read may have changed
     own_code: str = ""
+    free: bool = False  # the limb that gains most swings next
     planning: int = 0  # steps between the ticks of the planner; 0: the periodic gait, whatever happens
 
 
@@ -59,6 +60,8 @@ def structure(
     """
     if parameters.footholds is not None and parameters.holds is None:
         raise ValueError("gait.footholds: expected planned, as the ground has no holds to choose among")
+    if parameters.footholds is None and scenario.gait.order == "free":
+        raise ValueError("gait.order: expected periodic with planned footholds, got free")
     table = MetricTable(metrics)
     own: list[object] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
     own += [] if law is None or type(law) in LAWS.values() else [type(law)]
@@ -81,6 +84,7 @@ def structure(
         stages=stages_under_trace(scenario, parameters, load_robot(scenario.robot), called),
         model=_digest(scenario.robot, engine),
         own_code=own_code,
+        free=scenario.gait.order == "free",
         planning=0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps,
     )
 

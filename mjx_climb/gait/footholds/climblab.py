@@ -1,10 +1,14 @@
-"""ClimbLab's rule: the largest step towards the goal under a stride cap (Uno et al., IEEE/SICE SII 2021)."""
+"""ClimbLab's rule: the largest step towards the goal under a stride cap, of the limb with most holds ahead.
+
+Uno et al., "Non-periodic gait planning based on salient region detection for a planetary cave exploration robot",
+i-SAIRAS 2020.
+"""
 
 import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.component import parameter
-from mjx_climb.gait.footholds.footholds import Candidate, Footholds, Situation, level
+from mjx_climb.gait.footholds.footholds import Candidate, Footholds, Prospects, Situation, level
 
 
 class ClimbLab(Footholds):
@@ -17,3 +21,7 @@ class ClimbLab(Footholds):
         step = candidate.position - situation.feet
         short = jnp.sum(level(step) ** 2, axis=1) <= self.stride_cap**2
         return jnp.where(short, jnp.sum(step * situation.forward, axis=1), -jnp.inf)
+
+    def limb_worth(self, prospects: Prospects) -> Array:
+        """The number of holds ahead, (limb,)."""
+        return prospects.near

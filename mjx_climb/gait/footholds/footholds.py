@@ -11,6 +11,7 @@ from mjx_climb.component import Component
 from mjx_climb.ground import Holds
 
 SAME = 1e-3  # m, points nearer to each other than this are one
+AHEAD = 0.2  # m, within which holds ahead of a limb are counted, as in ClimbLab
 
 
 class Situation(NamedTuple):
@@ -32,6 +33,13 @@ class Candidate(NamedTuple):
     pull: Array  # () N, along its normal, that it bears
 
 
+class Prospects(NamedTuple):
+    """What limbs have before them."""
+
+    farthest: Array  # (limb,) m, way to the farthest hold that may be chosen; -inf: there is none
+    near: Array  # (limb,) number of those ahead within `AHEAD`
+
+
 class Footholds(Component):
     """Base of the rules: a class that inherits from it becomes a frozen dataclass and a pytree.
 
@@ -42,6 +50,10 @@ class Footholds(Component):
     def score(self, situation: Situation, candidate: Candidate) -> Array:
         """How much a point is worth to each limb, (limb,); of several the largest is chosen, -inf is never chosen."""
         raise NotImplementedError(f"{type(self).__name__}.score")
+
+    def limb_worth(self, prospects: Prospects) -> Array:
+        """How much it is worth that each limb is next, (limb,), where the order is free: of equal ones the first is."""
+        return prospects.farthest
 
 
 def pulls(holds: Holds, otherwise: Array) -> Array:
