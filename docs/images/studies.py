@@ -299,6 +299,18 @@ def low_reaction_swings() -> Figure:
     return plain(gathered(values()), "change of force variation, %", 0)
 
 
+def recovery() -> Figure:
+    """Impulse at which half of the walks survive, by servos, law and gravity."""
+
+    def values() -> Iterator[tuple[str, str, Span]]:
+        for row in table("recovery"):
+            label = f"{row['hardware']}, {row['law']}, {row['gravity']}".replace("_", " ")
+            name = {"none": "without", "recovery": "with recovery"}[row["recovery"]]
+            yield name, label, (float(row["half"]), float(row["low"]), float(row["high"]))
+
+    return plain(gathered(values()), "impulse that half survive, N s", None)
+
+
 def speed() -> Figure:
     """Steps of a robot in a second by machine and program: of each the fastest batch."""
     rows = table("speed")
@@ -354,6 +366,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         margins,
         other_robots,
         paper,
+        recovery,
         robust_gains,
         speed,
         which_law,

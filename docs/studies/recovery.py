@@ -23,7 +23,7 @@ from mjx_climb.gait.recovery import Recovery
 from mjx_climb.inputs.from_scenario import own_parameters
 from tuning.gains import gains_file
 
-LENGTHS = {"0.05 s": 0.05, "0.5 s": 0.5}  # of a push
+LENGTHS = {"0.2 s": 0.2}  # of a push
 GRAVITY = {"1e-6 G": 9.81e-6, "1/6 G": 9.81 / 6}
 HARDWARE = ("ideal", "dynamixel_x")
 GAINS = {"pd": "pd", "load_transfer": "best"}
@@ -31,11 +31,11 @@ IMPULSES = np.geomspace(0.25, 16.0, 19)  # N s
 THRESHOLDS = {
     "shift": (0.005, 0.015, 0.04, np.inf),
     "utilization": (0.3, 0.6, 0.9, np.inf),
-    "take_over": (0.3, 1.0),
-    "landing_time": (0.1,),
+    "landing_time": (0.1, 0.25),
+    "rest_time": (0.3,),
 }
 KINDS = [*itertools.product(GRAVITY, LENGTHS)]  # of pushes
-PERIOD = 0.005  # s, of the planner
+PERIOD = 0.02  # s, of the planner
 
 
 def walker(hardware: str, law: str, seconds: float) -> tuple[mc.Simulation, object]:
