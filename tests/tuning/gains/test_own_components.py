@@ -119,7 +119,7 @@ def test_what_a_component_cannot_take_is_refused_in_one_line(own, said):
 @pytest.mark.parametrize(
     ("option", "text", "said"),
     [
-        ("--contact", "Nobody", "--contact: expected FILE.py:NAME, or one of PolyhedralGripper, got 'Nobody'"),
+        ("--contact", "Nobody", "FILE.py:NAME, or one of PolyhedralGripper, UncertainGripper, got 'Nobody'"),
         ("--drive", "{file}:Nobody", "expected a drive named Nobody, got none"),
         ("--drive", "{file}:weak", "own.drive: expected a drive that inherits from mjx_climb.Actuator, got Weak("),
         ("--disturbance", "gone.py:Wind", "gone.py: expected a readable file, got no such file or directory"),
