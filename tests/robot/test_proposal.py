@@ -303,7 +303,7 @@ def test_what_the_first_walks_show_is_said(saved, monkeypatch, ended):
     monkeypatch.setattr(first_walks, "slow_enough", lambda scenario: (scenario, True, "holds", 1e4))
     monkeypatch.setattr(first_walks, "on_ceiling", lambda scenario: (False, "lets go"))
     code, out, _ = ended(saved(dog()))
-    assert code == 0 and "kp: 77.0, kd: 0.7" in out
+    assert code == 0 and "kp: 77.0\n  kd: 0.7\n" in out
     for line in ("changed +kp 77, kd 0.7 +found", "taken +walk +holds", "warning +ceiling +lets go",
                  r"warning +load +1e\+04 N on one foot, 67 times its weight on Earth"):  # fmt: skip
         assert re.search(line, out)
