@@ -200,9 +200,12 @@ def stretches(steps: int) -> tuple[int, int]:
     return math.ceil(steps / length), length
 
 
-def histories(trajectory: Trajectory) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
-    """Return `LINES` of one walk, (2, stretches): the least and the largest value in each stretch."""
-    return together({name: np.asarray(value) for name, value in _extremes(_lines(trajectory)).items()})
+def histories(trajectory: Trajectory, steps: int | None = None) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
+    """Return `LINES` of one walk, (2, stretches): the least and the largest value in each stretch.
+
+    The stretches of time are those of a walk of so many `steps`, of which each is one or more of this walk's.
+    """
+    return together({name: np.asarray(value) for name, value in _extremes(_lines(trajectory), steps).items()})
 
 
 def _lines(sample: Sample | Trajectory) -> dict[str, AnyArray]:
@@ -215,7 +218,7 @@ def _lines(sample: Sample | Trajectory) -> dict[str, AnyArray]:
     }
 
 
-def _extremes(over_time: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+def _extremes(over_time: Mapping[str, AnyArray], of: int | None = None) -> dict[str, AnyArray]:
     """Return the least and the largest value of lines (time,) in each stretch, (stretches,), for `together`.
 
     They are results of their own: put together within a compiled program each stretch would be an operation.
@@ -223,7 +226,8 @@ def _extremes(over_time: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     found: dict[str, AnyArray] = {}
     for name, line in over_time.items():
         xp, (steps,) = line.__array_namespace__(), line.shape
-        number, length = stretches(steps)
+        number, length = stretches(of or steps)
+        length *= steps // (of or steps)
         # the last stretch is filled up with its last value
         rows = xp.concatenate([line, xp.repeat(line[-1:], number * length - steps)]).reshape(number, length)
         found |= {f"{_LEAST}{name}": rows.min(1), name: rows.max(1)}

@@ -64,6 +64,35 @@ def background(busy: int = 0) -> Iterator[Begin]:
         pool.shutdown(cancel_futures=True)
 
 
+class Gate:
+    """Holds works back until it is opened; those that still wait when its `with` block ends are not done."""
+
+    def __init__(self) -> None:
+        self._decided, self._open = threading.Event(), False
+
+    def __enter__(self) -> "Gate":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._decided.set()
+
+    def open(self) -> None:
+        """Let all works begin."""
+        self._open = True
+        self._decided.set()
+
+    def behind(self, work: Work[Result]) -> Work[Result]:
+        """Return a work that begins when the gate is open."""
+
+        def waited(report: Callback) -> Result:
+            self._decided.wait()
+            if not self._open:
+                raise KeyboardInterrupt
+            return work(report)
+
+        return waited
+
+
 def ignore(*_: Any) -> None:
     """Take no notice of a work's progress."""
 

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from mjx_climb.execution import devices
-from tuning.background import background, ignore
+from tuning.background import Gate, background, ignore
 
 
 @pytest.fixture
@@ -86,3 +86,16 @@ def test_works_that_nobody_asks_for_are_stopped(cores):
         begin(endless)
         assert begun.wait(20)
         raise KeyboardInterrupt
+
+
+def test_works_wait_behind_a_gate_and_are_left_where_it_never_opens(cores):
+    cores(4)
+    done = []
+    with background() as begin, Gate() as gate:
+        asked = begin(gate.behind(lambda _: done.append("first")))
+        assert not done
+        gate.open()
+        asked(ignore)
+    with background() as begin, Gate() as gate:
+        begin(gate.behind(lambda _: done.append("never")))
+    assert done == ["first"]

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tuning.kinds import Begun
     from tuning.methods.rounds import Progress as Rounds
     from tuning.pages import page
+    from tuning.pages.contents import Contents
     from tuning.results.result import Result
 
 WIDTH = 100  # of tables in a file
@@ -44,12 +45,12 @@ class Compilation:
     Programs of several threads, and traces within traces, overlap: no second is counted twice.
     """
 
-    def __init__(self, finished: Callable[[], None] = lambda: None):
+    def __init__(self, finished: Callable[[], None] = lambda: None, lowered: Callable[[], None] = lambda: None):
         self.seconds: dict[str, float] = {}  # by what was done
         self.since = time.perf_counter()  # when anything was last done
         self._thread = threading.local()  # whose next program comes from the cache
         self._lock = threading.Lock()
-        self._finished = finished
+        self._finished, self._lowered = finished, lowered
 
     def __enter__(self) -> "Compilation":
         from jax import monitoring
@@ -84,8 +85,8 @@ class Compilation:
             now = time.perf_counter()
             self.seconds[what] = self.seconds.get(what, 0.0) + min(duration_secs, now - self.since)
             self.since = now
-        if event == COMPILED and duration_secs > WORTH_A_WORD:
-            self._finished()
+        if duration_secs > WORTH_A_WORD and event in (LOWERED, COMPILED):
+            self._finished() if event == COMPILED else self._lowered()
 
 
 @dataclasses.dataclass
@@ -142,6 +143,7 @@ class Session:
         self.console = console(stderr=True)
         self.tables = self.console if output.json_only else console(file=stdout)
         self.output, self.name, self.out, self.done = output, "", Path(), 0
+        self.lacks = ""  # what a result lacks that is in the folder before the command ends
         self.settings: Mapping[str, Any] | None = None  # what the command was asked for
         self._json = stdout if output.json_only else None
 
@@ -250,6 +252,20 @@ class Session:
         self.show(*written.outcome)
         self.written(written.files, written.summary, before)
 
+    def first_result(self, found: "Result", made: "Contents", again: str, lacks: str) -> None:
+        """Print the first table of a result, and write what there is of it, unless the folder holds the whole one."""
+        from tuning.writing import folder, record
+
+        told, problem = made.written, found.problem
+        self.show(comparison_table(told.compared, "pd", self.tables.width, problem.metrics, problem.law))
+        self.show(*told.outcome)
+        if (before := record.read(self.out)) is not None and before.whole:
+            return
+        how: dict[str, Any] = {"origin": origin(self.name, again), "settings": self.settings, "finished": False}
+        written = folder.write(made, self.out, "", **how)
+        self.lacks = lacks
+        self.say(f"in {self.out} after {duration(time.perf_counter() - self.begin)}: {written.files}; {lacks} follow")
+
     @contextlib.contextmanager
     def keeping(self, what: str, folder: Path | None = None, done: int = 0) -> Iterator[None]:
         """Say what is kept where the user stops a command, as "3 rounds"; `done` of them were there before.
@@ -272,6 +288,7 @@ class Session:
                     record.give_up(self.out)
                 raise
             kept = f"{self.done} {what} are kept in {folder or self.out}"
+            kept = f"{self.out} holds a result without {self.lacks}" if self.lacks else kept
             raise Interrupted(f"{kept}; the same command goes on from there") from None
 
     @contextlib.contextmanager
@@ -289,11 +306,18 @@ class Session:
 
     @contextlib.contextmanager
     def stage(
-        self, name: str, *, compiles: bool = True, unit: str = "walks", keeps: bool = False
+        self,
+        name: str,
+        *,
+        compiles: bool = True,
+        unit: str = "walks",
+        keeps: bool = False,
+        lowered: Callable[[], None] = lambda: None,
     ) -> Iterator[Callable[..., None]]:
         """Show one stage; the function that it gives takes how many walks are done, how many there are, and a text.
 
-        `keeps`: what is done here is kept where the command is stopped.
+        `keeps`: what is done here is kept where the command is stopped. `lowered` is called when a large program has
+        been traced, and XLA compiles it.
 
         Raises:
             KeyboardInterrupt: at its beginning and whenever it is told, where the user wants the command to end.
@@ -322,7 +346,7 @@ class Session:
                 self.say(text)
             interruption.check()
 
-        with Compilation(compiled) as compilation, bar:
+        with Compilation(compiled, lowered) as compilation, bar:
             yield advanced
         text = f"{name}: {duration(time.perf_counter() - begin)}"
         spent = str(compilation)
@@ -374,7 +398,7 @@ def comparison_table(
     """Return walks side by side, each with its change against the baseline where `width` characters have room."""
     from tuning.pages import comparison
 
-    others = (None, baseline) if width >= 38 + 19 * (len(walks) - 1) else (None,)
+    others = (None, baseline) if baseline in walks and width >= 38 + 19 * (len(walks) - 1) else (None,)
     columns = [(name, other) for name in walks for other in others if other != name]
     return from_page(comparison.table(walks, "", about, law, columns))
 

@@ -16,13 +16,13 @@ from tuning.command_line.program import InputError, repeated, typed_but
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    from tuning.searches.sweep import Grid as Work
+    from tuning.searches.sweep import Grid as Walks
 
 
 RANGE = "LOW:HIGH:COUNT"
-ROWS = {  # by kind of result: file, stage and unit
-    "sweep": ("sweep.nc", "grid", "walks"),
-    "judge": ("judged.nc", "fresh draw", "members"),
+ROWS = {  # by kind of result: file, word in the name of its folder, stage and unit
+    "sweep": ("sweep.nc", "sweep", "grid", "walks"),
+    "judge": ("judged.nc", "evaluate", "fresh draw", "members"),
 }
 
 _End = Annotated[float, Field(ge=1e-30, le=1e30)]  # single precision, with room for squares of moderate gains
@@ -63,7 +63,7 @@ class Grid(Options):
                 raise ValueError(f"{option}: expected {RANGE} with LOW below HIGH, got {low:g} and {high:g}")
         return self
 
-    def work(self, walk: Walk) -> "Work":
+    def work(self, walk: Walk) -> "Walks":
         """Return the walks of the grid."""
         import numpy as np
 
@@ -82,7 +82,7 @@ class Grid(Options):
         except ValueError as error:
             raise InputError(str(error).replace("axes", "--axis", 1).replace("--axis.", "--axis ", 1)) from None
 
-    def said(self, work: "Work", here: int, there: int) -> list[str]:
+    def said(self, work: "Walks", here: int, there: int) -> list[str]:
         """Return how many walks there are, on what, and how long they take where that is long."""
         import jax
 
@@ -131,13 +131,13 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
     """Walk the rows of a grid or a draw, all or a shard's, and write the result of all."""
     with processes.joined(apart=asked.shard is not None) as team, output.session() as shell:
         part, which = processes.shard_from(asked.shard)
-        from tuning.background import background
+        from tuning.background import Gate, background
         from tuning.searches import shards
         from tuning.writing import record
 
-        work, (file, stage, unit) = asked.work(walk), ROWS[kind]
+        work, (file, word, stage, unit) = asked.work(walk), ROWS[kind]
         settings = record.settings_of(work.problem, kind, rows=record.without_machine(work.identity()))
-        out = shell.take(walk, file, settings, kind, team=team)
+        out = shell.take(walk, file, settings, word, team=team)
         about = {"again": typed_but("--shard", shards.SHARD), "name": walk.config.stem, "repeat": again}
         about["settings"] = dumps(settings)  # for the folder of what is merged
         rows = shards.Rows(work, out, part, about)
@@ -146,15 +146,21 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
         shell.say("; ".join(filter(None, said)))
         shell.opening(work.problem.scenario)
         team.begin(folder, work.identity())
-        with shell.keeping(f"of {here} {unit}", folder, there), background() as begin:
+        beside = kind == "sweep" and rows.shard is None
+        with (
+            shell.keeping(f"of {here} {unit}", folder, there),
+            background(busy=1) as begin,
+            Gate() as gate,  # opened when the grid's program is traced: more traces at a time would wait for Python
+        ):
             begun = None
-            if kind == "sweep" and rows.shard is None:
+            if beside:
                 from tuning.comparisons import of_sweep
 
-                begin(lambda _: importlib.import_module("tuning.kinds"))  # matplotlib takes half a second
-                begun = of_sweep.begin(work.problem, work.gains, work.axes, begin)
-            with shell.stage(stage, unit=unit, keeps=True) as show:
+                begin(gate.behind(lambda _: importlib.import_module("tuning.kinds")))  # matplotlib takes half a second
+                begun = of_sweep.begin(work.problem, work.gains, work.axes, lambda work: begin(gate.behind(work)))
+            with shell.stage(stage, unit=unit, keeps=True, lowered=gate.open) as show:
                 arrays = rows.walk(show)
+            gate.open()
             if rows.shard is not None:
                 try:
                     arrays = shards.joined(work, shards.find([out]))
@@ -163,7 +169,15 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
                     shell.say(f"{folder} is whole; {last} mjx-climb sweep --merge {shlex.quote(str(out))}")
                     shell.print_json(dumps({"shard": rows.shard.number, "of": rows.shard.count, unit: here}))
                     return
-            shell.result(work.result(arrays), again, begun)
+            found = work.result(arrays)
+            if beside:
+                from tuning.pages import sweep as pages
+
+                with shell.stage("first map"):
+                    first = pages.first(found, work.named())
+                if first is not None:
+                    shell.first_result(found, first, again, pages.LACKS)
+            shell.result(found, again, begun)
 
 
 @command("results/<config>-sweep", {"merge": merge})
@@ -176,7 +190,8 @@ def sweep(grid: Grid, walk: Walk, output: Output) -> None:
     (config.yaml), and all of it with the walks over time as a page for a browser (report.html). `mjx-climb plot DIR`
     draws each of them by itself.
 
-    Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
+    A first table, map and page, in single precision, are there as soon as the grid has walked; what they are compared
+    with is added. Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
     gives the inertia and the joint gains of the grid, and a further walk to compare with.
 
     With --shard, or as a task of a Slurm array, a sweep is spread over machines: each walks its part of the grid into

@@ -16,10 +16,10 @@ from mjx_climb.parameter_types import Gains
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
+from tuning.problem.evaluation import RIGID
 
 WALKS = 16
 SLOWER = ((1.0,), (2.0, 4.0, 4.0))  # times the cycle, walked together; the third with grips that never let go
-RIGID = 1e12  # kg, kg m^2: a virtual mass that no wrench moves, with which base admittance is pd
 ROUNDS = 3  # grids of kp and kd, each about the best of the one before and half as wide
 GRID, TIMES = (5, 3), (5.0, 10.0)  # values of kp and kd; the first grid goes so many times lower and higher
 SAGS = 0.1  # of the stance's height, what the base may stray for less force variation

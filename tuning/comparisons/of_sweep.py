@@ -15,7 +15,7 @@ from mjx_climb.inputs.resolve import AnyGains
 from tuning.background import Begin, Stage, Work, background, ignore, silent
 from tuning.comparisons import stability_limit
 from tuning.comparisons.remedies import remedies
-from tuning.comparisons.side_by_side import VARIATION, Compared, Walker, beside_retuned, gains_of, one_walk
+from tuning.comparisons.side_by_side import VARIATION, Compared, Walker, gains_of, walks_together
 from tuning.comparisons.worth import Worth, between
 from tuning.gains.gains_file import replaced
 from tuning.numbers import failed
@@ -31,29 +31,35 @@ PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
 
 
 class Begun(NamedTuple):
-    """What a grid is compared with, independent of what it finds: works that may begin before it."""
+    """What a grid is compared with, independent of what it finds: works that may begin before it has walked."""
 
-    walkers: Mapping[str, Walker]  # by the names of the walks
-    walks: Mapping[str, Work[mc.Trajectory]]  # pd, config (or paper), gains file: as far as there are such
-    limits: Work[tuple[retuned_pd.Rival | None, xr.DataArray]]  # pd retuned, and the limit of stability
+    rival: Work[retuned_pd.Rival | None]  # pd retuned
+    limit: Work[xr.DataArray]  # of stability
 
 
 def begin(problem: Problem, gains: AnyGains | None, axes: Axes, start: Begin) -> Begun:
     """Begin what a grid is compared with; `gains` and `axes` are as of `tuning.sweep`."""
     scenario, law, engine = problem.scenario, problem.law, problem.engine
-    control = scenario.control
-    papers = law is None and (control.inertia, control.damping, control.stiffness) in PAPER
-    walkers: dict[str, Walker] = {"pd": (under_pd(scenario), None), "paper" if papers else "config": (scenario, law)}
     simulated, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
-    walkers |= {} if gains is None else {GIVEN: (simulated, own)}
-    # one after the other: each keeps all cores busy, and side by side they take more than twice as long
-    limits = start(
-        lambda _: (
-            retuned_pd.least(scenario, halvings=1, engine=engine),
-            stability_limit.over_axes(simulated, axes, law=own, engine=engine),
-        )
+    return Begun(
+        start(lambda _: retuned_pd.least(scenario, halvings=1, engine=engine)),
+        start(lambda _: stability_limit.over_axes(simulated, axes, law=own, engine=engine)),
     )
-    return Begun(walkers, {name: start(one_walk(*walker, engine)) for name, walker in walkers.items()}, limits)
+
+
+def own_name(problem: Problem) -> str:
+    """Return the name of the walk with the scenario's own gains: "paper" where they are the paper's, else "config"."""
+    control = problem.scenario.control
+    papers = problem.law is None and (control.inertia, control.damping, control.stiffness) in PAPER
+    return "paper" if papers else "config"
+
+
+def _walkers(found: Swept, best: xr.Dataset | None) -> dict[str, Walker]:
+    """Return what walks beside a grid: pd, config (or paper), gains file, best, as far as there are such."""
+    scenario, law = found.scenario, found.problem.law
+    walkers: dict[str, Walker] = {"pd": (under_pd(scenario), None), own_name(found.problem): (scenario, law)}
+    walkers |= {} if found.gains is None else {GIVEN: found.walker()}
+    return walkers | ({} if best is None else {"best": found.walker({n: best[n].item() for n in found.axes})})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,12 +68,13 @@ class SweepComparison:
 
     data: xr.Dataset  # the grid, with the limit of stability
     best: xr.Dataset | None  # its cell, None where all failed
-    walks: Mapping[str, mc.Trajectory]  # best, pd retuned, gains file, config (or paper), pd: as far as there are such
-    rows: Compared  # gains and metrics of these, all at one time step
+    # best, pd retuned, gains file, config (or paper), pd: as far as there are such, all at one time step
+    walks: Mapping[str, mc.Trajectory]
+    rows: Compared  # gains and metrics of these
     failed: int  # walks of the grid
     at_edge: list[str]  # gains whose end of the axis the best cell lies on
     worth: Worth | None  # of a force sensor: the best against pd retuned
-    step: float | None  # s, the time step of the rows, where it is not the scenario's
+    step: float | None  # s, the time step of the walks, where it is not the scenario's
     histories: xr.Dataset  # a grid with time histories: this one, or a coarser one of a large one
     remedies: Sequence[str] = ()  # where all failed: what would keep the grippers of the config's walk shut
 
@@ -85,40 +92,39 @@ def compare(
     """
     problem, best, (scenario, law) = found.problem, best_cell(found.data), found.walker()
     axes = {name: found.data[name].values for name in found.axes}
-    others = begun or begin(problem, found.gains, axes, lambda work: work)
     large = found.data["diverged"].size > HISTORIES
     with background() as beside:
+        others = begun or begin(problem, found.gains, axes, beside)
         how = {**problem.walks, "law": law}
         walking_again = beside(lambda _: with_histories(found.data, scenario, best, **how)) if large else None
-        # side by side: most of the time goes to the compiler, which has a program of its own for each
-        with stage("walks alone and stability limit"), ThreadPoolExecutor(devices.usable_cores()) as pool:
+        with stage("pd retuned"):
+            rival = others.rival(ignore)
+            if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
+                rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
+        walkers, step = _walkers(found, best), None
+        if rival is not None:  # all at the time step that pd retuned needs
+            alone = retuned_pd.walker(problem.scenario, rival.joint)
+            changed = {"time_step": alone.time_step}
+            walkers = {name: (own.with_overrides(changed), each) for name, (own, each) in walkers.items()}
+            walkers[retuned_pd.NAME] = alone, None
+            step = None if alone.time_step == problem.scenario.time_step else alone.time_step
+        # side by side: most of the time goes to the compiler, where each has a program of its own
+        with stage("walks alone"), ThreadPoolExecutor(devices.usable_cores()) as pool:
 
             def start(work: Work[Any]) -> Work[Any]:
                 future = pool.submit(work, ignore)
                 return lambda _: future.result()
 
-            limits, asked, walkers = start(others.limits), dict(others.walks), dict(others.walkers)
-            if best is not None:
-                walkers["best"] = found.walker({name: best[name].item() for name in found.axes})
-                asked["best"] = one_walk(*walkers["best"], problem.engine)
-            walking = {name: start(walk) for name, walk in reversed(asked.items())}
-            rival, limit = limits(ignore)
-            if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
-                rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
-            step, level = None, dict[str, Work[mc.Trajectory]]()
-            if rival is not None:
-                own, step, level = beside_retuned(problem.scenario, rival.joint, walkers, problem.engine, start)
-                walking[retuned_pd.NAME] = own
+            walking = walks_together(walkers, problem.engine, start)
             walked = {name: each(ignore) for name, each in walking.items()}
-            compared = walked | {name: each(ignore) for name, each in level.items()}
-            radius = stability_limit.on_map(limit, found.data)
+        with stage("stability limit"):
+            radius = stability_limit.on_map(others.limit(ignore), found.data)
         histories = found.data
         if walking_again is not None:
             with stage("histories"):
                 histories = walking_again(ignore)
-    config = next(name for name in others.walks if name not in ("pd", GIVEN))
-    names = [name for name in ("best", retuned_pd.NAME, GIVEN, config, "pd") if name in walked]
-    rows = {name: (gains_of(compared[name]), mc.metrics(compared[name], problem.metrics)) for name in names}
+    names = [name for name in ("best", retuned_pd.NAME, GIVEN, own_name(problem), "pd") if name in walked]
+    rows = {name: (gains_of(walked[name]), mc.metrics(walked[name], problem.metrics)) for name in names}
     worth = None
     if rival is not None:
         rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])

@@ -9,7 +9,7 @@ from mjx_climb import METRICS, Gains, MetricTable, Trajectory
 from tuning.background import Begin, Work
 from tuning.gains.gains_file import by_name
 from tuning.numbers import change, failed, is_number, number
-from tuning.problem.evaluation import Problem
+from tuning.problem.evaluation import Problem, walk_of_pd
 from tuning.problem.search import Search
 from tuning.results.tuned import Tuned
 from tuning.searches import retuned_pd
@@ -48,6 +48,19 @@ def differences(
 def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Work[mc.Trajectory]:
     """Return a work that simulates one robot under the scenario's law, or another."""
     return lambda _: mc.rollout(scenario, law=law, engine=engine)
+
+
+def walks_together(walkers: Mapping[str, Walker], engine: str, begin: Begin) -> dict[str, Work[mc.Trajectory]]:
+    """Begin the walks of some robots, by as few compiled programs as there can be: pd is a rigid base admittance."""
+    laws = [(each.control.controller, each.control.reading) for each, law in walkers.values() if law is None]
+    shared = ("base_admittance", "virtual_model") in laws
+
+    def walking(scenario: mc.Scenario, law: mc.Law | None) -> Work[mc.Trajectory]:
+        if shared and law is None and scenario.control.controller == "pd":
+            return lambda _: walk_of_pd(scenario, engine)
+        return one_walk(scenario, law, engine)
+
+    return {name: begin(walking(*walker)) for name, walker in walkers.items()}
 
 
 def beside_retuned(

@@ -25,15 +25,16 @@ _FAILED = ("detached_limb", "detached_at", "diverged")
 def explorer(
     walks: Mapping[str, mc.Trajectory], metrics: Mapping[str, Mapping[str, Any]], *,
     shown: tuple[str, ...] | None = None, opens_on: str | None = None, points: Mapping[str, Any] | None = None,
-    about: mc.MetricTable = mc.METRICS,
+    about: mc.MetricTable = mc.METRICS, scenario: mc.Scenario | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Return one interactive part of a page: walks, `BASELINE` among them, and points to choose more of them from.
 
     At first the walks `shown` are drawn (all where None), and beside the points stand the numbers of the walk that it
-    `opens_on` (those of the points' own beginning where None).
+    `opens_on` (those of the points' own beginning where None). The points are walks of a `scenario`, the baseline's
+    where None, of which a time step is one or more of the walks'.
     """
     first = walks[BASELINE]
-    scenario = first.scenario
+    scenario = scenario or first.scenario
     count, steps = stretches(scenario.steps)
     lines, drawn = [], []
     for name, (unit, text, _) in LINES.items():
@@ -45,7 +46,7 @@ def explorer(
             "shown": shown is None or name in shown,
             "metrics": plain(presentable(metrics[name], None)),
         }
-        packed_lines = {line: packed(values) for line, values in histories(walk).items()}
+        packed_lines = {line: packed(values) for line, values in histories(walk, scenario.steps).items()}
         drawn.append({**about_walk, "failed": _failure(metrics[name]), "lines": packed_lines})
     return {
         "baseline": BASELINE, "opens_on": opens_on,

@@ -1,23 +1,28 @@
 """A sweep: its maps, page with the walks beside it."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from mjx_climb import trajectory
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
-from tuning.comparisons.of_sweep import SweepComparison
-from tuning.comparisons.side_by_side import VARIATION, Compared
+from tuning.comparisons.of_sweep import SweepComparison, own_name
+from tuning.comparisons.side_by_side import VARIATION, Compared, Values
 from tuning.numbers import failed, number, remarks, to_json
 from tuning.pages import comparison
 from tuning.pages.contents import Contents, Picture, Written, at_one_step, sentences, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
 from tuning.pages.page import Origin, Page
 from tuning.problem.evaluation import Problem
-from tuning.results.swept import Swept, axes_of
+from tuning.results.swept import Swept, axes_of, best_cell
 
+FIRST_MAP = "Force variation over both gains; brighter is better."
+LACKS = "pd retuned, the walks in double precision and the limit of stability"  # of what stands there first
 MAPS = "All metrics over both gains; brighter is better."
 _HATCHED = ("detached_limb", "diverged")  # shown on every map
 
@@ -62,6 +67,50 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     )  # fmt: skip
 
 
+def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
+    """Return what the folder holds until the grid is compared: a map, a table and a page; None where no walk held.
+
+    `named` are the metrics of other walks of the grid's program, see `tuning.searches.sweep.Grid.named`.
+    """
+    data, best = found.data, best_cell(found.data)
+    if best is None:
+        return None
+    (scenario, law), about = found.walker(), found.problem.metrics
+    at = {axis: best[axis].item() for axis in found.axes}
+    limbs = load_robot(scenario.robot).limbs
+    own = trajectory.named({key: best[key].item() for key in about.names}, limbs)
+    configs = {axis: getattr(scenario.control, axis, None) for axis in found.axes}
+    gains = {"best": at, "pd": None}
+    walks = {key: (gains.get(key, configs), metrics) for key, metrics in {"best": own, **named}.items()}
+    rows = {own_name(found.problem) if key == "config" else key: walk for key, walk in walks.items()}
+    listed = ", ".join(f"{axis} {value:.4g}" for axis, value in at.items())
+    outcome = f"best so far, in single precision: {listed}; {LACKS} are missing here"
+    summary = to_json({key: {"gains": values, "metrics": metrics} for key, (values, metrics) in walks.items()})
+    baseline = named["pd"]["force_variation"] if "pd" in named else None
+    table = comparison.table(rows, "Walks of the grid, in single precision", about, found.problem.law)
+
+    def draw() -> Figure:
+        return plots.plot_map(data, "force_variation", marks(data, rows), baseline=baseline)
+
+    def page(origin: Origin) -> Page:
+        again = "The same command, as it stands below, goes on with them."
+        return Page(
+            f"Sweep of {origin.name}, not yet compared", origin, sentences([outcome])[0], scenario, [again],
+            tables=[table],
+        )  # fmt: skip
+
+    return Contents(
+        Written(compared=rows, data=data, outcome=[outcome], summary=summary),
+        dataclasses.replace(found.problem, scenario=scenario, law=law),
+        {
+            found.FILE: data.assign_attrs(scenario=scenario.to_yaml()),
+            "maps": Picture(FIRST_MAP, draw),
+            "comparison.json": summary + "\n",
+        },
+        page,
+    )  # fmt: skip
+
+
 def page_of(problem: Problem, compared: SweepComparison, notes: Sequence[str], origin: Origin) -> Page:
     """Return the page of a sweep: its maps with gains marked on them, time histories, and notes that stand first."""
     grid, best, rows, about = compared.data, compared.best, compared.rows, problem.metrics
@@ -88,10 +137,11 @@ def page_of(problem: Problem, compared: SweepComparison, notes: Sequence[str], o
         "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)", "engine": grid.attrs["engine"],
         "robots at a time": grid.attrs["batch_size"], "seed": "none: nothing is drawn at random",
     }  # fmt: skip
+    how: dict[str, Any] = {"shown": ("pd",), "about": about, "scenario": problem.scenario}
     return Page(
         title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", origin=origin,
         verdict=verdict, scenario=problem.scenario, notes=sentences(found), facts=facts,
-        explorers={"Maps and walks": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
+        explorers={"Maps and walks": explorer(walks, metrics, points=points, **how)},
         tables=[comparison.table(rows, "Walks in double precision", about, problem.law)],
     )  # fmt: skip
 

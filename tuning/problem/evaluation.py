@@ -13,8 +13,10 @@ from jaxtyping import Float
 
 import mjx_climb as mc
 from mjx_climb.execution import devices
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import by_name
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.walk.structure import structure
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.objectives import NO_OBJECTIVE, Goal, OwnObjective
 from tuning.problem.spaces import NO_SPACE, Space, to_gains64
@@ -22,6 +24,7 @@ from tuning.problem.spaces import NO_SPACE, Space, to_gains64
 # Directions above which derivatives are taken in reverse mode: of one robot it takes as long as 60 tangents, of several
 # as long as fewer, and twice as long to compile (docs/studies/speed.md). All gains with axes stay below.
 REVERSE_ABOVE = 48
+RIGID = 1e12  # kg, kg m^2: a virtual mass that no wrench moves, with which base admittance is pd
 
 
 class Evaluation(NamedTuple):
@@ -169,6 +172,21 @@ def under_pd(scenario: mc.Scenario) -> mc.Scenario:
     """Return the scenario with pd in place of its law."""
     changes = {"control.controller": "pd", "control.reading": "virtual_model"}
     return scenario.with_own(law=None, metrics=[], objective=None).with_overrides(changes)
+
+
+def walk_of_pd(scenario: mc.Scenario, engine: str = DEFAULT_ENGINE) -> mc.Trajectory:
+    """Return the walk of a scenario under pd by the compiled program of base admittance, with a `RIGID` virtual mass.
+
+    It is that of pd's own program to the displacement of that mass, some 1e-10 m. A walk whose force sensors may fall
+    silent is pd's own: base admittance would notice.
+    """
+    rigid = scenario.with_overrides({"control.controller": "base_admittance"})
+    if structure(rigid, engine, own_parameters(rigid)).stages.silent_sensors:
+        return mc.rollout(scenario, engine=engine)
+    control = scenario.control
+    own = mc.Gains(*(np.full(6, value) for value in (control.inertia, control.damping, control.stiffness)))
+    walk = mc.rollout(rigid, dataclasses.replace(own, inertia=np.full(6, RIGID)), engine=engine)
+    return dataclasses.replace(walk, scenario=scenario, gains=own)
 
 
 @functools.lru_cache(maxsize=8)

@@ -13,16 +13,18 @@ import xarray as xr
 from numpy.typing import ArrayLike, DTypeLike
 
 import mjx_climb as mc
+from mjx_climb import execution, trajectory
 from mjx_climb.control import law_of
 from mjx_climb.execution import devices
 from mjx_climb.files.dataset import sweep_dataset
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walks import LINES, stretches
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.methods.parts import identity_of
-from tuning.problem.evaluation import Problem
+from tuning.problem.evaluation import RIGID, Problem
 from tuning.problem.spaces import INTEGRAL, JOINT
 from tuning.results.config_file import write_config
 from tuning.results.swept import HISTORIES, Swept
@@ -131,11 +133,38 @@ class Grid:
 
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
         """Return the metrics of some rows, and their time histories where they are kept."""
+        return self._walk(self._values(rows))
+
+    def _walk(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         walked = self.walked
         lengths = (walked.law or law_of(walked.scenario)).AXES
-        gains = {name: own[:, None] if lengths.get(name) else own for name, own in self._values(rows).items()}
+        gains = {name: own[:, None] if lengths.get(name) else own for name, own in values.items()}
         walk = mc.rollout_histories if self.rows <= HISTORIES else mc.rollout_metrics
         return walk(walked.scenario, gains, dtype=walked.dtype, **walked.walks)
+
+    def named(self) -> dict[str, dict[str, Any]]:
+        """Return the metrics of the config's gains and of pd, as far as they are points of the plane of the grid.
+
+        They walk by the grid's compiled program, which is quick on a CPU: on others there are none.
+        """
+        control, points = self.problem.scenario.control, dict[str, dict[str, float]]()
+        law = (control.controller, control.reading)
+        if self.problem.law is not None or self.gains is not None or jax.default_backend() != "cpu":
+            return {}
+        own = {name: np.unique(np.asarray(getattr(control, name), float)) for name in self.axes}
+        if all(values.size == 1 and values.item() > 0 for values in own.values()):
+            points["config"] = {name: values.item() for name, values in own.items()}
+        if {*self.axes} == {"stiffness", "damping"} and law == ("base_admittance", "virtual_model"):
+            points["pd"] = dict.fromkeys(self.axes, RIGID)
+        if not points:
+            return {}
+        count = len(execution.walking_with(range(len(points)), min(self.size, self.rows)))
+        values = {name: np.resize([point[name] for point in points.values()], count) for name in self.axes}
+        found, limbs = self._walk(values), load_robot(self.walked.scenario.robot).limbs
+        return {
+            name: trajectory.named({key: found[key][place].item() for key in self.walked.metrics.names}, limbs)
+            for place, name in enumerate(points)
+        }
 
     def name(self, row: int) -> str:
         return " ".join(f"{name} {value:.4g}" for name, value in self._values(row).items())

@@ -19,8 +19,9 @@ import mjx_climb as mc
 from mjx_climb.execution import devices
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
+from mjx_climb.walks import LINES
 from tests.shell import PROGRAM, ROOT, environment, finish
-from tuning import numbers
+from tuning import kinds, numbers
 from tuning.command_line import main, options, session, sweep
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
@@ -28,7 +29,8 @@ from tuning.comparisons import of_sweep
 from tuning.gains import gains_file
 from tuning.identification.readers import read_log
 from tuning.pages import page
-from tuning.results.swept import best_cell
+from tuning.results.swept import Swept, best_cell
+from tuning.searches import sweep as sweeps
 from tuning.searches.shards import Rows
 
 CONFIG = str(ROOT / "configs" / "case_1_2.yaml")
@@ -373,6 +375,42 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     assert (code, len(calls)) == (0, 2)
     assert "4 are there already" in err and "best: stiffness" in out
     same_grids(tmp_path, swept[0])
+
+
+@pytest.mark.slow
+def test_a_sweep_that_is_stopped_after_its_first_map_leaves_it(call, monkeypatch, tmp_path):
+    """Map, table and page of the grid stand there as soon as it has walked; a line says what they lack."""
+    values = {name: np.linspace(1.0, 2.0, 6) for name in mc.METRICS.names}
+    values |= {"detached_limb": np.full(6, -1), "diverged": np.zeros(6, bool), "detached_at": np.full(6, np.nan)}
+    values |= {name: np.ones((6, 2, 150), np.float32) for name in LINES}
+    numbers = {name: each[3].item() for name, each in values.items() if name in mc.METRICS.names}
+    pd = numbers | {"force_variation": 3.0, "detached_limb": None, "detached_at": None}
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Rows, "walk", lambda *_: values)
+    monkeypatch.setattr(sweeps.Grid, "named", lambda _: {"config": pd, "pd": pd})
+    monkeypatch.setattr(of_sweep, "begin", lambda *_: None)
+    monkeypatch.setitem(kinds.KINDS, Swept, kinds.KINDS[Swept]._replace(compare=stopped))
+    code, out, err = call("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)
+    assert code == 130
+    assert err.splitlines()[-1] == (
+        f"mjx-climb: interrupted: {tmp_path} holds a result without pd retuned, the walks in double precision and "
+        "the limit of stability; the same command goes on from there"
+    )
+    assert "best so far, in single precision: stiffness" in out and "-66.7" in out
+    found = {path.name for path in tmp_path.iterdir()}
+    assert found >= {"sweep.nc", "maps.png", "comparison.json", "config.yaml", "report.html", "settings.json"}
+    assert "are missing here" in (tmp_path / "report.html").read_text()
+    assert strict_json((tmp_path / "comparison.json").read_text())["pd"]["metrics"]["force_variation"] == 3
+    assert not json.loads((tmp_path / "settings.json").read_text())["whole"]
+    # what is whole stays until all of the next result is there
+    record = json.loads((tmp_path / "settings.json").read_text())
+    (tmp_path / "settings.json").write_text(json.dumps(record | {"whole": True}))
+    (tmp_path / "report.html").write_text("whole")
+    assert call("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)[0] == 130
+    assert (tmp_path / "report.html").read_text() == "whole"
 
 
 @pytest.mark.nightly
