@@ -60,7 +60,7 @@ COMMANDS = {  # the command and what it does, with every option that takes a val
     "--snapshots --at 0.5,1 --size 640x480 --json",
     "sweep": "{config} --stiffness 1e3:1e5:3 --damping 1e2:1e3:2 --gains {gains} --batch-size 4 --shard 2/3 "
     "--set control.kd=0.1",
-    "replay": "{config} --log {log} --signals {signals} --base held --judge --size 640x480 --set control.kd=0.1",
+    "replay": "{config} --log {log} --signals {signals} --base held --with-law --size 640x480 --set control.kd=0.1",
     "sweep, merged": "--merge taken",
     "plot": "taken --metric min_tsm --figures png,pdf --size 60x60 --dpi 100 --style ggplot",
     "robot": "taken --gravity 1.6 --base base --limbs a,b",

@@ -1,7 +1,7 @@
 """Print what worse hardware takes from laws: the tables of docs/studies/worse_hardware.md.
 
 Run from the repository's root, with the gains that a comparison left, `gains-retuned_pd.yaml` among them:
-`python docs/studies/degradation.py case_1_2 results/case_1_2-compare`, with `pose` behind for a worse pose of the base.
+`python docs/studies/degradation.py case_1_2 results/case_1_2-laws`, with `pose` behind for a worse pose of the base.
 """
 
 import sys

@@ -64,6 +64,11 @@ def save_mcap(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
         return write_bytes_atomically(path, (Path(folder) / "walk" / "walk.mcap").read_bytes())
 
 
+def rows_of_a_frame(trajectory: Trajectory) -> int:
+    """Return after how many rows of a walk a viewer is told anew where the robot is."""
+    return max(round(1 / (FRAMES_PER_SECOND * trajectory.scenario.time_step)), 1)
+
+
 def _header(types: _Types, stamp: int) -> object:
     seconds, nanoseconds = divmod(stamp, 10**9)
     time = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
@@ -109,8 +114,7 @@ def _topics(walk: Trajectory, types: _Types) -> Iterator[_Topic]:
     moving = pair("geometry_msgs/msg/Twist", walk.base_linear_velocity, walk.base_angular_velocity)
     yield stamped("/base_twist", "geometry_msgs/msg/TwistStamped", moving)
     yield stamped("/push", _WRENCH, pair("geometry_msgs/msg/Wrench", walk.push[:, :3], walk.push[:, 3:]))
-    every = max(round(1 / (FRAMES_PER_SECOND * walk.scenario.time_step)), 1)
-    yield _Topic("/tf", "tf2_msgs/msg/TFMessage", _transforms(walk, robot, types), every)
+    yield _Topic("/tf", "tf2_msgs/msg/TFMessage", _transforms(walk, robot, types), rows_of_a_frame(walk))
     if (holds := holds_of(walk.scenario.ground)) is not None:
         yield _Topic("/holds", "sensor_msgs/msg/PointCloud2", _cloud(holds, types), len(walk.time))
 

@@ -233,7 +233,7 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
                                      "--iterations", "--test-members", "--engine"))  # fmt: skip
 
 
-@command("results/<config>-judge, -margins or -ceiling", {"margins": margins, "ceiling": ceiling, "merge": merge})
+@command("results/<config>-evaluate, -margins or -ceiling", {"margins": margins, "ceiling": ceiling, "merge": merge})
 def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> None:
     """Walk gains through a draw that no search over the ensemble has seen, beside the config's own and pd.
 

@@ -121,7 +121,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
 
     Prints what was known before and is now, with 95 % intervals, what the log does not tell, and whether the model is
     right. With --out writes to DIR the scenario as identified (identified.yaml, hardware.yaml for --hardware, and a
-    robot's file where it was fitted), an ensemble of what is left open (posterior.yaml, for tune and judge), all
+    robot's file where it was fitted), an ensemble of what is left open (posterior.yaml, for tune and evaluate), all
     numbers (result.json), pictures, and a page (report.html). Every iteration is kept in DIR: after Ctrl-C, or worse,
     the same command goes on where it stopped.
 
@@ -169,7 +169,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
 class Replayed(Recorded):
     """What is replayed, and what it is compared with."""
 
-    judge: bool = setting(False, "walk under the config's law too, with the pushes that were logged, and compare")
+    with_law: bool = setting(False, "walk under the config's law too, with the pushes that were logged, and compare")
 
 
 @command("results/<config>-replay")
@@ -187,7 +187,7 @@ def replay(
     replay.json (errors), replay (angles commanded, logged and simulated, and foot forces), simulation.nc, config.yaml
     and, where it was guessed, signals.yaml.
 
-    With --judge the law of the config, or of --gains, walks under the pushes that were logged, too.
+    With --with-law the law of the config, or of --gains, walks under the pushes that were logged, too.
 
     \b
     Examples:
@@ -195,7 +195,7 @@ def replay(
       mjx-climb replay case_1_2 --hardware dynamixel_x --log excitation.csv --base held
       mjx-climb replay case_1_1 --log drop.csv --mass 0.1
       mjx-climb replay case_2 --log walk.db3 --signals signals.yaml --video
-      mjx-climb replay case_2 --log walk.mcap --gains best.yaml --judge
+      mjx-climb replay case_2 --log walk.mcap --gains best.yaml --with-law
     """
     with output.session() as shell:
         from tuning.identification.model import replay as replays
@@ -205,8 +205,8 @@ def replay(
         loaded = walk.load_with_gains()
         pictures.check(loaded.scenario)
         log = asked.read(loaded.scenario)
-        if asked.judge and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
-            raise InputError(f"--judge: expected pushes in {log.source} (base.force.x ...), got none")
+        if asked.with_law and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
+            raise InputError(f"--with-law: expected pushes in {log.source} (base.force.x ...), got none")
         prepared = replays.prepare(log, loaded.scenario, asked.base, asked.mass)
         settings = settings_of(loaded, "replay", asked=asked.settings(log))
         shell.claim("replay.json", walk.config.stem, "replay", *walk.words, settings=settings, varied=walk.varied)
@@ -215,14 +215,14 @@ def replay(
         shell.opening()
         with shell.stage("replay"):
             found = replays.simulate(prepared, loaded.engine)
-        judged = _judged(found, loaded, shell) if asked.judge else {}
+        under_law = _under_law(found, loaded, shell) if asked.with_law else {}
         with shell.whole() as out:
             write_config(found.scenario, out, loaded.law)
-            files, text = _write(found, judged, shell, pictures, out)
+            files, text = _write(found, under_law, shell, pictures, out)
         shell.written(files, text)
 
 
-def _judged(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, dict[str, Any]]:
+def _under_law(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, dict[str, Any]]:
     """Walk under the law with the pushes that were logged, and print and return the metrics of both walks."""
     from tuning import numbers
     from tuning.command_line.run import verdict
@@ -243,7 +243,7 @@ def _judged(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, d
 
 
 def _write(
-    found: "Replay", judged: Mapping[str, Any], shell: "Session", pictures: Pictures, out: Path
+    found: "Replay", under_law: Mapping[str, Any], shell: "Session", pictures: Pictures, out: Path
 ) -> tuple[str, str]:
     """Write a replay into a folder and print its errors; return the names of the files, and the errors as JSON."""
     from mjx_climb.files import dataset
@@ -259,7 +259,7 @@ def _write(
     shell.show(table, *found.warnings, f"base {found.base}; moved: standard deviation of what was logged")
     by_signal = {name: {**error._asdict(), "unit": unit_of(name)} for name, error in found.errors.items()}
     whole = {"base": found.base, "signals": by_signal, "warnings": [*found.log.warnings, *found.warnings]}
-    text = numbers.to_json({**whole, "judged": judged} if judged else whole)
+    text = numbers.to_json({**whole, "judged": under_law} if under_law else whole)
     files = ["replay.json", "simulation.nc", "config.yaml"]
     dataset.write_text_atomically(out / "replay.json", text + "\n")
     dataset.save(dataset.to_dataset(found.walk), out / "simulation.nc")

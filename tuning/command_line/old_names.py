@@ -13,6 +13,7 @@ class Old(NamedTuple):
 
     now: str
     options: Mapping[str, Callable[[str], Words]] = MappingProxyType({})  # words from a value, "" for an argument's
+    flags: Mapping[str, str] = MappingProxyType({})
 
 
 def _laws(text: str) -> Words:
@@ -38,6 +39,7 @@ OLD = {
     "bench": Old("doctor --bench"),
     "schema": Old("doctor --schema"),
     "tune": Old("tune", {"--judges": lambda count: ["--test-members", count]}),
+    "replay": Old("replay", flags={"--judge": "--with-law"}),
 }
 
 
@@ -53,7 +55,7 @@ def translated(arguments: Sequence[str]) -> Words:
         if option in old.options and (equals or words):
             found += old.options[option](value if equals else words.pop(0))
             continue
-        found.append(word)
+        found.append(old.flags.get(word, word))
         if "" in old.options and words and not (equals or option in _FLAGS):
             found.append(words.pop(0))
     return found

@@ -105,6 +105,20 @@ class Recording(Options):
     """What is written beside the pictures."""
 
     mcap: bool = setting(False, "write the walk to walk.mcap too, which Foxglove, Rerun and PlotJuggler open")
+    rerun: bool = setting(
+        False,
+        "write the walk to walk.rrd too, with robot, ground and forces in space for Rerun's viewer; needs rerun-sdk",
+    )
+
+    def check(self) -> None:
+        """Check, before anything is walked, that what is asked for can be written."""
+        if self.rerun:
+            from mjx_climb.viz import rerun_recording
+
+            try:
+                rerun_recording.library()
+            except mc.ConfigError as error:
+                raise InputError(f"--{error}") from None
 
 
 @command("results/<config>-<controller>")
@@ -115,7 +129,8 @@ def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, record
     (trajectory.nc, opens with xarray), the resolved scenario (config.yaml), the metrics (metrics.json), pictures
     over time (walk) and of the feet's paths on the ground (feet), with --compare the plots of both walks (comparison);
     each picture in the formats of --figures. With --mcap the walk is there as messages of ROS 2 (joint states and
-    commands, foot forces, poses, transforms), as a robot would have recorded it.
+    commands, foot forces, poses, transforms), as a robot would have recorded it; with --rerun robot, ground and forces
+    are there for Rerun's viewer (rerun DIR/walk.rrd), where rerun-sdk is installed.
 
     In videos and snapshots the force on a foot is an arrow: light blue where the ground presses, yellow to red as a
     pull nears the holding limit. They need OpenGL (EGL or OSMesa), not a display.
@@ -131,6 +146,7 @@ def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, record
       mjx-climb run case_2 --law my_law.py:Filtered --gains best.yaml
       mjx-climb run case_1_2 --snapshots --at 2.5,4.6
       mjx-climb run case_1_2 --mcap
+      mjx-climb run case_1_2 --rerun
       mjx-climb run case_1_2 --ceiling --snapshots
     """
     with output.session() as shell:
@@ -145,6 +161,7 @@ def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, record
         name = scenario.control.controller if law is None else type(law).__name__
         load_robot(scenario.robot)
         pictures.check(scenario)
+        recording.check()
         settings = settings_of(loaded, "run", compare=pictures.compare)
         words = dict.fromkeys((walk.config.stem, name, *walk.words))
         shell.claim("trajectory.nc", *words, settings=settings, varied=walk.varied)
@@ -204,6 +221,11 @@ def _written(
     if recording.mcap:
         with shell.stage("walk.mcap", compiles=False):
             files.append(save_mcap(walks[name], out / "walk.mcap").name)
+    if recording.rerun:
+        from mjx_climb.viz.rerun_recording import save_rrd
+
+        with shell.stage("walk.rrd", compiles=False):
+            files.append(save_rrd(walks[name], out / "walk.rrd").name)
     return walks, metrics, files
 
 

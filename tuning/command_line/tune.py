@@ -191,7 +191,7 @@ def compare(
         seeds = comparing.seeds_for(wanted, asked.seeds)
         record = {"search": wanted.model_dump(mode="json"), "members": members, "seeds": seeds, "laws": each}
         settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "compare", **record)
-        folder = shell.take(walk, "compared.nc", settings, "compare")
+        folder = shell.take(walk, "compared.nc", settings, "laws")
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, walk.config):
             walks = {"metrics": loaded.metrics, "engine": loaded.engine}
@@ -203,7 +203,7 @@ def compare(
 
 
 @command(
-    "results/<config>-tune-<method>-<space>, or -pareto, -schedule, -compare",
+    "results/<config>-tune-<method>-<space>, or -pareto, -schedule, -laws",
     {"against": pareto, "over": schedule, "law law": compare},
 )
 def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Output) -> None:

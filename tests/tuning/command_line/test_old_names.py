@@ -22,6 +22,7 @@ NOW = {
     ("schema",): "doctor --schema",
     ("tune", "c", "--judges", "5"): "tune c --test-members 5",
     ("tune", "c", "--gains", "g"): "tune c --gains g",
+    ("replay", "c", "--log", "l", "--judge"): "replay c --log l --with-law",
     ("run", "judge"): "run judge",
     ("--help",): "--help",
     (): "",
@@ -46,7 +47,7 @@ def test_an_old_name_works_and_says_the_new_one_in_one_line(call):
     expected = "'schema' is 'doctor --schema' now, and works for this release alone"
     assert err == f"mjx-climb: {expected}\n"
     names = {line.split()[0] for line in call("--help")[1].splitlines() if line.startswith("  ")}
-    assert not names & (OLD.keys() - {"tune"})
+    assert not names & (OLD.keys() - {"tune", "replay"})
     assert call("doctor", "--schema")[1:] == (out, "")
 
 

@@ -169,7 +169,7 @@ def test_at_the_shell(walk, tmp_path, capsys):
     config.write_text(SCENARIO.to_yaml())
     save_mcap(walk, tmp_path / "walk.mcap")
     typed = ["replay", str(config), "--log", str(tmp_path / "walk.mcap"), "--out", str(out)]
-    assert program.run([*typed, "--judge", "--json"]) == 0
+    assert program.run([*typed, "--with-law", "--json"]) == 0
     printed = capsys.readouterr()
     written = json.loads((out / "replay.json").read_text())
     assert json.loads(printed.out) == written
@@ -180,8 +180,8 @@ def test_at_the_shell(walk, tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == files
     again = dataset.load_trajectory(out / "simulation.nc")
     np.testing.assert_allclose(again.joint_angles, walk.joint_angles, atol=1e-12)
-    assert program.run([*typed, "--judge", "--signals", str(out / "signals.yaml")]) == 0  # into the same folder
+    assert program.run([*typed, "--with-law", "--signals", str(out / "signals.yaml")]) == 0  # into the same folder
     assert "guessed" not in capsys.readouterr().err
     write_csv(tmp_path / "log.csv", recorded())
-    assert program.run([*typed[:2], "--log", str(tmp_path / "log.csv"), "--judge"]) == 2
-    assert "--judge: expected pushes in" in capsys.readouterr().err
+    assert program.run([*typed[:2], "--log", str(tmp_path / "log.csv"), "--with-law"]) == 2
+    assert "--with-law: expected pushes in" in capsys.readouterr().err
