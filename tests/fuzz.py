@@ -82,6 +82,7 @@ COMMANDS = {  # the command and what it does, with every option that takes a val
     "export": "{gains} --format ros2_control --update-rate 500 --name admittance",
     "doctor, schema": "--schema",
     "doctor, speed": "--bench --batch 64 --quick",
+    "runs": "taken --json",
     "reproduce": "--json",
     "doctor": "--json",
 }

@@ -50,6 +50,7 @@ COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} 
     "export": ["export", "{gains}", "--update-rate", "500"],
     "merge": ["sweep", "--merge", "{shards}", *OUT],
     "plot": ["plot", "{swept}", *OUT],
+    "runs": ["runs", "{swept}", *OUT],
     "robot": ["robot", ROBOT],
     "schema": ["doctor", "--schema"],
     "doctor": ["doctor"],

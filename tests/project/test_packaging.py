@@ -124,7 +124,7 @@ from tuning.pages import page
 print(self_check.__file__, page.__file__, shipped.config_path("case_2.yaml"), self_check.STORED, sep="\\n")
 [load_robot(load.load_scenario(name).robot) for name in shipped.names()]
 ensemble.Ensemble.load(shipped.config_path("ensemble.yaml"))
-self_check.load()["walk"], page._ENVIRONMENT.get_template("page.html.jinja")
+self_check.load()["walk"], page.ENVIRONMENT.get_template("page.html.jinja")
 [(page.HERE / name).read_text() for name in ("page.css", "page.js")]
 """
 

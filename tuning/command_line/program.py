@@ -39,6 +39,7 @@ COMMANDS = {  # which question each answers
     "robot": "How does my robot become a scenario?",
     "export": "How do gains get onto my robot?",
     "plot": "How does a result look, drawn otherwise?",
+    "runs": "What have I run, and what came of it?",
     "doctor": "Is this installation sound, and how fast?",
 }
 _MODULES = {"excite": "logs", "identify": "logs", "replay": "logs", "reproduce": "results", "export": "results",

@@ -191,8 +191,8 @@ def sweep(grid: Grid, walk: Walk, output: Output) -> None:
     draws each of them by itself.
 
     A first table, map and page, in single precision, are there as soon as the grid has walked; what they are compared
-    with is added. Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped. A gains file
-    gives the inertia and the joint gains of the grid, and a further walk to compare with.
+    with is added. Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped.
+    A gains file gives the inertia and the joint gains of the grid, and a further walk to compare with.
 
     With --shard, or as a task of a Slurm array, a sweep is spread over machines: each walks its part of the grid into
     a folder below DIR, and the last one writes what one machine would have written: on CPUs the same file, bit for bit.

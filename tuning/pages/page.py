@@ -15,13 +15,13 @@ from tuning.numbers import plain
 
 NAME = "report.html"
 HERE = Path(__file__).parent
-_ENVIRONMENT = jinja2.Environment(
+ENVIRONMENT = jinja2.Environment(
     loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
     lstrip_blocks=True,
 )  # fmt: skip
-_ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}  # keeps the order of keys
-_ENVIRONMENT.filters["plain"] = plain
-_ENVIRONMENT.filters["base64"] = lambda file: base64.b64encode(file.read_bytes()).decode()
+ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}  # keeps the order of keys
+ENVIRONMENT.filters["plain"] = plain
+ENVIRONMENT.filters["base64"] = lambda file: base64.b64encode(file.read_bytes()).decode()
 
 
 class Table(NamedTuple):
@@ -83,4 +83,4 @@ def render(page: Page) -> str:
         "device": f"{len(jax.devices())} x {device.device_kind} ({device.platform})",
         **page.facts,
     }
-    return _ENVIRONMENT.get_template("page.html.jinja").render(page=page, facts=facts)
+    return ENVIRONMENT.get_template("page.html.jinja").render(page=page, facts=facts)

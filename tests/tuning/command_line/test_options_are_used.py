@@ -62,6 +62,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.numbers": "ahead_of number to_json",
     "tuning.pages.page": "write",
     "tuning.pages.margins": "plot_margins",
+    "tuning.pages.runs": "below write",
     "tuning.pages.schedule": "rows",
     "tuning.pages.sweep": "first",
     "tuning.reproduce.results": "as_json as_markdown overall page reproduced sentences tables",
@@ -152,6 +153,7 @@ LINES = {  # a command, and what asks for another form of it: one that works, th
     "evaluate ceiling": "{config} --ceiling",
     "evaluate merge": "--merge folder",
     "plot": "folder",
+    "runs": "",
     "reproduce": "",
     "excite": "{config}",
     "identify": "{config} --log log.csv --fit hardware.command_delay",
@@ -179,6 +181,7 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     "tune test_members": ["--ensemble ensemble --test-members 5"],
     "identify figures": ["--out elsewhere --figures svg"],
     "plot metric": ["--metric min_tsm"],
+    "runs folder": ["{folder}"],
     "plot size": ["--size 60x60"],
     "excite family": ["--family chirp"],
     "excite duration": ["--duration 3"],
@@ -267,7 +270,8 @@ def traced(monkeypatch, tmp_path, folder):
         for name in names.split():
             monkeypatch.setattr(f"{module}.{name}", getattr(calls, f"{module}.{name}".replace(".", "_")))
     # settings, and the name of a folder, have all that is typed, used or not
-    (tmp_path / "out").mkdir()
+    for name in ("out", "results"):
+        (tmp_path / name).mkdir()
     monkeypatch.setattr("tuning.writing.record.settings_of", lambda *_, **__: {})
     monkeypatch.setattr("tuning.writing.record.own_folder", lambda *_, **__: tmp_path / "out")
     monkeypatch.setattr("tuning.writing.record.walks_at_home", lambda walks, *_: walks)
