@@ -122,6 +122,9 @@
     return make("label", {}, text, select);
   }
 
+  // Paper shows what is folded, too.
+  addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((part) => (part.open = true)));
+
   // ---------------------------------------------------------------- one interactive part
 
   class Explorer {
@@ -169,6 +172,7 @@
           make("div", { class: "controls screen" }, selector("Map of", options, this.metric, (name) => ((this.metric = name), this.drawMap(map), this.mapTitle()))),
           (this.heading = make("p", { class: "title" })),
           map,
+          (this.between = make("p", { class: "hint screen between", "aria-live": "off" })),
           legend(points.marks.map((m) => [this.symbol(m.name), m.name]), points.limit.length > 0),
           make("p", { class: "hint screen" }, "Brighter is better, and colours end where the bar does; walks hatched by lines lost a gripper, those hatched crosswise diverged with all of them. Point at a cell for its numbers, click it for its walk over time; arrow keys move, Enter chooses."),
         );
@@ -225,6 +229,25 @@
       const { failed } = walk || { failed: points.failed[cell] };
       this.readout.replaceChildren(make("div", { class: "wide" }, table), make("p", failed ? { class: "failed" } : {}, failed ? failed.text : "all grippers held"));
       if (this.outline) this.outline();
+    }
+
+    // The map's metric at a place in cells from the first centre, in words: bilinear in the logarithms of the gains.
+    interpolated(i, j) {
+      const { points, metric } = this;
+      const [xs, ys] = points.axes.map((axis) => axis.values);
+      if (xs.length < 2 || ys.length < 2 || i < 0 || j < 0 || i > xs.length - 1 || j > ys.length - 1) return "";
+      const [a, b] = [Math.min(Math.floor(i), xs.length - 2), Math.min(Math.floor(j), ys.length - 2)];
+      const [u, v] = [i - a, j - b];
+      const at = [[xs, a, u], [ys, b, v]].map(([axis, k, share], n) => `${points.axes[n].name} ${format(axis[k] ** (1 - share) * axis[k + 1] ** share)}`);
+      const cells = [0, 1, ys.length, ys.length + 1].map((step) => a * ys.length + b + step);
+      const values = cells.map((cell) => points.values[metric][cell]);
+      if (cells.some((cell) => points.failed[cell]) || values.some((value) => typeof value !== "number")) {
+        return `Between cells, at ${at.join(", ")}: not interpolated, as a walk beside it failed.`;
+      }
+      const log = points.scales[metric].log && Math.min(...values) > 0;
+      const shares = [(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v];
+      const sum = shares.reduce((total, share, n) => total + share * (log ? Math.log(values[n]) : values[n]), 0);
+      return `Between cells, interpolated: ${named(this.texts[metric])} ${format(log ? Math.exp(sum) : sum)} at ${at.join(", ")}.`;
     }
 
     choose(cell) {
@@ -309,6 +332,12 @@
       this.outline();
       const of = (event) => event.target.dataset && event.target.dataset.cell;
       svg.addEventListener("pointerover", (event) => of(event) !== undefined && this.say(Number(of(event))));
+      svg.addEventListener("pointermove", (event) => {
+        const drawn = svg.getBoundingClientRect();
+        const [px, py] = [((event.clientX - drawn.left) * width) / drawn.width, ((event.clientY - drawn.top) * height) / drawn.height];
+        this.between.textContent = this.interpolated((px - box.left) / w - 0.5, (box.bottom - py) / h - 0.5);
+      });
+      svg.addEventListener("pointerleave", () => (this.between.textContent = ""));
       svg.addEventListener("click", (event) => of(event) !== undefined && this.choose(Number(of(event))));
       svg.addEventListener("keydown", (event) => {
         const from = this.pointed ?? points.begin;

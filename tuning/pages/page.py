@@ -15,6 +15,8 @@ from tuning.numbers import plain
 
 NAME = "report.html"
 HERE = Path(__file__).parent
+ROWS = 5  # of the table on the first screen
+MAIN = ("force variation", "peak foot force", "peak pull force", "cost of transport", "base deviation")
 ENVIRONMENT = jinja2.Environment(
     loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
     lstrip_blocks=True,
@@ -51,12 +53,42 @@ class Page:
     origin: Origin
     verdict: str  # one sentence
     scenario: mc.Scenario
-    notes: Sequence[str] = ()  # what matters first
-    more: Sequence[str] = ()  # notes that are folded away
+    notes: Sequence[str] = ()  # sentences; warnings stand open, others are folded away
+    more: Sequence[str] = ()  # notes that come after these
     explorers: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)  # by heading
     tables: Sequence[Table] = ()
     prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
+
+    @property
+    def warnings(self) -> list[str]:
+        """The notes that stand below the verdict."""
+        return [note for note in self.notes if note.lower().startswith("warning")]
+
+    @property
+    def folded(self) -> list[str]:
+        """All other notes."""
+        return [note for note in (*self.notes, *self.more) if note not in self.warnings]
+
+    @property
+    def brief(self) -> Table | None:
+        """The `ROWS` of the first table on the first screen: those of the main metrics, or its first; None without one."""
+        if not self.tables:
+            return None
+        table = self.tables[0]
+        rows = {row[0]: row for _, rows in reversed(table.sections) for row in reversed(rows)}  # the first of each name
+        chosen = [rows[name] for name in MAIN if name in rows] or [row for _, rows in table.sections for row in rows]
+        return table._replace(sections=[("", chosen[:ROWS])])
+
+    @property
+    def first_pictures(self) -> dict[str, Path]:
+        """The picture of the first screen by its caption, where nothing interactive stands there."""
+        return {} if self.explorers else dict([*self.origin.pictures.items()][:1])
+
+    @property
+    def other_pictures(self) -> dict[str, Path]:
+        """All other pictures."""
+        return {caption: file for caption, file in self.origin.pictures.items() if caption not in self.first_pictures}
 
 
 def write(page: Page, folder: Path) -> Path:

@@ -127,6 +127,33 @@ def test_hover_shows_every_metric_of_the_cell(opened, swept):
 
 
 @pytest.mark.slow
+def test_between_cells_the_map_interpolates_and_says_so(opened, swept):
+    """Bilinear in the logarithms of the gains; beside a walk that failed nothing is."""
+    grid, shares = swept[1], (0.25, 0.6)  # of the way from the first cell to the next
+    places = [find(opened, f".map rect[data-cell='{cell}']").rect for cell in (0, 3, 1)]
+    middles = [(rect["x"] + rect["width"] / 2, rect["y"] + rect["height"] / 2) for rect in places]
+    x = middles[0][0] + shares[0] * (middles[1][0] - middles[0][0])
+    y = middles[0][1] + shares[1] * (middles[2][1] - middles[0][1])
+    move = "document.querySelector('.map svg').dispatchEvent(new PointerEvent('pointermove', {clientX: arguments[0] -"
+    opened.execute_script(f"{move} scrollX, clientY: arguments[1] - scrollY, bubbles: true}}))", x, y)
+    said = find(opened, ".between").text
+    four = grid.isel(stiffness=[0, 1], damping=[0, 1])
+    if (four["detached_limb"] >= 0).any() or four["diverged"].any():
+        assert said.startswith("Between cells, at stiffness") and said.endswith("as a walk beside it failed.")
+        return
+    weights = np.outer([1 - shares[0], shares[0]], [1 - shares[1], shares[1]])
+    values = four["force_variation"].transpose("stiffness", "damping").values.astype(float)
+    log = data_of(swept[0])[0]["points"]["scales"]["force_variation"]["log"]
+    expected = np.exp((weights * np.log(values)).sum()) if log else (weights * values).sum()
+    told = re.fullmatch(
+        r"Between cells, interpolated: force variation \[N\] (\S+) at stiffness (\S+), damping (\S+)\.", said
+    )
+    assert [float(number) for number in told.groups()] == pytest.approx(
+        [expected, 1e2 * 10**0.25, 1e1 * 10**0.6], rel=0.01
+    )
+
+
+@pytest.mark.slow
 def test_click_draws_the_histories_of_the_cell(opened, swept):
     folder, grid = swept
     data = data_of(folder)[0]
@@ -233,12 +260,25 @@ def histories_of(grid, lines):
 ORIGIN = page.Origin("case", "mjx-climb ask", "mjx-climb again", "duration: 0.3")
 
 
-def test_what_matters_stands_first_and_the_rest_is_folded_away():
-    made = page.Page("", ORIGIN, "verdict", mc.Scenario(), ["matters"], ["one test", "two"])
-    with_more, without = (page.render(each) for each in (made, dataclasses.replace(made, more=[])))
-    open_part, folded = with_more[: with_more.index("</header>")].split("<details>")
-    assert "<li>matters</li>" in open_part and re.findall("<li>(.*)</li>", folded) == ["one test", "two"]
-    assert "<details>" not in without[: without.index("</header>")]
+def test_the_first_screen_is_a_sentence_five_rows_and_a_picture_and_the_rest_is_folded(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"first")
+    (tmp_path / "b.png").write_bytes(b"second")
+    origin = ORIGIN._replace(pictures={"one": tmp_path / "a.png", "two": tmp_path / "b.png"})
+    rows = [[name, "1"] for name in ("stiffness", *reversed(page.MAIN), "travel", page.MAIN[0])]
+    every = page.Table("every number", ["metric", "value"], [("", rows[:2]), ("", rows[2:])])
+    made = page.Page(
+        "", origin, "verdict", mc.Scenario(), ["Warning: it breaks.", "It is so."], ["Test."], tables=[every]
+    )
+    open_part, *folded = page.render(made).split('<details class="part">')
+    assert re.findall("<li>(.*)</li>", open_part) == ["Warning: it breaks."]
+    assert re.findall("<li>(.*)</li>", folded[0]) == ["It is so.", "Test."]
+    assert re.findall(r'<th scope="row" class="word">(.*)</th>', open_part) == [*page.MAIN]
+    assert re.findall("<figcaption>(.*)</figcaption>", open_part) == ["one"]
+    assert re.findall(r'<th scope="row" class="word">(.*)</th>', folded[1]) == [row[0] for row in rows]
+    assert re.findall("<figcaption>(.*)</figcaption>", folded[2]) == ["two"]
+    plain = dataclasses.replace(made, tables=[every._replace(sections=[("", [[f"gain {n}", ""] for n in range(9)])])])
+    assert [row[0] for row in plain.brief.sections[0][1]] == [f"gain {n}" for n in range(page.ROWS)]
+    assert dataclasses.replace(made, tables=[]).brief is None
 
 
 def rows_of(made):
