@@ -17,7 +17,10 @@ from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Searc
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
+    from tuning.command_line.session import Session
     from tuning.problem.ensemble import Ensemble
+    from tuning.problem.evaluation import Problem
+    from tuning.results.tuned import Tuned
 
 
 class Many(Options):
@@ -58,7 +61,7 @@ class Laws(Options):
         metavar="NAME|FILE.py:NAME",
     )
     seeds: int | None = setting(
-        None, "searches of each of several laws, from --seed on; null: 3, on a GPU 8, of a grid 1", ge=1, le=100
+        None, "searches, from --seed on; null: 1; of each of several laws 3, on a GPU 8, of a grid 1", ge=1, le=100
     )
 
 
@@ -206,7 +209,9 @@ def compare(
     "results/<config>-tune-<method>-<space>, or -pareto, -schedule, -laws",
     {"against": pareto, "over": schedule, "law law": compare},
 )
-def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Output) -> None:
+def tune(
+    search: Search, file: SearchFile, many: Many, asked: Annotated[Laws, "seeds"], walk: Walk, output: Output
+) -> None:
     """Search the gains of the controller, from the config's own gains, other known and random ones side by side.
 
     Minimises force variation, peak foot force and cost of transport, each relative to pd, while the grippers hold,
@@ -218,6 +223,9 @@ def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Outpu
     settings (config.yaml, search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence,
     path, walks, margins), and all of it to look through in a browser (report.html). Finished rounds are kept: after
     Ctrl-C, which ends with the best so far, or worse, the same command goes on.
+
+    One search has its own luck: with --seeds K it is done from K seeds, the best is taken, and a line says how far the
+    seeds agree.
 
     --ensemble: every set of gains walks through all members (pushes, cargo, slope, grip stiffness, robot mass drawn
     from a seed, and hardware where the file says so), mean and worst count, the peak pulling force with them, and a
@@ -272,7 +280,11 @@ def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Outpu
         chosen = search.method if "method" in search.model_fields_set else None
         wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), loaded.law)
         kind, name = "tune" if drawn is None else "robust", walk.config.stem
+        seeds = asked.seeds or 1
+        if seeds > 1 and wanted.method == "grid":
+            raise InputError(f"--seeds: expected 1 of a grid, which draws nothing, got {seeds}")
         own = {"search": wanted.model_dump(mode="json"), "judges": many.test_members}
+        own |= {"seeds": seeds} if seeds > 1 else {}
         settings = record.settings_of(dataclasses.replace(loaded, ensemble=drawn), kind, **own)
         folder = shell.take(walk, "search.nc", settings, kind, wanted.method, wanted.space, team=team)
         shell.opening(loaded.scenario)
@@ -289,6 +301,8 @@ def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Outpu
                 begun = of_search.begin(problem, wanted, begin, out=folder)
             with shell.rounds("search") as show:
                 found: Any = searches.run(problem, wanted, out=folder, progress=show)
+            if seeds > 1 and not found.interrupted:
+                found = _of_seeds(found, problem, seeds, folder, shell)
             if many.test_members is not None:
                 found = dataclasses.replace(found, judges=many.test_members)
             if found.interrupted:
@@ -301,3 +315,20 @@ def tune(search: Search, file: SearchFile, many: Many, walk: Walk, output: Outpu
                 best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
                 raise Interrupted(f"the best of {shell.done} rounds is in {folder}: {best}")
             shell.result(found, again, begun)
+
+
+def _of_seeds(first: "Tuned", problem: "Problem", seeds: int, folder: Path, shell: "Session") -> "Tuned":
+    """Search from further seeds, each with its rounds in a folder of its own, and return the best of all."""
+    from tuning.methods import parts
+    from tuning.results import tuned
+    from tuning.searches import tune as searches
+
+    found = [first]
+    for number in range(1, seeds):
+        own = first.search.model_copy(update={"seed": first.search.seed + number})
+        with shell.rounds(f"search, seed {own.seed}") as show:
+            out = folder / parts.FOLDER / f"seed-{own.seed}"
+            found.append(searches.run(problem, own, out=out, progress=show))
+        if found[-1].interrupted:
+            raise KeyboardInterrupt
+    return tuned.of_seeds(found)

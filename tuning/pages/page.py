@@ -72,7 +72,7 @@ class Page:
 
     @property
     def brief(self) -> Table | None:
-        """The `ROWS` of the first table on the first screen: those of the main metrics, or its first; None without one."""
+        """The `ROWS` of the first table on the first screen: of the main metrics, or its first; None without one."""
         if not self.tables:
             return None
         table = self.tables[0]

@@ -14,7 +14,7 @@ from tuning.pages.contents import Contents, Picture, Written, files_of, sentence
 from tuning.pages.judge import SHARES, judged_table, plot_judged
 from tuning.pages.page import Origin, Page, Table
 from tuning.pages.tune import CONVERGENCE, plot_convergence
-from tuning.results.tuned import Robust
+from tuning.results.tuned import AGREEMENT, Robust
 
 
 def contents(found: Robust, compared: RobustComparison, name: str) -> Contents:
@@ -53,6 +53,7 @@ def outcome_of(found: Robust, compared: RobustComparison) -> list[str]:
     outcome += [f"{found.judges} walks each that the search never saw; {failed}"]
     outcome += judging.lost_in_words(compared.walks)
     outcome += [] if compared.worth is None else [compared.worth.in_words]
+    outcome += [found.data.attrs[AGREEMENT]] if AGREEMENT in found.data.attrs else []
     return outcome + ([f"held by its limits: {'; '.join(compared.binding)}"] if compared.binding else [])
 
 

@@ -26,7 +26,7 @@ from tuning.pages.margins import plot_margins
 from tuning.pages.page import Origin, Page, Table
 from tuning.problem.spaces import kind_of
 from tuning.results.swept import axes_of
-from tuning.results.tuned import Tuned
+from tuning.results.tuned import AGREEMENT, Tuned
 
 CONVERGENCE = "How the search converged."
 WALKS = "The tuned gains beside pd over time: red crosses mark a torn gripper, shading a disturbance."
@@ -42,6 +42,7 @@ def contents(found: Tuned, compared: TuneComparison, name: str) -> Contents:
     broken["tuned"] = checked.broken_limits
     outcome = [f"warning: the tuned gains break limits: {'; '.join(broken['tuned'])}"] if broken["tuned"] else []
     outcome += [] if compared.worth is None else [compared.worth.in_words]
+    outcome += [found.data.attrs[AGREEMENT]] if AGREEMENT in found.data.attrs else []
     outcome += at_one_step(compared.step, f"search, map and limits are at {found.scenario.time_step:g} s")
     outcome += [f"warning: {line}" for line in checked.warnings]
     if broken["config"]:

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ from tuning.problem.evaluation import Problem
 from tuning.problem.search import Judge, Search
 from tuning.problem.spaces import INTEGRAL, JOINT, as_gains, to_gains64
 from tuning.results.result import Result
+
+AGREEMENT = "agreement_of_seeds"  # in words
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,6 +149,21 @@ def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarra
     if problem.ensemble is None:
         return Tuned(made, problem, search, gains=gains)
     return Robust(made, problem, search, problem.ensemble, gains)
+
+
+def of_seeds(searches: Sequence[Tuned]) -> Tuned:
+    """Return the best of searches that differ in their seed, with how far they agree as the attribute `AGREEMENT`."""
+    best = min(searches, key=lambda own: (not own.feasible, own.value))
+    values, theta = [own.value for own in searches], np.stack([own.theta for own in searches])
+    logarithms = best.data["unit"].values == 0
+    said = f"{len(searches)} seeds end at objectives of {min(values):.4f} to {max(values):.4f}"
+    if logarithms.any():
+        apart = np.exp(np.ptp(theta[:, logarithms], axis=0))
+        name = best.data["coordinate"].values[logarithms][apart.argmax()]
+        said += f", their gains at most a factor of {apart.max():.3g} apart ({name})"
+    if outside := sum(not own.feasible for own in searches):
+        said += f"; {outside} of them break a limit"
+    return dataclasses.replace(best, data=best.data.assign_attrs({AGREEMENT: said}))
 
 
 def best_of(arrays: Mapping[str, np.ndarray]) -> int:

@@ -72,6 +72,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.searches.pareto": "problem_of run",
     "tuning.searches.schedule": "operating_points run",
     "tuning.comparisons.merge": "merged",
+    "tuning.results.tuned": "of_seeds",
     "tuning.searches.shards": "Rows find home",
     "tuning.searches.sweep": "Grid.named Grid.result",
     "tuning.searches.tune": "problem_of run",
@@ -313,7 +314,7 @@ def traced(monkeypatch, tmp_path, folder):
             "tuning.comparisons.compare.run", "tuning.comparisons.judge.Draw.result", "tuning.searches.pareto.run",
             "tuning.searches.schedule.run", "tuning.comparisons.merge.merged", "tuning.searches.sweep.Grid.result",
             "tuning.searches.ceiling.ceiling",
-            "tuning.searches.tune.run",
+            "tuning.searches.tune.run", "tuning.results.tuned.of_seeds",
         ),
         found,
     )  # fmt: skip
