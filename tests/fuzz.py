@@ -71,6 +71,7 @@ COMMANDS = {  # the command and what it does, with every option that takes a val
     "tune, points": "{config} --over gravity=1e-6,1/6,1 --over cargo=0,0.5 --space split --search {search}",
     "evaluate, margins": "{config} --margins --gains {gains} --retuned-pd {gains} --controller pd --hardware ideal "
     "--set control.kd=0.1",
+    "evaluate, worse": "{config} --gains {gains} --worse force_sensor.noise=0.5 --ensemble {ensemble} --members 8",
     "evaluate": "{config} --gains {gains} --ensemble {ensemble} --members 8 --controller base_admittance --shard 1/2 "
     "--set control.kd=0.1",
     "tune, laws": "{config} --law base_admittance --law end_effector_admittance --ensemble {ensemble} --members 8 "

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tuning.background import Stage, silent
+from tuning.comparisons import degraded as degrading
 from tuning.comparisons import judge as judging
 from tuning.comparisons import of_ensemble, of_front, of_laws, of_search, of_sweep
 from tuning.comparisons.worth import of_schedule
@@ -13,10 +14,11 @@ from tuning.identification.fit import output as of_fit
 from tuning.identification.fit.result import Identified
 from tuning.identification.plan import output as of_plan
 from tuning.identification.plan.excitation import Excited
-from tuning.pages import ceiling, judge, laws, pareto, robust, schedule, sweep, tune
+from tuning.pages import ceiling, degraded, judge, laws, pareto, robust, schedule, sweep, tune
 from tuning.pages.contents import Contents, Written, files_of
 from tuning.pages.page import Origin
 from tuning.results.ceiling import Bounded
+from tuning.results.degraded import Degraded
 from tuning.results.front import Front
 from tuning.results.judged import Comparison, Judged
 from tuning.results.result import Result
@@ -43,6 +45,7 @@ KINDS: Mapping[type[Result], Kind] = {
     Front: Kind(of_front.compare, pareto.contents),
     Comparison: Kind(of_laws.compare, laws.contents),
     Judged: Kind(lambda found, *_: judging.summary(found.data), judge.contents),
+    Degraded: Kind(lambda found, *_: degrading.summary(found.data), degraded.contents),
     Bounded: Kind(lambda *_: None, ceiling.contents),
     Scheduled: Kind(lambda found, *_: of_schedule(found.data), schedule.contents),
 }

@@ -16,6 +16,7 @@ from tuning.problem.settings import Options, setting
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from tuning.comparisons.degraded import Worse as Worsened
     from tuning.comparisons.judge import Draw
     from tuning.comparisons.linear_margins import Stable
     from tuning.comparisons.margins import Found
@@ -168,6 +169,47 @@ class Rivals(Files, Judge):
         return [f"{here} members, {len(work.gains) + 1} walks of {work.problem.scenario.steps} steps each"]
 
 
+class Worse(Files, Judge):
+    """On which worse hardware gains are evaluated."""
+
+    gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
+    worse: tuple[str, ...] = setting(
+        (),
+        "walk on worse hardware too: a factor, as delay=x2, or a key of the section hardware, as backlash=0.01",
+        metavar="KEY=VALUE",
+    )
+    ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
+
+    @property
+    def shard(self) -> None:
+        """None: all walks are this machine's."""
+
+    def work(self, walk: Walk) -> "Worsened":
+        """Return the walks of the gains in all settings."""
+        from mjx_climb.scenario.messages import ConfigError
+        from tuning.comparisons.degraded import draw_of
+        from tuning.problem.ensemble import Ensemble
+
+        loaded, ensemble = walk.load(), Ensemble.load(shipped.found(self.ensemble))
+        try:
+            return draw_of(loaded, self.named(loaded), ensemble, self.worse, self.members)
+        except (ConfigError, ValueError) as error:
+            text = str(error).removeprefix("worse: ")
+            raise InputError(f"--worse: {text}") from None
+
+    def said(self, work: "Worsened", here: int, _: int) -> list[str]:
+        """Return how many walks there are."""
+        each = f"{self.members} members of {work.problem.scenario.steps} steps each"
+        return [f"{len(work.settings)} settings, {len(work.gains) + 1} walks of {each}"]
+
+
+def worse(asked: Worse, walk: Annotated[Walk, "-gains"], output: Output) -> None:
+    """Walk gains through unseen members as drawn, and on worse hardware, one thing at a time."""
+    files = ["evaluate", "--ensemble", "ensemble.yaml"]
+    again = repeated(files, "--gains", "--retuned-pd", "--worse", "--members", "--engine")
+    walk_rows(asked, walk, output, "degrade", again)
+
+
 class Bounds(Files):
     """What bounds every law."""
 
@@ -233,7 +275,10 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
                                      "--iterations", "--test-members", "--engine"))  # fmt: skip
 
 
-@command("results/<config>-evaluate, -margins or -ceiling", {"margins": margins, "ceiling": ceiling, "merge": merge})
+@command(
+    "results/<config>-evaluate, -margins, -worse or -ceiling",
+    {"margins": margins, "worse": worse, "ceiling": ceiling, "merge": merge},
+)
 def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> None:
     """Walk gains through a draw that no search over the ensemble has seen, beside the config's own and pd.
 
@@ -249,6 +294,12 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     pd on the same hardware, and up to where the linearised loop is stable. Warns where walks, or the linearised loop,
     bear less than twice what the hardware has. DIR has the margins (margins.json), all walks (margins.nc) and the force
     variation over each quantity (margins, in the formats of --figures).
+
+    --worse walks the same members on worse hardware too, one --worse at a time: with a factor on delay, period,
+    friction, backlash, noise, bias or armature, as the config has it or a member drew it, or with other values of keys
+    of the config's section hardware, as force_sensor.dead.LF=3.0 for a sensor that dies at 3 s. Prints what each takes
+    from the gains, and what is left of their lead over pd (that of --retuned-pd, where it is given). DIR has every walk
+    (degraded.nc).
 
     --ceiling finds how good any law could be: the best joint targets over time for each walk, known in advance; the
     same plan for all walks of --ensemble, which needs no sensor; plans that know of a disturbance from a delay after
@@ -266,6 +317,8 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_2 --gains gains.yaml --retuned-pd gains-retuned_pd.yaml
       mjx-climb evaluate case_2 --gains gains.yaml --ensemble mine.yaml --members 100000 --shard 3/16
       mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --margins --json
+      mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --ensemble ensemble_dynamixel_x
+        --worse friction=x2 --worse delay=x2 --worse force_sensor.dead.LF=3.0
       mjx-climb evaluate case_2 --ceiling --gains gains.yaml --hardware dynamixel_x --knots 0.2 --iterations 25
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"

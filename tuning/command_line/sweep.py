@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 RANGE = "LOW:HIGH:COUNT"
 ROWS = {  # by kind of result: file, word in the name of its folder, stage and unit
     "sweep": ("sweep.nc", "sweep", "grid", "walks"),
+    "degrade": ("degraded.nc", "worse", "worse hardware", "walks"),
     "judge": ("judged.nc", "evaluate", "fresh draw", "members"),
 }
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 # by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
 RESULTS = (
     "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json",
-    "excitation.csv", "replay.json", "result.json", "compared.nc", "ceiling.nc", "judged.nc",
+    "excitation.csv", "replay.json", "result.json", "compared.nc", "ceiling.nc",
+    "degraded.nc", "judged.nc",
 )  # fmt: skip
 WITHOUT_PARTS = ("trajectory.nc", "margins.json", "reproduce.json", "excitation.csv", "replay.json")  # nothing is kept
 

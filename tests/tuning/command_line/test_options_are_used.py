@@ -28,6 +28,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "mjx_climb.execution.devices": "begin",
     "mjx_climb.files.dataset": "save to_dataset write_text_atomically",
     "mjx_climb.viz.recording": "save_mcap",
+    "mjx_climb.viz.rerun_recording": "library save_rrd",
     "mjx_climb.viz.plots": "over_style plot_comparison plot_feet plot_walk save_figure",
     "mjx_climb.viz.rendering": "save_image save_video snapshots stance view",
     "mjx_climb.viz.rendering.backend": "find require_display",
@@ -67,6 +68,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.pages.sweep": "first",
     "tuning.reproduce.results": "as_json as_markdown overall page reproduced sentences tables",
     "tuning.comparisons.compare": "problem_of run",
+    "tuning.comparisons.degraded": "Worse.result",
     "tuning.comparisons.judge": "Draw.result",
     "tuning.searches.ceiling": "ceiling",
     "tuning.searches.pareto": "problem_of run",
@@ -139,6 +141,8 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "view": "--view",
     "weights": "--weight force_variation=1",
     "with_tune": "--with-tune",
+    "rerun": "--rerun",
+    "worse": "--worse force_sensor.noise=2",
 }  # fmt: skip
 LINES = {  # a command, and what asks for another form of it: one that works, the options that its own need beside them
     "run": "{config}",
@@ -151,6 +155,7 @@ LINES = {  # a command, and what asks for another form of it: one that works, th
     "tune over": "{config} --over gravity,cargo",
     "evaluate": "{config} --gains {folder}/held.yaml",
     "evaluate margins": "{config} --margins",
+    "evaluate worse": "{config} --gains {folder}/held.yaml --worse force_sensor.noise=0.5",
     "evaluate ceiling": "{config} --ceiling",
     "evaluate merge": "--merge folder",
     "plot": "folder",
@@ -175,6 +180,9 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     "evaluate law": ["{config} --gains {folder}/mine.yaml --law {folder}/mine.py:Mine"],
     "evaluate ceiling ceiling": ["{config} --gains {folder}/held.yaml --ceiling"],
     "evaluate ceiling members": ["--ensemble ensemble --members 3"],
+    "evaluate worse law": [
+        "{config} --gains {folder}/mine.yaml --worse force_sensor.bias=1 --law {folder}/mine.py:Mine"
+    ],
     "evaluate merge law": ["--law {folder}/mine.py:Mine"],
     "evaluate margins margins": ["{config} --gains {folder}/held.yaml --margins"],
     "tune law law method": ["--method optuna"],
@@ -284,6 +292,7 @@ def traced(monkeypatch, tmp_path, folder):
         "mjx_climb.inputs.time_step.largest_time_step": 0.001,
         "mjx_climb.viz.rendering.save_image": "picture",
         "mjx_climb.viz.recording.save_mcap": SimpleNamespace(name="walk.mcap"),
+        "mjx_climb.viz.rerun_recording.save_rrd": SimpleNamespace(name="walk.rrd"),
         "tuning.proposal.propose.propose": SimpleNamespace(
             sections=scenario.model_dump(exclude={"time_step"}), notes=[("a", "b", "c")]
         ),
@@ -312,6 +321,7 @@ def traced(monkeypatch, tmp_path, folder):
     returned |= dict.fromkeys(
         (
             "tuning.comparisons.compare.run", "tuning.comparisons.judge.Draw.result", "tuning.searches.pareto.run",
+            "tuning.comparisons.degraded.Worse.result",
             "tuning.searches.schedule.run", "tuning.comparisons.merge.merged", "tuning.searches.sweep.Grid.result",
             "tuning.searches.ceiling.ceiling",
             "tuning.searches.tune.run", "tuning.results.tuned.of_seeds",
@@ -319,7 +329,7 @@ def traced(monkeypatch, tmp_path, folder):
         found,
     )  # fmt: skip
     for name, value in returned.items():
-        assert name.rpartition(".")[2] in RECORDED.get(name.rpartition(".")[0], "") or "Grid" in name or "Draw" in name
+        assert name.rpartition(".")[2] in RECORDED.get(name.rpartition(".")[0], "") or name.count(".") > 3
         getattr(calls, name.replace(".", "_")).return_value = value
     calls.tuning_identification_fit_identify_identify.return_value.as_json.return_value = {}
     calls.tuning_identification_model_replay_simulate.return_value.scenario = scenario

@@ -1,0 +1,108 @@
+"""Gains on worse hardware: the same members in every setting but for what it changes."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from tests.shell import ROOT
+from tuning.comparisons import degraded
+from tuning.gains import gains_file
+from tuning.pages import degraded as pages
+from tuning.problem.ensemble import Ensemble
+from tuning.problem.evaluation import Problem
+
+CASE = mc.load_scenario(
+    ROOT / "configs" / "case_1_2.yaml",
+    ["duration=0.3", "hardware.force_sensor.noise=0.1", "hardware.command_delay=0.002"],
+)
+DRAW = Ensemble.parse("{hardware: {force_delay: [0.001, 0.004]}}", "ensemble")
+GAINS = {"mine": mc.Gains(1.0, 300.0, 3000.0)}
+
+
+def drawn(*worse, members=4):
+    return degraded.draw_of(Problem(CASE), GAINS, DRAW, worse, members)
+
+
+def test_members_differ_between_settings_in_what_is_made_worse_alone():
+    work = drawn("delay=x2", "force_sensor.noise=0.5", "force_sensor.dead.LF=3.0,noise=x3")
+    assert work.settings[0] == degraded.AS_DRAWN and work.rows == 16 and work.identity()["settings"] == [*work.settings]
+    parameters, own = work.problem.parameters, drawn().problem.parameters
+    late = np.asarray(parameters.force_delay).reshape(4, 4)
+    np.testing.assert_allclose(late, np.asarray(own.force_delay).reshape(1, 4) * np.array([[1], [2], [1], [1]]))
+    assert np.reshape(parameters.command_delay, (4, 4)).tolist() == [[0.002] * 4, [0.004] * 4, [0.002] * 4, [0.002] * 4]
+    noise = np.reshape(parameters.force_noise, (4, 4))
+    np.testing.assert_allclose(noise, np.array([[0.1], [0.1], [0.5], [0.3]]) * np.ones(4))
+    dead = np.reshape(np.broadcast_to(parameters.force_dead, (16, 1, 4)), (4, 4, 4))
+    assert np.isinf(dead[:3]).all() and (dead[3, :, 0] == 3).all() and np.isinf(dead[3, :, 1:]).all()
+    np.testing.assert_array_equal(np.reshape(parameters.mass_scale, (4, 4)), np.tile(np.ravel(own.mass_scale), (4, 1)))
+
+
+@pytest.mark.parametrize(
+    ("worse", "said"),
+    [
+        ("friction=x2", "expected friction in the config or the draw to scale, got none"),
+        ("delay=2", "delay: expected a factor above 0, as x2, got '2'"),
+        ("delay=x-1", "delay: expected a factor above 0"),
+        (
+            "delay",
+            "expected delay|period|friction|backlash|noise|bias|armature=xFACTOR or a key of the section hardware",
+        ),
+        ("nothing=3", "nothing"),
+        ("delay=x2,delay=x2", ""),
+    ],
+)
+def test_what_cannot_be_made_worse_is_refused_in_one_line(worse, said, call, tmp_path):
+    gains_file.save(GAINS["mine"], tmp_path / "mine.yaml")
+    twice = ("--worse", worse) if not said else ()
+    words = ("evaluate", "case_1_2", "--gains", tmp_path / "mine.yaml", "--worse", worse, *twice)
+    code, out, err = call(*words, "--out", tmp_path / "out")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("mjx-climb: --worse: ") and said in err
+
+
+def test_tables_say_what_worse_hardware_takes_and_what_is_left_of_the_lead():
+    """Of made-up walks: a dead sensor makes the first gains half as bad again, and loses a walk in four."""
+    rng, members = np.random.default_rng(0), 64
+    level = {"mine": (8.0, 12.0), "pd": (10.0, 10.0)}
+    base = 1 + 0.01 * rng.normal(size=members)
+    values = np.array([[base * level[name][place] for name in level] for place in (0, 1)])
+    about = {"units": "N", "long_name": "force variation", "larger_is_better": 0}
+    dims = ("setting", "gains", "member")
+    pull = np.zeros_like(values)
+    pull[1, 0, ::4] = 9.0
+    data = {name: (dims, values, about) for name in degraded.METRICS} | {"diverged": (dims, np.zeros_like(values))}
+    data["peak_pull_force"] = (dims, pull, about)
+    names = {"setting": [degraded.AS_DRAWN, "dead"], "gains": [*level], "member": range(members)}
+    walks = xr.Dataset(data, names, {"holding_limit": 4.0})
+    found = degraded.Degraded(walks, Problem(CASE), ensemble=DRAW)
+    compared = degraded.summary(walks)
+    assert compared.baseline == "pd"
+    losses, lead = pages.losses_table(found, compared), pages.lead_table(found, compared)
+    assert losses.sections[0][1] == [["force variation", "mine", losses.sections[0][1][0][2], "+50"],
+                                     ["force variation", "pd", losses.sections[0][1][1][2], "~+0"]]  # fmt: skip
+    assert losses.sections[-1][1] == [["lost of 64", "mine", "0", "16"], ["lost of 64", "pd", "0", "0"]]
+    assert lead.sections[0][1] == [["force variation", "mine", "-20", "+20"]]
+    said = pages.in_words(found, compared)
+    assert said == (
+        "64 walks in each of 1 settings: dead takes most from mine, +50 % force variation; dead loses 16 walks"
+    )
+    assert pages.plot_degraded(walks).axes[0].get_xlabel() == "mean force variation [N]"
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_the_command_walks_as_drawn_as_evaluate_does(call, tmp_path):
+    gains_file.save(GAINS["mine"], tmp_path / "mine.yaml")
+    words = ("case_1_2", "--set", "duration=0.3", "--gains", tmp_path / "mine.yaml", "--members", "3")
+    assert call("evaluate", *words, "--out", tmp_path / "plain")[0] == 0
+    worse = ("--worse", "force_sensor.bias=1.0", "--out", tmp_path / "worse")
+    code, out, _ = call("evaluate", *words, *worse)
+    assert code == 0 and "takes most from mine" in out
+    plain = xr.load_dataset(tmp_path / "plain" / "judged.nc", engine="h5netcdf")
+    both = xr.load_dataset(tmp_path / "worse" / "degraded.nc", engine="h5netcdf")
+    own, late = (both["force_variation"].sel(setting=name) for name in both["setting"].values)
+    np.testing.assert_allclose(own, plain["force_variation"], rtol=1e-3)
+    assert (late.sel(gains="mine") != own.sel(gains="mine")).all()
+    written = {file.name for file in (tmp_path / "worse").iterdir()}
+    assert {"report.html", "degraded.png", "summary.json", "ensemble.yaml"} <= written

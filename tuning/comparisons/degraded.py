@@ -1,0 +1,206 @@
+"""Gains on worse hardware, one thing at a time: the same unseen walks as drawn, and with that changed."""
+
+import dataclasses
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.execution.batch_axes import own_axes
+from mjx_climb.hardware.stages import given
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.parameter_types import KEYS
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.scenario.messages import ConfigError
+from tuning.comparisons import judge as judging
+from tuning.comparisons import paired
+from tuning.gains.gains_file import Whole
+from tuning.problem.ensemble import FRICTION, Ensemble
+from tuning.problem.evaluation import Problem
+from tuning.problem.objectives import Objective
+from tuning.results.degraded import Degraded
+from tuning.searches.retuned_pd import NAME
+from tuning.searches.shards import Counted, Rows
+from tuning.searches.sweep import default_batch_size
+
+AS_DRAWN = "as drawn"
+SCALED = {  # what a factor is on: parameters by the name of the quantity
+    "delay": ("force_delay", "base_delay", "command_delay"),
+    "period": ("control_period",),
+    "friction": FRICTION,
+    "backlash": ("backlash",),
+    "noise": ("force_noise", "position_noise", "velocity_noise"),
+    "bias": ("force_bias",),
+    "armature": ("armature",),
+}
+METRICS = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
+SECTION = "hardware."
+_KEYS = {**KEYS, "force_dead": "hardware.force_sensor.dead"}
+
+
+class Setting(NamedTuple):
+    """What is made worse."""
+
+    name: str  # as it was typed
+    factors: Mapping[str, float]  # by the names of `SCALED`
+    keys: Mapping[str, Any]  # of a scenario, with the values that take the place of the config's and the draw's
+
+
+def setting(text: str) -> Setting:
+    """Return what is made worse, from "delay=x2", "friction=x0.5", "force_sensor.dead.LF=3.0", or several with commas.
+
+    Raises:
+        ValueError: in a few words, what was expected.
+    """
+    from mjx_climb.scenario.yaml_text import pairs
+
+    factors, changes = dict[str, float](), []
+    for part in text.split(","):
+        key, equals, value = (each.strip() for each in part.partition("="))
+        if not equals:
+            raise ValueError(f"expected {'|'.join(SCALED)}=xFACTOR or a key of the section hardware, got {part!r}")
+        if key in SCALED:
+            try:
+                factors[key] = float(value.removeprefix("x"))
+            except ValueError:
+                factors[key] = np.nan
+            if not (value.startswith("x") and 0 < factors[key] < np.inf):
+                raise ValueError(f"{key}: expected a factor above 0, as x2, got {value!r}")
+        else:
+            changes.append(f"{SECTION * (not key.startswith(SECTION))}{key}={value}")
+    return Setting(text, factors, dict(pairs(changes, "worse")))
+
+
+def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.Parameters:
+    """Return the parameters of a draw with worse hardware; all else in them is as it was.
+
+    Raises:
+        ConfigError: a key that the scenario does not have, or nothing there to scale.
+    """
+    found: dict[str, Any] = {}
+    if worse.keys:
+        changed = own_parameters(scenario.with_overrides(dict(worse.keys)))
+        for name, key in _KEYS.items():
+            if any(typed == key or typed.startswith(f"{key}.") for typed in worse.keys):
+                found[name] = getattr(changed, name)
+        if not found:
+            raise ConfigError(f"worse: expected a number of the hardware, got {', '.join(worse.keys)}")
+    for quantity, factor in worse.factors.items():
+        there = [name for name in SCALED[quantity] if given(getattr(drawn, name))]
+        if not there:
+            raise ConfigError(f"worse: expected {quantity} in the config or the draw to scale, got none")
+        found |= {name: np.asarray(getattr(drawn, name), float) * factor for name in there}
+    if "control_period" in found:  # of whole time steps
+        steps = np.maximum(np.round(np.asarray(found["control_period"], float) / scenario.time_step), 1)
+        found["control_period"] = steps * scenario.time_step
+    return dataclasses.replace(drawn, **found)
+
+
+def _together(draws: Sequence[mc.Parameters], members: int) -> mc.Parameters:
+    """Return the members of all draws behind one another, so that a law is compiled once for all of them."""
+
+    def joined(own: int, *values: Any) -> np.ndarray:
+        arrays = [np.asarray(value) for value in values]
+        if all(value.ndim == own and np.array_equal(value, arrays[0]) for value in arrays):
+            return arrays[0]
+        shape = np.broadcast_shapes(*(value.shape[value.ndim - own :] for value in arrays))
+        return np.concatenate([np.broadcast_to(value, (members, 1, *shape)) for value in arrays])
+
+    whole: mc.Parameters = jax.tree.map(joined, own_axes(draws[0]), *draws)
+    return whole
+
+
+@dataclasses.dataclass(frozen=True)
+class Worse(judging.Draw):
+    """Gains that walk through the members of a draw in each setting: all members of the first one first."""
+
+    settings: tuple[str, ...] = ()  # the first one as drawn
+
+    def identity(self) -> dict[str, Any]:
+        """Return what the walks depend on."""
+        return {**super().identity(), "kind": Degraded.KIND, "settings": list(self.settings)}
+
+    def result(self, arrays: Mapping[str, np.ndarray]) -> Any:
+        """Return the walks over settings, gains and members."""
+        walks, members = self.dataset(arrays), self.rows // len(self.settings)
+        each = [walks.isel(member=slice(at, at + members)) for at in range(0, self.rows, members)]
+        each = [part.assign_coords(member=np.arange(members)) for part in each]
+        whole = xr.concat(each, xr.Variable("setting", list(self.settings)), combine_attrs="override")
+        return Degraded(whole, self.problem, ensemble=self.ensemble)
+
+
+def draw_of(
+    problem: Problem, gains: Mapping[str, AnyGains | Whole], ensemble: Ensemble, worse: Iterable[str], members: int
+) -> Worse:
+    """Return the work of `degrade`, whose arguments and errors these are."""
+    drawn, settings = judging.draw_of(problem, gains, ensemble, members), [setting(text) for text in worse]
+    names = (AS_DRAWN, *(each.name for each in settings))
+    if len({*names}) < len(names):
+        raise ConfigError(f"worse: expected settings that differ, got {', '.join(names[1:])}")
+    own = drawn.problem.parameters
+    assert own is not None
+    parameters = _together([own, *(worsened(problem.scenario, own, each) for each in settings)], members)
+    rows = members * len(names)
+    walked = dataclasses.replace(drawn.problem, parameters=parameters, members=rows)
+    size = default_batch_size(rows, problem.scenario.steps)
+    return Worse(walked, drawn.gains, drawn.pd, drawn.ensemble, rows, size, names)
+
+
+def degrade(
+    scenario: mc.Scenario,
+    gains: Mapping[str, AnyGains | Whole],
+    ensemble: Ensemble,
+    worse: Iterable[str],
+    *,
+    members: int = judging.MEMBERS,
+    law: mc.Law | None = None,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    engine: str = DEFAULT_ENGINE,
+    out: str | os.PathLike[str] | None = None,
+    progress: Counted | None = None,
+) -> Degraded:
+    """Simulate gains on unseen walks as drawn, and with worse hardware, one setting at a time.
+
+    The members are the same in every setting but for what it changes. What else is said of `tuning.judge`, whose other
+    arguments these are, holds here. `tuning.write(tuning.degrade(...), folder)` is `mjx-climb evaluate --worse`.
+
+    Arguments:
+        worse: settings, see `setting`: factors on delay, period, friction, backlash, noise, bias and armature as the
+            config has them or a member drew them, or values of keys of the section `hardware`.
+
+    Raises:
+        ConfigError: a setting that changes nothing, or an ensemble that the scenario does not allow.
+        ValueError: a setting that cannot be read.
+        OutputError: `out` cannot be written, or holds unfinished walks of something else.
+    """
+    problem = Problem(scenario, law=law, metrics=mc.MetricTable(metrics), engine=engine)
+    work = draw_of(problem, gains, ensemble, worse, members)
+    found: Degraded = work.result(Rows(work, out).walk(progress))
+    return found
+
+
+class Degradation(NamedTuple):
+    """What worse hardware takes."""
+
+    losses: Mapping[str, xr.Dataset]  # by gains: settings against their own walks as drawn, see `paired.compared`
+    lead: Mapping[str, xr.Dataset]  # by setting: gains against pd (retuned, where it is there) in the same setting
+    baseline: str  # that pd
+
+
+def summary(walks: xr.Dataset) -> Degradation:
+    """Return the differences between settings, and between gains in each of them, with their intervals."""
+    goal, metrics = Objective((), ()), [name for name in METRICS if name in walks]
+    names = walks["gains"].values.tolist()
+    baseline = NAME if NAME in names else judging.PD
+    losses = {}
+    for name in names:
+        own = walks.sel(gains=name, drop=True).rename(setting="gains").transpose("gains", "member")
+        losses[name] = paired.compared(own, metrics, AS_DRAWN, goal)
+    settings = walks["setting"].values.tolist()
+    lead = {each: paired.compared(walks.sel(setting=each, drop=True), metrics, baseline, goal) for each in settings}
+    return Degradation(losses, lead, baseline)

@@ -1,0 +1,126 @@
+"""Gains on worse hardware: what it takes from each, and what is left of their lead over pd."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from mjx_climb.viz import plots
+from tuning.comparisons import judge as judging
+from tuning.comparisons.degraded import AS_DRAWN, METRICS, Degradation
+from tuning.numbers import number, to_json
+from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.pages.page import Page, Table
+from tuning.pages.pictures import scaled
+from tuning.results.degraded import Degraded
+
+LEAST = 0.1  # N of pull, and of every other metric, that can be compared in per cent
+CHANGES = "Mean force variation on worse hardware, of each gains."
+
+
+def contents(found: Degraded, compared: Degradation, name: str) -> Contents:
+    """Return every walk, both tables, the picture and the page."""
+    assert found.ensemble is not None
+    tables = [losses_table(found, compared), lead_table(found, compared)]
+    sentence, plain = in_words(found, compared), _plain(compared)
+    outcome = [sentence, *judging.lost_in_words(found.data)]
+    summary = to_json(plain)
+    return Contents(
+        Written(data=found.data, outcome=outcome, summary=summary, tables=tables),
+        found.problem,
+        files_of(found, name)
+        | {"summary.json": summary + "\n", "degraded": Picture(CHANGES, lambda: plot_degraded(found.data))},
+        lambda origin: Page(
+            title=f"Gains on worse hardware, {origin.name}", origin=origin, verdict=f"{sentence}.",
+            scenario=found.scenario, notes=outcome[1:], tables=tables, facts={"seed": found.ensemble.seed},
+        ),
+    )  # fmt: skip
+
+
+def change(table: xr.Dataset, metric: str, place: str, statistic: str = "mean") -> str:
+    """Return by how many per cent a mean differs from the baseline's, ~ where its 95 % interval holds 0.
+
+    It is the value itself where the baseline has next to nothing.
+    """
+    own = table.sel(metric=metric, statistic=statistic)
+    base = float(own["value"].sel(gains=table.attrs["baseline"]))
+    if not abs(base) >= LEAST:
+        return number(float(own["value"].sel(gains=place)))
+    text = f"{100 * float(own['difference'].sel(gains=place)) / base:+.0f}"
+    return text if bool(own["real"].sel(gains=place)) else f"~{text}"
+
+
+def losses_table(found: Degraded, compared: Degradation) -> Table:
+    """Return each gains' change, in per cent, against their own walks as drawn, and how many walks are lost."""
+    about, settings, members = found.problem.metrics, [*compared.lead], found.data.sizes["member"]
+    sections = []
+    for metric in (name for name in METRICS if name in about.names):
+        rows = []
+        for name, table in compared.losses.items():
+            base = number(float(table["value"].sel(metric=metric, statistic="mean", gains=AS_DRAWN)))
+            rows.append([about.in_words(metric), name, base, *(change(table, metric, each) for each in settings[1:])])
+        sections.append(("", rows))
+    lost = []
+    for name, table in compared.losses.items():
+        share = table["value"].sel(metric="failed", statistic="mean")
+        lost.append(
+            [f"lost of {members}", name, *(f"{float(share.sel(gains=each)) * members:.0f}" for each in settings)]
+        )
+    caption = "Against their own walks as drawn, %; ~: the interval holds 0"
+    return Table(caption, ["metric", "gains", *settings], [*sections, ("", lost)])
+
+
+def lead_table(found: Degraded, compared: Degradation) -> Table:
+    """Return each gains' difference from pd in the same setting, in per cent."""
+    about, sections = found.problem.metrics, []
+    others = [name for name in compared.losses if name != compared.baseline]
+    for metric in (name for name in METRICS if name in about.names):
+        cells = [[change(table, metric, name) for table in compared.lead.values()] for name in others]
+        sections.append(("", [[about.in_words(metric), name, *own] for name, own in zip(others, cells, strict=True)]))
+    caption = f"Against {compared.baseline} on the same hardware, %; ~: the interval holds 0"
+    return Table(caption, ["metric", "gains", *compared.lead], sections)
+
+
+def in_words(found: Degraded, compared: Degradation) -> str:
+    """Return in a sentence which setting takes most from the first gains, and how many walks are lost at most."""
+    name, table = next(iter(compared.losses.items()))
+    settings = [each for each in compared.lead if each != AS_DRAWN]
+    own = table.sel(metric="force_variation", statistic="mean")
+    worst = max(settings, key=lambda each: np.nan_to_num(float(own["difference"].sel(gains=each)), nan=-np.inf))
+    share = table["value"].sel(metric="failed", statistic="mean", gains=settings)
+    lost, most = settings[int(share.argmax())], round(float(share.max()) * found.data.sizes["member"])
+    losing = "none of their walks is lost" if not most else f"{lost} loses {most} walks"
+    return (
+        f"{found.data.sizes['member']} walks in each of {len(settings)} settings: {worst} takes most from {name}, "
+        f"{change(table, 'force_variation', worst)} % force variation; {losing}"
+    )
+
+
+def _plain(compared: Degradation) -> dict[str, dict[str, dict[str, dict[str, float]]]]:
+    """Return the means and shares of lost walks by gains, setting and metric."""
+    found: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    for name, table in compared.losses.items():
+        own = table["value"].sel(statistic="mean")
+        metrics = [str(metric) for metric in own["metric"].values if metric != "objective"]
+        found[name] = {
+            "mean": {each: {m: float(own.sel(metric=m, gains=each)) for m in metrics} for each in compared.lead}
+        }
+    return found
+
+
+@plots.style()
+def plot_degraded(walks: xr.Dataset) -> Figure:
+    """Draw the mean force variation of each gains in each setting."""
+    settings, names = walks["setting"].values.tolist(), walks["gains"].values.tolist()
+    figure = Figure(figsize=(plots.COLUMN, 0.9 + 0.28 * len(settings)), layout="constrained")
+    axes, (factor, label) = figure.subplots(), scaled(walks["force_variation"])
+    means = factor * walks["force_variation"].mean("member")
+    handles = []
+    for number_, name in enumerate(names):
+        color, marker = f"C{number_}", "oDs^vP"[number_ % 6]
+        axes.plot(means.sel(gains=name).values, range(len(settings)), marker, color=color, ms=4)
+        handles.append(plots.key(name, color=color, marker=marker, ms=4, ls=""))
+    axes.set_yticks(range(len(settings)), settings)
+    axes.invert_yaxis()
+    axes.set_xlabel(f"mean {label}")
+    plots.legend(figure, handles)
+    return figure
