@@ -45,12 +45,12 @@ class Compilation:
     Programs of several threads, and traces within traces, overlap: no second is counted twice.
     """
 
-    def __init__(self, finished: Callable[[], None] = lambda: None, lowered: Callable[[], None] = lambda: None):
+    def __init__(self, finished: Callable[[], None] = lambda: None, traced: Callable[[], None] = lambda: None):
         self.seconds: dict[str, float] = {}  # by what was done
         self.since = time.perf_counter()  # when anything was last done
         self._thread = threading.local()  # whose next program comes from the cache
         self._lock = threading.Lock()
-        self._finished, self._lowered = finished, lowered
+        self._finished, self._traced = finished, traced
 
     def __enter__(self) -> "Compilation":
         from jax import monitoring
@@ -85,8 +85,10 @@ class Compilation:
             now = time.perf_counter()
             self.seconds[what] = self.seconds.get(what, 0.0) + min(duration_secs, now - self.since)
             self.since = now
-        if duration_secs > WORTH_A_WORD and event in (LOWERED, COMPILED):
-            self._finished() if event == COMPILED else self._lowered()
+        if duration_secs > WORTH_A_WORD and (event == LOWERED or what == LOADING):
+            self._traced()
+        if duration_secs > WORTH_A_WORD and event == COMPILED:
+            self._finished()
 
 
 @dataclasses.dataclass
@@ -312,12 +314,12 @@ class Session:
         compiles: bool = True,
         unit: str = "walks",
         keeps: bool = False,
-        lowered: Callable[[], None] = lambda: None,
+        traced: Callable[[], None] = lambda: None,
     ) -> Iterator[Callable[..., None]]:
         """Show one stage; the function that it gives takes how many walks are done, how many there are, and a text.
 
-        `keeps`: what is done here is kept where the command is stopped. `lowered` is called when a large program has
-        been traced, and XLA compiles it.
+        `keeps`: what is done here is kept where the command is stopped. `traced` is called when a large program has
+        been traced, and XLA compiles it, or one has been loaded.
 
         Raises:
             KeyboardInterrupt: at its beginning and whenever it is told, where the user wants the command to end.
@@ -346,7 +348,7 @@ class Session:
                 self.say(text)
             interruption.check()
 
-        with Compilation(compiled, lowered) as compilation, bar:
+        with Compilation(compiled, traced) as compilation, bar:
             yield advanced
         text = f"{name}: {duration(time.perf_counter() - begin)}"
         spent = str(compilation)

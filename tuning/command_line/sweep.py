@@ -159,7 +159,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
 
                 begin(gate.behind(lambda _: importlib.import_module("tuning.kinds")))  # matplotlib takes half a second
                 begun = of_sweep.begin(work.problem, work.gains, work.axes, lambda work: begin(gate.behind(work)))
-            with shell.stage(stage, unit=unit, keeps=True, lowered=gate.open) as show:
+            with shell.stage(stage, unit=unit, keeps=True, traced=gate.open) as show:
                 arrays = rows.walk(show)
             gate.open()
             if rows.shard is not None:

@@ -19,7 +19,8 @@ CHANGES = "Mean force variation on worse hardware, of each gains."
 
 def contents(found: Degraded, compared: Degradation, name: str) -> Contents:
     """Return every walk, both tables, the picture and the page."""
-    assert found.ensemble is not None
+    ensemble = found.ensemble
+    assert ensemble is not None
     tables = [losses_table(found, compared), lead_table(found, compared)]
     sentence, plain = in_words(found, compared), _plain(compared)
     outcome = [sentence, *judging.lost_in_words(found.data)]
@@ -31,7 +32,7 @@ def contents(found: Degraded, compared: Degradation, name: str) -> Contents:
         | {"summary.json": summary + "\n", "degraded": Picture(CHANGES, lambda: plot_degraded(found.data))},
         lambda origin: Page(
             title=f"Gains on worse hardware, {origin.name}", origin=origin, verdict=f"{sentence}.",
-            scenario=found.scenario, notes=outcome[1:], tables=tables, facts={"seed": found.ensemble.seed},
+            scenario=found.scenario, notes=outcome[1:], tables=tables, facts={"seed": ensemble.seed},
         ),
     )  # fmt: skip
 
@@ -87,7 +88,7 @@ def in_words(found: Degraded, compared: Degradation) -> str:
     own = table.sel(metric="force_variation", statistic="mean")
     worst = max(settings, key=lambda each: np.nan_to_num(float(own["difference"].sel(gains=each)), nan=-np.inf))
     share = table["value"].sel(metric="failed", statistic="mean", gains=settings)
-    lost, most = settings[int(share.argmax())], round(float(share.max()) * found.data.sizes["member"])
+    lost, most = settings[int(share.values.argmax())], round(float(share.max()) * found.data.sizes["member"])
     losing = "none of their walks is lost" if not most else f"{lost} loses {most} walks"
     return (
         f"{found.data.sizes['member']} walks in each of {len(settings)} settings: {worst} takes most from {name}, "

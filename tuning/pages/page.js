@@ -271,7 +271,9 @@
       const { points, metric } = this;
       const [xs, ys] = points.axes.map((axis) => axis.values);
       const wide = place.clientWidth;
-      const { svg, width, height } = canvas(place, Math.round(Math.min(620, Math.max(280, 0.95 * wide))), `Map of ${this.texts[metric].label} over ${this.points.axes[0].name} and ${this.points.axes[1].name}`, true);
+      // it ends with the first screen, below the sentence and the five rows
+      const tall = Math.max(280, Math.min(620, 0.95 * wide, innerHeight - 510));
+      const { svg, width, height } = canvas(place, Math.round(tall), `Map of ${this.texts[metric].label} over ${this.points.axes[0].name} and ${this.points.axes[1].name}`, true);
       svg.setAttribute("tabindex", "0");
       const box = { left: GAP.left, right: width - 74, top: GAP.top, bottom: height - GAP.bottom };
       const w = (box.right - box.left) / xs.length;
