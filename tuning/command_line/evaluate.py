@@ -191,8 +191,9 @@ class Worse(Files, Judge):
         from tuning.problem.ensemble import Ensemble
 
         loaded, ensemble = walk.load(), Ensemble.load(shipped.found(self.ensemble))
+        named = self.named(loaded)
         try:
-            return draw_of(loaded, self.named(loaded), ensemble, self.worse, self.members)
+            return draw_of(loaded, named, ensemble, self.worse, self.members)
         except (ConfigError, ValueError) as error:
             text = str(error).removeprefix("worse: ")
             raise InputError(f"--worse: {text}") from None
@@ -317,8 +318,7 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_2 --gains gains.yaml --retuned-pd gains-retuned_pd.yaml
       mjx-climb evaluate case_2 --gains gains.yaml --ensemble mine.yaml --members 100000 --shard 3/16
       mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --margins --json
-      mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --ensemble ensemble_dynamixel_x
-        --worse friction=x2 --worse delay=x2 --worse force_sensor.dead.LF=3.0
+      mjx-climb evaluate case_2 --gains gains.yaml --worse delay=x2 --worse force_sensor.dead.LF=3.0
       mjx-climb evaluate case_2 --ceiling --gains gains.yaml --hardware dynamixel_x --knots 0.2 --iterations 25
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"
