@@ -47,6 +47,8 @@ def change(table: xr.Dataset, metric: str, place: str, statistic: str = "mean") 
     if not abs(base) >= LEAST:
         return number(float(own["value"].sel(gains=place)))
     text = f"{100 * float(own['difference'].sel(gains=place)) / base:+.0f}"
+    if text in ("+0", "-0"):
+        return "0"
     return text if bool(own["real"].sel(gains=place)) else f"~{text}"
 
 
