@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from mjx_climb.files.writing import write_bytes_atomically
+from mjx_climb.ground import holds_of
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.viz.recording import rows_of_a_frame
 from mjx_climb.viz.rendering import marks, surroundings
 from mjx_climb.viz.rendering.canvas import pose
+from mjx_climb.viz.rendering.proportions import size_of
 
 TIMELINE = "walk"
 
@@ -34,8 +36,9 @@ def library() -> Any:
 def save_rrd(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
     """Write a walk as a file for Rerun's viewer and return its path; the instants are those of `save_mcap`'s `/tf`.
 
-    Entities: `world/ground`, `world/robot/N` (the geoms of the robot's file), `world/force/LIMB` (an arrow: of the
-    ground on the foot), `world/push`, and over time `force/LIMB` (N) and `support/LIMB`. Frame `world`, SI units.
+    Entities: `world/ground`, `world/holds` (points that can be held), `world/robot/N` (the geoms of the robot's file),
+    `world/force/LIMB` (an arrow: of the ground on the foot), `world/push`, and over time `force/LIMB` (N) and
+    `support/LIMB`. Frame `world`, SI units.
 
     Raises:
         ConfigError: rerun-sdk is not installed.
@@ -49,6 +52,8 @@ def save_rrd(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
         stream.save(file)
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         _log_bodies(rr, stream, trajectory, rows, times)
+        if (holds := holds_of(trajectory.scenario.ground)) is not None:
+            stream.log("world/holds", rr.Points3D(holds.shown()[0], radii=0.004 * size_of(trajectory)), static=True)
         limit, length = trajectory.scenario.contact.holding_limit, marks.scale([trajectory])
 
         def arrows(entity: str, at: np.ndarray, forces: np.ndarray, colors: np.ndarray) -> None:
