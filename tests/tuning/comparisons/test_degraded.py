@@ -58,7 +58,7 @@ def test_what_cannot_be_made_worse_is_refused_in_one_line(worse, said, call, tmp
     words = ("evaluate", "case_1_2", "--gains", tmp_path / "mine.yaml", "--worse", worse, *twice)
     code, out, err = call(*words, "--out", tmp_path / "out")
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith("mjx-climb: --worse: ") and said in err
+    assert err.startswith("mjx-climb: error: --worse: ") and said in err
 
 
 def test_tables_say_what_worse_hardware_takes_and_what_is_left_of_the_lead():

@@ -34,7 +34,7 @@ def test_the_best_of_several_seeds_is_taken_and_their_agreement_said():
 def test_a_grid_has_no_seeds(call, tmp_path):
     code, out, err = call("tune", "case_1_2", "--method", "grid", "--seeds", "2", "--out", tmp_path / "out")
     assert (code, out) == (2, "")
-    assert err == "mjx-climb: --seeds: expected 1 of a grid, which draws nothing, got 2\n"
+    assert err == "mjx-climb: error: --seeds: expected 1 of a grid, which draws nothing, got 2\n"
 
 
 @pytest.mark.nightly
