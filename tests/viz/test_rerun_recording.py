@@ -19,7 +19,8 @@ def test_without_the_package_the_command_says_so_before_it_walks(monkeypatch, ca
         main(["run", "case_1_2", "--rerun", "--out", str(tmp_path / "out")])
     out, err = capsys.readouterr()
     expected = "--rerun: expected rerun-sdk to be installed, as by pip install 'mjx-climb[view]'"
-    assert (ended.value.code, out, err) == (2, "", f"mjx-climb: error: {expected}\n") and not (tmp_path / "out").exists()
+    assert (ended.value.code, out, err) == (2, "", f"mjx-climb: error: {expected}\n")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ class Setting(NamedTuple):
 
 
 def setting(text: str) -> Setting:
-    """Return what is made worse, from "delay=x2", "friction=x0.5", "force_sensor.dead.LF=3.0", or several with commas.
+    """Return a change of the hardware, read from "delay=x2", "force_sensor.dead.LF=3.0", or several with commas.
 
     Raises:
         ValueError: in a few words, what was expected.
@@ -122,7 +122,7 @@ class Worse(judging.Draw):
     settings: tuple[str, ...] = ()  # the first one as drawn
 
     def identity(self) -> dict[str, Any]:
-        """Return what the walks depend on."""
+        """Return all that determines the walks, as plain JSON values."""
         return {**super().identity(), "kind": Degraded.KIND, "settings": list(self.settings)}
 
     def result(self, arrays: Mapping[str, np.ndarray]) -> Any:
@@ -166,8 +166,8 @@ def degrade(
 ) -> Degraded:
     """Simulate gains on unseen walks as drawn, and with worse hardware, one setting at a time.
 
-    The members are the same in every setting but for what it changes. What else is said of `tuning.judge`, whose other
-    arguments these are, holds here. `tuning.write(tuning.degrade(...), folder)` is `mjx-climb evaluate --worse`.
+    The members are the same in every setting but for what it changes. The other arguments are
+    those of `tuning.judge`. `tuning.write(tuning.degrade(...), folder)` is `mjx-climb evaluate --worse`.
 
     Arguments:
         worse: settings, see `setting`: factors on delay, period, friction, backlash, noise, bias and armature as the

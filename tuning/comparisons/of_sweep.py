@@ -55,7 +55,7 @@ def own_name(problem: Problem) -> str:
 
 
 def _walkers(found: Swept, best: xr.Dataset | None) -> dict[str, Walker]:
-    """Return what walks beside a grid: pd, config (or paper), gains file, best, as far as there are such."""
+    """Return the walkers beside a grid: pd, config (or paper), gains file, best, as far as there are such."""
     scenario, law = found.scenario, found.problem.law
     walkers: dict[str, Walker] = {"pd": (under_pd(scenario), None), own_name(found.problem): (scenario, law)}
     walkers |= {} if found.gains is None else {GIVEN: found.walker()}

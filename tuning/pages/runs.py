@@ -87,7 +87,7 @@ def _differing(runs: Sequence[Run]) -> list[Run]:
 
 
 def verdict(folder: Path) -> str:
-    """Return what came of a result in a sentence, "" where nothing says so."""
+    """Return the verdict of a result in a sentence, "" where its folder has none."""
     try:
         found = _VERDICT.search((folder / REPORT).read_text("utf-8"))
         if found:
@@ -119,7 +119,7 @@ def write(runs: Sequence[Run], folder: Path, out: Path) -> Path:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """Return what a JSON file holds, nothing where it cannot be read."""
+    """Return the mapping of a JSON file, an empty one where it cannot be read."""
     try:
         found = json.loads(file.read_text("utf-8"))
     except (OSError, ValueError, RecursionError):

@@ -68,7 +68,7 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
 
 
 def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
-    """Return what the folder holds until the grid is compared: a map, a table and a page; None where no walk held.
+    """Return the contents of the folder until the grid is compared: a map, a table and a page; None where no walk held.
 
     `named` are the metrics of other walks of the grid's program, see `tuning.searches.sweep.Grid.named`.
     """
