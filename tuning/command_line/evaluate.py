@@ -319,7 +319,7 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_2 --gains gains.yaml --ensemble mine.yaml --members 100000 --shard 3/16
       mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --margins --json
       mjx-climb evaluate case_2 --gains gains.yaml --worse delay=x2 --worse force_sensor.dead.LF=3.0
-      mjx-climb evaluate case_2 --ceiling --gains gains.yaml --hardware dynamixel_x --knots 0.2 --iterations 25
+      mjx-climb evaluate case_2 --ceiling --gains gains.yaml --knots 0.2 --iterations 25
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"
     walk_rows(rivals, walk, output, "judge", again)
