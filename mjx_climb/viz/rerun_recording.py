@@ -13,10 +13,10 @@ from mjx_climb.ground import holds_of
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.trajectory import Trajectory
+from mjx_climb.viz.plots.events import size_of
 from mjx_climb.viz.recording import rows_of_a_frame
 from mjx_climb.viz.rendering import marks, surroundings
 from mjx_climb.viz.rendering.canvas import pose
-from mjx_climb.viz.rendering.proportions import size_of
 
 TIMELINE = "walk"
 
