@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.lax import stop_gradient
+from jaxtyping import PyTree
 
 from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
@@ -23,9 +24,18 @@ from mjx_climb.gait.schedule import Plan, Schedule, base_reference, first_footho
 from mjx_climb.gait.swing import added_shapes, lift, rest_to_rest
 from mjx_climb.ground import Holds
 from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics
+from mjx_climb.physics.spatial import norm
 from mjx_climb.robot.constants import Robot
 
+_ALONG = 1e-4  # sine of the angle of directions that count as along each other
 _ROUNDS = 4  # of inverse kinematics without a closed form, from the rest stance
+
+
+class Limits(NamedTuple):
+    """Forces f that holds bear, of the ground on the foot, world axes: `rows f <= bound`."""
+
+    rows: Array  # (limb, m, 3)
+    bound: Array  # (limb, m) N
 
 
 class Planner(NamedTuple):
@@ -64,6 +74,7 @@ class Progress(NamedTuple):
     offset_since: Array  # () the gait's time since which it shrinks
     force: Array  # (limb, 3) N, on the feet at the last tick
     interruptions: Array  # () number of interruptions
+    limits: Limits | None = None  # of the holds at the goals; None: holds have none
 
 
 def begin(planner: Planner, base_position: Array) -> Progress:
@@ -75,8 +86,17 @@ def begin(planner: Planner, base_position: Array) -> Progress:
         step=zero, clock=zero, running=zero + 1, resumes=zero, start=feet, goal=feet, below=feet[:, 2], begun=begun,
         span=limbs + plan.swing_steps, rise=limbs + plan.step_height, touched=begun + plan.swing_steps,
         base_start=base_position, base_goal=base_position, base_begun=zero, offset=jnp.zeros_like(base_position),
-        offset_since=zero, force=jnp.zeros_like(feet), interruptions=zero,
+        offset_since=zero, force=jnp.zeros_like(feet), interruptions=zero, limits=_no_limits(planner.holds, feet),
     )  # fmt: skip
+
+
+def _no_limits(holds: Holds | None, feet: Array) -> Limits | None:
+    """Return the limits of feet (limb, 3) that stand on no hold, None where no hold has one."""
+    rows = 0 if holds is None else holds.limit_bound.shape[1]
+    if not rows:
+        return None
+    bound = jnp.full_like(feet, jnp.inf, shape=(len(feet), rows))
+    return Limits(jnp.zeros_like(feet, shape=(len(feet), rows, 3)), bound)
 
 
 # --- between ticks
@@ -112,6 +132,14 @@ def schedule_at(planner: Planner, progress: Progress, step: Array) -> Schedule:
 def ground_at(progress: Progress, now: Schedule) -> Array:
     """Return the height of the ground below each foot, (limb,) m."""
     return jnp.where(now.swing_phase < 0.5, progress.below, progress.goal[:, 2])
+
+
+def overloaded(progress: Progress, now: Schedule, foot_force: Array) -> Array:
+    """Return which holds bear less than forces of the ground on the feet, (limb, 3) N, (limb,) bool."""
+    if progress.limits is None:
+        return jnp.zeros_like(now.closed)
+    used = (progress.limits.rows * foot_force[:, None]).sum(2)
+    return (now.swing_phase >= 1) & (used > progress.limits.bound).any(1)
 
 
 def reference_at(
@@ -233,7 +261,9 @@ def _lifted_off(
         situation = situation._replace(planned=_planned(plan, clock + wait))
     chosen, goal, height = situation.planned, progress.goal, progress.goal[:, 2]
     if planner.rule is not None and planner.holds is not None:
-        chosen = choose(planner, planner.rule, planner.holds, situation._replace(stands=~lifts), base, ways)
+        situation = situation._replace(stands=~lifts)
+        chosen, limits = choose(planner, planner.rule, planner.holds, situation, base, ways, progress.limits)
+        progress = progress._replace(limits=_of_some(lifts, limits, progress.limits))
     each = lifts[:, None]
     goal = jnp.where(each, chosen, goal)
     progress = progress._replace(
@@ -303,12 +333,14 @@ def choose(
     situation: Situation,
     base: tuple[Array, Array],
     ways: tuple[Array, Array],
-) -> Array:
-    """Return the hold that each limb would swing to, (limb, 3) m; where it stands, if it reaches none.
+    limits: Limits | None,
+) -> tuple[Array, Limits | None]:
+    """Return the hold that each limb would swing to, (limb, 3) m, and its limits; where it stands, if it reaches none.
 
     Arguments:
         base: position (3,) m and rotation (3, 3) of the base, now.
         ways: (3,) m each, of the base until the touchdown and until the next lift-off: limbs reach a hold from both.
+        limits: of the holds where limbs stand.
     """
 
     def score(position: Array, pull: Array) -> Array:
@@ -320,8 +352,8 @@ def choose(
     def of_all(position: Array) -> Array:
         return jnp.broadcast_to(position, situation.feet.shape)
 
-    each = (holds.position, pulls(holds, situation.holding_force), holds.valid > 0)
-    return _best(score, allowed, of_all, each, situation.feet)
+    each = Candidates.of(holds, situation.holding_force)
+    return _best(score, allowed, of_all, each, (situation.feet, limits), situation.weight)
 
 
 def _allowed(
@@ -366,33 +398,82 @@ def _first_largest(values: Array) -> Array:
     return jnp.stack(found)
 
 
+class Candidates(NamedTuple):
+    """Points to choose among, by their number."""
+
+    vector: Array  # (n, 3), what makes the limbs' points
+    pull: Array  # (n,) N, that they bear along their normals
+    valid: Array  # (n,) bool
+    normal: Array | None = None  # (n, 3), where holds have limits
+    matrix: Array | None = None  # (n, m, 3) 1, of forces in the holds' axes
+    bound: Array | None = None  # (n, m) N
+
+    @classmethod
+    def of(cls, holds: Holds, holding_force: Array) -> "Candidates":
+        """The holds of a ground, with the pull of a grip () N where they have no limits."""
+        limits = (holds.normal, holds.limit_matrix, holds.limit_bound) if holds.limit_bound.shape[1] else ()
+        return cls(holds.position, pulls(holds, holding_force), holds.valid > 0, *limits)
+
+
 def _best(
     score: Callable[[Array, Array], Array],
     allowed: Callable[[Array], Array],
     of_limbs: Callable[[Array], Array],
-    candidates: tuple[Array, Array, Array],
-    otherwise: Array,
-) -> Array:
-    """Return the points of the largest score, (limb, 3) m, of several the first; `otherwise` where none is allowed.
+    candidates: Candidates,
+    otherwise: tuple[Array, Limits | None],
+    weight: Array,
+) -> tuple[Array, Limits | None]:
+    """Return the points of the largest score, (limb, 3) m, of several the first, and the limits of these holds.
 
     Arguments:
         score: of points (limb, 3) m that bear a pull () N, (limb,).
         allowed: whether points may be chosen, (limb,) bool.
         of_limbs: the points of the limbs for what stands for a candidate, (3,).
-        candidates: (n, 3), pulls (n,) N and whether there is such a candidate, (n,) bool.
+        otherwise: points and limits where none is allowed.
+        weight: (3,) N, by which holds have their axes.
     """
 
-    def look(best: tuple[Array, Array], candidate: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], None]:
-        (worth, place), (vector, pull, valid) = best, candidate
-        position = of_limbs(vector)
+    def look(best: tuple[Array, Array, Limits | None], one: Candidates) -> tuple[PyTree, None]:
+        worth, place, limits = best
+        position = of_limbs(one.vector)
         frozen = stop_gradient(position)
-        found = stop_gradient(jnp.where(allowed(frozen) & valid, score(frozen, pull), -jnp.inf))
+        found = stop_gradient(jnp.where(allowed(frozen) & one.valid, score(frozen, one.pull), -jnp.inf))
         better = found > worth
-        return (jnp.where(better, found, worth), jnp.where(better[:, None], position, place)), None
+        own = None
+        if one.normal is not None and one.matrix is not None and one.bound is not None:
+            own = Limits(one.matrix @ hold_axes(one.normal, weight).T, one.bound)
+        return (
+            jnp.where(better, found, worth),
+            jnp.where(better[:, None], position, place),
+            _of_some(better, own, limits),
+        ), None
 
-    worst = jnp.full_like(otherwise[:, 0], -jnp.inf)
-    best, _ = jax.lax.scan(look, (worst, otherwise), candidates)
-    return jnp.asarray(best[1])
+    worst = jnp.full_like(otherwise[0][:, 0], -jnp.inf)
+    (_, place, limits), _ = jax.lax.scan(look, (worst, *otherwise), candidates)
+    return place, limits
+
+
+def _of_some(some: Array, new: Limits | None, old: Limits | None) -> Limits | None:
+    """Return limits of which those of some limbs (limb,) are new."""
+    if new is None or old is None:
+        return old
+    each = some[:, None]
+    return Limits(jnp.where(each[..., None], new.rows, old.rows), jnp.where(each, new.bound, old.bound))
+
+
+def hold_axes(normal: Array, weight: Array) -> Array:
+    """Return the axes of a hold as columns (3, 3): up the surface, across it, along the normal (3,).
+
+    Up is against the weight (3,), or where that is along the normal the world's x, else its y.
+    """
+    length = norm(weight)
+    x, y = jnp.eye(3, dtype=normal.dtype)[:2]
+    up = y - (y @ normal) * normal
+    for way in (x, -weight / jnp.where(length > 0, length, 1.0)):
+        along = way - (way @ normal) * normal
+        up = jnp.where(norm(along) > _ALONG, along, up)
+    up = up / norm(up, at_zero=1.0)
+    return jnp.stack([up, jnp.cross(normal, up), normal], axis=1)
 
 
 def within_reach(planner: Planner, target: Array) -> Array:
@@ -440,12 +521,14 @@ def _interrupted(
     below = jnp.concatenate([reference.foot_position[:, :2], ground[:, None]], axis=1)
     if planner.holds is None:
         ways = ways_beside(below.dtype) * recovery.reach
-        each = ways, jnp.broadcast_to(body.holding_force, ways.shape[:1]), jnp.ones(ways.shape[:1], bool)
-        place = _best(score, allowed, lambda way: below + way, each, below)
+        pull = jnp.broadcast_to(body.holding_force, ways.shape[:1])
+        each = Candidates(ways, pull, jnp.ones(ways.shape[:1], bool))
+        place, limits = _best(score, allowed, lambda way: below + way, each, (below, progress.limits), body.weight)
     else:
-        holds = planner.holds
-        each = holds.position, pulls(holds, body.holding_force), holds.valid > 0
-        place = _best(score, allowed, lambda point: jnp.broadcast_to(point, below.shape), each, progress.goal)
+        each, now_there = Candidates.of(planner.holds, body.holding_force), (progress.goal, progress.limits)
+        place, limits = _best(
+            score, allowed, lambda point: jnp.broadcast_to(point, below.shape), each, now_there, body.weight
+        )
     one = lands[:, None]
     stood_still = progress.resumes > at
     return progress._replace(
@@ -458,5 +541,6 @@ def _interrupted(
         rise=jnp.where(lands, 0.0, progress.rise),
         offset=jnp.where(stops, offset + recovery.take_over * shift, progress.offset),
         offset_since=jnp.where(stops, clock, progress.offset_since),
+        limits=_of_some(lands, limits, progress.limits),
         interruptions=progress.interruptions + jnp.where(stops & ~stood_still, 1.0, 0.0),
     )

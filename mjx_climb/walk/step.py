@@ -254,6 +254,9 @@ def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.S
     feet = foot_kinematics(walk.robot, frames, carry.state)
     turning = foot_turning(walk.robot, frames, carry.state) if walk.contact.transmits_moments else None
     contact, held = walk.contact.step(carry.contact, feet, turning, now.closed, ground)
+    if carry.progress is not None and carry.progress.limits is not None and not walk.structure.smooth:
+        torn = held.support & planning.overloaded(carry.progress, now, held.foot_force)
+        contact, held = walk.contact.tear_off(contact, held, torn)
     wrench = base_wrench_of_foot_force(feet.lever, held.foot_force, held.foot_moment)
     return control_loop.Actual(carry.state, feet, turning, contact, held, wrench)
 

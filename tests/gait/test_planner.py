@@ -8,7 +8,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.gait.footholds import ClimbLab, Footholds, Nearest
-from mjx_climb.gait.planner import middle_of
+from mjx_climb.gait.planner import hold_axes, middle_of
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.ground import Holds
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -90,6 +90,33 @@ def test_a_limb_swings_to_the_nearest_hold(scenario, planned, rock):
     want = planned.foot_position[0, LH] + [scenario.gait.stride, 0, 0]
     hold = rock[0][np.linalg.norm(rock[0] - want, axis=1).argmin()]
     np.testing.assert_allclose(walk.grip_point[SWING + 20, LH], hold, rtol=0, atol=5e-4)
+
+
+@pytest.mark.slow
+def test_a_hold_bears_what_its_polyhedron_says(scenario, rock):
+    """A pull of more than the limit of the hold tears the grip off; the other feet, on no hold, keep theirs."""
+    weak = dataclasses.replace(
+        holds(rock[0]), limit_matrix=np.tile([[[0.0, 0.0, -1.0]]], (12, 1, 1)), limit_bound=np.full((12, 1), 0.5)
+    )
+    parameters = dataclasses.replace(own_parameters(scenario), holds=weak, footholds=Nearest())
+    walk = mc.rollout(scenario, parameters=parameters)
+    assert walk.support[SWING, LH] or walk.torn_off[SWING, LH]
+    pull = -walk.foot_force[:, LH, 2]
+    over = (pull > 0.5) & walk.support[:, LH] & (np.arange(len(pull)) >= SWING - 1)
+    assert over.any() and walk.torn_off[over.argmax(), LH] and not walk.torn_off[: over.argmax(), LH].any()
+
+
+def test_the_axes_of_a_hold_are_those_of_the_reference():
+    """Uphill in the surface, across, along the normal; where the weight is along the normal x is uphill."""
+    random = np.random.default_rng(0)
+    for normal, weight in ((random.normal(size=3), random.normal(size=3)), ([0, 0, 2.0], [0, 0, -9.0]), ([1, 0, 0], 0)):
+        unit = np.asarray(normal) / np.linalg.norm(normal)
+        axes = np.asarray(hold_axes(unit, np.broadcast_to(weight, 3) * 1.0))
+        np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(axes[:, 2], unit, atol=1e-12)
+        want = -np.broadcast_to(weight, 3) if np.any(weight) and abs(unit[2]) < 1 else np.eye(3)[int(abs(unit[0]) == 1)]
+        along = want - (want @ unit) * unit
+        np.testing.assert_allclose(axes[:, 0], along / np.linalg.norm(along), atol=1e-12)
 
 
 @pytest.mark.slow

@@ -67,6 +67,10 @@ class Contact(Component):
         """
         raise NotImplementedError(f"{type(self).__name__}.step")
 
+    def tear_off(self, memory: PyTree, grip: Grip, torn: Array) -> tuple[PyTree, Grip]:
+        """Memory and contacts of a step in which some grips (limb,) are torn off by holds that bear less than they."""
+        raise NotImplementedError(f"{type(self).__name__}.tear_off")
+
     def holding_force(self) -> Array | float:
         """The pull along the ground's normal that stability margins may count on, () N; 0: none."""
         return 0.0

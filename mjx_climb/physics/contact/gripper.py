@@ -117,6 +117,10 @@ class Gripper(Contact):
         grip = Grip(force, moment, grip_point, support, touching, memory.detached, torn_off, missed)
         return after, grip
 
+    def tear_off(self, memory: GripperMemory, grip: Grip, torn: Array) -> tuple[GripperMemory, Grip]:
+        """Memory and contacts with some grips torn off in this step."""
+        return memory._replace(detached=memory.detached | torn), grip._replace(torn_off=grip.torn_off | torn)
+
     def overloaded(self, force: Array) -> Array:
         """Whether forces of the ground on the feet (limb, 3) N are more than a grip holds, (limb,) bool."""
         # ClimbLab's rule with the 15 N of the paper (docs/explanation/departures.md, 11)

@@ -58,6 +58,11 @@ class PolyhedralGripper(Contact):
         after = after._replace(detached=after.detached | torn_off)
         return PolyhedralMemory(after, outward), grip._replace(torn_off=torn_off)
 
+    def tear_off(self, memory: PolyhedralMemory, grip: Grip, torn: Array) -> tuple[PolyhedralMemory, Grip]:
+        """Memory and contacts with some grips torn off in this step."""
+        gripper, grip = self.gripper.tear_off(memory.gripper, grip, torn)
+        return memory._replace(gripper=gripper), grip
+
     def utilization(self, force: Array) -> Array:
         """The largest share of a limit that forces (..., 3) N in a grip's axes use up, (...,) 1; above 1 none holds."""
         return jnp.max((force @ self.normals.T) / self.limits, axis=-1)

@@ -75,6 +75,11 @@ class UncertainGripper(Contact):
         after_this = UncertainMemory(after, closed, limit, failed, wait, tries, draws)
         return after_this, grip._replace(missed=grip.missed | given_up)
 
+    def tear_off(self, memory: UncertainMemory, grip: Grip, torn: Array) -> tuple[UncertainMemory, Grip]:
+        """Memory and contacts with some grips torn off in this step."""
+        gripper, grip = self.gripper.tear_off(memory.gripper, grip, torn)
+        return memory._replace(gripper=gripper), grip
+
     def holding_force(self) -> Array:
         """The gripper's, without its spread."""
         return self.gripper.holding_force()
