@@ -7,6 +7,7 @@ import pytest
 
 from mjx_climb.gait.footholds import SHIPPED
 from mjx_climb.gait.footholds.footholds import Candidate, Situation
+from mjx_climb.gait.planner import middle_of
 from tests.gait import footholds_reference as reference
 
 POINTS, DEFAULT, NIGHTLY = 12, 300, 10_000
@@ -78,6 +79,16 @@ def compare(names, limbs, count):
 
 def test_rules_choose_as_their_references():
     compare(NAMES, 4, DEFAULT // len(NAMES))
+
+
+@pytest.mark.slow
+@pytest.mark.nightly
+@pytest.mark.parametrize("limbs", LIMBS.values(), ids=LIMBS)
+def test_the_base_stands_over_the_reference_of_its_diagonals(limbs):
+    random = np.random.default_rng(0)
+    feet = np.array([ground(random, limbs)["feet"] for _ in range(NIGHTLY)])
+    found = jax.jit(jax.vmap(middle_of))(jnp.array(feet))
+    np.testing.assert_allclose(found, [reference.diagonals(each) for each in feet], atol=1e-9)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import trimesh
 
 import mjx_climb as mc
 from mjx_climb.ground import holds_of, holds_of_seeds, of
+from tests.gait.footholds_reference import largest_pull
 from tuning.scenario_files import copied
 
 POINTS = np.array([[0.1, 0.2, 0.0], [0.3, -0.2, 0.05], [-0.1, 0.0, 0.02]])
@@ -52,6 +53,17 @@ def test_a_polyhedron_is_a_share_of_each_limit():
     made = found(points=[{"at": [0, 0, 0], "limit": 8.0}, {"at": [1, 0, 0]}], polyhedron=pyramid)
     np.testing.assert_array_equal(made.limit_matrix, [pyramid["matrix"]] * 2)
     np.testing.assert_array_equal(made.limit_bound, [[0, 8], [0, np.inf]])
+
+
+def test_the_pull_that_a_hold_bears_is_the_answer_of_a_linear_program():
+    """Of random polyhedra in the axes of holds of any normal; none of them bears any pull."""
+    random = np.random.default_rng(0)
+    for _ in range(30):
+        matrix, bound = random.normal(size=(5, 3)), random.uniform(0, 1, 5)
+        limits = random.uniform(0, 20, 2)
+        made = of(POINTS[:2], random.normal(size=(2, 3)), limits, (matrix, bound))
+        expected = [largest_pull(matrix, limit * bound) for limit in limits]
+        np.testing.assert_allclose(made.pulls(), expected, rtol=1e-7, atol=1e-9)
 
 
 def test_limits_spread_by_the_seed():
