@@ -688,6 +688,7 @@ class Own(v.Section):
     law: OwnLaw | None = setting(None, "control law in place of the control section's")
     metrics: tuple[OwnObject, ...] = setting((), "metrics beside the shipped ones")
     objective: OwnObject | None = setting(None, "objective of a search from Python")
+    method: OwnObject | None = setting(None, "method of a search whose settings say own")
     contact: OwnComponent | None = setting(None, "what holds feet, in place of the gripper of the contact section")
     drive: OwnComponent | None = setting(None, "what turns joints, in place of the servos of the hardware section")
     disturbances: tuple[OwnComponent, ...] = setting((), "what acts from outside, beside cargo and pushes")
@@ -816,7 +817,7 @@ class Scenario(v.Section):
         if holds is not None:
             named |= {"ground.holds.cloud": holds.cloud, "ground.holds.map": holds.map}
         if self.own is not None:
-            named |= {"own.law": self.own.law, "own.objective": self.own.objective}
+            named |= {f"own.{key}": getattr(self.own, key) for key in ("law", "objective", "method")}
             named |= {f"own.metrics.{n}": metric for n, metric in enumerate(self.own.metrics)}
             named |= {f"own.{place}": each for place, each in self.own.components.items()}
         keys = ("file", "mask")

@@ -11,8 +11,7 @@ import pytest
 import mjx_climb as mc
 from tuning.gains import gains_file, own_section
 from tuning.gains.gains_tables import axes_of, labelled
-from tuning.methods import METHODS
-from tuning.methods.rounds import Task
+from tuning.methods import method_of
 from tuning.pages.comparison import gains_table
 from tuning.problem import spaces
 from tuning.problem.evaluation import REVERSE_ABOVE
@@ -108,7 +107,7 @@ def test_methods_that_cannot_search_so_many_numbers_refuse(method):
     with pytest.raises(
         mc.ConfigError, match=rf"^method: expected at most \d+ numbers to search by {method}, got 412: pin"
     ):
-        METHODS[method].rounds(Task(problem, search, searches.start_of(problem)))
+        method_of(method).check(problem.space, search)
 
 
 def test_a_sweep_of_an_array_is_refused():

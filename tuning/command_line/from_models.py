@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 
 from mjx_climb.scenario import shipped
 from tuning.command_line.program import InputError
+from tuning.problem.search import METHODS
 from tuning.problem.settings import Shell, explained
 
 REPEATABLE = "; may be given several times"
@@ -262,7 +263,7 @@ def _completion(kind: str | None, choices: tuple[str, ...]) -> Callable[[str], l
     """Return the completion of one of some choices, or of a value that `Shell.complete` names."""
 
     def complete(incomplete: str) -> list[str]:
-        words = [*(choices or metric_names())]
+        words = [*(choices or (METHODS if kind == "method" else metric_names()))]
         if kind in _WITH_FILES:  # YAML files of this folder; below other folders the shell itself completes
             files = sorted(str(file) for file in Path().iterdir() if file.suffix in (".yaml", ".yml"))
             words = [*_WITH_FILES[kind](), *files]

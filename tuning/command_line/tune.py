@@ -3,6 +3,7 @@
 import dataclasses
 import importlib
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -187,17 +188,19 @@ def compare(
         try:
             with file.naming(search):
                 wanted = comparing.alike(searches.over_ensemble(joined, {}, ensemble), search, own)
-                laws = comparing.contestants(loaded.scenario, asked.law, wanted)
+                wanted, method = searches.own_method(wanted, loaded.scenario)
+                laws = comparing.contestants(loaded.scenario, asked.law, wanted, method)
         except ConfigError as error:
             raise ConfigError(in_options(str(error).replace("laws: ", "law: ", 1), Laws)) from None
         each = {name: settings_of(Problem(one.scenario, law=one.law), "law") for name, one in laws.items()}
         seeds = comparing.seeds_for(wanted, asked.seeds)
         record = {"search": wanted.model_dump(mode="json"), "members": members, "seeds": seeds, "laws": each}
+        loaded = dataclasses.replace(loaded, own_method=method)
         settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "compare", **record)
         folder = shell.take(walk, "compared.nc", settings, "laws")
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, walk.config):
-            walks = {"metrics": loaded.metrics, "engine": loaded.engine}
+            walks = {"metrics": loaded.metrics, "engine": loaded.engine, "own_method": method}
             problem = comparing.problem_of(loaded.scenario, laws, ensemble, **walks)
         with shell.keeping("rounds"):
             found = comparing.run(laws, problem, wanted, members, seeds, out=folder, stage=shell.stage)
@@ -268,6 +271,7 @@ def tune(
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
         from tuning.comparisons import of_search
+        from tuning.problem.spaces import space
         from tuning.searches import tune as searches
         from tuning.writing import record
 
@@ -279,6 +283,11 @@ def tune(
             wanted = searches.over_ensemble(wanted, {}, drawn)
         chosen = search.method if "method" in search.model_fields_set else None
         wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), loaded.law)
+        word = re.sub(r"\W", "_", wanted.method.rpartition(":")[2])  # as folders are called by it
+        with file.naming(search, walk.config):
+            wanted, method = searches.own_method(wanted, loaded.scenario)
+            searches.check_method(wanted, method, space(loaded.scenario, wanted, loaded.law))
+        loaded = dataclasses.replace(loaded, own_method=method)
         kind, name = "tune" if drawn is None else "robust", walk.config.stem
         seeds = asked.seeds or 1
         if seeds > 1 and wanted.method == "grid":
@@ -286,12 +295,12 @@ def tune(
         own = {"search": wanted.model_dump(mode="json"), "judges": many.test_members}
         own |= {"seeds": seeds} if seeds > 1 else {}
         settings = record.settings_of(dataclasses.replace(loaded, ensemble=drawn), kind, **own)
-        folder = shell.take(walk, "search.nc", settings, kind, wanted.method, wanted.space, team=team)
+        folder = shell.take(walk, "search.nc", settings, kind, word, wanted.space, team=team)
         shell.opening(loaded.scenario)
         shell.say(*filter(None, [team.said]))
         team.begin(folder, loaded.scenario.to_yaml())
         with shell.stage("baseline"), file.naming(search):
-            problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, **loaded.walks)
+            problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, own_method=method, **loaded.walks)
         files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
         again, begun = repeated(["tune", *files], "--engine"), None
         with shell.keeping("rounds"), background(busy=1) as begin:

@@ -25,19 +25,18 @@ from tuning.background import Callback as Told
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.gains.own_section import load_law, without
-from tuning.methods import parts, refined_grid
+from tuning.methods import Method, grid, method_of, parts
 from tuning.methods.rounds import Callback
 from tuning.problem import spaces
 from tuning.problem.ensemble import FRICTION, Ensemble
 from tuning.problem.evaluation import Problem, under_pd
-from tuning.problem.search import Search
+from tuning.problem.search import OWN_METHOD, Search
 from tuning.results.judged import Comparison
 from tuning.results.tuned import Tuned
 from tuning.searches import tune
 from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Rows
 
-METHODS = ("cmaes", "optuna", "grid")  # that treat all gains alike, few or many
 FEW, MANY = (16, 60), (256, 100)  # points a round, and rounds at most; where a GPU's kernel walks them side by side
 PATIENCE = 10  # rounds of so many points in which a search finds nothing better when it has converged
 SEEDS, SEEDS_OF_MANY = 3, 8  # searches of each law; where a GPU's kernel walks
@@ -72,6 +71,7 @@ def compare(
     seeds: int | None = None,
     out: str | os.PathLike[str] | None = None,
     stage: Stage = silent,
+    method: tune.OwnMethod | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
     **settings: Any,
@@ -91,22 +91,25 @@ def compare(
             them other names than their own.
         ensemble: what the walks may meet; drawn again with another seed to judge.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it. The
-            method is cmaes, optuna, or grid for few gains; 16 points a round where they do not say, on a GPU 256,
-            and 60 or 100 rounds at most.
+            method is cmaes, optuna, your own, or grid for few gains; 16 points a round where they do not say, on a GPU
+            256, and 60 or 100 rounds at most.
         members: walks of each law that no search has seen.
         seeds: searches of each law, from the seed of the settings on; 3 where None, on a GPU 8. One of a grid.
         out: a folder that keeps each finished round, so that an interrupted comparison goes on from there.
         stage: opened for each longer work, see `tuning.background.Stage`.
-        metrics, engine: as of `tuning.tune`.
+        method, metrics, engine: as of `tuning.tune`.
 
     Raises:
         ConfigError: an unknown law, a law twice, settings that make no sense, or a key of them that no law has.
         KeyboardInterrupt: the user stopped it.
         OutputError: the folder cannot be written, or holds unfinished searches for something else.
     """
-    wanted = alike(tune.over_ensemble(search, settings, ensemble), search, settings)
-    laws_by_name = contestants(scenario, laws, wanted)
-    base = problem_of(scenario, laws_by_name, ensemble, metrics=mc.MetricTable(metrics), engine=engine)
+    named = {} if method is None else {"method": method}
+    wanted = alike(tune.over_ensemble(search, settings, ensemble), search, settings, named)
+    wanted, own = tune.own_method(wanted, scenario, method)
+    laws_by_name = contestants(scenario, laws, wanted, own)
+    walks: dict[str, Any] = {"metrics": mc.MetricTable(metrics), "engine": engine, "own_method": own}
+    base = problem_of(scenario, laws_by_name, ensemble, **walks)
     return run(laws_by_name, base, wanted, members, seeds_for(wanted, seeds), out=out, stage=stage)
 
 
@@ -126,7 +129,7 @@ def alike(wanted: Search, *given: Search | Mapping[str, Any] | None) -> Search:
     said = [each.model_fields_set if isinstance(each, Search) else each or () for each in given]
     if not any("method" in each for each in said):
         wanted = wanted.model_copy(update={"method": "cmaes"})
-    if wanted.method not in METHODS:
+    if wanted.method != OWN_METHOD and method_of(wanted.method).gradients:
         expected = "expected cmaes, optuna or grid, which search all laws alike"
         raise ConfigError(f"method: {expected}, got {wanted.method}")
     if wanted.joint_gains is False:
@@ -174,17 +177,23 @@ def _name(law: str | mc.Law) -> str:
     return law.rpartition(":")[2] if isinstance(law, str) else type(law).__name__
 
 
-def contestants(scenario: mc.Scenario, laws: Laws, search: Search) -> dict[str, Contestant]:
-    """Return the laws by name, pd the last, each with the settings that concern it; errors as of `compare`."""
+def contestants(
+    scenario: mc.Scenario, laws: Laws, search: Search, method: Method | None = None
+) -> dict[str, Contestant]:
+    """Return the laws by name, pd the last, each with the settings that concern it; errors as of `compare`.
+
+    `method` is the user's own, where the settings say so.
+    """
     found = {}
     for name, (place, law) in named(scenario, laws).items():
         own = _own(search, place, law)
         found[name] = Contestant(place, law, own, spaces.space(place, own, law))
         if search.method == "cmaes" and found[name].space.size == 1:
             raise ConfigError(f"method: expected optuna or grid where {name} has one gain to search, got cmaes")
-        if search.method == "grid" and (size := found[name].space.size) > refined_grid.MOST:
+        if search.method == "grid" and (size := found[name].space.size) > grid.Grid.most:
             expected = f"expected cmaes or optuna where {name} has {size} numbers to search"
-            raise ConfigError(f"method: {expected}, got grid, which takes {refined_grid.MOST}")
+            raise ConfigError(f"method: {expected}, got grid, which takes {grid.Grid.most}")
+        tune.check_method(own, method, found[name].space)
     for key in _KEYS:
         there = {gain for each in found.values() for gain in getattr(each.search, key)}
         for gain in (gain for gain in getattr(search, key) if gain not in there):
@@ -194,7 +203,7 @@ def contestants(scenario: mc.Scenario, laws: Laws, search: Search) -> dict[str, 
 
 
 def problem_of(scenario: mc.Scenario, laws: Mapping[str, Contestant], ensemble: Ensemble, **walks: Any) -> Problem:
-    """Return the walks and the objective, which are the same for all laws; `walks` are metrics and engine."""
+    """Return the walks and the objective, the same for all laws; `walks`: metrics, engine and `own_method`."""
     return tune.problem_of(scenario, laws[NAME].search, ensemble=ensemble, **walks)
 
 

@@ -16,10 +16,11 @@ from tuning.comparisons import maps, margins, verification
 from tuning.comparisons.side_by_side import VARIATION, Compared, Values, beside_retuned, gains_of, one_walk, retuned
 from tuning.comparisons.worth import Worth, between
 from tuning.gains.gains_file import replaced
+from tuning.methods import method_of
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Goal
-from tuning.problem.search import BY_GRADIENTS, Search
+from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import INTEGRAL, JOINT, searches_gait
 from tuning.results.tuned import Tuned
 from tuning.searches import retuned_pd
@@ -54,7 +55,7 @@ def begin(problem: Problem, search: Search, start: Begin, *, out: Path | None = 
 
 def load_tests(problem: Problem, search: Search, start: Begin) -> None:
     """Begin to load the executable of a result's tests, which takes long, where the search does not use it."""
-    if search.method not in BY_GRADIENTS:
+    if search.method == OWN_METHOD or not method_of(search.method).gradients:
         start(lambda _: verification.slopes_at(problem, start_of(problem)))
 
 

@@ -1,4 +1,4 @@
-"""Laws, metrics and objectives of the user's: FILE.py:NAME, and the section `own` of a config.yaml that names them."""
+"""What the user brought: FILE.py:NAME of laws and metrics, and the section `own` of a config.yaml that names it all."""
 
 import dataclasses
 import inspect
@@ -15,7 +15,7 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb.component import with_values
 from mjx_climb.control import SHIPPED, is_shipped, shipped
-from mjx_climb.execution.contents import in_library
+from mjx_climb.execution.contents import Unidentifiable, identity, in_library
 from mjx_climb.inputs.file_contents import digest
 from mjx_climb.inputs.own_objects import KINDS, RUN, load, reference_to
 from mjx_climb.scenario.messages import ConfigError
@@ -96,7 +96,9 @@ def check_reference(law: mc.Law | None, stored: str | None, source: str) -> None
         raise ConfigError(f"{source}: law: expected gains of {own or THE_CONFIG}, got those of {stored or THE_CONFIG}")
 
 
-def section(law: mc.Law | None, metrics: Iterable[mc.Metric] = (), objective: Any = None) -> dict[str, Any] | None:
+def section(
+    law: mc.Law | None, metrics: Iterable[mc.Metric] = (), objective: Any = None, method: Any = None
+) -> dict[str, Any] | None:
     """Return the section of config.yaml that names the user's own objects, None without any."""
     found: dict[str, Any] = {}
     if law is not None:
@@ -108,8 +110,10 @@ def section(law: mc.Law | None, metrics: Iterable[mc.Metric] = (), objective: An
                 found["law"]["limits"] = changed
     if own := [_named(metric, metric.name) for metric in metrics if metric not in mc.METRICS]:
         found["metrics"] = own
-    if objective is not None:
-        found["objective"] = _named(objective, getattr(objective, "__name__", type(objective).__name__))
+    # a method that is a bare function is wrapped
+    for key, own in (("objective", objective), ("method", getattr(method, "function", method))):
+        if own is not None:
+            found[key] = _named(own, getattr(own, "__name__", type(own).__name__))
     return found or None
 
 
@@ -164,9 +168,17 @@ def _named(value: Any, name: str) -> dict[str, Any]:
         if of_files is None and in_library(title):
             continue
         for key, found in list(vars(module).items()):
-            if found is value or (isinstance(value, mc.Law) and _makes(found, value)):
+            if found is value or (_makes if isinstance(value, mc.Law) else _is_class_of)(found, value):
                 return {"file": file, "name": key, "digest": of_files or digest(Path(file))}
     return {"name": name}
+
+
+def _is_class_of(found: Any, value: Any) -> bool:
+    """Return whether a class without arguments makes an object that is like another in all that it holds."""
+    try:
+        return isinstance(found, type) and found is type(value) and identity(found()) == identity(value)
+    except (TypeError, Unidentifiable):
+        return False
 
 
 def _makes(found: Any, law: mc.Law) -> bool:

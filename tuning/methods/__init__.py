@@ -1,14 +1,5 @@
-"""Search methods by name, one file each."""
+"""Search methods: `method.py` says what one is; those of `tuning.problem.search.METHODS` have a file each."""
 
-from tuning.methods import cma_es, descents, optuna_tpe, refined_grid
-from tuning.methods.rounds import Method, Points, Request, Task
+from tuning.methods.method import Method, Points, Request, Task, method_of
 
-METHODS: dict[str, Method] = {
-    "gradient": Method(descents.rounds, descents.gradient),
-    "lbfgs": Method(descents.rounds, descents.lbfgs),
-    "grid": Method(refined_grid.rounds, refined_grid.run),
-    "cmaes": Method(cma_es.rounds, cma_es.run),
-    "optuna": Method(optuna_tpe.rounds, optuna_tpe.run),
-}
-
-__all__ = ["METHODS", "Method", "Points", "Request", "Task"]
+__all__ = ["Method", "Points", "Request", "Task", "method_of"]

@@ -147,6 +147,7 @@ def identity_of(problem: Problem, packages: Mapping[str, str] = PACKAGES) -> dic
         "platform": jax.default_backend(),
         "robot_model": hashlib.sha256(model_path(problem.scenario.robot).read_bytes()).hexdigest(),
         "versions": versions,
+        **({} if problem.own_method is None else {"method": identity(problem.own_method, "method")}),
     }
 
 

@@ -1,8 +1,7 @@
 """Rounds of a search: a method asks for batches of points; they are evaluated, kept on disk, recorded and reported.
 
-A method is a generator: it yields the points that it wants evaluated and receives what they are worth. It is
-deterministic, so a search that was killed goes on by running its method again from the start on the rounds that its
-folder holds, without walking them: the result is that of an undisturbed search, bit by bit.
+A method is deterministic, so a search that was killed goes on by running its method again from the start on the rounds
+that its folder holds, without walking them: the result is that of an undisturbed search, bit by bit.
 """
 
 import os
@@ -14,53 +13,9 @@ import numpy as np
 from mjx_climb.files.writing import OutputError
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import PREFIX
+from tuning.methods.method import Request
 from tuning.methods.parts import Parts
 from tuning.problem.evaluation import Evaluation, Problem
-from tuning.problem.search import Search
-
-
-class Task(NamedTuple):
-    """What a method is given."""
-
-    problem: Problem
-    search: Search
-    start: np.ndarray  # (n,) the scenario's own gains
-    others: np.ndarray = np.zeros((0, 0))  # (S, n) further gains that are known, see `tuning.problem.known`
-
-    @property
-    def known(self) -> np.ndarray:
-        """The points (1 + S, n) that every method evaluates among its first, the scenario's own gains before all."""
-        return np.concatenate([self.start[None], self.others.reshape(-1, self.start.size)])
-
-
-class Request(NamedTuple):
-    """Points that a method wants evaluated."""
-
-    theta: np.ndarray  # (B, n)
-    directions: np.ndarray | None  # (k, n) along which tangents are wanted
-    phase: str
-
-    @property
-    def tangents(self) -> int:
-        """How many tangents are wanted."""
-        return 0 if self.directions is None else len(self.directions)
-
-
-Points = Generator[Request, Evaluation, None]
-
-
-class Method(NamedTuple):
-    """A method: its rounds in all, and the generator of its requests. The same task gives the same requests."""
-
-    rounds: Callable[[Task], int]
-    run: Callable[[Task], Points]
-
-
-def as_method(method: Method | Callable[[Task], Points]) -> Method:
-    """Return a method; the rounds of a bare function are the setting `iterations`, 0 where that is not set."""
-    if not isinstance(method, Method) and not callable(method):
-        raise ConfigError(f"method: expected a name, a Method, or a function of a Task, got {method!r}")
-    return method if isinstance(method, Method) else Method(lambda task: task.search.iterations or 0, method)
 
 
 class Progress(NamedTuple):
@@ -78,15 +33,6 @@ class Progress(NamedTuple):
 
 
 Callback = Callable[[Progress], None]
-
-
-def check_size(task: Task, most: int) -> None:
-    """Refuse by a ConfigError to search more numbers than a method can."""
-    if (size := task.problem.space.size) > most:
-        cure = "pin or freeze some, or choose gradient or lbfgs"
-        raise ConfigError(
-            f"method: expected at most {most} numbers to search by {task.search.method}, got {size}: {cure}"
-        )
 
 
 def follow(

@@ -69,7 +69,7 @@ def page_of(found: Robust, table: Table, outcome: Sequence[str], origin: Origin)
         rivals = {**rivals, "config": ({key: getattr(control, key) for key in mc.Gains.AXES}, {})}
     verdict, *notes = sentences(outcome)
     return Page(
-        title=f"Robust gains for {origin.name}: {found.search.method}, {found.search.space}", origin=origin,
+        title=f"Robust gains for {origin.name}: {found.method}, {found.search.space}", origin=origin,
         verdict=verdict, scenario=found.scenario, notes=notes,
         facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
         tables=[table, comparison.gains_table(rivals, found.law)],

@@ -137,7 +137,7 @@ def page_of(
         around.append([name, *cells, shape, number(checked.slopes.get(name))])
     near = Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", around)], 1)
     return Page(
-        title=f"Tuned gains for {origin.name}: {search.method}, {search.space}", origin=origin,
+        title=f"Tuned gains for {origin.name}: {found.method}, {search.space}", origin=origin,
         verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(scores)}; {limits}.",
         scenario=found.scenario, more=folded,
         notes=[*open_notes, *sentences(worse_than_pd(metrics["tuned"], metrics["pd"], about))],

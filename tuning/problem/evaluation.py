@@ -68,6 +68,7 @@ class Problem:
     metrics: mc.MetricTable = mc.METRICS
     law: mc.Law | None = None  # the scenario's where None
     own_objective: OwnObjective | None = None  # as its user gave it, None for the weighted terms
+    own_method: Any = None  # a `tuning.methods.Method` of the user's, None for a shipped one
     ensemble: Ensemble | None = None  # from which the parameters were drawn
 
     @property

@@ -5,9 +5,10 @@ imported here, so that the command line starts at once.
 """
 
 import itertools
+import re
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
@@ -15,14 +16,20 @@ from tuning.problem.settings import Finite, NonNegative, Positive, Settings, set
 if TYPE_CHECKING:
     from mjx_climb.walk.metrics import MetricTable
 
-MethodName = Literal["gradient", "lbfgs", "grid", "cmaes", "optuna"]
 SpaceName = Literal["isotropic", "split", "diagonal"]
-OWN_METHOD = "own"  # one that the caller brought, see `tuning.tune`
-METHODS: tuple[str, ...] = get_args(MethodName)
-BY_GRADIENTS = ("gradient", "lbfgs")
+METHODS = ("gradient", "lbfgs", "grid", "cmaes", "optuna")  # each a file of tuning/methods/ with its METHOD
+OWN_METHOD = "own"  # one that the caller brought, or that `own.method` of the scenario names
 LAYOUTS: tuple[str, ...] = get_args(SpaceName)
 WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}  # of a search over an ensemble
+
+
+def _method(name: str) -> str:
+    """Return the name of a method: a shipped one, own, a sampler of Optuna, or FILE.py:NAME."""
+    if name not in (*METHODS, OWN_METHOD) and not re.fullmatch(r"optuna:\w+|.+\.py:\w+", name):
+        expected = f"{', '.join(METHODS)}, optuna:SAMPLER or FILE.py:NAME"
+        raise ValueError(f"expected {expected}, got {name!r}")
+    return name
 
 
 def numbers_of(text: Any) -> Any:
@@ -38,8 +45,13 @@ def numbers_of(text: Any) -> Any:
 class Search(Settings):
     """A search for gains, fully specified beside its scenario."""
 
-    method: MethodName | Literal["own"] = setting(
-        "gradient", "how to search", default_in_words="gradient; cmaes on a GPU, and of a gait's times"
+    method: Annotated[str, AfterValidator(_method)] = setting(
+        "gradient",
+        f"how to search: {', '.join(METHODS)}, a sampler of Optuna by its name, as optuna:nsgaii, or a method of your "
+        "own, whose file is run",
+        metavar="NAME|FILE.py:NAME",
+        complete="method",
+        default_in_words="gradient; cmaes on a GPU, and of a gait's times",
     )
     space: SpaceName = setting("isotropic", "which axes share their gains")
     inertia: bool = setting(False, "search the virtual inertia as well", flag="--with-inertia")

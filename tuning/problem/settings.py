@@ -17,7 +17,7 @@ class Shell(NamedTuple):
 
     flag: str | None = None
     metavar: str | None = None
-    complete: str | None = None  # config, ensemble, hardware, metric or key
+    complete: str | None = None  # config, ensemble, hardware, method, metric or key
     default_in_words: str | None = None
     argument: bool = False  # by its place, not by its name
 

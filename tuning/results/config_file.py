@@ -17,12 +17,13 @@ def write_config(
     law: mc.Law | None = None,
     metrics: Iterable[mc.Metric] = (),
     objective: Any = None,
+    method: Any = None,
 ) -> mc.Scenario:
     """Write config.yaml, and return the scenario with the files that it names copied to the folder.
 
-    `law`, `metrics` and `objective` are the user's own, where there are any: config.yaml names them.
+    `law`, `metrics`, `objective` and `method` are the user's own, where there are any: config.yaml names them.
     """
-    own, scenario = section(law, metrics, objective), _with_digests(scenario)
+    own, scenario = section(law, metrics, objective, method), _with_digests(scenario)
     written = scenario_files.copied(scenario if own is None else scenario.with_own(**own), folder)
     dataset.write_text_atomically(folder / "config.yaml", scenario_files.portable_yaml(written, folder))
     return written if own is None else written.with_own(law=None, metrics=[], objective=None)

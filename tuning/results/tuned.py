@@ -49,6 +49,12 @@ class Tuned(Result):
         return best_of({name: self.data[name].values for name in ("value", "penalty", "feasible")})
 
     @property
+    def method(self) -> str:
+        """The name of the method, of the user's own that of its class or function."""
+        own = getattr(self.problem.own_method, "function", self.problem.own_method)
+        return self.search.method if own is None else getattr(own, "__name__", type(own).__name__)
+
+    @property
     def theta(self) -> np.ndarray:
         """The best point (n,)."""
         return np.asarray(self.data["theta"].values[self.best])
@@ -93,7 +99,7 @@ class Tuned(Result):
         return dataset.save(self.data, path)
 
     def comment(self, name: str) -> str:
-        return f"mjx-climb tune {name}: {self.search.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
+        return f"mjx-climb tune {name}: {self.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,7 +112,7 @@ class Robust(Tuned):
     judges: int = Judge().members  # walks of each set of gains in the fresh draw that tests the result
 
     def comment(self, name: str) -> str:
-        how = f"{self.search.method}, {self.search.space}, {self.ensemble.members} members"
+        how = f"{self.method}, {self.search.space}, {self.ensemble.members} members"
         return f"mjx-climb tune {name} --ensemble: {how}, objective {self.value:.4f} (pd: 1)"
 
 

@@ -20,7 +20,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.methods import Request, Task
-from tuning.methods.descents import again
+from tuning.methods.gradient import again
 from tuning.methods.rounds import Callback, Rounds, follow
 from tuning.problem import objectives
 from tuning.problem.evaluation import Problem, under_pd

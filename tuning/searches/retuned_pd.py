@@ -52,9 +52,9 @@ def search(
 ) -> Tuned | None:
     """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same, and the gait.
 
-    A method of the caller's own is replaced by the default one, in its own number of rounds. The time step is one that
-    all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were searched, it is the one of theirs.
-    `out` keeps each finished round in a folder of its own. None where what was searched is itself pd.
+    The time step is one that all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were
+    searched, it is the one of theirs. `out` keeps each finished round in a folder of its own.
+    None where what was searched is itself pd.
 
     Raises:
         KeyboardInterrupt: the user stopped it; with `out` it goes on from there.
@@ -65,7 +65,7 @@ def search(
     changed["also"] = tuple(name for name in settings.also if name in GAIT)
     changed["bounds"] = {name: span for name, span in settings.bounds.items() if name in JOINT or name in GAIT}
     changed |= {"pins": gait_of(settings.pins), "frozen": ()}
-    if settings.method == OWN_METHOD:
+    if settings.method == OWN_METHOD and problem.own_method is None:  # of a result that was loaded
         changed |= {"method": "cmaes" if changed["also"] else "gradient", "starts": None, "iterations": None}
     settings, scenario = settings.model_copy(update=changed), under_pd(problem.scenario)
     space = spaces.space(scenario, settings)

@@ -24,7 +24,7 @@ from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.methods import Request, Task
-from tuning.methods.descents import again
+from tuning.methods.gradient import again
 from tuning.methods.rounds import Callback, Rounds, follow
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem, pd_of, under_pd

@@ -13,22 +13,24 @@ import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import law_of
 from mjx_climb.execution.batch_axes import batch_shape
-from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.inputs.own_objects import reference_to
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
-from tuning.methods import METHODS, Method, Points, Task, cma_es
+from tuning.methods import Method, Points, Task, cmaes, method_of
 from tuning.methods.parts import identity_of
-from tuning.methods.rounds import Callback, Rounds, as_method, follow, settled
+from tuning.methods.rounds import Callback, Rounds, follow, settled
 from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, known, objectives, spaces
 from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
-from tuning.problem.search import BY_GRADIENTS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
+from tuning.problem.search import METHODS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
 from tuning.results.tuned import Robust, Tuned, from_rounds
+
+OwnMethod = str | Method | type[Method] | Callable[[Task], Points]  # a method, or the name of one
 
 
 def tune(
@@ -37,7 +39,7 @@ def tune(
     *,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
-    method: str | Method | Callable[[Task], Points] | None = None,
+    method: OwnMethod | None = None,
     law: mc.Law | None = None,
     objective: OwnObjective | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
@@ -53,9 +55,9 @@ def tune(
         scenario: what walks where.
         law: whose gains are searched; its own are the first start. The scenario's where None.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it.
-        method: the name of a shipped one; or one of your own, as a function that yields a `Request` of points and
-            receives what they are worth, or a `Method` that knows its rounds besides; see `tuning.methods.rounds`. It
-            must ask for the same when it is given the same.
+        method: the name of a shipped one, `optuna:SAMPLER`, or FILE.py:NAME; or one of your own, as a
+            `tuning.methods.Method`, or a function that yields a `Request` of points and receives what they are worth.
+            It must ask for the same when it is given the same.
         objective: a pure function of the metrics in place of the weighted terms, see `tuning.problem.objectives`.
         metrics: of the walks, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may name them.
         parameters: in place of the scenario's; with leading axes (members, 1), an ensemble over which the score is the
@@ -74,16 +76,14 @@ def tune(
         Unidentifiable: with `out`, an objective or method that cannot be told from another; see
             `mjx_climb.execution.contents`.
     """
-    own = None if method is None or isinstance(method, str) else as_method(method)
-    chosen = {} if method is None else {"method": OWN_METHOD if own else method}
-    wanted = (search or Search()).changed({**settings, **chosen})
-    if own is None and wanted.method == OWN_METHOD:
-        raise ConfigError(f"method: expected the method itself where the settings say {OWN_METHOD}: tune(method=...)")
+    wanted = (search or Search()).changed(settings)
     wanted = for_this_machine(scenario, wanted, (search, method, settings.get("method")), law)
-    problem = problem_of(scenario, wanted, objective, law=law, metrics=metrics, engine=engine)
+    wanted, own = own_method(wanted, scenario, method)
+    check_method(wanted, own, spaces.space(scenario, wanted, law))
+    problem = problem_of(scenario, wanted, objective, law=law, metrics=metrics, engine=engine, own_method=own)
     if parameters is not None:
         problem = dataclasses.replace(problem, parameters=parameters, members=math.prod(batch_shape(parameters)))
-    return run(problem, wanted, own, out=out, progress=progress)
+    return run(problem, wanted, out=out, progress=progress)
 
 
 def robust(
@@ -94,6 +94,7 @@ def robust(
     judges: int = Judge().members,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
+    method: OwnMethod | None = None,
     law: mc.Law | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
@@ -106,9 +107,11 @@ def robust(
     `tuning.write(tuning.robust(scenario, ensemble, out="results/mine"), "results/mine")` is
     `mjx-climb tune --ensemble`.
     """
-    walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine}
     wanted = over_ensemble(search, settings, ensemble)
-    wanted = for_this_machine(scenario, wanted, (search, settings.get("method")), law)
+    wanted = for_this_machine(scenario, wanted, (search, method, settings.get("method")), law)
+    wanted, own = own_method(wanted, scenario, method)
+    check_method(wanted, own, spaces.space(scenario, wanted, law))
+    walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine, "own_method": own}
     found = run(problem_of(scenario, wanted, ensemble=ensemble, **walks), wanted, out=out, progress=progress)
     assert isinstance(found, Robust)
     return dataclasses.replace(found, judges=judges)
@@ -124,10 +127,32 @@ def over_ensemble(settings: Search | None, changes: Mapping[str, Any], ensemble:
     return settings.model_copy(update={"joint_gains": True}) if silent else settings
 
 
+def own_method(search: Search, scenario: mc.Scenario, given: OwnMethod | None = None) -> tuple[Search, Method | None]:
+    """Return the settings, and the method of the user's own where they or `given` name one; None of a shipped one.
+
+    Raises:
+        ConfigError: there is no such method, or the settings say `own` and the scenario's `own.method` names none.
+    """
+    search = search.changed({"method": given}) if isinstance(given, str) else search
+    named = search.method if given is None else given
+    if named == OWN_METHOD:
+        own = None if scenario.own is None else scenario.own.method
+        if own is None:
+            raise ConfigError(f"method: expected own.method in the scenario, or tune(method=...), with {OWN_METHOD}")
+        named = reference_to(own, "method", "scenario")
+    if isinstance(named, str) and named.partition(":")[0] in METHODS:
+        return search, None
+    return search.model_copy(update={"method": OWN_METHOD}), method_of(named)
+
+
+def check_method(search: Search, own: Method | None, space: spaces.Space) -> None:
+    """Refuse by a ConfigError, before anything walks, a method that cannot search a space or is not installed."""
+    (own or method_of(search.method)).check(space, search)
+
+
 def run(
     problem: Problem,
     search: Search,
-    method: Method | None = None,
     *,
     patience: int | None = None,
     out: str | os.PathLike[str] | None = None,
@@ -140,16 +165,17 @@ def run(
             `tuning.methods.rounds.settled`; the method's own end where None.
     """
     start = start_of(problem)
-    task, chosen = Task(problem, search, start, known.others(problem, start)), method or METHODS[search.method]
-    more = {} if patience is None else {"patience": patience}
-    own, interrupted = functools.partial(search_identity, problem, search, method=method, **more), False
-    with Rounds(chosen.rounds(task), out, own, progress) as rounds:
+    task, method = Task(problem, search, start, known.others(problem, start)), problem.own_method
+    method = method or method_of(search.method)
+    more = {"method": None} if patience is None else {"method": None, "patience": patience}
+    own, interrupted = functools.partial(search_identity, problem, search, **more), False
+    with Rounds(method.rounds(task), out, own, progress) as rounds:
 
         def enough() -> bool:
             return patience is not None and settled(rounds.evaluated["value"] + rounds.evaluated["penalty"], patience)
 
         try:
-            ended = follow(chosen.run(task), lambda request: rounds.evaluate(problem, request), enough)
+            ended = follow(method.run(task), lambda request: rounds.evaluate(problem, request), enough)
         except KeyboardInterrupt:
             if not rounds.done:
                 raise
@@ -171,7 +197,7 @@ def for_this_machine(
     if any(given is not None for given in chosen):
         return search
     space, method = spaces.space(scenario, search, law), search.method
-    few = space.size <= cma_es.MOST
+    few = space.size <= cmaes.CMAES.most
     if few and (not space.smooth.all() or execution.many_at_once(np.dtype(search.precision))):
         method = "cmaes" if space.size > 1 else method if space.smooth.all() else "grid"
     return search.model_copy(update={"method": method})
@@ -187,7 +213,7 @@ def problem_of(
 ) -> Problem:
     """Return the problem of a search: space, objective relative to pd, and walks; pd walks first.
 
-    `walks` are law, metrics and engine, as of `tune`; an ensemble is drawn for the scenario.
+    `walks` are law, metrics and engine, as of `tune`, and `own_method`; an ensemble is drawn for the scenario.
 
     Raises:
         ConfigError: settings that make no sense for the scenario or the metrics, or pd diverges in a member.
@@ -225,7 +251,7 @@ def without_goal(
         raise ConfigError(f"metrics: expected the shipped {missing[0]} among them, as in METRICS + (mine,)")
     search_settings.check_metrics(search, table)
     space, dtype = spaces.space(scenario, search, walks.get("law")), np.dtype(search.precision).type
-    if search.method in BY_GRADIENTS and not space.smooth.all():
+    if search.method != OWN_METHOD and method_of(search.method).gradients and not space.smooth.all():
         times = ", ".join(name for name, smooth in zip(space.names, space.smooth, strict=True) if not smooth)
         raise ConfigError(
             f"method: expected cmaes, grid or optuna to search {times} in whole steps, got {search.method}"
@@ -244,8 +270,6 @@ def start_of(problem: Problem) -> np.ndarray:
 
 
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
-    """Return all that determines a search, bit by bit; `more`: what else does, a method of the user's own among it."""
+    """Return all that determines a search, bit by bit; `more`: what else does."""
     packages = {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}
-    if more.get("method") is not None:
-        more["method"] = identity(more["method"], "method")
-    return {**identity_of(problem, packages), "search": search.model_dump(mode="json"), **more}
+    return {**more, **identity_of(problem, packages), "search": search.model_dump(mode="json")}

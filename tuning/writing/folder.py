@@ -47,7 +47,9 @@ def write(
     """
     problem, told = made.problem, made.written
     with whole(folder, settings, finished=finished) as place:
-        copied = write_config(problem.scenario, place, problem.law, problem.metrics, problem.own_objective)
+        copied = write_config(
+            problem.scenario, place, problem.law, problem.metrics, problem.own_objective, problem.own_method
+        )
         files = {
             name: _naming(each, copied) if isinstance(each, xr.Dataset) else each for name, each in made.files.items()
         }

@@ -185,7 +185,7 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     ],
     "evaluate merge law": ["--law {folder}/mine.py:Mine"],
     "evaluate margins margins": ["{config} --gains {folder}/held.yaml --margins"],
-    "tune law law method": ["--method optuna"],
+    "tune law law method": ["--method grid"],
     "tune members": ["--ensemble ensemble --members 3"],
     "tune test_members": ["--ensemble ensemble --test-members 5"],
     "identify figures": ["--out elsewhere --figures svg"],

@@ -5,8 +5,7 @@ import dataclasses
 import pytest
 
 import mjx_climb as mc
-from tuning.methods import METHODS
-from tuning.methods.rounds import Task
+from tuning.methods import Task, method_of
 from tuning.problem.objectives import objective
 from tuning.problem.search import Search
 from tuning.searches import tune
@@ -24,7 +23,7 @@ def asked(**settings):
     scenario, search = mc.load_scenario("case_1_2"), Search.make(settings)
     pd = dict.fromkeys(mc.METRICS.names, 1.0) | {"diverged": False}
     problem = tune.without_goal(scenario, search)
-    task, method = Task(problem, search, tune.start_of(problem)), METHODS[search.method]
+    task, method = Task(problem, search, tune.start_of(problem)), method_of(search.method)
     first = next(method.run(task))
     goal = objective(scenario, search, pd)
     return repr((dataclasses.astuple(problem.space), goal, problem.dtype, method.rounds(task), first, method.run))

@@ -12,8 +12,8 @@ from cmaes import CMA
 import mjx_climb as mc
 import tuning
 from mjx_climb import execution
-from tuning.methods import cma_es
-from tuning.methods.rounds import Task, follow
+from tuning.methods import Task, cmaes
+from tuning.methods.rounds import follow
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
 from tuning.searches import tune
@@ -42,14 +42,14 @@ def searched(task):
         merits.append((np.geomspace(0.1, 10.0, SIZE) * (request.theta - BOTTOM) ** 2).sum(1))
         return types.SimpleNamespace(merit=merits[-1])
 
-    follow(cma_es.run(task), evaluate)
+    follow(cmaes.METHOD.run(task), evaluate)
     return [merit.size for merit in merits], [merit.min() for merit in merits]
 
 
 def test_many_points_go_to_the_bottom_and_end_there(kernel):
     sizes, best = searched(task(Search()))
-    assert set(sizes) == {cma_es.OF_MANY * SIZE}
-    assert cma_es.PATIENCE < len(sizes) < cma_es.MANY / 2
+    assert set(sizes) == {cmaes.OF_MANY * SIZE}
+    assert cmaes.PATIENCE < len(sizes) < cmaes.MANY / 2
     assert best[-1] < 1e-4 < best[0]
 
 
@@ -60,7 +60,7 @@ def test_a_generation_is_what_the_package_draws_one_by_one(start):
         CMA(np.full(SIZE, start), 0.2, np.tile([0.0, 1.0], (SIZE, 1)), seed=3, population_size=40) for _ in range(2)
     )
     for _ in range(5):
-        points = cma_es.drawn(mine)
+        points = cmaes.drawn(mine)
         one_by_one = np.array([theirs.ask() for _ in range(40)])
         np.testing.assert_allclose(points, one_by_one, rtol=0, atol=1e-12)
         for optimizer in (mine, theirs):
@@ -68,23 +68,23 @@ def test_a_generation_is_what_the_package_draws_one_by_one(start):
 
 
 def test_points_that_no_draw_puts_between_the_bounds_are_taken_there(monkeypatch):
-    monkeypatch.setattr(cma_es, "TRIES", 1)
+    monkeypatch.setattr(cmaes, "TRIES", 1)
     optimizer = CMA(np.full(SIZE, 0.01), 1.0, np.tile([0.0, 1.0], (SIZE, 1)), seed=3, population_size=40)
-    points = cma_es.drawn(optimizer)
+    points = cmaes.drawn(optimizer)
     assert points.shape == (40, SIZE) and points.min() == 0 and points.max() == 1
 
 
 def test_members_and_settings_say_how_many(kernel):
-    assert cma_es.population(task(Search(), members=512)) == cma_es.WALKS // 512
-    assert cma_es.population(task(Search(), members=10**6)) == 9  # the package's own
-    assert cma_es.population(task(Search(starts=5))) == 5
-    assert cma_es.rounds(task(Search(iterations=3))) == 3
+    assert cmaes.population(task(Search(), members=512)) == cmaes.WALKS // 512
+    assert cmaes.population(task(Search(), members=10**6)) == 9  # the package's own
+    assert cmaes.population(task(Search(starts=5))) == 5
+    assert cmaes.METHOD.rounds(task(Search(iterations=3))) == 3
 
 
 def test_without_a_kernel_all_is_the_packages(cpu_alone):
     sizes, _ = searched(task(Search()))
     assert set(sizes) == {9}
-    assert len(sizes) == cma_es.GENERATIONS
+    assert len(sizes) == cmaes.GENERATIONS
 
 
 def test_the_method_that_suits_the_machine(kernel, case):

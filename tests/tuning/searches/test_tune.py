@@ -16,7 +16,7 @@ from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.inputs.from_scenario import gains as gains_of
 from mjx_climb.robot_import.load import load_robot
-from tuning.methods import METHODS, Method, Request, Task, descents, refined_grid
+from tuning.methods import Method, Request, Task, descents, grid, lbfgs, method_of
 from tuning.methods.rounds import follow, settled
 from tuning.problem import evaluation, known, objectives, search, spaces
 from tuning.problem.evaluation import Evaluation, Problem
@@ -190,7 +190,8 @@ def searched(scenario, start=start_of, **settings):
     search_settings = search.Search.make(settings)
     bowl, found = Bowl(scenario, spaces.space(scenario, search_settings)), []
     own = start(bowl)
-    task, method = Task(bowl, search_settings, own, known.others(bowl, own)), METHODS[search_settings.method]
+    task, method = Task(bowl, search_settings, own, known.others(bowl, own)), method_of(search_settings.method)
+    method.check(bowl.space, search_settings)
 
     def evaluate(request):
         found.append((request, bowl.evaluate(request.theta, request.directions)))
@@ -254,7 +255,7 @@ def test_lbfgs_takes_a_step_that_a_bound_cuts_for_what_is_left_of_it(scenario):
         points.append(request.theta[0])
         return slope.evaluate(request.theta, request.directions)
 
-    follow(descents.by_lbfgs(Task(slope, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
+    follow(lbfgs.by_lbfgs(Task(slope, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
     assert points[-1][0] == space.upper[0]
     assert (np.diff(points, axis=0)[:, 1] > 0).all()  # one that is refused is tried again, shorter
 
@@ -303,7 +304,7 @@ def test_lbfgs_finds_the_least_of_a_quadratic_between_bounds(scenario):
         points.append(request.theta[0])
         return quadratic.evaluate(request.theta, request.directions)
 
-    follow(descents.by_lbfgs(Task(quadratic, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
+    follow(lbfgs.by_lbfgs(Task(quadratic, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
     solution = scipy.optimize.lsq_linear(
         root := np.linalg.cholesky(quadratic.HESSIAN).T, root @ quadratic.bottom, (space.lower, space.upper), tol=1e-12
     )
@@ -313,7 +314,7 @@ def test_lbfgs_finds_the_least_of_a_quadratic_between_bounds(scenario):
 
 def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenario, monkeypatch):
     """About its best point alone: nothing between two points of a grid is left out by the next, finer one."""
-    monkeypatch.setattr(refined_grid, "CELLS", 1)
+    monkeypatch.setattr(grid, "CELLS", 1)
     walked = {"grid": [], "refined grid": []}
     for request, _ in searched(scenario, method="grid")[0]:
         walked[request.phase].append(request.theta)

@@ -1,0 +1,110 @@
+"""What a search method is: a class whose generator asks for points and receives what they are worth."""
+
+import abc
+import dataclasses
+import importlib
+from collections.abc import Callable, Generator
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from mjx_climb.inputs.own_objects import load
+from mjx_climb.scenario.messages import ConfigError
+from tuning.problem.evaluation import Evaluation, Problem
+from tuning.problem.search import METHODS, Search
+from tuning.problem.spaces import Space
+
+
+class Task(NamedTuple):
+    """What a method is given."""
+
+    problem: Problem
+    search: Search
+    start: np.ndarray  # (n,) the scenario's own gains
+    others: np.ndarray = np.zeros((0, 0))  # (S, n) further gains that are known, see `tuning.problem.known`
+
+    @property
+    def known(self) -> np.ndarray:
+        """The points (1 + S, n) that every method evaluates among its first, the scenario's own gains before all."""
+        return np.concatenate([self.start[None], self.others.reshape(-1, self.start.size)])
+
+
+class Request(NamedTuple):
+    """Points that a method wants evaluated."""
+
+    theta: np.ndarray  # (B, n)
+    directions: np.ndarray | None  # (k, n) along which tangents are wanted
+    phase: str
+
+    @property
+    def tangents(self) -> int:
+        """How many tangents are wanted."""
+        return 0 if self.directions is None else len(self.directions)
+
+
+Points = Generator[Request, Evaluation, None]
+
+
+class Method(abc.ABC):
+    """A search method: a subclass has the generator `run`, and may say how many rounds that takes.
+
+    A method is deterministic: given the same task and the same answers it makes the same requests, so that a search
+    that was killed goes on where it stopped.
+    """
+
+    gradients: ClassVar[bool] = False  # whether it asks for tangents, which times of the gait do not have
+    most: ClassVar[int | None] = None  # numbers that it can search, None: any
+
+    def check(self, space: Space, search: Search) -> None:
+        """Refuse by a ConfigError, before anything walks, what the method cannot search or is not told right."""
+        if self.most is not None and space.size > self.most:
+            cure = "pin or freeze some, or choose gradient or lbfgs"
+            expected = f"at most {self.most} numbers to search by {search.method}"
+            raise ConfigError(f"method: expected {expected}, got {space.size}: {cure}")
+
+    def rounds(self, task: Task) -> int:
+        """Return how many rounds a run takes at most, 0 where that is not known."""
+        return task.search.iterations or 0
+
+    @abc.abstractmethod
+    def run(self, task: Task) -> Points:
+        """Yield a `Request` of points (B, n) each round and receive its `Evaluation`, until the search is done.
+
+        The first requests hold the points `task.known`: then no result is worse than the scenario's own gains.
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class Function(Method):
+    """A method that is a bare generator function of a task."""
+
+    function: Callable[[Task], Points]
+
+    def run(self, task: Task) -> Points:
+        return self.function(task)
+
+
+def method_of(named: str | Method | type[Method] | Callable[[Task], Points]) -> Method:
+    """Return a method: by the name of a shipped one, as `optuna:SAMPLER`, as FILE.py:NAME, or of what a caller brought.
+
+    Raises:
+        ConfigError: in one line, no such method.
+    """
+    found: Any = named
+    if isinstance(named, str):
+        name, _, sampler = named.partition(":")
+        if named in METHODS or name == "optuna":
+            found = importlib.import_module(f"tuning.methods.{name}").METHOD
+            found = dataclasses.replace(found, sampler=sampler) if sampler else found
+        else:
+            found, *_ = load(named, "method")
+    if isinstance(found, type) and issubclass(found, Method):
+        try:
+            found = found()
+        except TypeError as error:
+            raise ConfigError(f"method: expected {found.__name__} to need no arguments: {error}") from None
+    if isinstance(found, Method):
+        return found
+    if not callable(found) or isinstance(found, type):
+        raise ConfigError(f"method: expected a name, a Method, or a function of a Task, got {named!r}")
+    return Function(found)
