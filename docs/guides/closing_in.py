@@ -1,4 +1,4 @@
-"""A search that draws points round the best one, closer every round."""
+"""A search round the best point so far, closer every round."""
 
 import numpy as np
 
@@ -6,10 +6,10 @@ from tuning.methods import Method, Request
 
 
 class ClosingIn(Method):
-    """Rounds of `starts` points round the best so far."""
+    """Rounds of `starts` points."""
 
     def rounds(self, task):
-        """Return how many rounds a run takes, for the progress bar."""
+        """Return how many rounds there are."""
         return task.search.iterations or 20
 
     def run(self, task):
