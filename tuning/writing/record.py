@@ -6,10 +6,12 @@ result's. Versions and machine are none of it: the same command replaces its own
 
 import contextlib
 import dataclasses
+import glob
 import hashlib
 import json
 import os
 import shutil
+import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -116,6 +118,7 @@ def check_own(folder: Path, result: str) -> None:
         OutputError: it cannot, or does.
     """
     check_folder(folder)
+    recover(folder)
     kept = (parts.FOLDER,) if result in WITHOUT_PARTS else ()
     there = next((name for name in (*kept, *RESULTS) if (folder / name).exists()), result)
     if there != result:
@@ -140,30 +143,69 @@ def whole(folder: Path, settings: Settings | None = None, *, finished: bool = Tr
     """Give an empty folder, whose files become those of `folder` once the block ends well.
 
     They take the place of an earlier result's files there, of which none is left where it was another run's. Files that
-    are no result's stay. Kept parts are removed where the result is `finished`.
+    are no result's stay. Kept parts are removed where the result is `finished`. Of a process that is killed the folder
+    keeps the old result; if it dies while the files move, the next that writes there, or is about to, ends the move.
 
     Raises:
         OutputError: the folder cannot be written.
     """
     target = Path(os.path.realpath(folder))
     there = next(each for each in (target, *target.parents) if each.is_dir())
-    place = there / f".{target.name}.{os.getpid()}.part"
+    place = there / f"{_prefix(target)}.{uuid.uuid4().hex[:12]}.part"
+    recover(folder)
     try:
-        with _refused(folder):
-            place.mkdir()
-        yield place
-        files = tuple(sorted(f.relative_to(place).as_posix() for f in place.rglob("*") if not f.is_dir()))
-        with _refused(folder):
-            if target.is_dir():
-                with _alone(target):
-                    _replace(place, target, Record(settings, files, finished))
-            else:
+        with contextlib.ExitStack() as held:
+            with _refused(folder), _alone(there):
+                place.mkdir()
+                held.enter_context(_alone(place))  # by which `recover` knows that somebody writes it
+            yield place
+            files = tuple(sorted(f.relative_to(place).as_posix() for f in place.rglob("*") if not f.is_dir()))
+            with _refused(folder):
                 _write(place, Record(settings, files, finished))
-                target.parent.mkdir(parents=True, exist_ok=True)
-                os.rename(place, target)
+                _move(place, target)
     finally:
         shutil.rmtree(place, ignore_errors=True)
-    if finished:
+
+
+def recover(folder: Path) -> None:
+    """End what a killed process began: move a result that was all written, remove one that was not.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    target = Path(os.path.realpath(folder))
+    name = f"{glob.escape(_prefix(target))}.*.part"
+    with contextlib.ExitStack() as held, _refused(folder):
+        left: list[Path] = []
+        for each in (each for each in (target, *target.parents[:3]) if any(each.glob(name))):
+            with _alone(each):  # a folder that is made there is held before this can see it
+                for place in each.glob(name):
+                    with contextlib.suppress(BlockingIOError, FileNotFoundError):  # written, or moved, just now
+                        held.enter_context(_alone(place, wait=False))
+                        left.append(place)
+        for place in left:
+            if (record := read(place)) is not None and record.files:
+                _move(place, target)
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def _prefix(target: Path) -> str:
+    """Return how the folders begin in which the files of a folder are written before they are moved there."""
+    return f".{target.name}.{hashlib.sha256(os.fsencode(target)).hexdigest()[:8]}"
+
+
+def _move(place: Path, target: Path) -> None:
+    """Move a result that is all there to its folder, in place of an earlier one."""
+    record = read(place)
+    assert record is not None
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with _alone(target.parent):
+        if fresh := not target.is_dir():
+            os.rename(place, target)
+    if not fresh:
+        with _alone(target):
+            _replace(place, target, record)
+    if record.whole:
         parts.clear(target)
 
 
@@ -190,33 +232,44 @@ def _refused(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Wait until no other process replaces the files of a folder; of one that is killed the system lets go."""
+def _alone(folder: Path, *, wait: bool = True) -> Iterator[None]:
+    """Hold a folder as the only one; of a process that is killed the system lets go.
+
+    Raises:
+        BlockingIOError: another holds it, where this does not `wait` for it.
+    """
     try:
         import fcntl
     except ModuleNotFoundError:  # Windows has none
+        if not wait:
+            raise BlockingIOError from None
         yield
         return
     held = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(held, fcntl.LOCK_EX)
+        fcntl.flock(held, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
         os.close(held)
 
 
 def _replace(place: Path, target: Path, record: Record) -> None:
-    """Move the files of a result to their folder; until all are there its record says that it is not whole."""
-    before = read(target)
-    old, every = () if before is None else before.files, tuple(sorted({*(before or record).files, *record.files}))
-    own = before is not None and record.settings is not None and before.settings == record.settings
-    _write(target, Record(record.settings, every))
-    for name in record.files:
+    """Move the files of a result to their folder; until all are there its record says that it is not whole.
+
+    Repeated after it was cut short, it does what is left.
+    """
+    before = read(target) or Record(None)
+    own = record.settings is not None and before.settings == record.settings
+    if not own:
+        _write(target, before._replace(whole=False))
+        for name in {*before.files} - {*record.files}:
+            (target / name).unlink(missing_ok=True)
+    every = record._replace(files=tuple(sorted({*before.files, *record.files}))) if own else record
+    _write(target, every._replace(whole=False))
+    for name in filter(lambda name: (place / name).exists(), record.files):
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         os.replace(place / name, target / name)
-    for name in () if own else {*old} - {*record.files}:
-        (target / name).unlink(missing_ok=True)
-    _write(target, record._replace(files=every) if own else record)
+    _write(target, every)
 
 
 def _write(folder: Path, record: Record) -> None:

@@ -115,6 +115,7 @@ def test_settings_and_scenario_name_a_method_of_ones_own(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_searched_at_the_shell_and_repeated_from_the_folder(tmp_path, call, monkeypatch):
     """Its folder holds the file; the commands of the folder find it there, and pd is searched by it too."""
     monkeypatch.chdir(tmp_path)

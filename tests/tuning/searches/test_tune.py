@@ -402,6 +402,16 @@ def random_search(spread, task):
         best = theta[np.argmin(found.merit)]
 
 
+class RandomSearch(Method):
+    """The same, which knows its rounds."""
+
+    def rounds(self, task):
+        return 3
+
+    def run(self, task):
+        return random_search(1.0, task)
+
+
 @pytest.mark.slow
 def test_a_method_of_ones_own_searches_and_is_taken_up_again(scenario, tmp_path):
     def stop(now):
@@ -415,7 +425,7 @@ def test_a_method_of_ones_own_searches_and_is_taken_up_again(scenario, tmp_path)
         tune(scenario, method=functools.partial(random_search, 2.0), out=tmp_path, **how)
     seen = []
     resumed = tune(scenario, method=method, out=tmp_path, progress=seen.append, **how)
-    undisturbed = tune(scenario, method=Method(lambda task: 3, method), **how)
+    undisturbed = tune(scenario, method=RandomSearch(), **how)
     assert [now.walked for now in seen] == [False, True, True] and resumed.search.method == "own"
     assert seen[-1].best == pytest.approx(resumed.value)
     xr.testing.assert_equal(resumed.data, undisturbed.data)

@@ -220,3 +220,89 @@ def test_a_command_knows_its_folder_by_all_that_its_result_depends_on(command, c
 def test_members_of_an_ensemble_are_those_that_are_asked_for(claimed):
     settings, _ = claimed("tune {case} --ensemble ensemble --members 5 --test-members 7")
     assert (settings["ensemble"]["members"], settings["judges"]) == (5, 7)
+
+
+class Killed(BaseException):
+    """In place of SIGKILL, after which nothing is tidied up."""
+
+
+@pytest.fixture
+def kill(monkeypatch):
+    """Return a function that lets a process die at its n-th step on disk: True where it had so many."""
+
+    def run(work, step):
+        count = 0
+
+        def counted(function):
+            def called(*arguments):
+                nonlocal count
+                count += 1
+                if count == step:
+                    raise Killed
+                return function(*arguments)
+
+            return called
+
+        with monkeypatch.context() as patched:
+            for name in ("replace", "rename", "unlink", "mkdir"):
+                patched.setattr(os, name, counted(getattr(os, name)))
+            patched.setattr(record.shutil, "rmtree", lambda *_, **__: None)
+            try:
+                work()
+            except Killed:
+                return True
+        return False
+
+    return run
+
+
+def settled(folder):
+    """Return what a folder holds as text, by name, without its record; None where it is not whole."""
+    own = record.read(folder)
+    there = {name: (folder / name).read_text() for name in listed(folder) if name != record.FILE}
+    return there if own is not None and own.whole else None
+
+
+@pytest.mark.parametrize("settings", [OURS, THEIRS])
+@pytest.mark.parametrize("there", [False, True])
+def test_killed_at_any_step_the_next_run_finds_the_old_result_or_the_new_one(tmp_path, kill, there, settings):
+    """Of the same run or of another; with a file that is no result's; and nothing hidden is left."""
+    old, new = ({"a": text, "inputs/b": text} for text in ("old", "new"))
+    new["c"] = "new"
+    if settings == THEIRS:
+        new.pop("a")
+    foreign, seen, step = {"notes.txt": "mine"}, set(), 1
+    while step:
+        home = tmp_path / str(step) / "one"
+        if there:
+            fill(home, *old, text="old")
+            (home / "notes.txt").write_text("mine")
+        died = kill(lambda home=home: fill(home, *new, settings=settings, text="new"), step)
+        record.recover(home)
+        found = settled(home) if home.exists() else {}
+        expected = [{**old, **foreign}, {**new, **foreign}] if there else [{}, new]
+        if settings == OURS and there:
+            expected[1] = {**old, **expected[1]}
+        assert found in expected and not list(tmp_path.glob("**/.one.*.part")), step
+        seen.add(expected.index(found))
+        fill(home, *new, settings=settings, text="new")  # the same command again
+        assert settled(home) == expected[1]
+        step = step + 1 if died else 0
+    assert seen == {0, 1}
+
+
+def test_a_folder_that_another_process_fills_is_left_alone(tmp_path):
+    with record.whole(tmp_path / "one", OURS) as place:
+        (place / "a").write_text("a")
+        record.recover(tmp_path / "one")
+        fill(tmp_path / "one", "a", text="of another that ended first")
+    assert settled(tmp_path / "one") == {"a": "a"}
+
+
+def test_two_that_end_at_one_moment_leave_the_result_of_one(tmp_path):
+    """As the last two shards of a sweep may, which both merge: the same result twice."""
+    with ThreadPoolExecutor(8) as pool:
+        works = [pool.submit(fill, tmp_path / "one", "a", "b", "c", text=str(number)) for number in range(24)]
+        for work in works:
+            work.result()
+    assert len({*settled(tmp_path / "one").values()}) == 1 and not list(tmp_path.glob("**/.*.part"))
