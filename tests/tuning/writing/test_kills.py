@@ -14,8 +14,8 @@ import mjx_climb as mc
 from tests.shell import ROOT
 
 SEED, KILLS = 35, 6
-SEARCH = ["--method", "grid", "--starts", "2", "--iterations", "1", "--ensemble", "ensemble", "--members", "2"]
-LAWS = ["--law", "base_admittance", "--law", "LoadTransfer", "--test-members", "4"]
+SEARCH = ["--starts", "4", "--iterations", "2", "--seeds", "2", "--ensemble", "ensemble", "--members", "2"]
+LAWS = ["--law", "base_admittance", "--law", "end_effector_admittance", "--test-members", "4"]
 
 
 def listed(folder):
