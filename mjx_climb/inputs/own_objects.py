@@ -1,6 +1,7 @@
 """Objects of the user's: FILE.py:NAME, and the components that the section `own` names."""
 
 import dataclasses
+import importlib.machinery
 import importlib.util
 import os
 import sys
@@ -51,12 +52,13 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
     if not os.path.isfile(path):  # where it may not be read either
         raise ConfigError(f"{path}: expected a file of Python, got none")
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
+    if spec is None or not isinstance(spec.loader, importlib.machinery.SourceFileLoader):
         raise ConfigError(f"{path}: expected a file of Python, whose name ends in .py")
     module, of_files = importlib.util.module_from_spec(spec), digest(path)
     sys.path.insert(0, str(path.absolute().parent))  # for what the file itself imports, as python FILE does
     try:
-        spec.loader.exec_module(module)
+        # not `exec_module`, whose bytecode of a file that was changed within a second is the old one's
+        exec(spec.loader.source_to_code(path.read_bytes(), path), module.__dict__)
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else ""
         raise ConfigError(f"{path}: {type(error).__name__}: {reason}") from None
