@@ -8,11 +8,10 @@ import sys
 import tomllib
 from pathlib import Path
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
-from studies import COLOURS, FAINT, HERE, INK, STYLE, WIDTH
+from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
+from studies import COLOURS, FAINT, HERE, INK, WIDTH, save
 
 ROOT = HERE.parents[1]
 BLUE, ORANGE, GREEN, _ = COLOURS
@@ -53,7 +52,7 @@ def loop() -> Figure:
     box(panel, (27, 64), (50, 12), "bus and servos\npd: kp, kd")
     box(panel, (77, 102), (42, 17), "law, Eq. 3\nM ẍ + D ẋ + K x = -w", BLUE)
     box(panel, (77, 64), (42, 12), "force sensors\ndelay, noise", BLUE)
-    panel.add_patch(mpl.patches.Circle((27, 102), 3.6, facecolor="none", edgecolor=INK, lw=1.5))
+    panel.add_patch(Circle((27, 102), 3.6, facecolor="none", edgecolor=INK, lw=1.5))
     panel.text(27, 101.7, "+", ha="center", va="center", fontsize=13)
     arrow(panel, (27, 114), (27, 105.6), text="base reference", at=(29, 110))
     arrow(panel, (56, 102), (30.6, 102), text="shift x", at=(37, 105.2), colour=BLUE)
@@ -75,7 +74,7 @@ def _robot(panel: Axes) -> None:
         FancyBboxPatch((32, 34), 30, 8, "round,pad=0,rounding_size=1.5", facecolor=FAINT, edgecolor=INK, lw=1.5)
     )
     panel.text(47, 38, "base", ha="center", va="center", fontsize=10.5)
-    panel.add_patch(mpl.patches.Rectangle((40, 42), 14, 6, facecolor="none", edgecolor=ORANGE, lw=1.5))
+    panel.add_patch(Rectangle((40, 42), 14, 6, facecolor="none", edgecolor=ORANGE, lw=1.5))
     panel.text(47, 44.8, "cargo", ha="center", va="center", fontsize=9.5, color=ORANGE)
     for hip, knee, foot in (((34, 36), (22, 42), (17, 10)), ((40, 34), (34, 26), (33, 10)),
                             ((54, 34), (61, 27), (62, 10)), ((60, 36), (72, 42), (77, 10))):  # fmt: skip
@@ -125,12 +124,5 @@ def _lines(names: list[str], width: int = 24) -> list[str]:
 PICTURES = {"loop": loop, "layers": layers}
 
 
-def main(folder: Path = HERE) -> None:
-    """Draw both."""
-    with mpl.rc_context(STYLE):
-        for name, draw in PICTURES.items():
-            draw().savefig(folder / f"{name}.svg", metadata={"Date": None})
-
-
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    save(PICTURES, *map(Path, sys.argv[1:]))

@@ -375,12 +375,12 @@ PICTURES: dict[str, Callable[[], Figure]] = {
 }
 
 
-def main(folder: Path = HERE) -> None:
-    """Draw all."""
+def save(pictures: Mapping[str, Callable[[], Figure]], folder: Path = HERE) -> None:
+    """Draw pictures into a folder, by their names."""
     with mpl.rc_context(STYLE):
-        for name, draw in PICTURES.items():
+        for name, draw in pictures.items():
             draw().savefig(folder / f"{name}.svg", metadata={"Date": None})
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    save(PICTURES, *map(Path, sys.argv[1:]))

@@ -20,8 +20,17 @@ from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
 from mjx_climb.gait.footholds.footholds import AHEAD, SAME, Candidate, Footholds, Prospects, Situation, pulls
 from mjx_climb.gait.recovery import Body, Recovery, danger, interrupts, stopping_margin, ways_beside
-from mjx_climb.gait.schedule import Plan, Schedule, base_reference, first_footholds, foothold_height, schedule
-from mjx_climb.gait.swing import added_shapes, lift, rest_to_rest
+from mjx_climb.gait.schedule import (
+    Plan,
+    Schedule,
+    arc,
+    base_reference,
+    first_footholds,
+    foothold_height,
+    schedule,
+    settled_phase,
+)
+from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.ground import Holds
 from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics
 from mjx_climb.physics.spatial import norm
@@ -180,18 +189,9 @@ def _offset_at(planner: Planner, progress: Progress, step: Array) -> Array:
 
 def foot_targets_at(plan: Plan, progress: Progress, now: Schedule, grip_point: Array) -> Array:
     """Return where the feet should be, (limb, 3) m in world axes; swings are those of `gait.schedule.foot_targets`."""
-    phase = jnp.where(now.closed, 0.0, jnp.minimum(now.swing_phase / (1 - plan.settling), 1.0))
+    phase = settled_phase(plan, now)
     swing = progress.start + rest_to_rest(phase)[:, None] * (progress.goal - progress.start)
-    old, new = progress.start[:, 2], progress.goal[:, 2]
-    end = jnp.where(phase < 0.5, old, new)
-    height = end + (jnp.maximum(old, new) + progress.rise - end) * lift(phase)
-    if plan.landing is not None:
-        half = jnp.clip(2 * phase - 1, 0.0, 1.0)
-        height = height + plan.landing * (half * half * (1 - half) / 2)
-    if plan.swing_path.shape[2]:
-        horizontal, vertical = (jnp.stack(shapes) for shapes in added_shapes(phase))  # (K, limb)
-        shapes = jnp.stack([horizontal, horizontal, vertical])  # (3, K, limb)
-        swing = swing + (plan.swing_path * jnp.moveaxis(shapes, 2, 0)).sum(2)
+    swing, height = arc(plan, phase, swing, progress.start[:, 2], progress.goal[:, 2], progress.rise)
     target = jnp.concatenate([swing[:, :2], height[:, None]], axis=1)
     return jnp.where(now.closed[:, None], grip_point, target)
 
@@ -428,7 +428,7 @@ def _best(
     Arguments:
         score: of points (limb, 3) m that bear a pull () N, (limb,).
         allowed: whether points may be chosen, (limb,) bool.
-        of_limbs: the points of the limbs for what stands for a candidate, (3,).
+        of_limbs: gives the points (limb, 3) m at which the limbs would hold a candidate at (3,) m.
         otherwise: points and limits where none is allowed.
         weight: (3,) N, by which holds have their axes.
     """

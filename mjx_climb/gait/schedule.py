@@ -175,12 +175,30 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
     of both. What is added to the cubics is zero, with zero slope, at both ends; but for a landing speed v of a swing
     that takes T: `v T x^2 (1 - x) / 2` over its second half, x from 0 to 1.
     """
-    # a limb on the ground has no swing: its phase runs past one
-    phase = jnp.where(now.closed, 0.0, jnp.minimum(now.swing_phase / (1 - plan.settling), 1.0))
+    phase = settled_phase(plan, now)
     swing = plan.footholds + (now.cycle + rest_to_rest(phase))[:, None] * plan.advance
     old, new = foothold_height(plan, now.cycle), foothold_height(plan, now.cycle + 1)
+    swing, height = arc(plan, phase, swing, old, new, plan.step_height)
+    return jnp.where(now.closed[:, None], grip_point, _raised(swing, height))
+
+
+def settled_phase(plan: Plan, now: Schedule) -> Array:
+    """Return how far the feet are on their way, (limb,) from 0 to 1, settled at the end of the swing."""
+    # a limb on the ground has no swing: its phase runs past one
+    return jnp.where(now.closed, 0.0, jnp.minimum(now.swing_phase / (1 - plan.settling), 1.0))
+
+
+def arc(plan: Plan, phase: Array, swing: Array, old: Array, new: Array, rise: Array) -> tuple[Array, Array]:
+    """Return feet in swing with the shapes that the gait adds, (limb, 3) m, and the heights of their arcs, (limb,) m.
+
+    Arguments:
+        phase: of `settled_phase`, (limb,).
+        swing: points (limb, 3) m on the way from one foothold to the next, in world axes.
+        old, new: heights of these footholds, (limb,) m.
+        rise: of the arc above the higher of both, m.
+    """
     end = jnp.where(phase < 0.5, old, new)
-    height = end + (jnp.maximum(old, new) + plan.step_height - end) * lift(phase)
+    height = end + (jnp.maximum(old, new) + rise - end) * lift(phase)
     if plan.landing is not None:
         half = jnp.clip(2 * phase - 1, 0.0, 1.0)
         height = height + plan.landing * (half * half * (1 - half) / 2)
@@ -188,4 +206,4 @@ def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
         horizontal, vertical = (jnp.stack(shapes) for shapes in added_shapes(phase))  # (K, limb)
         shapes = jnp.stack([horizontal, horizontal, vertical])  # (3, K, limb)
         swing = swing + (plan.swing_path * jnp.moveaxis(shapes, 2, 0)).sum(2)
-    return jnp.where(now.closed[:, None], grip_point, _raised(swing, height))
+    return swing, height

@@ -17,7 +17,7 @@ from mjx_climb.scenario.values import MAX_COUNT
 # names of normals in files, of ROS and PLY, and of PCL
 _NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 
-# positions (n, 3) m, normals (n, 3) 1, limits (n,) N, NaN where a point has none of its own
+# positions (n, 3) m, normals (n, 3) 1, limits (n,) N; NaN marks a point without a limit of its own
 _Found = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 

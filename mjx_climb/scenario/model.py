@@ -651,7 +651,7 @@ class OwnGains(_ByName):
 
 
 class OwnLimits(_ByName):
-    """Limits by the names that a law of your own gives them: numbers that are none of its gains."""
+    """Limits by the names that a law of your own gives them; a limit is not a gain and is not searched."""
 
     __pydantic_extra__: dict[str, v.Positive]
 

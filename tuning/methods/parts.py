@@ -135,7 +135,9 @@ def identity_of(problem: Problem, packages: Mapping[str, str] = PACKAGES) -> dic
             versions[name] = importlib.metadata.version(distribution)
     drawn = problem.ensemble
     parameters = problem.parameters if drawn is None else None
-    own = {"law": problem.law, "objective": problem.own_objective, "parameters": parameters}
+    own = {
+        "law": problem.law, "objective": problem.own_objective, "method": problem.own_method, "parameters": parameters,
+    }  # fmt: skip
     return {
         "scenario": yaml.safe_load(scenario_files.identity(problem.scenario)),
         **{name: None if value is None else identity(value, name) for name, value in own.items()},
@@ -147,7 +149,6 @@ def identity_of(problem: Problem, packages: Mapping[str, str] = PACKAGES) -> dic
         "platform": jax.default_backend(),
         "robot_model": hashlib.sha256(model_path(problem.scenario.robot).read_bytes()).hexdigest(),
         "versions": versions,
-        **({} if problem.own_method is None else {"method": identity(problem.own_method, "method")}),
     }
 
 

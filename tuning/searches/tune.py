@@ -167,7 +167,7 @@ def run(
     start = start_of(problem)
     task, method = Task(problem, search, start, known.others(problem, start)), problem.own_method
     method = method or method_of(search.method)
-    more = {"method": None} if patience is None else {"method": None, "patience": patience}
+    more = {} if patience is None else {"patience": patience}
     own, interrupted = functools.partial(search_identity, problem, search, **more), False
     with Rounds(method.rounds(task), out, own, progress) as rounds:
 
@@ -272,4 +272,4 @@ def start_of(problem: Problem) -> np.ndarray:
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
     """Return all that determines a search, bit by bit; `more`: what else does."""
     packages = {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}
-    return {**more, **identity_of(problem, packages), "search": search.model_dump(mode="json")}
+    return {**identity_of(problem, packages), "search": search.model_dump(mode="json"), **more}

@@ -58,11 +58,7 @@ class Footholds(Component):
 
 def pulls(holds: Holds, otherwise: Array) -> Array:
     """Return the largest pull along the normal that each hold bears, (n,) N; `otherwise` () where it names no limit."""
-    count, rows = holds.limit_bound.shape
-    if not rows:
-        return jnp.broadcast_to(otherwise, (count,))
-    down = -holds.limit_matrix[..., 2]
-    found = jnp.where(down > 0, holds.limit_bound / jnp.where(down > 0, down, 1.0), jnp.inf).min(1)
+    found = holds.pulls()
     return jnp.where(jnp.isfinite(found), found, otherwise)
 
 
