@@ -8,12 +8,12 @@ of `planned/LINK` on `/tf`; PlotJuggler's exports of them are CSV.
 
 import csv
 import functools
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import comb
 
 from mjx_climb.gait.swing import COUNT, added_shapes, lift, rest_to_rest
 from mjx_climb.scenario.messages import ConfigError, config_error
@@ -89,7 +89,8 @@ def _bezier(path: Path, frame: str) -> Swing:
         raise ValueError(f"a matrix of {points.shape[0]} rows and {points.shape[1]} columns in place of three rows")
     order, phase = points.shape[1] - 1, np.linspace(0, 1, _SAMPLES)
     number = np.arange(order + 1)
-    weight = comb(order, number) * phase[:, None] ** number * (1 - phase[:, None]) ** (order - number)
+    ways = [math.comb(order, each) for each in number.tolist()]
+    weight = ways * phase[:, None] ** number * (1 - phase[:, None]) ** (order - number)
     return Swing(phase, weight @ points.T)
 
 

@@ -30,6 +30,8 @@ assert not {"jax", "mujoco"} & set(sys.modules), "a command line that only reads
 from jax._src import xla_bridge
 
 assert mc.rollout
+readers = {"scipy.special", "trimesh", "rosbags"} & set(sys.modules)
+assert not readers, f"a walk waits for what readers of files alone need: {readers}"
 assert not xla_bridge._backends, "a JAX backend was started"
 written = [path for path in written if isinstance(path, str) and path != "/dev/null"]  # a number is a pipe
 assert not written, written
