@@ -1,7 +1,11 @@
-"""Drawings on dark pages: of each SVG a second one in other colours, of which the theme shows that of its scheme."""
+"""Pictures on dark pages, of which the theme shows those of its scheme.
+
+Each SVG has a second one in other colours. A raster picture NAME.webp has one where docs/images has NAME_dark.webp.
+"""
 
 import posixpath
 import re
+from pathlib import Path
 
 from mkdocs.structure.files import File
 
@@ -15,7 +19,8 @@ DARK = {
     "#009e73": "#40c9a2",
     "#aa4499": "#e0a0c8",
 }
-PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)\s#]+)\.svg\)")
+PICTURE = re.compile(r"!\[([^\]]*)\]\(([^)\s#]+)(\.\w+)\)")
+IMAGES = Path(__file__).parents[1] / "images"
 
 
 def darkened(drawing: str) -> str:
@@ -33,4 +38,11 @@ def on_files(files, config):
 
 def on_page_markdown(markdown: str, **_) -> str:
     """Show both where a page shows one."""
-    return PICTURE.sub(r"![\1](\2.svg#only-light)![\1](\2_dark.svg#only-dark)", markdown)
+    return PICTURE.sub(_both, markdown)
+
+
+def _both(found: re.Match) -> str:
+    text, path, suffix = found.groups()
+    if suffix != ".svg" and not (IMAGES / f"{posixpath.basename(path)}_dark{suffix}").exists():
+        return found[0]
+    return f"![{text}]({path}{suffix}#only-light)![{text}]({path}_dark{suffix}#only-dark)"

@@ -1,12 +1,17 @@
 """What pages show as output is what their commands print; and the runner that says so sees what is not."""
 
+import runpy
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from tests import pages
 
-START = Path(__file__).parents[2] / "docs" / "start"
+DOCS = Path(__file__).parents[2] / "docs"
+START, IMAGES = DOCS / "start", DOCS / "images"
 TUTORIAL = START / "tutorial.md"
 PRINTED = [
     " metric  unit   tuned  vs pd %    pd ",
@@ -89,3 +94,17 @@ def test_the_first_pages_print_what_they_show(tmp_path):
     """All of their commands, in one folder, as they stand there: the searches take some minutes each."""
     outputs = [check(START / f"{page}.md", tmp_path) for page in ("first_sweep", "tutorial", "to_the_robot")]
     assert outputs == [1, 5, 4]
+    check_the_pictures(tmp_path / "results", tmp_path)
+
+
+def check_the_pictures(results, folder):
+    """The pages' pictures are those that their commands draw: coarse pixels, whatever the fonts and the processor."""
+    pytest.importorskip("selenium", reason="needs selenium")
+    if None in map(shutil.which, ("chromium", "chromedriver")):
+        return
+    runpy.run_path(str(IMAGES / "first_pages.py"))["main"](str(results), str(folder))
+    for name in ("report.webp", "report_dark.webp", "tuned_path.png", "tuned_walk.webp"):
+        kept, drawn = (Image.open(path / name).convert("L") for path in (IMAGES, folder))
+        assert kept.height / kept.width == pytest.approx(drawn.height / drawn.width, rel=0.03), name
+        coarse = [np.asarray(picture.resize((11, 24)), float) for picture in (kept, drawn)]
+        assert np.abs(coarse[0] - coarse[1]).mean() < 4, name  # of 255
