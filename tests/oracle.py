@@ -536,7 +536,7 @@ def again(walk, law=None):
             "sensor_lost": np.zeros(body.limbs, bool) if watch is None else watch.lost,
             "base_reference": wanted, "base_displacement": command[3],
             "base_wrench": wrench, "push": push + by_touch, "cargo_mass": cargo, "center_of_mass": com, "tsm": tsm,
-            "gia_margin": gia,
+            "gia_margin": gia, "ground_normal": np.tile(Z, (body.limbs, 1)),
         })  # fmt: skip
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 

@@ -1,17 +1,19 @@
-"""How large a push a walk survives: case 2 under pd and load transfer, each with and without recovery.
+"""How large a push a walk survives: case 2 under four laws, each with and without recovery.
 
-    python docs/studies/recovery.py results/recovery [--draws 64] [--seconds 8]
+    python docs/studies/recovery.py results/recovery [--only ideal-pd] [--draws 16] [--seconds 8]
 
-A walk survives if no grip is torn off and the walk does not diverge. Each draw is a direction and a time of one push
-on the base; every walk of a row meets the same draws, at each impulse. Thresholds of the recovery are chosen
-on draws of their own: those with which most walks survive. `survived.csv` has the shares, `half.csv` the impulse at
-which half of the walks survive, with an interval over resampled draws.
+A walk survives if no grip is torn off and the walk does not diverge. Each draw is a time of one push on the base, up
+off the ground, down, sideways or ahead; every walk of a row meets the same draws, at each impulse. Thresholds of the
+recovery are chosen on draws of their own: those with which most walks survive. A file `NAME.json` of each row has
+which walks survived. `--tables` alone gathers them: `survived.csv` has the shares, `half.csv` the impulse at which
+half of the walks survive, with an interval over resampled draws, for all directions and each.
 """
 
 import argparse
 import csv
 import dataclasses
 import itertools
+import json
 import time
 from pathlib import Path
 
@@ -23,11 +25,13 @@ from mjx_climb.gait.recovery import Recovery
 from mjx_climb.inputs.from_scenario import own_parameters
 from tuning.gains import gains_file
 
-LENGTHS = {"0.2 s": 0.2}  # of a push
+LENGTHS = {"0.2 s": 0.2, "1 s": 1.0}  # of a push
 GRAVITY = {"1e-6 G": 9.81e-6, "1/6 G": 9.81 / 6}
 HARDWARE = ("ideal", "dynamixel_x")
-GAINS = {"pd": "pd", "load_transfer": "best"}
-IMPULSES = np.geomspace(0.25, 16.0, 19)  # N s
+# files of gains; None: those of the config
+GAINS = {"pd": None, "retuned_pd": "case_2_pd", "base_admittance": "case_2", "load_transfer": "case_2_best"}
+DIRECTIONS = {"up": (0, 0, 1.0), "down": (0, 0, -1.0), "sideways": (0, 1.0, 0), "ahead": (1.0, 0, 0)}
+IMPULSES = np.geomspace(1.5, 32.0, 8)  # N s
 THRESHOLDS = {
     "shift": (0.005, 0.015, 0.04, np.inf),
     "utilization": (0.3, 0.6, 0.9, np.inf),
@@ -42,19 +46,25 @@ def walker(hardware: str, law: str, seconds: float) -> tuple[mc.Simulation, obje
     """Return the simulation of a row, and its gains."""
     scenario = mc.load_scenario("configs/case_2.yaml")
     scenario = scenario.with_overrides({"duration": seconds, "gait.planning_period": PERIOD})
-    file = f"configs/gains/dynamixel_x_case_2_{GAINS[law]}.yaml"
     if hardware != "ideal":
         section = yaml.safe_load(Path(f"configs/hardware/{hardware}.yaml").read_text())["hardware"]
         scenario = scenario.with_overrides({"hardware": section})
-    own = gains_file.whole(file, scenario)
+    if (file := GAINS[law]) is None:
+        return mc.Simulation(scenario.with_overrides({"control.controller": law})), None
+    own = gains_file.whole(f"configs/gains/dynamixel_x_{file}.yaml", scenario)
     return mc.Simulation(scenario, own.law), own.gains
 
 
 def drawn(count: int, seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions (draw, 3) over the sphere and times (draw,) s of pushes."""
+    """Return directions (direction * draw, 3) and times (direction * draw,) s of pushes; half of those sideways right.
+
+    All directions have the same times.
+    """
     rng = np.random.default_rng(seed)
-    way = rng.normal(size=(count, 3))
-    return way / np.linalg.norm(way, axis=1, keepdims=True), rng.uniform(0.5, seconds - 2.0, count).round(3)
+    start = rng.uniform(0.5, seconds - 2.0, count).round(3)
+    way = np.repeat([*DIRECTIONS.values()], count, axis=0)
+    way[:, 1] *= np.tile(np.where(np.arange(count) % 2, -1.0, 1.0), len(DIRECTIONS))
+    return way, np.tile(start, len(DIRECTIONS))
 
 
 def survived(
@@ -86,9 +96,9 @@ def half(share: np.ndarray, impulses: np.ndarray) -> float:
 
 
 def interval(alive: np.ndarray, impulses: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 95% interval of `half` over resampled draws; `alive` (impulse, draw)."""
-    count = alive.shape[1]
-    found = [half(alive[:, rng.integers(0, count, count)].mean(1), impulses) for _ in range(1000)]
+    """Return the 95% interval of `half` over resampled times of pushes; `alive` (impulse, direction, draw)."""
+    count = alive.shape[2]
+    found = [half(alive[..., rng.integers(0, count, count)].mean((1, 2)), impulses) for _ in range(1000)]
     return tuple(np.quantile(found, [0.025, 0.975]).tolist())
 
 
@@ -96,50 +106,73 @@ def best_of(simulation: mc.Simulation, gains: object, seconds: float, count: int
     """Return for each of `KINDS` the thresholds with which most walks of draws of their own survive."""
     settings = [dict(zip(THRESHOLDS, each, strict=True)) for each in itertools.product(*THRESHOLDS.values())]
     columns = {name: np.array([each[name] for each in settings]).reshape(-1, 1, 1, 1, 1) for name in THRESHOLDS}
-    alive = survived(simulation, gains, drawn(count, seconds, 1), IMPULSES[3::3], Recovery(**columns))
+    alive = survived(simulation, gains, drawn(count, seconds, 1), IMPULSES[1:6], Recovery(**columns))
     score = alive.mean((3, 4)).reshape(len(settings), -1)
     for number, kind in enumerate(KINDS):
-        order = np.argsort(-score[:, number])[:3]
+        order = np.argsort(-score[:, number], kind="stable")[:3]
         print(" ", *kind, *(f"{settings[n]} {score[n, number]:.3f}" for n in order), sep="\n    ", flush=True)
     return [settings[int(n)] for n in score.argmax(0)]
 
 
+def walk_row(out: Path, hardware: str, law: str, draws: int, seconds: float) -> None:
+    """Walk a row without and with recovery, and write which walks survived."""
+    simulation, gains = walker(hardware, law, seconds)
+    pushes, sizes = drawn(draws, seconds, 2), (len(GRAVITY), len(LENGTHS), 1, 1)
+    chosen = best_of(simulation, gains, seconds, max(2, draws // 2))
+    columns = {name: np.array([each[name] for each in chosen]).reshape(sizes) for name in THRESHOLDS}
+    alive = {
+        name: survived(simulation, gains, pushes, IMPULSES, recovery).astype(int).tolist()
+        for name, recovery in (("none", None), ("recovery", Recovery(**columns)))
+    }
+    row = {"hardware": hardware, "law": law, "chosen": chosen, "alive": alive}
+    (out / f"{hardware}-{law}.json").write_text(json.dumps(row) + "\n")
+
+
+def write_tables(out: Path) -> None:
+    """Write the tables of all rows that have been walked."""
+    shares, halves, rng = [], [], np.random.default_rng(0)
+    for hardware, law in itertools.product(HARDWARE, GAINS):
+        if not (file := out / f"{hardware}-{law}.json").exists():
+            continue
+        found = json.loads(file.read_text())
+        for (number, kind), recovery in itertools.product(enumerate(KINDS), found["alive"]):
+            place = np.unravel_index(number, (len(GRAVITY), len(LENGTHS)))
+            alive = np.array(found["alive"][recovery])[place].reshape(len(IMPULSES), len(DIRECTIONS), -1)
+            row = {"hardware": hardware, "gravity": kind[0], "push": kind[1], "law": law, "recovery": recovery}
+            settings = found["chosen"][number]
+            used = settings if recovery != "none" else dict.fromkeys(settings, "")
+            for n, direction in [(slice(None), "all"), *((slice(n, n + 1), way) for n, way in enumerate(DIRECTIONS))]:
+                own = alive[:, n]
+                low, high = interval(own, IMPULSES, rng)
+                middle, each = half(own.mean((1, 2)), IMPULSES), {**row, "direction": direction}
+                halves.append({**each, "half": f"{middle:.3g}", "low": f"{low:.3g}", "high": f"{high:.3g}", **used})
+                counts = zip(IMPULSES, own.sum((1, 2)), strict=True)
+                of = own[0].size
+                shares += [{**each, "impulse": f"{i:.4g}", "survived": int(k), "of": of} for i, k in counts]
+    for name, rows in (("survived.csv", shares), ("half.csv", halves)):
+        with (out / name).open("w", newline="") as target:
+            writer = csv.DictWriter(target, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
 def main() -> None:
-    """Walk all rows and write both tables."""
+    """Walk the rows and write both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--draws", type=int, default=64)
+    parser.add_argument("--draws", type=int, default=16, help="of each direction")
     parser.add_argument("--seconds", type=float, default=8.0)
-    parser.add_argument("--only", default="", help="rows whose hardware and law have this in them, as ideal-pd")
+    parser.add_argument("--only", help="the row of this hardware and law, as ideal-pd, and no table")
+    parser.add_argument("--tables", action="store_true", help="walk nothing")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    shares, halves, rng, begun = [], [], np.random.default_rng(0), time.time()
-    draws, sizes = drawn(asked.draws, asked.seconds, 2), (len(GRAVITY), len(LENGTHS), 1, 1)
+    begun = time.time()
     for hardware, law in itertools.product(HARDWARE, GAINS):
-        if asked.only not in f"{hardware}-{law}":
-            continue
-        print(f"{hardware}, {law}, {time.time() - begun:.0f} s", flush=True)
-        simulation, gains = walker(hardware, law, asked.seconds)
-        alive = {"none": survived(simulation, gains, draws, IMPULSES, None)}
-        chosen = best_of(simulation, gains, asked.seconds, max(8, asked.draws // 4))
-        columns = {name: np.array([each[name] for each in chosen]).reshape(sizes) for name in THRESHOLDS}
-        alive["recovery"] = survived(simulation, gains, draws, IMPULSES, Recovery(**columns))
-        for recovery, (kind, settings, place) in itertools.product(
-            alive, zip(KINDS, chosen, np.ndindex(sizes[:2]), strict=True)
-        ):
-            own = alive[recovery][place]
-            row = {"hardware": hardware, "gravity": kind[0], "push": kind[1], "law": law, "recovery": recovery}
-            each = zip(IMPULSES, own.sum(1), strict=True)
-            shares += [{**row, "impulse": f"{i:.4g}", "survived": int(n), "of": own.shape[1]} for i, n in each]
-            low, high = interval(own, IMPULSES, rng)
-            middle, used = half(own.mean(1), IMPULSES), settings if recovery != "none" else dict.fromkeys(settings, "")
-            halves.append({**row, "half": f"{middle:.3g}", "low": f"{low:.3g}", "high": f"{high:.3g}", **used})
-            print(f"  {', '.join(kind)}, {recovery}: {middle:.3g} N s ({low:.3g} to {high:.3g})", flush=True)
-        for file, rows in (("survived.csv", shares), ("half.csv", halves)):
-            with (asked.out / file).open("w", newline="") as target:
-                writer = csv.DictWriter(target, list(rows[0]), lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(rows)
+        if asked.only in (None, f"{hardware}-{law}") and not asked.tables:
+            print(f"{hardware}, {law}, {time.time() - begun:.0f} s", flush=True)
+            walk_row(asked.out, hardware, law, asked.draws, asked.seconds)
+    if asked.only is None:
+        write_tables(asked.out)
 
 
 if __name__ == "__main__":

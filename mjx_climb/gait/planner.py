@@ -16,6 +16,7 @@ from jax import Array
 from jax.lax import stop_gradient
 from jaxtyping import PyTree
 
+from mjx_climb.arrays import Tree
 from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
 from mjx_climb.gait.footholds.footholds import AHEAD, SAME, Candidate, Footholds, Prospects, Situation, pulls
@@ -33,16 +34,20 @@ from mjx_climb.gait.schedule import (
 from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.ground import Holds
 from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics
+from mjx_climb.physics.kinematics import UP, Surface
 from mjx_climb.physics.spatial import norm
 from mjx_climb.robot.constants import Robot
 
 _ALONG = 1e-4  # sine of the angle of directions that count as along each other
+_NEAR = 0.1  # share of a swing within which the foot is near its hold: some 3 % of the way
+_TINY = 1e-9  # N
 _ROUNDS = 4  # of inverse kinematics without a closed form, from the rest stance
 
 
-class Limits(NamedTuple):
-    """Forces f that holds bear, of the ground on the foot, world axes: `rows f <= bound`."""
+class Held(NamedTuple):
+    """The holds of limbs; they bear forces f of the ground on the foot, world axes, with `rows f <= bound`."""
 
+    normal: Array  # (limb, 3) 1, unit, out of the ground
     rows: Array  # (limb, m, 3)
     bound: Array  # (limb, m) N
 
@@ -83,29 +88,37 @@ class Progress(NamedTuple):
     offset_since: Array  # () the gait's time since which it shrinks
     force: Array  # (limb, 3) N, on the feet at the last tick
     interruptions: Array  # () number of interruptions
-    limits: Limits | None = None  # of the holds at the goals; None: holds have none
+    held: Held | None = None  # at the goals; None: there are no holds
+    left: Array | None = None  # (limb, 3) 1, normals of the ground where the last swings began
 
 
 def begin(planner: Planner, base_position: Array) -> Progress:
     """Return the progress of a robot that stands on its first footholds and has not swung."""
     plan, zero = planner.plan, jnp.zeros_like(planner.plan.cycle_steps)
     feet, limbs = first_footholds(plan), jnp.zeros_like(plan.swing_offset)
+    held = _no_holds(planner.holds, feet)
     begun = plan.swing_offset - 2 * plan.cycle_steps
     return Progress(
         step=zero, clock=zero, running=zero + 1, resumes=zero, start=feet, goal=feet, below=feet[:, 2], begun=begun,
         span=limbs + plan.swing_steps, rise=limbs + plan.step_height, touched=begun + plan.swing_steps,
         base_start=base_position, base_goal=base_position, base_begun=zero, offset=jnp.zeros_like(base_position),
-        offset_since=zero, force=jnp.zeros_like(feet), interruptions=zero, limits=_no_limits(planner.holds, feet),
+        offset_since=zero, force=jnp.zeros_like(feet), interruptions=zero, held=held,
+        left=None if held is None else held.normal,
     )  # fmt: skip
 
 
-def _no_limits(holds: Holds | None, feet: Array) -> Limits | None:
-    """Return the limits of feet (limb, 3) that stand on no hold, None where no hold has one."""
-    rows = 0 if holds is None else holds.limit_bound.shape[1]
-    if not rows:
+def _no_holds(holds: Holds | None, feet: Array) -> Held | None:
+    """Return what feet (limb, 3) m hold that stand on level ground without limits; None where there are no holds."""
+    if holds is None:
         return None
+    rows = holds.limit_bound.shape[1]
     bound = jnp.full_like(feet, jnp.inf, shape=(len(feet), rows))
-    return Limits(jnp.zeros_like(feet, shape=(len(feet), rows, 3)), bound)
+    return Held(_up(feet), jnp.zeros_like(feet, shape=(len(feet), rows, 3)), bound)
+
+
+def _up(feet: Array) -> Array:
+    """Return the normals (limb, 3) of level ground."""
+    return jnp.broadcast_to(jnp.array(UP, feet.dtype), feet.shape)
 
 
 # --- between ticks
@@ -143,12 +156,46 @@ def ground_at(progress: Progress, now: Schedule) -> Array:
     return jnp.where(now.swing_phase < 0.5, progress.below, progress.goal[:, 2])
 
 
-def overloaded(progress: Progress, now: Schedule, foot_force: Array) -> Array:
+def surface_at(planner: Planner, progress: Progress, now: Schedule) -> Surface | None:
+    """Return the planes of the ground at the feet; None where there are no holds.
+
+    That of a hold counts near it alone: at the beginning and the end of a swing. Between them the ground is level.
+    """
+    if progress.held is None or progress.left is None:
+        return None
+    phase = now.swing_phase / (1 - planner.plan.settling)
+    first, last = (phase < _NEAR)[:, None], (phase >= 1 - _NEAR)[:, None]
+    normal = jnp.where(last, progress.held.normal, jnp.where(first, progress.left, _up(progress.goal)))
+    place = jnp.where(first, progress.start, progress.goal)
+    return Surface(jnp.concatenate([place[:, :2], ground_at(progress, now)[:, None]], axis=1), normal)
+
+
+def share_of_limits(held: Held, now: Schedule, foot_force: Array) -> Array:
+    """Return the largest share of a hold's limit that forces (limb, 3) N of the ground on the feet use up, (limb,)."""
+    used = (held.rows * foot_force[:, None]).sum(2)
+    # a limit of 0 is passed by any force
+    share = jnp.where(used > 0, used / jnp.maximum(held.bound, _TINY), 0.0).max(1, initial=0.0)
+    return jnp.where(now.swing_phase >= 1, share, 0.0)
+
+
+def overloaded(held: Held, now: Schedule, foot_force: Array) -> Array:
     """Return which holds bear less than forces of the ground on the feet, (limb, 3) N, (limb,) bool."""
-    if progress.limits is None:
-        return jnp.zeros_like(now.closed)
-    used = (progress.limits.rows * foot_force[:, None]).sum(2)
-    return (now.swing_phase >= 1) & (used > progress.limits.bound).any(1)
+    used = (held.rows * foot_force[:, None]).sum(2)
+    return (now.swing_phase >= 1) & (used > held.bound).any(1)
+
+
+def pulls_of_feet(progress: Progress, now: Schedule, surface: Surface | None, holding_force: Array) -> Array:
+    """Return the pulls that margins may count on, () N; on holds (limb, 3) N, each foot's times its hold's normal.
+
+    `holding_force` () N is that of the contact; 0: it names none, and that of the hold counts.
+    """
+    if progress.held is None or surface is None:
+        return holding_force
+    down = -(progress.held.rows * surface.normal[:, None]).sum(2)
+    most = jnp.where(down > 0, progress.held.bound / jnp.where(down > 0, down, 1.0), jnp.inf).min(1, initial=jnp.inf)
+    most = jnp.where(now.swing_phase >= 1, most, jnp.inf)
+    most = jnp.minimum(most, jnp.where(holding_force > 0, holding_force, jnp.inf))
+    return jnp.where(jnp.isfinite(most), most, 0.0)[:, None] * surface.normal
 
 
 def reference_at(
@@ -262,8 +309,10 @@ def _lifted_off(
     chosen, goal, height = situation.planned, progress.goal, progress.goal[:, 2]
     if planner.rule is not None and planner.holds is not None:
         situation = situation._replace(stands=~lifts)
-        chosen, limits = choose(planner, planner.rule, planner.holds, situation, base, ways, progress.limits)
-        progress = progress._replace(limits=_of_some(lifts, limits, progress.limits))
+        chosen, held = choose(planner, planner.rule, planner.holds, situation, base, ways, progress.held)
+        if progress.held is not None:
+            height = grip_point[:, 2]
+            progress = _with_holds(progress, lifts, held, progress.held.normal)
     each = lifts[:, None]
     goal = jnp.where(each, chosen, goal)
     progress = progress._replace(
@@ -333,18 +382,18 @@ def choose(
     situation: Situation,
     base: tuple[Array, Array],
     ways: tuple[Array, Array],
-    limits: Limits | None,
-) -> tuple[Array, Limits | None]:
-    """Return the hold that each limb would swing to, (limb, 3) m, and its limits; where it stands, if it reaches none.
+    held: Held | None,
+) -> tuple[Array, Held | None]:
+    """Return where each limb would swing to, (limb, 3) m, and the hold there; where it stands, if it reaches none.
 
     Arguments:
         base: position (3,) m and rotation (3, 3) of the base, now.
         ways: (3,) m each, of the base until the touchdown and until the next lift-off: limbs reach a hold from both.
-        limits: of the holds where limbs stand.
+        held: where limbs stand.
     """
 
-    def score(position: Array, pull: Array) -> Array:
-        return rule.score(situation, Candidate(position, pull))
+    def score(position: Array, one: Candidates) -> Array:
+        return rule.score(situation, Candidate(position, one.pull))
 
     def allowed(position: Array) -> Array:
         return _allowed(planner, situation, base, ways, position)
@@ -353,7 +402,7 @@ def choose(
         return jnp.broadcast_to(position, situation.feet.shape)
 
     each = Candidates.of(holds, situation.holding_force)
-    return _best(score, allowed, of_all, each, (situation.feet, limits), situation.weight)
+    return _best(score, allowed, of_all, each, (situation.feet, held), situation.weight)
 
 
 def _allowed(
@@ -404,61 +453,65 @@ class Candidates(NamedTuple):
     vector: Array  # (n, 3), what makes the limbs' points
     pull: Array  # (n,) N, that they bear along their normals
     valid: Array  # (n,) bool
-    normal: Array | None = None  # (n, 3), where holds have limits
-    matrix: Array | None = None  # (n, m, 3) 1, of forces in the holds' axes
-    bound: Array | None = None  # (n, m) N
+    holds: tuple[Array, Array, Array] | None = None  # (n, 3) normals, (n, m, 3) and (n, m) N, limits in their axes
 
     @classmethod
     def of(cls, holds: Holds, holding_force: Array) -> "Candidates":
         """The holds of a ground, with the pull of a grip () N where they have no limits."""
-        limits = (holds.normal, holds.limit_matrix, holds.limit_bound) if holds.limit_bound.shape[1] else ()
-        return cls(holds.position, pulls(holds, holding_force), holds.valid > 0, *limits)
+        each = holds.normal, holds.limit_matrix, holds.limit_bound
+        return cls(holds.position, pulls(holds, holding_force), holds.valid > 0, each)
 
 
 def _best(
-    score: Callable[[Array, Array], Array],
+    score: Callable[[Array, Candidates], Array],
     allowed: Callable[[Array], Array],
     of_limbs: Callable[[Array], Array],
     candidates: Candidates,
-    otherwise: tuple[Array, Limits | None],
+    otherwise: tuple[Array, Held | None],
     weight: Array,
-) -> tuple[Array, Limits | None]:
-    """Return the points of the largest score, (limb, 3) m, of several the first, and the limits of these holds.
+) -> tuple[Array, Held | None]:
+    """Return the points of the largest score, (limb, 3) m, of several the first, and the holds there.
 
     Arguments:
-        score: of points (limb, 3) m that bear a pull () N, (limb,).
+        score: of points (limb, 3) m of a candidate, (limb,).
         allowed: whether points may be chosen, (limb,) bool.
         of_limbs: gives the points (limb, 3) m at which the limbs would hold a candidate at (3,) m.
-        otherwise: points and limits where none is allowed.
+        otherwise: points and holds where none is allowed.
         weight: (3,) N, by which holds have their axes.
     """
 
-    def look(best: tuple[Array, Array, Limits | None], one: Candidates) -> tuple[PyTree, None]:
-        worth, place, limits = best
+    def look(best: tuple[Array, Array, PyTree], one: Candidates) -> tuple[PyTree, None]:
+        worth, place, found_hold = best
         position = of_limbs(one.vector)
         frozen = stop_gradient(position)
-        found = stop_gradient(jnp.where(allowed(frozen) & one.valid, score(frozen, one.pull), -jnp.inf))
+        found = stop_gradient(jnp.where(allowed(frozen) & one.valid, score(frozen, one), -jnp.inf))
         better = found > worth
-        own = None
-        if one.normal is not None and one.matrix is not None and one.bound is not None:
-            own = Limits(one.matrix @ hold_axes(one.normal, weight).T, one.bound)
-        return (
-            jnp.where(better, found, worth),
-            jnp.where(better[:, None], position, place),
-            _of_some(better, own, limits),
-        ), None
+        place, found_hold = _of_some(better, (position, one.holds), (place, found_hold))
+        return (jnp.where(better, found, worth), place, found_hold), None
 
-    worst = jnp.full_like(otherwise[0][:, 0], -jnp.inf)
-    (_, place, limits), _ = jax.lax.scan(look, (worst, *otherwise), candidates)
-    return place, limits
+    place, held = otherwise
+    worst, before = jnp.full_like(place[:, 0], -jnp.inf), None
+    if candidates.holds is not None:
+        before = tuple(jnp.zeros_like(each, shape=(len(place), *each.shape[1:])) for each in candidates.holds)
+    (worth, place, hold), _ = jax.lax.scan(look, (worst, place, before), candidates)
+    if held is None or hold is None:
+        return place, held
+    normal, matrix, bound = hold
+    axes = jnp.stack([hold_axes(each, weight) for each in normal])
+    return place, _of_some(worth > -jnp.inf, Held(normal, matrix @ axes.mT, bound), held)
 
 
-def _of_some(some: Array, new: Limits | None, old: Limits | None) -> Limits | None:
-    """Return limits of which those of some limbs (limb,) are new."""
-    if new is None or old is None:
-        return old
-    each = some[:, None]
-    return Limits(jnp.where(each[..., None], new.rows, old.rows), jnp.where(each, new.bound, old.bound))
+def _of_some(some: Array, new: Tree, old: Tree) -> Tree:
+    """Return trees of arrays with the limbs in front, of which those of some limbs (limb,) are new."""
+    each: Tree = jax.tree.map(lambda a, b: jnp.where(some.reshape(-1, *[1] * (b.ndim - 1)), a, b), new, old)
+    return each
+
+
+def _with_holds(progress: Progress, some: Array, held: Held | None, left: Array | None) -> Progress:
+    """Return the progress in which some limbs (limb,) swing to holds, from ground of normals (limb, 3)."""
+    if progress.held is None or progress.left is None or held is None or left is None:
+        return progress
+    return progress._replace(held=_of_some(some, held, progress.held), left=_of_some(some, left, progress.left))
 
 
 def hold_axes(normal: Array, weight: Array) -> Array:
@@ -503,15 +556,22 @@ def _interrupted(
     time_step, offset = planner.time_step, _offset_at(planner, progress, at)
     rate = (body.foot_force - progress.force) / (planner.period * time_step)
     shift = base[0] - reference.base_position
-    stops = interrupts(recovery, danger(recovery, body, rate, shift)) & (at > 0)
+    near = danger(recovery, body, rate, shift)
+    if progress.held is not None:
+        force = body.foot_force + recovery.lead_time * rate
+        share = jnp.where(body.support, share_of_limits(progress.held, now, force), 0.0).max()
+        near = near._replace(utilization=jnp.maximum(near.utilization, share))
+    stops = interrupts(recovery, near) & (at > 0)
     landing_steps = jnp.ceil(recovery.landing_time / time_step) + 1
     left = progress.span - (at - progress.begun)
     lands = ~now.closed & stops & (left > landing_steps)
     ground = ground_at(progress, now)
 
-    def score(position: Array, pull: Array) -> Array:
-        stopping = body._replace(holding_force=jnp.minimum(body.holding_force, pull))
-        worth = stopping_margin(recovery, stopping, lands, position)
+    def score(position: Array, one: Candidates) -> Array:
+        pull = jnp.minimum(body.holding_force, one.pull)
+        if one.holds is not None:
+            pull = jnp.where(lands[:, None], pull * one.holds[0], body.pull)
+        worth = stopping_margin(recovery, body._replace(pull=pull), lands, position)
         # of equal ones the nearest
         return worth - 1e-6 * jnp.sum((position - reference.foot_position) ** 2, axis=1)
 
@@ -523,12 +583,13 @@ def _interrupted(
         ways = ways_beside(below.dtype) * recovery.reach
         pull = jnp.broadcast_to(body.holding_force, ways.shape[:1])
         each = Candidates(ways, pull, jnp.ones(ways.shape[:1], bool))
-        place, limits = _best(score, allowed, lambda way: below + way, each, (below, progress.limits), body.weight)
+        place, held = _best(score, allowed, lambda way: below + way, each, (below, progress.held), body.weight)
     else:
-        each, now_there = Candidates.of(planner.holds, body.holding_force), (progress.goal, progress.limits)
-        place, limits = _best(
+        each, now_there = Candidates.of(planner.holds, body.holding_force), (progress.goal, progress.held)
+        place, held = _best(
             score, allowed, lambda point: jnp.broadcast_to(point, below.shape), each, now_there, body.weight
         )
+    progress = _with_holds(progress, lands, held, _up(below))
     one = lands[:, None]
     stood_still = progress.resumes > at
     return progress._replace(
@@ -541,6 +602,5 @@ def _interrupted(
         rise=jnp.where(lands, 0.0, progress.rise),
         offset=jnp.where(stops, offset + recovery.take_over * shift, progress.offset),
         offset_since=jnp.where(stops, clock, progress.offset_since),
-        limits=_of_some(lands, limits, progress.limits),
         interruptions=progress.interruptions + jnp.where(stops & ~stood_still, 1.0, 0.0),
     )

@@ -50,6 +50,8 @@ class Body(NamedTuple):
     support: Array  # (limb,) bool
     foot_force: Array  # (limb, 3) N
     holding_force: Array  # () N, pull that a grip bears; 0: any, or none
+    normal: Array  # (limb, 3) 1, of the ground at the feet
+    pull: Array  # () N, that margins may count on; on holds (limb, 3), times their normals
 
 
 def danger(recovery: Recovery, body: Body, force_rate: Array, shift: Array) -> Danger:
@@ -60,10 +62,10 @@ def danger(recovery: Recovery, body: Body, force_rate: Array, shift: Array) -> D
         shift: (3,) m, of the base from its reference.
     """
     force = body.foot_force + recovery.lead_time * force_rate
-    pulled, limited = body.support & (force[:, 2] < 0), body.holding_force > 0
+    pulled, limited = body.support & ((force * body.normal).sum(1) < 0), body.holding_force > 0
     used = norm(force) / jnp.where(limited, body.holding_force, 1.0)
     axes = support_axes(body.feet, body.support)
-    margin = gia_margin(axes, body.center_of_mass, body.foot_force.sum(0), body.mass, body.holding_force)
+    margin = gia_margin(axes, body.center_of_mass, body.foot_force.sum(0), body.mass, body.pull)
     return Danger(norm(shift), jnp.where(pulled & limited, used, 0.0).max(), margin)
 
 
@@ -93,4 +95,4 @@ def stopping_margin(recovery: Recovery, body: Body, landing: Array, position: Ar
     time = jnp.maximum(recovery.landing_time, 1e-3)
     force = -body.weight - body.mass * body.velocity / time
     middle = body.center_of_mass + body.velocity * time / 2
-    return tumbling_moment(support_axes(feet, support), (force, jnp.cross(middle, force)), body.holding_force)
+    return tumbling_moment(support_axes(feet, support), (force, jnp.cross(middle, force)), body.pull)

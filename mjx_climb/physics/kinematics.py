@@ -13,6 +13,8 @@ from mjx_climb.physics.spatial import quaternion_to_matrix, turn_about_z
 from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot
 
+UP = (0.0, 0.0, 1.0)  # normal of the ground, where there are no holds
+
 
 class LinkPose(NamedTuple):
     """Each link's frame in that of its parent."""
@@ -36,12 +38,27 @@ class JointAxes(NamedTuple):
     linear: AnyArray | None  # (limb, joint, 3), zero for revolute joints; None: no joint slides
 
 
+class Surface(NamedTuple):
+    """The planes of the ground at the feet, in world axes."""
+
+    point: Array  # (limb, 3) m, on it
+    normal: Array  # (limb, 3) 1, unit, out of the ground
+
+
 class Feet(NamedTuple):
     """Position and velocity of the feet, in world axes."""
 
     position: Array  # (limb, 3) m
     velocity: Array  # (limb, 3) m/s, of the foot point itself
     lever: Array  # (limb, 3) m, from the base's centre of mass to the foot
+    surface: Surface | None = None  # of the holds; None: z is the normal everywhere
+
+
+def ground_normal(feet: Feet) -> Array:
+    """Return the normals of the ground at the feet, (limb, 3)."""
+    if feet.surface is not None:
+        return feet.surface.normal
+    return jnp.broadcast_to(jnp.array(UP, feet.position.dtype), feet.position.shape)
 
 
 class Turning(NamedTuple):

@@ -48,6 +48,16 @@ def support_axes(foot_position: Array, support: Array) -> Axes:
     return Axes(polygon, foot_position, end, held[:, 1:], normal)
 
 
+def _moments_of_pulls(axes: Axes, pull: Array) -> Array:
+    """Return the moments of pulls (limb, 3) N at feet off an axis, times its length, (limb, other) N m^2.
+
+    A pull F along a hold's normal n has about the axis the moment `F n . N`, where N is the normal of the triangle. One
+    that could only tip the robot is 0.
+    """
+    others = jnp.stack([jnp.roll(pull, -s, axis=0) for s in range(2, len(pull))], axis=1)
+    return jnp.where(axes.held, jnp.maximum((others * axes.normal).sum(-1), 0.0), 0.0)
+
+
 def tumbling_moment(axes: Axes, net_wrench: tuple[Array, Array], holding_force: Array) -> Array:
     """Return the smallest moment () N m that keeps the robot from tumbling over an axis of the support polygon.
 
@@ -60,12 +70,17 @@ def tumbling_moment(axes: Axes, net_wrench: tuple[Array, Array], holding_force: 
     tumbling = direction @ net_moment + cross(axes.end, axes.start) @ net_force
     # Only the gripper with the longest arm counts. F_hold acts along its triangle's normal, so its arm is its
     # distance from the axis; one across the axis (concave polygon, n_z < 0) could only tip and does not pull.
-    pulls = axes.held & (axes.normal[..., 2] > 0.0)
-    arms = jnp.where(pulls, norm(axes.normal), 0.0)
+    # On holds it acts along their normals.
+    if on_holds := holding_force.ndim > 0:
+        arms = _moments_of_pulls(axes, holding_force)
+    else:
+        pulls = axes.held & (axes.normal[..., 2] > 0.0)
+        arms = jnp.where(pulls, norm(axes.normal), 0.0)
     # of two feet none is off the axis, and JAX has no tangent of a maximum over nothing
     longest = (arms.max(1, initial=0.0) if arms.shape[1] else jnp.zeros_like(length)) / length
     # ClimbLab's M_ab = tumbling / length - holding is negative while the axis is stable.
-    return _smallest_over_axes(holding_force * longest - tumbling / length, axes)
+    holding = longest if on_holds else holding_force * longest
+    return _smallest_over_axes(holding - tumbling / length, axes)
 
 
 def tumble_stability_margin(
@@ -74,7 +89,7 @@ def tumble_stability_margin(
     """Return the tumble stability margin () in m, after Yoneda & Hirose (1996), with grippers that hold.
 
     `net_wrench` is that of `net_external_wrench`; `mass` () kg with cargo; `gravity` () m/s^2, its magnitude;
-    `holding_force` () N.
+    `holding_force` () N, or on holds (limb, 3) N: each foot's pull times the normal of its hold.
 
     The smallest moment |M_ab| that keeps the robot from tumbling over an axis of the support polygon, over m g; zero
     once it tumbles over any, and with fewer than three supporting feet. Without gravity a stable robot's is infinite.
@@ -94,7 +109,10 @@ def gia_margin(axes: Axes, center_of_mass: Array, net_force: Array, mass: Array,
     grippers widen the polyhedron. `center_of_mass` (3,) m; the others as of `tumble_stability_margin`.
     """
     normal = cross(center_of_mass - axes.start, center_of_mass - axes.end)
-    holding = holding_force * jnp.where(axes.held, axes.normal[..., 2], 0.0).sum(1)
+    if holding_force.ndim:
+        holding = _moments_of_pulls(axes, holding_force).sum(1)
+    else:
+        holding = holding_force * jnp.where(axes.held, axes.normal[..., 2], 0.0).sum(1)
     return _smallest_over_axes((holding + normal @ net_force) / (mass * norm(normal, at_zero=1.0)), axes)
 
 

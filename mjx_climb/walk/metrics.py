@@ -238,8 +238,9 @@ def foot_forces(sample: Sample, _: Context) -> Array:
 
 
 def _pull_forces(sample: Sample, context: Context) -> Array:
-    """Return the sizes of the foot forces where the ground pulls a supporting foot down, else 0, (limb,) N."""
-    return jnp.where(sample.support & (sample.foot_force[:, 2] < 0), foot_forces(sample, context), 0.0)
+    """Return the sizes of the foot forces where the ground pulls a supporting foot to itself, else 0, (limb,) N."""
+    pulled = (sample.foot_force * sample.ground_normal).sum(1) < 0
+    return jnp.where(sample.support & pulled, foot_forces(sample, context), 0.0)
 
 
 def _joint_limit_margins(sample: Sample, context: Context) -> Array:

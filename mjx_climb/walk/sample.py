@@ -21,7 +21,7 @@ from mjx_climb.disturbances.disturbance import External
 from mjx_climb.hardware.actuator import Drive
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.inverse_kinematics import JointSolution
-from mjx_climb.physics.kinematics import LimbFrames, center_of_mass
+from mjx_climb.physics.kinematics import UP, LimbFrames, center_of_mass, ground_normal
 from mjx_climb.physics.margins import gia_margin, net_external_wrench, support_axes, tumble_stability_margin
 from mjx_climb.physics.spatial import norm
 from mjx_climb.physics.state import Acceleration
@@ -32,9 +32,12 @@ from mjx_climb.walk.control_loop import Actual
 _Array = TypeVar("_Array")
 
 
-def quantity(unit: str, long_name: str) -> Any:
-    """Return the field of a quantity, whose annotation has its shape behind any batch axes."""
-    return dataclasses.field(metadata={"unit": unit, "long_name": long_name})
+def quantity(unit: str, long_name: str, *, unknown: tuple[float, ...] | float = np.nan) -> Any:
+    """Return the field of a quantity, whose annotation has its shape behind any batch axes.
+
+    `unknown` is its value where nobody knows it, as in files that are older than the quantity.
+    """
+    return dataclasses.field(metadata={"unit": unit, "long_name": long_name, "unknown": unknown})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -63,6 +66,7 @@ class Quantities(Generic[_Array]):
     foot_force: Float[_Array, "*batch limb 3"] = quantity("N", "force of the ground on the foot")
     foot_moment: Float[_Array, "*batch limb 3"] = quantity("N m", "moment of the ground on the foot")
     grip_point: Float[_Array, "*batch limb 3"] = quantity("m", "point where the foot grips or last gripped")
+    ground_normal: Float[_Array, "*batch limb 3"] = quantity("1", "normal of the ground at the foot", unknown=UP)
     support: Bool[_Array, "*batch limb"] = quantity("1", "the gripper is shut and holds")
     contact: Bool[_Array, "*batch limb"] = quantity("1", "the ground acts on the foot")
     detached: Bool[_Array, "*batch limb"] = quantity("1", "the gripper was torn off before")
@@ -94,15 +98,17 @@ DIMS = {field.name: tuple(dims_of(field.type).split()[1:]) for field in dataclas
 
 
 def unknown(steps: int, sizes: Mapping[str, int], dtype: DTypeLike = float) -> dict[str, np.ndarray]:
-    """Return all quantities over time without a value: NaN, and False of flags.
+    """Return all quantities over time without a value: NaN, of flags False, and the ground's normal up.
 
     Arguments:
         sizes: how many there are of "limb" and "joint".
     """
-    flags = {field.name for field in dataclasses.fields(Sample) if field.type.dtype is Bool}  # type: ignore[union-attr]
+    fields = dataclasses.fields(Sample)
+    flags = {field.name for field in fields if field.type.dtype is Bool}  # type: ignore[union-attr]
+    values = {field.name: field.metadata["unknown"] for field in fields}
     shapes = {name: [sizes.get(dim) or int(dim) for dim in dims] for name, dims in DIMS.items()}
     return {
-        name: np.full((steps, *shape), name not in flags and np.nan, bool if name in flags else dtype)
+        name: np.full((steps, *shape), name not in flags and values[name], bool if name in flags else dtype)
         for name, shape in shapes.items()
     }
 
@@ -122,7 +128,7 @@ class Step(NamedTuple):
     external: External
     acceleration: Acceleration
     sensor_lost: Array  # (limb,) bool
-    holding_force: Array  # () N, the pull that margins may count on
+    holding_force: Array  # () N, the pull that margins may count on; on holds (limb, 3), times their normals
 
 
 def sample_of(step: Step) -> Sample:
@@ -131,12 +137,14 @@ def sample_of(step: Step) -> Sample:
     push, cargo = step.external.base_wrench, step.external.cargo_mass
     com = center_of_mass(step.robot, step.frames, actual.state, cargo / step.parameters.mass_scale)
     tsm, gia = _stability_margins(step, com)
+    feet = actual.feet
     return Sample(
         time=step.time, **vars(actual.state), **actual.grip._asdict(),
         base_linear_acceleration=acceleration.base_linear, base_angular_acceleration=acceleration.base_angular,
         joint_accelerations=acceleration.joints, joint_torque=step.drive.motor_torque,
         joint_targets=step.joints.joint_angles, reachable=step.joints.reachable,
-        foot_position=actual.feet.position, foot_velocity=actual.feet.velocity, foot_target=step.command.foot_position,
+        foot_position=feet.position, foot_velocity=feet.velocity, foot_target=step.command.foot_position,
+        ground_normal=ground_normal(feet),
         sensor_lost=step.sensor_lost,
         base_reference=step.reference.base_position, base_displacement=step.command.base_displacement,
         base_wrench=actual.wrench, push=push, cargo_mass=cargo, center_of_mass=com, tsm=tsm, gia_margin=gia,

@@ -41,6 +41,7 @@ from mjx_climb.physics.kinematics import (
     center_of_mass,
     foot_kinematics,
     foot_turning,
+    ground_normal,
     limb_frames,
 )
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -201,7 +202,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
             robot=walk.robot, parameters=parameters, frames=frames, actual=actual, reference=reference,
             command=command, joints=joints, drive=drive, external=external, acceleration=acceleration,
             sensor_lost=no_sensor if watch is None else watch.lost,
-            holding_force=walk.holding_force,
+            holding_force=_pull(walk, carry, now, actual),
         )
     )  # fmt: skip
     after = integrate(state, acceleration, walk.structure.time_step)
@@ -225,10 +226,18 @@ def look_ahead(walk: Walk, carry: Carry, step: Array) -> Carry:
         mass=mass, center_of_mass=center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale),
         velocity=state.base_linear_velocity, weight=mass * jnp.asarray(parameters.gravity), feet=actual.feet.position,
         support=actual.grip.support, foot_force=actual.grip.foot_force, holding_force=walk.holding_force,
+        normal=ground_normal(actual.feet), pull=_pull(walk, carry, now, actual),
     )  # fmt: skip
     base = state.base_position, quaternion_to_matrix(state.base_orientation)
     progress = planning.tick(walk.planner, carry.progress, now, step, reference, base, actual.grip.grip_point, body)
     return carry._replace(progress=progress)
+
+
+def _pull(walk: Walk, carry: Carry, now: gait.Schedule, actual: control_loop.Actual) -> Array:
+    """Return the pulls that margins may count on, () N; on holds (limb, 3) N, times their normals."""
+    if carry.progress is None:
+        return walk.holding_force
+    return planning.pulls_of_feet(carry.progress, now, actual.feet.surface, walk.holding_force)
 
 
 def _schedule(walk: Walk, carry: Carry, step: Array) -> gait.Schedule:
@@ -247,15 +256,17 @@ def _reference(walk: Walk, carry: Carry, now: gait.Schedule, step: Array, start:
 
 def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> control_loop.Actual:
     """Return feet, contacts (paper Eq. 5) and the wrench of the feet on the base, `J_b^T F_e`, in a step."""
-    if carry.progress is None:
+    feet = foot_kinematics(walk.robot, frames, carry.state)
+    if walk.planner is None or carry.progress is None:
         ground = gait.foothold_height(walk.plan, now.foothold)
     else:
         ground = planning.ground_at(carry.progress, now)
-    feet = foot_kinematics(walk.robot, frames, carry.state)
+        feet = feet._replace(surface=planning.surface_at(walk.planner, carry.progress, now))
     turning = foot_turning(walk.robot, frames, carry.state) if walk.contact.transmits_moments else None
     contact, held = walk.contact.step(carry.contact, feet, turning, now.closed, ground)
-    if carry.progress is not None and carry.progress.limits is not None and not walk.structure.smooth:
-        torn = held.support & planning.overloaded(carry.progress, now, held.foot_force)
+    hold = None if carry.progress is None else carry.progress.held
+    if hold is not None and hold.bound.shape[1] and not walk.structure.smooth:
+        torn = held.support & planning.overloaded(hold, now, held.foot_force)
         contact, held = walk.contact.tear_off(contact, held, torn)
     wrench = base_wrench_of_foot_force(feet.lever, held.foot_force, held.foot_moment)
     return control_loop.Actual(carry.state, feet, turning, contact, held, wrench)

@@ -94,16 +94,20 @@ def test_a_limb_swings_to_the_nearest_hold(scenario, planned, rock):
 
 @pytest.mark.slow
 def test_a_hold_bears_what_its_polyhedron_says(scenario, rock):
-    """A pull of more than the limit of the hold tears the grip off at once; one of less does not."""
+    """A pull along its normal of more than its limit tears the grip off at once; one of less does not."""
     own, pulled = own_parameters(scenario), np.tile([[[0.0, 0.0, -1.0]]], (12, 1, 1))
+    normal = np.array([0.48, 0.36, 0.8])
 
     def walked(limit):
-        ground = dataclasses.replace(holds(rock[0]), limit_matrix=pulled, limit_bound=np.full((12, 1), limit))
+        limits = {"limit_matrix": pulled, "limit_bound": np.full((12, 1), limit)}
+        ground = dataclasses.replace(holds(rock[0]), normal=np.tile(normal, (12, 1)), **limits)
         return mc.rollout(scenario, parameters=dataclasses.replace(own, holds=ground, footholds=Nearest()))
 
     strong = walked(1e3)
     landed = np.arange(len(strong.time)) >= SWING
-    pull = np.where(landed & strong.support[:, LH], -strong.foot_force[:, LH, 2], 0.0)
+    np.testing.assert_allclose(strong.ground_normal[SWING + 1, LH], normal)
+    np.testing.assert_allclose(strong.ground_normal[:, 0], np.tile([0.0, 0.0, 1.0], (len(landed), 1)))
+    pull = np.where(landed & strong.support[:, LH], -strong.foot_force[:, LH] @ normal, 0.0)
     assert pull.max() > 0 and not strong.torn_off.any()
     weak, limit = walked(0.5 * pull.max()), 0.5 * pull.max()
     first = int((pull > limit).argmax())

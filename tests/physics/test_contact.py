@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.physics.contact.gripper import Attitude, Gripper, GripperMemory, Reach
-from mjx_climb.physics.kinematics import Feet, Turning
+from mjx_climb.physics.contact.polyhedron import PolyhedralGripper, magnet, microspines
+from mjx_climb.physics.contact.uncertain import UncertainGripper
+from mjx_climb.physics.kinematics import Feet, Surface, Turning
 
 OPEN = jnp.zeros(4, bool)
 PARAMETERS = dataclasses.replace(
@@ -91,3 +93,69 @@ def test_a_grip_keeps_the_attitude_in_which_it_shut_last():
         moments.append(held.foot_moment[0])
     expected = [0, -5 * np.sin(0.3), -5 * np.sin(0.3) - 0.2, 0, 0, -5 * np.sin(0.1)]
     np.testing.assert_allclose(moments, [[0, 0, moment] for moment in expected], atol=1e-12)
+
+
+# --- on a hold of any normal
+
+
+GRIPS = {
+    "gripper": Gripper(holding_limit=12.0, capture_distance=0.004, limited_reach=True),
+    "bare": Gripper(holding_limit=12.0),
+    "magnet": PolyhedralGripper(**magnet(12.0, 0.5)),
+    "microspines": PolyhedralGripper(**microspines(0.8, 9.0)),
+    "uncertain": UncertainGripper(spread=0.2, seed=jnp.asarray(0.0), gripper=Gripper(holding_limit=12.0)),
+}
+
+
+@pytest.mark.parametrize("name", GRIPS)
+def test_a_hold_of_any_normal_holds_as_level_ground_does(name):
+    """Twelve steps of feet that move at random on turned ground, moved elsewhere: level ground's, turned."""
+    contact, random = GRIPS[name], np.random.default_rng(0)
+    turn = Rotation.random(4, random).as_matrix()
+    place = random.normal(size=(4, 3))
+
+    def turned(vector):
+        return jnp.asarray(jnp.matvec(turn, vector))
+
+    begun = random.normal(0, 0.1, (4, 3)) * [1, 1, 0]
+    level = contact.init(jnp.asarray(begun), jnp.asarray(turn))
+    tilted, torn = contact.init(turned(begun) + place, jnp.asarray(turn)), 0
+    if isinstance(contact, PolyhedralGripper):  # whose first grips are on level ground
+        tilted = tilted._replace(outward=turned(level.outward))
+    for _ in range(12):
+        position, velocity, lever = random.normal(0, [[[0.001]], [[0.05]], [[0.1]]], (3, 4, 3))
+        shut = jnp.asarray(random.uniform(size=4) < 0.6)
+        feet = Feet(jnp.asarray(begun + position), jnp.asarray(velocity), jnp.asarray(lever))
+        surface = Surface(turned(begun) + place, turned(np.tile([0.0, 0.0, 1.0], (4, 1))))
+        there = Feet(turned(feet.position) + place, turned(velocity), turned(lever), surface)
+        level, flat = contact.step(level, feet, None, shut, jnp.zeros(4))
+        tilted, held = contact.step(tilted, there, None, shut, jnp.full(4, np.nan))
+        torn += np.asarray(held.torn_off).sum()
+        np.testing.assert_array_equal(held.torn_off, flat.torn_off)
+        np.testing.assert_array_equal(held.missed, flat.missed)
+        np.testing.assert_allclose(held.foot_force, turned(flat.foot_force), atol=1e-9)
+        np.testing.assert_allclose(held.grip_point, turned(flat.grip_point) + place, atol=1e-12)
+    assert torn
+
+
+@pytest.mark.parametrize("angle", [0.0, 45.0, 90.0, 135.0, 180.0])
+def test_a_magnet_on_a_wall_slides_off_where_its_friction_ends(angle):
+    """A foot that carries 1 kg, by hand: shear m g sin a, pull -m g cos a, held while shear <= mu (L - pull)."""
+    slope, weight, friction = np.deg2rad(angle), 9.81, 0.4
+    normal = np.array([-np.sin(slope), 0.0, np.cos(slope)])
+    shear, pull = weight * np.sin(slope), -weight * np.cos(slope)
+    needed = pull + shear / friction
+    for limit, holds in ((1.02 * needed, True), (0.98 * needed, False)):
+        if limit <= 0:
+            continue
+        magnetic = PolyhedralGripper(**magnet(limit, friction, 256))
+        memory = magnetic.init(jnp.zeros((4, 3)), jnp.broadcast_to(jnp.eye(3), (4, 3, 3)))
+        # the spring bears the weight: the foot hangs m g / k below its grip point
+        hangs = jnp.broadcast_to(jnp.array([0.0, 0.0, -weight / float(magnetic.gripper.stiffness)]), (4, 3))
+        uphill = jnp.broadcast_to(jnp.array([np.cos(slope), 0.0, np.sin(slope)]), (4, 3))
+        surface = Surface(jnp.zeros((4, 3)), jnp.broadcast_to(jnp.asarray(normal), (4, 3)))
+        still = Feet(hangs, jnp.zeros((4, 3)), uphill, surface)
+        memory = memory._replace(gripper=memory.gripper._replace(touching=~OPEN), outward=uphill)
+        _, held = magnetic.step(memory, still, None, ~OPEN, jnp.zeros(4))
+        np.testing.assert_allclose(held.foot_force, np.tile([0.0, 0.0, weight], (4, 1)), rtol=1e-12)
+        np.testing.assert_array_equal(held.torn_off, [not holds] * 4)

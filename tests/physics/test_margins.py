@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from mjx_climb.physics.kinematics import base_wrench_of_foot_force
@@ -135,6 +136,35 @@ def test_without_gravity_the_tsm_has_no_length():
     assert at_rest[0] == np.inf and np.isfinite(at_rest[1])
     torn_off = one(SQUARE, [True] * 4, wrench=(np.array([0, 0, -100.0]), np.zeros(3)), **weightless)
     assert torn_off == (0.0, 0.0)
+
+
+# --- on holds ---
+
+
+def test_margins_on_holds_of_any_normal_are_answers_of_linear_programs():
+    """Of pulls that holds bear along their normals: one gripper's for the TSM, those of all for the GIA margin."""
+    rng = np.random.default_rng(1)
+    for support in PATTERNS[PATTERNS.sum(1) >= 3]:
+        feet, _, com, force, moment = (each[0] for each in random_scene(rng, support[None]))
+        normal = rng.normal([0, 0, 1], 0.7, (4, 3))
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        limit = rng.uniform(0, 20, 4)
+        stands, tumbling, inside = np.flatnonzero(support), [], []
+        for a, b in zip(stands, np.roll(stands, -1), strict=True):
+            along = (feet[a] - feet[b]) / np.linalg.norm(feet[a] - feet[b])
+            off = [j for j in stands if j not in (a, b)]
+            # the moment about the axis of a pull of 1 N at each foot
+            each = np.array([along @ np.cross(feet[j] - feet[b], -normal[j]) for j in off])
+            alone = [linprog([-m], bounds=[(0, limit[j])]).x[0] * m for m, j in zip(each, off, strict=True)]
+            together = -linprog(-each, bounds=[(0, limit[j]) for j in off]).fun
+            tumbling.append(max(alone) - along @ (moment - np.cross(feet[b], force)))
+            edge = np.cross(com - feet[a], com - feet[b])
+            inside.append((together * np.linalg.norm(feet[a] - feet[b]) + edge @ force) / (2.0 * np.linalg.norm(edge)))
+        axes, pull = support_axes(jnp.asarray(feet), jnp.asarray(support)), jnp.asarray(limit[:, None] * normal)
+        tsm = tumble_stability_margin(axes, (force, moment), 2.0, 1.0, pull)
+        np.testing.assert_allclose(tsm, max(min(tumbling), 0.0) / 2.0, rtol=1e-9, atol=1e-12)
+        margin = gia_margin(axes, jnp.asarray(com), force, 2.0, pull)
+        np.testing.assert_allclose(margin, max(min(inside), 0.0), rtol=1e-9, atol=1e-12)
 
 
 # --- invariance and derivatives ---

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple, TypeVar
 
+import jax.numpy as jnp
 from jax import Array
 from jaxtyping import PyTree
 
@@ -22,6 +23,23 @@ class Grip(NamedTuple):
     detached: Array  # (limb,) bool: the gripper was torn off before this step, for good
     torn_off: Array  # (limb,) bool: the gripper is torn off in this step, and lets go from the next one on
     missed: Array  # (limb,) bool: the gripper shut out of reach in this step
+
+
+def along_normal(vector: Array, feet: Feet) -> Array:
+    """Return the parts of vectors (limb, 3) along the ground's normal, (limb,)."""
+    return vector[:, 2] if feet.surface is None else (vector * feet.surface.normal).sum(1)
+
+
+def clearance(feet: Feet, ground: Array) -> tuple[Array, Array]:
+    """Return how far feet are off the ground, (limb,) m, and the points of the ground below them, (limb, 3) m.
+
+    `ground` is its height, (limb,) m, where z is the normal.
+    """
+    position, surface = feet.position, feet.surface
+    if surface is None:
+        return position[:, 2] - ground, jnp.concatenate([position[:, :2], ground[:, None]], axis=1)
+    off = ((position - surface.point) * surface.normal).sum(1)
+    return off, position - off[:, None] * surface.normal
 
 
 class Springs(NamedTuple):
@@ -60,7 +78,7 @@ class Contact(Component):
 
         Arguments:
             memory: of `init` or the step before.
-            feet: position, velocity and lever of the feet, world axes.
+            feet: position, velocity and lever of the feet, world axes; the surface below them, where there are holds.
             turning: attitude of the feet; None unless the contact transmits moments.
             closed: (limb,) bool, which grippers are commanded shut.
             ground: (limb,) m, height of the ground below each foot.

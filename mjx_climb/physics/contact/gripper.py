@@ -12,7 +12,7 @@ from jax import Array
 
 from mjx_climb.component import parameter
 from mjx_climb.parameter_types import Parameters
-from mjx_climb.physics.contact.contact import Contact, Grip, Springs
+from mjx_climb.physics.contact.contact import Contact, Grip, Springs, along_normal, clearance
 from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
 
@@ -47,7 +47,7 @@ class GripperMemory(NamedTuple):
 class Gripper(Contact):
     """A gripper that holds its foot to the grip point both ways, up to a holding limit.
 
-    The grip point is below the foot, at the ground's height, where the gripper shuts or the foot first touches. A
+    The grip point is below the foot, on the ground, where the gripper shuts or the foot first touches. A
     supporting limb lets go, from the next step on, when the ground pulls its foot down and the whole force is larger
     than the holding limit (ClimbLab's rule).
 
@@ -87,20 +87,19 @@ class Gripper(Contact):
         self, memory: GripperMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
     ) -> tuple[GripperMemory, Grip]:
         """The memory after a step, and the contacts in it."""
-        height = feet.position[:, 2]
+        off, below = clearance(feet, ground)
         support, missed, caught = closed & ~memory.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
         reach, attitude = memory.reach, memory.attitude
         if reach is not None:
             limited = jnp.isfinite(self.capture_distance)
             caught = support & ~reach.shut & limited
-            missed = caught & (height - ground > self.capture_distance)
+            missed = caught & (off > self.capture_distance)
             reach = Reach(closed, closed & (reach.missed | missed))
             support = support & ~reach.missed
-        touching = support | (height <= ground)
+        touching = support | (off <= 0)
         # a gripper with a capture distance anchors anew when it shuts, though its foot touched before
         fresh = (touching & ~memory.touching) | caught
         # ClimbLab takes the nearest point of a map of 0.98 mm pitch, and contacts begin with a kick (departure 4)
-        below = jnp.concatenate([feet.position[:, :2], ground[:, None]], axis=1)
         grip_point = jnp.where(fresh[:, None], below, memory.grip_point)
         # paper Eq. 5, with the true velocity of the foot: ClimbLab's damper takes the free-floating Jacobian's, which
         # adds energy (docs/explanation/departures.md, 3)
@@ -108,8 +107,10 @@ class Gripper(Contact):
         force = jnp.where(touching[:, None], force, 0.0)
         if reach is not None:
             push = jnp.where(_NORMAL, jnp.maximum(force, 0.0), 0.0)
+            if feet.surface is not None:
+                push = jnp.maximum(along_normal(force, feet), 0.0)[:, None] * feet.surface.normal
             force = jnp.where((support | ~limited)[:, None], force, push)
-        torn_off = support & self.overloaded(force)
+        torn_off = support & self.overloaded(force, along_normal(force, feet))
         moment = jnp.zeros_like(force)
         if attitude is not None and turning is not None:
             moment, attitude = self._held_attitude(attitude, turning, support)
@@ -121,10 +122,15 @@ class Gripper(Contact):
         """Memory and contacts with some grips torn off in this step."""
         return memory._replace(detached=memory.detached | torn), grip._replace(torn_off=grip.torn_off | torn)
 
-    def overloaded(self, force: Array) -> Array:
-        """Whether forces of the ground on the feet (limb, 3) N are more than a grip holds, (limb,) bool."""
+    def overloaded(self, force: Array, normal: Array) -> Array:
+        """Whether forces of the ground on the feet are more than a grip holds, (limb,) bool.
+
+        Arguments:
+            force: (limb, 3) N.
+            normal: (limb,) N, their parts along the ground's normal.
+        """
         # ClimbLab's rule with the 15 N of the paper (docs/explanation/departures.md, 11)
-        return jnp.asarray((force[:, 2] < 0) & (norm(force) > self.holding_limit))
+        return jnp.asarray((normal < 0) & (norm(force) > self.holding_limit))
 
     def holding_force(self) -> Array:
         """The holding limit, () N; 0 where grippers are never torn off: margins are then those of bare feet."""

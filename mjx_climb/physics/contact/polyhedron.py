@@ -1,7 +1,7 @@
 """Grips whose holding limit is a polyhedron of forces: magnets, microspines, suction with friction.
 
-A grip has axes of its own: z along the ground's normal, x from the base to the foot, level, when the gripper shut. It
-holds forces f of the ground on the foot, in these axes, with `A f <= b`: a pull has f_z < 0.
+A grip has axes of its own: z along the ground's normal, x in the ground from the base to the foot, when the gripper
+shut. It holds forces f of the ground on the foot, in these axes, with `A f <= b`: a pull has f_z < 0.
 """
 
 import dataclasses
@@ -12,9 +12,10 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.component import parameter
-from mjx_climb.physics.contact.contact import Contact, Grip, Springs
+from mjx_climb.physics.contact.contact import Contact, Grip, Springs, along_normal
 from mjx_climb.physics.contact.gripper import Gripper, GripperMemory
-from mjx_climb.physics.kinematics import Feet, Turning
+from mjx_climb.physics.kinematics import Feet, Surface, Turning
+from mjx_climb.physics.spatial import norm
 
 _TINY = 1e-9  # m, of a foot below the base, which has no direction outwards
 
@@ -23,7 +24,7 @@ class PolyhedralMemory(NamedTuple):
     """What polyhedral grips remember beside what grippers do."""
 
     gripper: GripperMemory
-    outward: Array  # (limb, 2) 1, level direction from the base to the foot, when the gripper shut
+    outward: Array  # (limb, 3) 1, direction in the ground from the base to the foot, when the gripper shut
 
 
 class PolyhedralGripper(Contact):
@@ -41,8 +42,8 @@ class PolyhedralGripper(Contact):
 
     def init(self, grip_point: Array, rotation: Array) -> PolyhedralMemory:
         """The memory of grippers that are shut around their middle and rest."""
-        outward = grip_point[:, :2] - grip_point[:, :2].mean(0)
-        return PolyhedralMemory(self.gripper.init(grip_point, rotation), _unit(outward))
+        lever = grip_point - grip_point.mean(0)
+        return PolyhedralMemory(self.gripper.init(grip_point, rotation), _outward(lever, None))
 
     def step(
         self, memory: PolyhedralMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
@@ -51,10 +52,11 @@ class PolyhedralGripper(Contact):
         before = memory.gripper
         after, grip = self.gripper.unbreakable().step(before, feet, turning, closed, ground)
         shuts = (grip.contact & ~before.touching)[:, None]
-        outward = jnp.where(shuts, _unit(feet.lever[:, :2]), memory.outward)
-        torn_off = grip.support & (self.utilization(in_grip(grip.foot_force, outward)) > 1)
+        surface = feet.surface
+        outward = jnp.where(shuts, _outward(feet.lever, surface), memory.outward)
+        torn_off = grip.support & (self.utilization(in_grip(grip.foot_force, outward, surface)) > 1)
         if self.only_pulled:
-            torn_off = torn_off & (grip.foot_force[:, 2] < 0)
+            torn_off = torn_off & (along_normal(grip.foot_force, feet) < 0)
         after = after._replace(detached=after.detached | torn_off)
         return PolyhedralMemory(after, outward), grip._replace(torn_off=torn_off)
 
@@ -83,17 +85,30 @@ class PolyhedralGripper(Contact):
         return dataclasses.replace(self, limits=jnp.full_like(self.limits, jnp.inf))
 
 
-def in_grip(force: Array, outward: Array) -> Array:
-    """Forces (limb, 3) N of world axes in the axes of grips with level directions outwards (limb, 2)."""
+def in_grip(force: Array, outward: Array, surface: Surface | None = None) -> Array:
+    """Forces (limb, 3) N of world axes in the axes of grips with directions outwards (limb, 3) in a surface."""
+    if surface is not None:
+        axes = outward, jnp.cross(surface.normal, outward), surface.normal
+        return jnp.stack([(force * axis).sum(1) for axis in axes], axis=1)
     x, y, z = force[:, 0], force[:, 1], force[:, 2]
     along, across = outward[:, 0], outward[:, 1]
     return jnp.stack([x * along + y * across, y * along - x * across, z], axis=1)
 
 
-def _unit(level: Array) -> Array:
-    """Level directions (limb, 2), along x where there is none."""
-    length = jnp.sqrt(jnp.maximum((level * level).sum(1), _TINY**2))[:, None]
-    return jnp.where(length > _TINY, level / length, jnp.array([1.0, 0.0], level.dtype))
+def _outward(lever: Array, surface: Surface | None) -> Array:
+    """Directions (limb, 3) in a surface of levers (limb, 3) m, along x, or y, where there is none."""
+    if surface is None:
+        along = jnp.concatenate([lever[:, :2], jnp.zeros_like(lever[:, 2:])], axis=1)
+        other = jnp.array([1.0, 0.0, 0.0], lever.dtype)
+    else:
+        normal = surface.normal
+        along = lever - (lever * normal).sum(1)[:, None] * normal
+        steep = jnp.abs(normal[:, :1]) > 0.9
+        aside = jnp.where(steep, jnp.array([0.0, 1.0, 0.0], lever.dtype), jnp.array([1.0, 0.0, 0.0], lever.dtype))
+        other = aside - (aside * normal).sum(1)[:, None] * normal
+        other = other / norm(other)[:, None]
+    length = jnp.sqrt(jnp.maximum((along * along).sum(1), _TINY**2))[:, None]
+    return jnp.where(length > _TINY, along / length, other)
 
 
 def magnet(pull: float, friction: float, sides: int = 8) -> dict[str, np.ndarray]:
