@@ -108,7 +108,7 @@ def begin(planner: Planner, base_position: Array) -> Progress:
 
 
 def _no_holds(holds: Holds | None, feet: Array) -> Held | None:
-    """Return what feet (limb, 3) m hold that stand on level ground without limits; None where there are no holds."""
+    """Return the holds of feet (limb, 3) m on level ground without limits; None where there are no holds."""
     if holds is None:
         return None
     rows = holds.limit_bound.shape[1]

@@ -49,6 +49,7 @@ def samples_of(seed):
     made["torn_off"] = np.zeros((STEPS, 4), bool)
     made["torn_off"][[20, 20, 40], [1, 3, 0]] = True
     made["foot_force"][10, 1], made["support"][10, 1] = [0.0, 0.0, -50.0], False
+    made["ground_normal"][10, 1] = [0.0, 0.0, 1.0]
     return Sample(**made)
 
 
@@ -72,7 +73,7 @@ def expected_of(s):
     mass, weight = ROBOT.total_mass + s.cargo_mass.max(), np.linalg.norm(GRAVITY)
     peaks = {
         "peak_foot_force": force,
-        "peak_pull_force": force * (s.support & (s.foot_force[..., 2] < 0)),
+        "peak_pull_force": force * (s.support & ((s.foot_force * s.ground_normal).sum(-1) < 0)),
         "peak_joint_torque": torque,
         "base_deviation": np.linalg.norm(s.base_position - s.base_reference, axis=-1),
         "peak_base_speed": np.linalg.norm(s.base_linear_velocity, axis=-1),
