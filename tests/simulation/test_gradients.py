@@ -43,7 +43,8 @@ def assert_derivatives(scenarios, six_gains, numbers, directions, nominal=None):
         """Return values (metric, scenario, ...) of changes (..., 3, 6): a row of one batch for each of both."""
         flat = changes.reshape(-1, 3, 6)
         rows = jax.tree.map(lambda value: np.repeat(value, len(flat), axis=0), (own, parameters))
-        found = jax.jit(function)(np.tile(flat, (len(scenarios), 1, 1)), *rows)
+        # the rows are known where it is compiled: traced parameters could need stages that the scenario lacks
+        found = jax.jit(lambda change: function(change, *rows))(np.tile(flat, (len(scenarios), 1, 1)))
         return np.asarray(found).reshape(len(SMOOTH), len(scenarios), *changes.shape[:-2])
 
     forward = of_all(tangents, directions)
