@@ -15,7 +15,7 @@ from mjx_climb.viz.rendering.film import pictures
 from tuning.gains import gains_file
 from tuning.problem.evaluation import under_pd
 
-SIZE, FRAMES_A_SECOND, QUALITY, TRACE = (480, 320), 10, 30, 0.25
+SIZE, FRAMES_A_SECOND, QUALITY, TRACE = (480, 270), 10, 30, 0.25
 
 
 def main(path: str) -> None:
@@ -26,7 +26,8 @@ def main(path: str) -> None:
     walks = [mc.rollout(under_pd(scenario)), mc.rollout(walked, law=law)]
     times = np.arange(0, scenario.duration, 1 / FRAMES_A_SECOND)
     shown = pictures(walks, times, labels=["pd", "load transfer"], size=SIZE, trace=TRACE)
-    first, *rest = map(Image.fromarray, shown)
+    # one above the other: side by side a phone's 400 px leave their words too small
+    first, *rest = (Image.fromarray(np.concatenate(np.split(picture, 2, axis=1))) for picture in shown)
     how = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0, "quality": QUALITY, "method": 6}
     first.save(path, save_all=True, append_images=rest, **how)
 
