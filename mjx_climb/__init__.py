@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from mjx_climb.functions import rollout_metrics as rollout_metrics
     from mjx_climb.functions import rollout_vjp as rollout_vjp
     from mjx_climb.functions import simulator as simulator
+    from mjx_climb.gait.footholds.footholds import Footholds as Footholds
+    from mjx_climb.gait.recovery import Recovery as Recovery
+    from mjx_climb.ground.holds import Holds as Holds
     from mjx_climb.hardware.actuator import Actuator as Actuator
     from mjx_climb.hardware.actuator import Drive as Drive
     from mjx_climb.hardware.actuator import Joints as Joints

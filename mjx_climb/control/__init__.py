@@ -12,6 +12,7 @@ from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.control.law import PD, Command, JointGains, Law, Measurement, Reference, Start, begin, gain, shifted
 from mjx_climb.control.load_transfer import LoadTransfer
 from mjx_climb.control.phased import phased
+from mjx_climb.control.recovering import Recovering
 from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
@@ -25,12 +26,15 @@ LAWS: dict[tuple[str, str], type[Law]] = {
     ("end_effector_admittance", "virtual_model"): EndEffectorAdmittance,
 }
 # by the names that --law, a gains file and `own.law.name` take
-SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), LoadTransfer, InternalForce, ClimbSDK)}
+SHIPPED: dict[str, type[Law]] = {
+    law.__name__: law for law in (*LAWS.values(), LoadTransfer, InternalForce, ClimbSDK, Recovering)
+}
 
 __all__ = [
     "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "InternalForce",
-    "JointGains", "Law", "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "Reference", "Start",
-    "VirtualModelAdmittance", "begin", "combined", "gain", "is_shipped", "law_of", "phased", "shifted", "shipped",
+    "JointGains", "Law", "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "Recovering", "Reference",
+    "Start", "VirtualModelAdmittance", "begin", "combined", "gain", "is_shipped", "law_of", "phased", "shifted",
+    "shipped",
 ]  # fmt: skip
 
 

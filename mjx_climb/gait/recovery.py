@@ -6,6 +6,7 @@ that lets the feet bear best the force which stops the robot, and the base refer
 far towards it. From there it returns to the planned path as the gait goes on.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.component import Component, parameter
+from mjx_climb.control import Law
 from mjx_climb.physics.margins import gia_margin, support_axes, tumbling_moment
 from mjx_climb.physics.spatial import norm
 
@@ -29,6 +31,12 @@ class Recovery(Component):
     take_over: Array = parameter("1", bounds=(0.0, 1.0), default=1.0, long_name="share of a shift that is taken over")
     return_time: Array = parameter("s", bounds=(0.0, 100.0), default=1.0, long_name="time of the base's return")
     reach: Array = parameter("m", bounds=(0.0, 1.0), default=0.03, long_name="how far beside itself a foot may land")
+
+
+def recovery_of(law: Law, own: Recovery | None) -> Recovery | None:
+    """Return a recovery in which values are those of a law's gains that are called `recovery_NAME`."""
+    values = {name: getattr(law, gain) for name in Recovery.VALUES if (gain := f"recovery_{name}") in law.GAINS}
+    return dataclasses.replace(own or Recovery(), **values) if values else own
 
 
 class Danger(NamedTuple):

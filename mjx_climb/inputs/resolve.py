@@ -15,6 +15,7 @@ from mjx_climb.arrays import AnyArray
 from mjx_climb.component import AnyComponent, checked_value, with_values
 from mjx_climb.control import PD, Law
 from mjx_climb.execution.batch_axes import batch_shape, own_axes
+from mjx_climb.gait.recovery import recovery_of
 from mjx_climb.gait.swing import COUNT
 from mjx_climb.inputs.from_scenario import check_ranges, own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, with_gait
@@ -78,6 +79,7 @@ def resolve(
         if name in values
     }
     law = with_values(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
+    own = dataclasses.replace(own, recovery=recovery_of(law, own.recovery))
     own = own.with_components(lambda place, each: with_values(each, {}, array, place))
     walked = dataclasses.replace(with_whole_steps(own, scenario.time_step), **joint)
     parameters = jax.tree.map(array, walked)

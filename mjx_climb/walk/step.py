@@ -26,6 +26,7 @@ from mjx_climb.disturbances.disturbance import Body, External
 from mjx_climb.gait import planner as planning
 from mjx_climb.gait import schedule as gait
 from mjx_climb.gait.recovery import Body as Whole
+from mjx_climb.gait.recovery import recovery_of
 from mjx_climb.hardware.actuator import Drive
 from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import Hardware, hardware_of
@@ -121,7 +122,8 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
         moves = len({share for _, share in structure.lift_off})
         moves = len(structure.lift_off) if structure.free else moves
         plans = planning.Planner(
-            robot, geometry, setup.plan, parameters.footholds, parameters.holds, parameters.recovery,
+            robot, geometry, setup.plan, parameters.footholds, parameters.holds,
+            recovery_of(setup.law, parameters.recovery),
             structure.planning, moves, structure.time_step, structure.free,
         )  # fmt: skip
     return Walk(robot, parameters, setup.plan, setup.windows, contact, holding_force, controller, structure, plans)

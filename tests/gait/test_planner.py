@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.control import Recovering
 from mjx_climb.gait.footholds import ClimbLab, Footholds, Nearest
 from mjx_climb.gait.planner import hold_axes, middle_of
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.ground import Holds
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.scenario.messages import ConfigError
+from tuning.gains import own_section
+from tuning.problem import spaces
+from tuning.problem.search import Search
 
 PUSH = {"force": [0.0, 10.0, 0.0], "start": 0.02, "stop": 0.06}
 NO_PUSH = PUSH | {"force": [0.0, 0.0, 0.0]}
@@ -59,8 +64,8 @@ def test_a_planner_that_has_nothing_to_do_changes_no_walk(scenario, planned):
 @pytest.mark.slow
 def test_a_push_interrupts_the_gait(scenario, planned):
     """The base reference moves to the base, and the limb in the air is on the ground sooner than planned."""
-    recovery = {"control.recovery.shift": THRESHOLD, "control.recovery.landing_time": 0.05}
-    pushed = mc.rollout(scenario.with_overrides(recovery | {"disturbance.pushes": [PUSH]}))
+    law = Recovering(recovery_shift=THRESHOLD, recovery_utilization=1e3, recovery_landing_time=0.05)
+    pushed = mc.rollout(scenario.with_overrides({"disturbance.pushes": [PUSH]}), law=law)
     moved = np.linalg.norm(pushed.base_reference - planned.base_reference, axis=1)
     at = int((moved > 1e-9).argmax())
     assert 20 < at < SWING - 60 and at % 20 == 0
@@ -188,6 +193,18 @@ def test_no_threshold_is_no_recovery(scenario):
     assert own_parameters(scenario).footholds is None
     some = own_parameters(scenario.with_overrides({"control.recovery.margin": 0.5})).recovery
     assert isinstance(some, Recovery) and some.margin == 0.5 and np.isinf(some.shift)
+
+
+def test_gains_of_a_law_are_values_of_the_recovery(scenario):
+    """Searches find them in any sum with the law that has them; the scenario's own values stay beside them."""
+    law = own_section.load_law("VirtualModelAdmittance+Recovering")
+    names = spaces.space(scenario, Search(), law).names
+    assert {"damping", "recovery_shift", "recovery_landing_time"} <= {*names} and "recovery_take_over" not in names
+    some = scenario.with_overrides({"control.recovery": {"margin": 0.5, "shift": 0.1}})
+    found = resolve_in(some, law, {"recovery_shift": np.array([0.01, 0.02])}, None, np.float64).parameters.recovery
+    np.testing.assert_array_equal(found.shift, [0.01, 0.02])
+    assert found.margin == 0.5 and found.utilization == 0.6
+    assert resolve_in(scenario, law, None, None, np.float64).parameters.recovery.shift == 0.015
 
 
 def test_a_rule_of_ones_own_needs_a_score():
