@@ -1,7 +1,7 @@
 """What each kind of result is compared with, and what its folder then holds: `tuning.write`."""
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from tuning.identification.plan.excitation import Excited
 from tuning.pages import ceiling, degraded, judge, laws, pareto, robust, schedule, sweep, tune
 from tuning.pages.contents import Contents, Written, files_of
 from tuning.pages.page import Origin
+from tuning.pages.section import SectionOf, load_section, sections_of
 from tuning.results.ceiling import Bounded
 from tuning.results.degraded import Degraded
 from tuning.results.front import Front
@@ -58,6 +59,7 @@ def write(
     begun: Begun | None = None,
     origin: Origin | None = None,
     figures: Collection[str] = ("png",),
+    sections: Sequence[str | SectionOf] = (),
     stage: Stage = silent,
     settings: Mapping[str, Any] | None = None,
 ) -> Written:
@@ -71,24 +73,27 @@ def write(
         begun: what `begin` of `tuning.comparisons.of_search` or `of_sweep` gave, where it was begun before the search.
         origin: what the report says of where it comes from.
         figures: formats of the pictures, of `mjx_climb.viz.plots.FORMATS`; reports hold them as PNG anyway.
+        sections: more of the report: functions of the result and of what it was compared with that return a
+            `tuning.pages.section.Section`, or None; or FILE.py:NAME of such.
         stage: opened for each longer work, see `tuning.background.Stage`; nothing is printed.
         settings: what a command was asked for, by which it knows its folder again.
 
     Raises:
-        ConfigError: over an ensemble, some gains diverge in each member.
+        ConfigError: over an ensemble, some gains diverge in each member; a section fails.
         OutputError: a file cannot be written, or the folder holds another command's result.
     """
     home = Path(folder)
     how: dict[str, Any] = {"origin": origin, "figures": figures, "stage": stage, "settings": settings}
+    own = [load_section(each) if isinstance(each, str) else each for each in sections]
     if isinstance(found, Identified):
-        return of_fit.write(found, home, **how)
+        return of_fit.write(found, home, sections=sections_of(own, found, None), **how)
     if isinstance(found, Excited):
-        return of_plan.write(found, home, **how)
+        return of_plan.write(found, home, sections=sections_of(own, found, None), **how)
     record.check_own(home, found.FILE)
     kind = KINDS[type(found)]
     compared = kind.compare(found, stage, home, *([] if begun is None else [begun]))
-    made = kind.contents(found, compared, _name(origin))
-    return folders.write(made, home, f"tuning.{found.KIND}(...)", **how)
+    made, told = kind.contents(found, compared, _name(origin)), sections_of(own, found, compared)
+    return folders.write(made, home, f"tuning.{found.KIND}(...)", sections=told, **how)
 
 
 def write_found(

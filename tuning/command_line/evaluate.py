@@ -55,7 +55,7 @@ class Margins(Rival):
     )
 
 
-def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Output) -> None:
+def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated[Output, "-sections"]) -> None:
     """Find how late, slow and weak a robot's hardware may be before gains fail."""
     with output.session() as shell:
         from mjx_climb.execution import devices

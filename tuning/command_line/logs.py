@@ -53,10 +53,12 @@ def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excita
         shell.claim(written.FILE, walk.config.stem, "excite", *walk.words, settings=settings, varied=walk.varied)
         shell.opening()
         found = excitation.chosen(rig, stage=shell.stage)
+        from tuning.kinds import write  # with all searches
+
         options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
         where = origin(walk.config.stem, repeated(("excite",), *options))
-        how: dict[str, Any] = {"figures": output.figures, "stage": shell.stage, "settings": settings}
-        files = written.write(found, shell.out, origin=where, **how).files
+        how: dict[str, Any] = {"figures": output.figures, "sections": shell.sections, "stage": shell.stage}
+        files = write(found, shell.out, origin=where, settings=settings, **how).files
         shell.show(from_page(written.table(found)), from_page(written.limits(found)))
         shell.show(*written.notes(found), found.best.information.unseen())
         shell.written(files, to_json(written.summary(found)))
@@ -135,7 +137,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
     with output.session() as shell:
         from tuning.command_line.session import from_page
         from tuning.identification.fit import identify as fitting
-        from tuning.identification.fit.output import FILE, write
+        from tuning.identification.fit.output import FILE
         from tuning.identification.fit.report import table
         from tuning.methods.parts import FOLDER
         from tuning.writing.record import check_own, settings_of
@@ -156,11 +158,13 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         shell.show(from_page(table(found)), *(f"warning: {line}" for line in found.warnings), *found.combined)
         shell.show(f"{found.sentence}.")
         if output.out is not None:
+            from tuning.kinds import write  # with all searches
+
             options = (f"--{name.replace('_', '-')}" for name in Fitted.model_fields if name not in FILES)
             again = repeated(["identify", *asked.files_from(output.out)], *options)
             where = origin(walk.config.stem, again)
-            how: dict[str, Any] = {"figures": output.figures, "stage": shell.stage, "settings": settings}
-            files = write(found, output.out, origin=where, **how).files
+            how: dict[str, Any] = {"figures": output.figures, "sections": shell.sections, "stage": shell.stage}
+            files = write(found, output.out, origin=where, settings=settings, **how).files
             shell.written(files, json.dumps(found.as_json(), indent=2))
         else:
             shell.print_json(json.dumps(found.as_json(), indent=2))
@@ -176,7 +180,7 @@ class Replayed(Recorded):
 def replay(
     walk: Annotated[Walk, "-metrics"],
     asked: Replayed,
-    output: Output,
+    output: Annotated[Output, "-sections"],
     pictures: Annotated[Pictures, "video", "size"],
 ) -> None:
     """Send the commands of a robot's log to the simulated robot, and show how far the two are apart.

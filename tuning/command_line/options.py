@@ -250,15 +250,23 @@ class Output(Options):
 
     out: Path | None = setting(None, "folder for the results", metavar="DIR")
     figures: Figures = FIGURES
+    sections: tuple[str, ...] = setting(
+        (), "section of your own for the report; the file is run", flag="--section", metavar="FILE.py:NAME"
+    )
     json_only: bool = setting(False, "print JSON alone on standard output, all else on standard error", flag="--json")
 
     @contextlib.contextmanager
     def session(self) -> Iterator["Session"]:
-        """Give what the command prints to and shows its progress on."""
+        """Give what the command prints to and shows its progress on; ConfigError: a section is not there."""
         from tuning.command_line.session import Session
 
+        sections = []
+        if self.sections:
+            from tuning.pages.section import load_section
+
+            sections = [load_section(text) for text in self.sections]
         with reserved_stdout() as stdout:
-            yield Session(stdout, self)
+            yield Session(stdout, self, sections)
 
 
 class SearchFile(Options):

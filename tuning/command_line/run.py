@@ -122,7 +122,13 @@ class Recording(Options):
 
 
 @command("results/<config>-<controller>")
-def run(walk: Walk, incline: Incline, output: Output, pictures: Pictures, recording: Recording) -> None:
+def run(
+    walk: Walk,
+    incline: Incline,
+    output: Annotated[Output, "-sections"],
+    pictures: Pictures,
+    recording: Recording,
+) -> None:
     """Walk one robot through a scenario, in double precision.
 
     Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories

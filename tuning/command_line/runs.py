@@ -17,7 +17,7 @@ class Place(Options):
 
 
 @command("no page", {})
-def runs(place: Place, output: Annotated[Output, "-figures"]) -> None:
+def runs(place: Place, output: Annotated[Output, "-figures", "-sections"]) -> None:
     """List the results below a folder, the newest first: when, what, which settings differ, and the verdict.
 
     Of settings those are shown in which the listed results differ from each other: keys of the config among all, others

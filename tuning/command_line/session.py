@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tuning.methods.rounds import Progress as Rounds
     from tuning.pages import page
     from tuning.pages.contents import Contents
+    from tuning.pages.section import SectionOf
     from tuning.results.result import Result
 
 WIDTH = 100  # of tables in a file
@@ -140,11 +141,12 @@ class Walked(Protocol):
 class Session:
     """One command: its folder, where its tables and its JSON go, and its stages, one after the other."""
 
-    def __init__(self, stdout: TextIO, output: Asked):
+    def __init__(self, stdout: TextIO, output: Asked, sections: "Sequence[SectionOf]" = ()):
         self.begin = time.perf_counter()
         self.console = console(stderr=True)
         self.tables = self.console if output.json_only else console(file=stdout)
         self.output, self.name, self.out, self.done = output, "", Path(), 0
+        self.sections = sections  # of the user's own, for the report
         self.lacks = ""  # what a result lacks that is in the folder before the command ends
         self.settings: Mapping[str, Any] | None = None  # what the command was asked for
         self._json = stdout if output.json_only else None
@@ -233,19 +235,17 @@ class Session:
         again: str,
         begun: "Begun | None" = None,
         *,
-        table: Table | None = None,
         before: str = "",
     ) -> None:
-        """Write a result with its report, in which `again` repeats it, and print it: a table, or that of its walks."""
+        """Write a result with its report, in which `again` repeats it, and print its tables, or that of its walks."""
         from tuning import kinds
         from tuning.pages import comparison
 
         how: dict[str, Any] = {"figures": self.output.figures, "stage": self.stage, "begun": begun}
+        how["sections"] = self.sections
         how |= {"origin": origin(self.name, again), "settings": self.settings}
         written, problem = kinds.write(found, self.out, **how), found.problem
-        if table is not None:
-            self.show(table)
-        elif written.tables:
+        if written.tables:
             self.show(*map(from_page, written.tables))
         else:
             self.show(comparison_table(written.compared, "pd", self.tables.width, problem.metrics, problem.law))

@@ -52,6 +52,16 @@ class Many(Options):
         return Ensemble.load(shipped.found(file), **self.model_dump(include={"members"}, exclude_unset=True))
 
 
+class Goal(Options):
+    """What is minimised."""
+
+    objective: str | None = setting(
+        None,
+        "function of the metrics that is minimised in place of the weights; its file is run",
+        metavar="FILE.py:NAME",
+    )
+
+
 class Laws(Options):
     """What is simulated: one law, or several that are compared."""
 
@@ -132,11 +142,7 @@ def schedule(asked: Over, search: _OfPoints, file: SearchFile, walk: _FromConfig
         from mjx_climb.execution import devices
 
         devices.begin()
-        from tuning.command_line.session import plain_table
-        from tuning.numbers import change, gain, number
-        from tuning.pages.schedule import rows
         from tuning.searches import schedule as schedules
-        from tuning.searches.retuned_pd import NAME
         from tuning.writing.record import settings_of
 
         loaded = walk.load()
@@ -149,16 +155,7 @@ def schedule(asked: Over, search: _OfPoints, file: SearchFile, walk: _FromConfig
         with shell.keeping("rounds"):
             with shell.rounds("schedule") as show:
                 found = schedules.run(problem, out=folder, progress=show)
-            gains, beside = found.data.attrs["searched"].split(), ("vs\nconfig %", "vs\nretuned %", "vs\npd %")
-            table = plain_table("gravity\nG", "cargo\nkg", *gains, "variation\nN", *beside, "")
-            table.columns[-1].no_wrap = False  # words give way to numbers
-            for row in rows(found.data):
-                tuned, *others = (row["force_variation"][walk] for walk in ("tuned", "config", NAME, "pd"))
-                cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in gains)]
-                cells += ["failed" if tuned is None else number(tuned), *(change(tuned, other) for other in others)]
-                outside = "" if row["feasible"] else "breaks limits"
-                table.add_row(*cells, f"{outside} {row['on_bound']} on a bound" if row["on_bound"] else outside)
-            shell.result(found, "", table=table)
+            shell.result(found, repeated(["tune", "--search", "search.yaml"], "--over", "--engine"))
 
 
 def compare(
@@ -213,7 +210,13 @@ def compare(
     {"against": pareto, "over": schedule, "law law": compare},
 )
 def tune(
-    search: Search, file: SearchFile, many: Many, asked: Annotated[Laws, "seeds"], walk: Walk, output: Output
+    search: Search,
+    file: SearchFile,
+    goal: Goal,
+    many: Many,
+    asked: Annotated[Laws, "seeds"],
+    walk: Walk,
+    output: Output,
 ) -> None:
     """Search the gains of the controller, from the config's own gains, other known and random ones side by side.
 
@@ -252,7 +255,7 @@ def tune(
     \b
     METRIC: force_variation, peak_foot_force, peak_pull_force (N), peak_joint_torque (N m),
       cost_of_transport, travel, base_deviation, min_tsm (m), min_gia_margin (m/s^2),
-      joint_limit_margin (rad); with --metric the user's own
+      joint_limit_margin (rad); with --metric the user's own; --objective: any function of them
     GAIN: damping, damping.translation, damping.rotation, damping.x .. damping.rz;
       stiffness and inertia likewise; kp, kd; with --law the law's own gains;
       gait.duty, gait.cycle, gait.step_height (--also), at the same speed of travel
@@ -287,7 +290,10 @@ def tune(
         with file.naming(search, walk.config):
             wanted, method = searches.own_method(wanted, loaded.scenario)
             searches.check_method(wanted, method, space(loaded.scenario, wanted, loaded.law))
-        loaded = dataclasses.replace(loaded, own_method=method)
+            scenario, objective = searches.own_objective(loaded.scenario, goal.objective)
+        if objective is not None and drawn is not None:
+            raise InputError("--objective: expected none with --ensemble, whose members are scored by weights")
+        loaded = dataclasses.replace(loaded, scenario=scenario, own_method=method, own_objective=objective)
         kind, name = "tune" if drawn is None else "robust", walk.config.stem
         seeds = asked.seeds or 1
         if seeds > 1 and wanted.method == "grid":
@@ -300,7 +306,8 @@ def tune(
         shell.say(*filter(None, [team.said]))
         team.begin(folder, loaded.scenario.to_yaml())
         with shell.stage("baseline"), file.naming(search):
-            problem = searches.problem_of(loaded.scenario, wanted, ensemble=drawn, own_method=method, **loaded.walks)
+            walks = {**loaded.walks, "own_method": method}
+            problem = searches.problem_of(loaded.scenario, wanted, objective, ensemble=drawn, **walks)
         files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
         again, begun = repeated(["tune", *files], "--engine"), None
         with shell.keeping("rounds"), background(busy=1) as begin:

@@ -35,6 +35,15 @@ class Table(NamedTuple):
     words: int = 2
 
 
+class Part(NamedTuple):
+    """What is folded away under one heading."""
+
+    heading: str
+    sentences: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    pictures: Mapping[str, Path] = {}  # PNG files by their captions
+
+
 class Origin(NamedTuple):
     """Where a page comes from."""
 
@@ -58,17 +67,13 @@ class Page:
     explorers: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)  # by heading
     tables: Sequence[Table] = ()
     prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
+    own: Sequence[Part] = ()  # sections of the user's
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
 
     @property
     def warnings(self) -> list[str]:
         """The notes that stand below the verdict."""
         return [note for note in self.notes if note.lower().startswith("warning")]
-
-    @property
-    def folded(self) -> list[str]:
-        """All other notes."""
-        return [note for note in (*self.notes, *self.more) if note not in self.warnings]
 
     @property
     def brief(self) -> Table | None:
@@ -86,9 +91,18 @@ class Page:
         return {} if self.explorers else dict([*self.origin.pictures.items()][:1])
 
     @property
-    def other_pictures(self) -> dict[str, Path]:
-        """All other pictures."""
-        return {caption: file for caption, file in self.origin.pictures.items() if caption not in self.first_pictures}
+    def parts(self) -> list[Part]:
+        """What is below the first screen, as far as there is any."""
+        notes = [note for note in (*self.notes, *self.more) if note not in self.warnings]
+        others = {caption: file for caption, file in self.origin.pictures.items() if caption not in self.first_pictures}
+        parts = [
+            Part(f"What else was found ({len(notes)})", notes),
+            Part("All numbers", tables=self.tables),
+            *(Part(heading, sentences) for heading, sentences in self.prose.items()),
+            Part(f"Pictures ({len(others)})", pictures=others),
+            *self.own,
+        ]
+        return [part for part in parts if any(part[1:])]
 
 
 def write(page: Page, folder: Path) -> Path:

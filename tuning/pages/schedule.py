@@ -1,4 +1,4 @@
-"""A gain schedule: tables and picture; it has no page."""
+"""A gain schedule: tables, picture and page."""
 
 import itertools
 from typing import Any
@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
-from tuning.numbers import has_axes, to_json
-from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.numbers import change, gain, has_axes, number, to_json
+from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
+from tuning.pages.page import Origin, Page, Table
 from tuning.pages.pictures import plain_numbers
 from tuning.results.scheduled import Scheduled
 from tuning.searches import retuned_pd
@@ -24,18 +25,44 @@ _DASHES = {"tuned": "-", "config": ":", "retuned_pd": "--"}
 
 
 def contents(found: Scheduled, worth: str, name: str) -> Contents:
-    """Return the table, all metrics, and a picture; no page. `worth` is that of a force sensor, in words."""
+    """Return the table, all metrics, a picture and the page. `worth` is that of a force sensor, in words."""
     data = found.data
     level, load, loss = one_for_all(data)
     one = "every set of gains breaks a limit at some other operating point"
     if loss < np.inf:
         one = f"the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
     files = {"schedule.csv": to_csv(data), "schedule.yaml": to_yaml(data)}
+    outcome, table = [worth, f"one for all: {one}"], table_of(data)
+
+    def page(origin: Origin) -> Page:
+        assert found.search is not None
+        verdict, *notes = sentences(outcome)
+        title, facts = f"Gains for each gravity and cargo: {origin.name}", {"seed": found.search.seed}
+        return Page(title, origin, verdict, found.scenario, notes, tables=[table], facts=facts)
+
     return Contents(
-        Written(data=data, outcome=[worth, f"one for all: {one}"], summary=to_json(rows(data))),
+        Written(data=data, outcome=outcome, summary=to_json(rows(data)), tables=[table]),
         found.problem,
         files_of(found, name) | files | {"schedule": Picture(SCHEDULE, lambda: plot_schedule(data))},
+        page,
+        "mjx-climb tune config.yaml --search search.yaml "
+        + " ".join(f"--over {each}={','.join(f'{v:.9g}' for v in data[each].values)}" for each in ("gravity", "cargo"))
+        + " --out again",
     )
+
+
+def table_of(data: xr.Dataset) -> Table:
+    """Return the gains of each operating point, and the force variation beside the config's, retuned pd's and pd's."""
+    names, beside = data.attrs["searched"].split(), {"config": "config", retuned_pd.NAME: "retuned", "pd": "pd"}
+    columns = ["gravity\nG", "cargo\nkg", *names, "variation\nN", *(f"vs\n{word} %" for word in beside.values()), ""]
+    lines = []
+    for row in rows(data):
+        tuned, *others = (row["force_variation"][walk] for walk in ("tuned", *beside))
+        cells = [f"{row['gravity_g']:.3g}", f"{row['cargo_kg']:.3g}", *(gain(row, name) for name in names)]
+        cells += ["failed" if tuned is None else number(tuned), *(change(tuned, other) for other in others)]
+        outside = "" if row["feasible"] else "breaks limits"
+        lines.append([*cells, f"{outside} {row['on_bound']} on a bound" if row["on_bound"] else outside])
+    return Table("Gains by gravity and cargo", columns, [("", lines)], 0)
 
 
 def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:

@@ -94,7 +94,7 @@ def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
 def _outcome_of(checked: verification.Verification, found: Tuned) -> list[str]:
     """Return the outcome of the tests in a few lines, without their warnings."""
     limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
-    lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: 1); {limits}"]
+    lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: {found.of_pd:.4g}); {limits}"]
     if checked.binding_limits:
         lines.append(f"held by its limits: {'; '.join(checked.binding_limits)}")
     kinds = {kind: [n for n, k in checked.shape.items() if k == kind] for kind in ("plateau", "slope", "cliff")}
@@ -118,14 +118,14 @@ def page_of(
     search, about, checked, rows = found.search, found.problem.metrics, compared.checked, compared.rows
     metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
     scores = []
-    for name in [name for name, weight in search.weights.items() if weight]:
+    for name in [name for name, weight in search.weights.items() if weight and found.problem.own_objective is None]:
         three = {walk: metrics[walk] for walk in ("tuned", "pd", "config")}
         scores.append(f"{about.in_words(name)} {comparison.against(name, 'tuned', three, about)}")
     limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
     points = None if compared.over is None else _points_of_map(found, compared.over, metrics["pd"])
     title = "Map: the same gains on all axes, around the result" if points else "Walks"
     walks = {name: compared.walks[name] for name in reversed(list(rows))}
-    objective = {"tuned": {"objective": checked.value}, "pd": {"objective": 1.0}}
+    objective = {"tuned": {"objective": checked.value}, "pd": {"objective": found.of_pd}}
     values = {walk: {**numbers, **objective.get(walk, {})} for walk, numbers in metrics.items()}
     open_notes, folded = ([line[0].upper() + line[1:] for line in lines] for lines in (outcome, tests))
     side_by_side = comparison.table(rows, "Walks in double precision", about, found.law)
@@ -133,12 +133,15 @@ def page_of(
     around = []
     for name, shape in checked.shape.items():
         changes = (checked.less[name], checked.more[name])
-        cells = ("breaks a limit" if value is None else f"{100 * value:+.2f}" for value in changes)
+        cells = (
+            "breaks a limit" if value is None else f"{100 * value / (abs(found.of_pd) or 1.0):+.2f}"
+            for value in changes
+        )
         around.append([name, *cells, shape, number(checked.slopes.get(name))])
     near = Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", around)], 1)
     return Page(
         title=f"Tuned gains for {origin.name}: {found.method}, {search.space}", origin=origin,
-        verdict=f"Tuned gains score {checked.value:.4f} of pd's 1: {'; '.join(scores)}; {limits}.",
+        verdict=f"Tuned gains score {checked.value:.4f} of pd's {found.of_pd:.4g}: {'; '.join([*scores, limits])}.",
         scenario=found.scenario, more=folded,
         notes=[*open_notes, *sentences(worse_than_pd(metrics["tuned"], metrics["pd"], about))],
         explorers={
@@ -169,7 +172,7 @@ def _points_of_map(found: Tuned, over: xr.Dataset, baseline: Values) -> dict[str
                 marks[f"{walk}, {part}"] = (at[0].item(), at[1].item())
     value = over["objective"].where(over["feasible"])
     best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel({x: 0, y: 0})
-    return grid_points(over, over, {**baseline, "objective": 1.0}, marks, best)
+    return grid_points(over, over, {**baseline, "objective": found.of_pd}, marks, best)
 
 
 @plots.style()
@@ -186,8 +189,10 @@ def plot_convergence(found: Tuned) -> Figure:
     if np.isfinite(value).any():
         axes[0].plot(spent, np.fmin.accumulate(value), color=plots.BLUE, label="best so far")
         low = np.nanmin(value)
-        axes[0].set_ylim(low - 0.03, min(np.nanmax(value), max(1.1, low + 0.5)) + 0.03)
-    axes[0].axhline(1.0, color=plots.RED, linewidth=0.8, label="pd")
+        size = abs(found.of_pd) or 1.0
+        top = max(found.of_pd + 0.1 * size, low + 0.5 * size)
+        axes[0].set_ylim(low - 0.03 * size, min(np.nanmax(value), top) + 0.03 * size)
+    axes[0].axhline(found.of_pd, color=plots.RED, linewidth=0.8, label="pd")
     axes[0].set_ylabel("objective")
     plots.legend(figure, axes[0].get_legend_handles_labels()[0])
     if with_gradient:
@@ -218,7 +223,7 @@ def plot_path(found: Tuned, walks: xr.Dataset) -> Figure:
         means["config"] = [_mean(getattr(control, gain)) for gain in axes]
     title = "map and limit: the same gains on all axes" if apart else None
     marks = {} if apart else {name: (x, y) for name, (x, y) in means.items()}
-    figure = plots.plot_map(walks, "objective", marks, baseline=1.0, title=title)
+    figure = plots.plot_map(walks, "objective", marks, baseline=found.of_pd, title=title)
     descending = np.isin(found.data["phase"].values.astype(str), ["descent", "axes tied", "axes free"])
     starts, leading, others = found.data["row"].values, best_of_crowds(found.data), ~descending & ~crowded(found.data)
     panel = figure.axes[0]

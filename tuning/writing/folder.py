@@ -3,19 +3,22 @@
 import contextlib
 import dataclasses
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.viz import plots
 from tuning.background import Stage, silent
 from tuning.pages import page
 from tuning.pages.contents import Contents, Files, Picture, Written
-from tuning.pages.page import Origin, Page
+from tuning.pages.page import Origin, Page, Part
+from tuning.pages.section import Section
 from tuning.results.config_file import write_config
+from tuning.writing import record
 from tuning.writing.record import Settings, at_home, whole
 
 
@@ -26,6 +29,7 @@ def write(
     *,
     origin: Origin | None = None,
     figures: Collection[str] = ("png",),
+    sections: Sequence[Section] = (),
     stage: Stage = silent,
     settings: Settings | None = None,
     finished: bool = True,
@@ -38,6 +42,7 @@ def write(
         call: what made the result.
         origin: what the report says of where it comes from.
         figures: formats of the pictures, of `mjx_climb.viz.plots.FORMATS`; reports hold them as PNG anyway.
+        sections: of the user's own, for the report.
         stage: opened for each longer work, see `tuning.background.Stage`.
         settings: what a command was asked for, by which it knows its folder again.
         finished: whether what is kept there of unfinished work is removed.
@@ -54,7 +59,7 @@ def write(
             name: _naming(each, copied) if isinstance(each, xr.Dataset) else each for name, each in made.files.items()
         }
         where = origin or Origin("the scenario", call, made.again or call)
-        names = fill(place, files, made.page, where, figures, stage)
+        names = fill(place, files, made.page, where, figures, stage, sections)
     copied = at_home(copied, place, folder)
     walks = {
         name: dataclasses.replace(walk, scenario=_beside(walk.scenario, copied)) for name, walk in told.walks.items()
@@ -70,27 +75,46 @@ def fill(
     origin: Origin,
     figures: Collection[str] = ("png",),
     stage: Stage = silent,
+    sections: Sequence[Section] = (),
 ) -> str:
-    """Write files, pictures and the page beside a config.yaml that is there, and return their names."""
-    pictures, names = {}, []
-    drawing = any(isinstance(content, Picture) for content in files.values())
+    """Write files, pictures and the page beside a config.yaml that is there, and return their names.
+
+    Raises:
+        ConfigError: a section has a file of the result's names, or its picture fails.
+        OutputError: a file cannot be written.
+    """
+    pictures, every, names = {}, dict(files), list[str]()
+    for section in sections:
+        own = {**section.files, **section.pictures}
+        if taken := (every.keys() | {page.NAME, "config.yaml", record.FILE}) & own.keys():
+            expected = "expected other files than those of the result"
+            raise ConfigError(f"section {section.heading}: {expected}, got {min(taken)}")
+        every |= own
+    drawing = any(isinstance(content, Picture) for content in every.values())
     with stage("drawing", compiles=False) if drawing else contextlib.nullcontext():
-        for name, content in files.items():
+        for name, content in every.items():
             if isinstance(content, str):
                 dataset.write_text_atomically(place / name, content)
             elif isinstance(content, Picture):
                 plots.save_figure(content.draw(), place / name, {"png", *figures})
+                if name in files:
+                    pictures[content.caption] = place / f"{name}.png"
                 name = f"{name}.png"
-                pictures[content.caption] = place / name
             else:
                 dataset.save(content, place / name)
             names.append(name)
     if report is not None:
         with stage("report", compiles=False):
             config = without_folders((place / "config.yaml").read_text(encoding="utf-8"))
-            made = page.write(report(origin._replace(config=config, pictures=pictures)), place)
-            names.insert(0, made.name)
+            made = report(origin._replace(config=config, pictures=pictures))
+            made = dataclasses.replace(made, own=[_part(section, place) for section in sections])
+            names.insert(0, page.write(made, place).name)
     return ", ".join([*names, "config.yaml"])
+
+
+def _part(section: Section, place: Path) -> Part:
+    pictures = {picture.caption: place / f"{name}.png" for name, picture in section.pictures.items()}
+    return Part(section.heading, section.sentences, section.tables, pictures)
 
 
 def _beside(scenario: mc.Scenario, copied: mc.Scenario) -> mc.Scenario:

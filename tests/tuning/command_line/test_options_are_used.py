@@ -49,7 +49,6 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.comparisons.margins": "find warnings",
     "tuning.identification.plan.excitation": "chosen set_up",
     "tuning.identification.fit.identify": "identify",
-    "tuning.identification.fit.output": "write",
     "tuning.identification.fit.report": "table",
     "tuning.identification.readers": "read_log",
     "tuning.identification.model.replay": "prepare simulate",
@@ -57,14 +56,13 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.comparisons.of_search": "begin load_tests",
     "tuning.comparisons.of_sweep": "begin",
     "tuning.kinds": "write write_found",
-    "tuning.identification.plan.output": "limits notes summary table write",
+    "tuning.identification.plan.output": "limits notes summary table",
     "tuning.results.config_file": "write_config",
     "tuning.pages.redrawn": "figures",
     "tuning.numbers": "ahead_of number to_json",
     "tuning.pages.page": "write",
     "tuning.pages.margins": "plot_margins",
     "tuning.pages.runs": "below write",
-    "tuning.pages.schedule": "rows",
     "tuning.pages.sweep": "first",
     "tuning.reproduce.results": "as_json as_markdown overall page reproduced sentences tables",
     "tuning.comparisons.compare": "problem_of run",
@@ -120,6 +118,7 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "metrics": "--metric {folder}/mine.py:highest",
     "of_scenarios": "--schema",
     "no_worse_than_pd": "--may-be-worse-than-pd",
+    "objective": "--objective {folder}/mine.py:calm",
     "out": "--out elsewhere",
     "pins": "--pin damping=30",
     "points": "--points 3",
@@ -128,6 +127,7 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "retuned_pd": "--retuned-pd {folder}/gains.yaml",
     "search": "--search {folder}/search.yaml",
     "seed": "--seed 5",
+    "sections": "--section {folder}/mine.py:Mine",
     "seeds": "--seeds 2",
     "shard": "--shard 1/2",
     "signals": "--signals signals.yaml",
@@ -189,6 +189,7 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     "tune members": ["--ensemble ensemble --members 3"],
     "tune test_members": ["--ensemble ensemble --test-members 5"],
     "identify figures": ["--out elsewhere --figures svg"],
+    "identify sections": ["--out elsewhere --section {folder}/mine.py:Mine"],
     "plot metric": ["--metric min_tsm"],
     "runs folder": ["{folder}"],
     "plot size": ["--size 60x60"],
@@ -261,6 +262,7 @@ def folder(tmp_path_factory):
         "from mjx_climb.physics.contact.gripper import Gripper\n"
         "class Mine(VirtualModelAdmittance): pass\n"
         "class Sticky(Gripper): pass\n"
+        "def calm(metrics): return metrics['travel']\n"
         'highest = largest("highest_base", "m", "highest base", lambda s, _: s.base_position[2])\n'
     )
     law = own_section.load_law(f"{folder}/mine.py:Mine")

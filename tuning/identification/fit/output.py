@@ -3,16 +3,19 @@
 import dataclasses
 import functools
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import yaml
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.parameter_types import KEYS
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from tuning.background import Stage, silent
 from tuning.identification.fit import robot_files
 from tuning.identification.fit.report import (
@@ -27,6 +30,7 @@ from tuning.identification.fit.report import (
 from tuning.identification.fit.result import Identified
 from tuning.pages import page
 from tuning.pages.contents import Files, Picture, Written
+from tuning.pages.section import Section
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.results.config_file import write_config
 from tuning.scenario_files import portable_yaml
@@ -43,6 +47,7 @@ def write(
     *,
     origin: page.Origin | None = None,
     figures: Collection[str] = ("png",),
+    sections: Sequence[Section] = (),
     stage: Stage = silent,
     settings: Settings | None = None,
 ) -> Written:
@@ -50,7 +55,7 @@ def write(
     check_own(folder, FILE)
     where, report = origin or page.Origin("the scenario", CALL, CALL), functools.partial(page_of, found)
     with whole(folder, settings) as place:
-        return Written(fill(place, _files(found, place, where.asked), report, where, figures, stage))
+        return Written(fill(place, _files(found, place, where.asked), report, where, figures, stage, sections))
 
 
 def _files(found: Identified, place: Path, asked: str) -> Files:
@@ -72,10 +77,17 @@ def _files(found: Identified, place: Path, asked: str) -> Files:
 def identified_scenario(found: Identified, scenario: mc.Scenario, folder: Path) -> mc.Scenario:
     """Return the scenario with what was identified; a robot that was is written into the folder."""
     scenario = scenario.with_overrides(found.overrides())
-    if any(key.startswith("robot.") for key in found.estimates):
-        section = robot_files.write(found.scenario.robot, found.robot(), folder / "robot.xml")
+    robot, nominal = found.robot(), load_robot(found.scenario.robot)
+    asked = any(key.startswith("robot.") for key in found.estimates)
+    if asked or (found.own and _differ(robot, nominal)):
+        section = robot_files.write(found.scenario.robot, robot, folder / "robot.xml")
         scenario = scenario.with_overrides({"robot": section})
     return scenario
+
+
+def _differ(robot: Robot, nominal: Robot) -> bool:
+    (ours, form), (theirs, other) = map(jax.tree.flatten, (robot, nominal))
+    return form != other or not all(map(np.array_equal, ours, theirs))
 
 
 def ensemble_of(found: Identified) -> Ensemble:

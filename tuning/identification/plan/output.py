@@ -1,7 +1,8 @@
 """What an excitation leaves in its folder: commands as CSV and as a trajectory for ROS 2, a picture, a page, JSON."""
 
+import functools
 import json
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from tuning.identification.readers.log import joints_of
 from tuning.numbers import to_json
 from tuning.pages.contents import Files, Picture, Written
 from tuning.pages.page import Origin, Page, Table
+from tuning.pages.section import Section
 from tuning.results.config_file import write_config
 from tuning.writing.folder import fill
 from tuning.writing.record import Settings, check_own, whole
@@ -36,6 +38,7 @@ def write(
     *,
     origin: Origin | None = None,
     figures: Collection[str] = ("png",),
+    sections: Sequence[Section] = (),
     stage: Stage = silent,
     settings: Settings | None = None,
 ) -> Written:
@@ -50,7 +53,8 @@ def write(
     where = origin or Origin("the scenario", call, call)
     with whole(folder, settings) as place:
         scenario = write_config(found.scenario, place)
-        return Written(fill(place, files, lambda origin: page_of(found, scenario, origin), where, figures, stage))
+        report = functools.partial(page_of, found, scenario)
+        return Written(fill(place, files, report, where, figures, stage, sections))
 
 
 def page_of(found: Excited, scenario: mc.Scenario, origin: Origin) -> Page:
