@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import mjx_climb as mc
+from mjx_climb.execution.contents import identity
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -45,7 +46,7 @@ _REFUTED = 0.1  # of the residuals' variance of a signal, unmodelled: beyond it 
 def identify(
     scenario: mc.Scenario,
     log: Log | str | os.PathLike[str],
-    fit: Sequence[str],
+    fit: Sequence[str | Variable],
     *,
     base: Base | None = None,
     signals: Any = None,
@@ -61,7 +62,8 @@ def identify(
     Arguments:
         scenario: nominal values, robot and time step.
         log: as `tuning.identification.readers.read_log` gives it, or its file.
-        fit: keys, or patterns of keys, as `hardware.servo.*`; see `tuning.identification.model.variables`.
+        fit: keys, or patterns of keys, as `hardware.servo.*`; or a `tuning.identification.model.variables.Variable` of
+            your own, whose `change` is a function of its value, the parameters and the robot, or FILE.py:NAME of one.
         base: held or free; None: held where the log has neither base nor foot forces.
         signals: of a file, where each signal stands in it.
         changes: by key, fields of `tuning.identification.model.variables.Variable` in place of its own, as
@@ -100,6 +102,8 @@ def identify(
 def identity_of_fit(scenario: mc.Scenario, log: Log, model: Fit, held_out: float, starts: int) -> dict[str, Any]:
     """Return all that determines a fit, as plain JSON values."""
     fitted = [{name: str(value) for name, value in dataclasses.asdict(each).items()} for each in model.variables]
+    for each, own in zip(fitted, (v.change for v in model.variables), strict=True):
+        each["change"] = "" if own is None else identity(own, f"variable {each['key']}")
     more = {"log": log.digest, "fit": fitted, "mass": model.structure.mass, "held_out": held_out, "starts": starts}
     return {**identity_of(Walks(scenario)), **more}
 

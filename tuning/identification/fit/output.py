@@ -86,8 +86,8 @@ def identified_scenario(found: Identified, scenario: mc.Scenario, folder: Path) 
 
 
 def _differ(robot: Robot, nominal: Robot) -> bool:
-    (ours, form), (theirs, other) = map(jax.tree.flatten, (robot, nominal))
-    return form != other or not all(map(np.array_equal, ours, theirs))
+    ours, theirs = map(jax.tree.leaves, (robot, nominal))
+    return len(ours) != len(theirs) or not all(map(np.array_equal, ours, theirs))
 
 
 def ensemble_of(found: Identified) -> Ensemble:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.parameter_types import KEYS
+from mjx_climb.parameter_types import KEYS, Parameters
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
@@ -80,6 +80,10 @@ class Identified:
     def overrides(self) -> dict[str, Any]:
         """Return the keys of a scenario with their new values; those of the robot go by its file."""
         found: dict[str, Any] = {k: each.value for k, each in self.known.items() if k in set(KEYS.values())}
+        if self.own:
+            parameters, _ = self._applied()
+            each = ((key, getattr(parameters, n), getattr(self.model.parameters, n)) for n, key in KEYS.items())
+            found |= {key: value.tolist() for key, value, before in each if not np.array_equal(value, before)}
         found = {key: max(value, 0.0) if key.endswith("delay") else value for key, value in found.items()}
         if (bend := self.beside.get(PRESLIDING)) is not None and bend.seen:  # the friction that was found goes with it
             found[PRESLIDING] = bend.value
@@ -89,14 +93,22 @@ class Identified:
             found["gravity"] = (turned(angles) @ np.asarray(self.scenario.gravity)).tolist()
         return found
 
+    @property
+    def own(self) -> bool:
+        """Whether the user brought a variable that is known."""
+        return any(v.change is not None and v.key in self.known for v in self.model.variables)
+
     def robot(self) -> Robot:
         """Return the robot with what was identified of it, constants of NumPy."""
+        return self._applied()[1]
+
+    def _applied(self) -> tuple[Parameters, Robot]:
         places, nominal = self.model.structure.places, load_robot(self.scenario.robot)
         before, known = begin(self.model.variables), self.known
         x = np.where([v.key in known for v in self.model.variables], self.fitted.x, before)
         with jax.enable_x64(True):
-            _, robot = applied(places, jnp.asarray(x), self.model.parameters, nominal)
-        constants: Robot = jax.tree.map(np.asarray, robot)
+            both = applied(places, jnp.asarray(x), self.model.parameters, nominal)
+        constants: tuple[Parameters, Robot] = jax.tree.map(np.asarray, both)
         return constants
 
 

@@ -233,7 +233,7 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
     stages = stages_for(scenario, chosen)._replace(
         force_delay=0, force_noise=False, force_resolution=False, force_dead=False, base_delay=0, base_noise=False
     )
-    places = tuple(Place(v.key, v.log) for v in every)
+    places = tuple(v.place for v in every)
     structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, windows.kinds)
     angles = windows.start[~windows.abuts, :, :, 0]
     position, orientation = _posed(log, robot, windows.begin[0])

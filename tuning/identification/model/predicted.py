@@ -17,13 +17,13 @@ from mjx_climb.hardware.actuator import Joints
 from mjx_climb.hardware.servo import Servo, begin, gains_of, joint_loop
 from mjx_climb.hardware.stages import Stages, hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.parameter_types import KEYS, Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile
 from tuning.identification.model import held_base as stands
 from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.schedule import Schedule, schedule_of
-from tuning.identification.model.variables import Place, Variable, applied, variables
+from tuning.identification.model.variables import Place, Variable, applied, variables, with_all
 from tuning.identification.model.windows import Windows
 
 AT_ONCE = 8  # windows in one call of an executable
@@ -277,15 +277,13 @@ def with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Col
 def stages_for(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Stages:
     """Return the stages of hardware that the scenario has, or that are fitted, but for those of the control law."""
     own, robot = own_parameters(scenario), load_robot(scenario.robot)
-    fields = {key: field for field, key in KEYS.items()}
-    for each in chosen:
-        if each.key in fields:  # far from zero, so that the stage is there
-            value = each.upper if each.unit == "s" else max(each.nominal, each.sd)
-            own = dataclasses.replace(own, **{fields[each.key]: np.asarray(value)})
-    there = {key.rpartition(".")[2] for key in (v.key for v in chosen) if key.startswith("robot.")}
-    full: Any = {name: np.ones_like(robot.link_mass) for name in ("friction", "damping") if name in there}
-    robot = dataclasses.replace(robot, **full)
-    return stages_of(scenario, own, robot)._replace(command_delay=0, control_period=False, linear=False)
+
+    def value(each: Variable) -> float:
+        return each.upper if each.unit == "s" else max(each.nominal, each.sd)
+
+    return stages_of(scenario, *with_all(chosen, value, own, robot))._replace(
+        command_delay=0, control_period=False, linear=False
+    )
 
 
 def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable], mass: float = 0.0) -> Model:
@@ -293,7 +291,7 @@ def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]
 
     A `mass` in kg hung on each foot while the log was made.
     """
-    places = tuple(Place(each.key, each.log) for each in chosen)
+    places = tuple(each.place for each in chosen)
     stages = stages_for(scenario, chosen)
     structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, windows.kinds, mass)
     return Model(windows, tuple(chosen), structure, own_parameters(scenario))

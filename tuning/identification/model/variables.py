@@ -10,15 +10,17 @@ import dataclasses
 import difflib
 import fnmatch
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, NamedTuple, get_args
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 import mjx_climb as mc
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.own_objects import load
 from mjx_climb.parameter_types import COORDINATES, KEYS, Parameters
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix, turn_about_z
 from mjx_climb.robot.constants import Robot
@@ -45,6 +47,7 @@ _OTHERS = (  # keys whose values no log of joint commands tells
     "gait.", "disturbance.", "contact.capture_distance", "hardware.seed", "hardware.base_estimate.",
     "hardware.force_sensor.noise", "control.safe_kp",
 )  # fmt: skip
+Change = Callable[[Any, Parameters, Robot], tuple[Parameters, Robot]]  # pure, of a value in SI units
 ON_GROUND = ("contact.", "hardware.force_sensor.", "robot.base.", "log.")  # a robot on a stand does not tell them
 
 
@@ -63,6 +66,12 @@ class Variable:
     frozen: bool = False  # held at the nominal value
     limb: int | None = None  # the one limb that it moves, where there is one
     beside: bool = False  # not asked for: what is not told of it alone is not said
+    change: Change | None = None  # what it changes, where the user brought it: at the nominal value nothing
+
+    @property
+    def place(self) -> "Place":
+        """What a compiled fit depends on of it."""
+        return Place(self.key, self.log, self.change)
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -87,6 +96,7 @@ class Place(NamedTuple):
 
     key: str
     log: bool
+    change: Change | None = None
 
 
 class _Body(NamedTuple):
@@ -98,14 +108,18 @@ class _Body(NamedTuple):
 
 
 def variables(
-    scenario: mc.Scenario, asked: Sequence[str], *, held: bool, changes: Mapping[str, Mapping[str, Any]] | None = None
+    scenario: mc.Scenario,
+    asked: Sequence[str | Variable],
+    *,
+    held: bool,
+    changes: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> tuple[Variable, ...]:
     """Return the variables of the keys that are asked for, in their order, each once.
 
     Arguments:
         scenario: its values are nominal; its robot's file is the prior of the robot's.
         asked: keys, or patterns of keys as `robot.*.armature`; `robot.LF.femur` stands for all of this link. A pattern
-            is of keys that have a value, and that such a log tells.
+            is of keys that have a value, and that such a log tells. FILE.py:NAME is a variable of the user's own.
         held: whether the base was held.
         changes: fields of a `Variable` that replace its own, by key.
 
@@ -115,6 +129,14 @@ def variables(
     known = {each.key: each for each in _all(scenario)}
     found: dict[str, Variable] = {}
     for key in asked:
+        if isinstance(key, Variable) or ".py:" in key:
+            own = key if isinstance(key, Variable) else _loaded(key)
+            if own.key in known or own.key in found:
+                raise ConfigError(
+                    f"--fit {key if isinstance(key, str) else own.key}: expected a key of its own, got {own.key}"
+                )
+            found[own.key] = own
+            continue
         if key in _BY_STEPS:
             expected = "expected a key with a derivative, got one that works by steps"
             raise ConfigError(f"--fit {key}: {expected} (on a log it acts {_BY_STEPS[key]})")
@@ -143,6 +165,13 @@ def variables(
             where = "config" if null else "robot"
             raise ConfigError(f"--fit {each.key}: expected a value in the {where} to begin at, got {got}")
     return tuple(each for each in found.values() if not each.frozen)
+
+
+def _loaded(text: str) -> Variable:
+    made, file, name = load(text, "variable")
+    if not isinstance(made, Variable) or made.change is None:
+        raise ConfigError(f"{file}: expected {name} to be a Variable with a change, got {made!r}")
+    return made
 
 
 def _all(scenario: mc.Scenario) -> Iterator[Variable]:
@@ -266,7 +295,26 @@ def applied(places: Sequence[Place], point: Array, parameters: Parameters, robot
         zero = jnp.zeros_like(point[0])
         turn = quaternion_from_rotation_vector(jnp.stack([zero if t is None else t for t in tilt] + [zero]))
         changes["gravity"] = quaternion_to_matrix(turn) @ jnp.asarray(parameters.gravity)
-    return dataclasses.replace(parameters, **changes), _robot_at(values, robot)
+    parameters, robot = dataclasses.replace(parameters, **changes), _robot_at(values, robot)
+    for place in places:
+        if place.change is not None:
+            parameters, robot = place.change(values[place.key], parameters, robot)
+    return parameters, robot
+
+
+def with_all(
+    chosen: Sequence[Variable], value: Callable[[Variable], float], parameters: Parameters, robot: Robot
+) -> tuple[Parameters, Robot]:
+    """Return parameters and robot with values that are far from zero, so that all stages of hardware are there."""
+    fields = {key: field for field, key in KEYS.items()}
+    changes = {fields[v.key]: np.asarray(value(v)) for v in chosen if v.key in fields}
+    of_joints = {v.key.rpartition(".")[2] for v in chosen if v.key.startswith("robot.")} & {"friction", "damping"}
+    full: Any = dict.fromkeys(of_joints, np.ones_like(robot.link_mass))
+    found = dataclasses.replace(parameters, **changes), dataclasses.replace(robot, **full)
+    for each in chosen:
+        found = found if each.change is None else each.change(value(each), *found)
+    both: tuple[Parameters, Robot] = jax.tree.map(np.asarray, found)
+    return both
 
 
 def _values(places: Sequence[Place], point: Array) -> dict[str, Array]:
@@ -323,7 +371,7 @@ def _body_at(own: Mapping[str, Array], body: _Body) -> _Body:
 
 def in_units(chosen: Sequence[Variable], point: Array, robot: Robot) -> Array:
     """Return the values (n,) in SI units of a point of coordinates; those of an inertia about the link's centre."""
-    found, at_point = [], _robot_at(_values([Place(v.key, v.log) for v in chosen], point), robot)
+    found, at_point = [], _robot_at(_values([v.place for v in chosen], point), robot)
     for variable, x in zip(chosen, point, strict=True):
         if ".inertia." in variable.key:
             place, name = _parted(variable.key)

@@ -20,7 +20,6 @@ from mjx_climb.execution import devices
 from mjx_climb.hardware.stages import stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import check_time_step
-from mjx_climb.parameter_types import KEYS
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import config_error
@@ -30,7 +29,7 @@ from tuning.identification.model.commanded import Carried, Commands
 from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.gripped import gripped_with_nuisances
 from tuning.identification.model.predicted import CLOCK, with_nuisances
-from tuning.identification.model.variables import Variable, begin, variables
+from tuning.identification.model.variables import Variable, begin, variables, with_all
 from tuning.identification.plan import motions
 from tuning.identification.plan.information import Information, information
 from tuning.identification.plan.motions import Axes, Band
@@ -123,14 +122,11 @@ def set_up(scenario: mc.Scenario, asked: Settings) -> Rig:
     with_beside = with_nuisances if held else gripped_with_nuisances
     every = with_beside(own, wanted, ("position",) if held else ("position", "force"))
     beside = tuple(v for v in every if v.key not in {w.key for w in wanted})
-    fields = {key: name for name, key in KEYS.items()}
-    there = {fields[each.key]: np.asarray(scale(each)) for each in wanted if each.key in fields}
+    there, rubbing = with_all(wanted, scale, nominal, robot)
     if any(v.key == CLOCK for v in beside):  # commands that come late have their stage
-        there["command_delay"] = np.asarray(max(float(nominal.command_delay), scenario.time_step))
-    full = {each.key.rpartition(".")[2] for each in wanted} & {"friction", "damping"}
-    own_friction: dict[str, Any] = dict.fromkeys(full, np.ones_like(robot.link_mass))
-    rubbing = dataclasses.replace(robot, **own_friction)
-    stages = stages_of(scenario, dataclasses.replace(nominal, **there), rubbing)
+        late = np.asarray(max(float(nominal.command_delay), scenario.time_step))
+        there = dataclasses.replace(there, command_delay=late)
+    stages = stages_of(scenario, there, rubbing)
     stages = stages._replace(command_delay=0) if held else stages
     with devices.on_host(), jax.enable_x64(True):
         robot = jax.tree.map(lambda value: np.asarray(value, float), with_foot_mass(robot, asked.mass))

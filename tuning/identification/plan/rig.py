@@ -96,7 +96,7 @@ class Rig:
     @property
     def places(self) -> list[Place]:
         """Keys and coordinates of all variables, `beside` behind `chosen`."""
-        return [Place(each.key, each.log) for each in (*self.chosen, *self.beside)]
+        return [each.place for each in (*self.chosen, *self.beside)]
 
     def _own(self, point: Array, key: str) -> Any:
         """Return a coordinate of a point; 0 where it is not among the variables."""
