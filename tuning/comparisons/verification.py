@@ -24,7 +24,10 @@ from tuning.searches.sweep import sweep
 from tuning.searches.tune import problem_of
 
 STEP = 0.2  # relative change of a gain
-PLATEAU, CLIFF = 0.01, 0.1  # change of the objective (1 for pd) below which it is flat, above which it breaks off
+PLATEAU, CLIFF = (
+    0.01,
+    0.1,
+)  # change of the objective, relative to pd's, below which it is flat, above which it breaks off
 UNRESPONSIVE = 1e-3  # largest relative change of any metric
 GRID = 12  # cells along each axis of the map
 
@@ -165,8 +168,9 @@ def verify(
     around, slopes, radius = tested or tests(found, problem)
     judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
-    cliff = ~np.isfinite(change).all(0) | (change.max(0) > CLIFF)
-    shape = np.select([cliff, np.abs(change).max(0) < PLATEAU], ["cliff", "plateau"], "slope").tolist()
+    relative = change / (abs(found.of_pd) or 1.0)
+    cliff = ~np.isfinite(change).all(0) | (relative.max(0) > CLIFF)
+    shape = np.select([cliff, np.abs(relative).max(0) < PLATEAU], ["cliff", "plateau"], "slope").tolist()
     less, more = ({n: float(v) if np.isfinite(v) else None for n, v in zip(names, row, strict=True)} for row in change)
     best = None if walks is None else maps.best_cell(walks)
     checked = Verification(

@@ -92,11 +92,13 @@ class Objective:
     function: Callable[[Metrics], Array] | None = None
     worst: Worst | None = None
     margin: float | None = None  # relative; no ratio of a term may be above 1 less this; None: they may
+    reference: float = 1.0  # value of pd
 
     def score(self, metrics: Metrics) -> Score:
         """Score points by their metrics; NaN and infeasible where the walk diverged."""
         if self.function is not None:
-            value = smooth = self.function(metrics)
+            # a walk alone has no smooth companions
+            value = smooth = self.function({PREFIX + name: each for name, each in metrics.items()} | {**metrics})
         else:
             value, smooth = self._weighted(metrics, smooth=False), self._weighted(metrics, smooth=True)
         penalty, feasible = jnp.zeros_like(value), jnp.isfinite(value)
@@ -180,7 +182,7 @@ def objective(
         worst: how the worst members of an ensemble count, where there is one.
 
     Raises:
-        ConfigError: pd diverges, or has no value of a metric that is weighed.
+        ConfigError: pd diverges, or has no value of a metric that is weighed; the user's function fails.
     """
     weighed = {} if function is not None else {name: weight for name, weight in search.weights.items() if weight}
     terms = tuple(_term(metrics[name], weight, baseline, worst) for name, weight in weighed.items())
@@ -202,7 +204,19 @@ def objective(
         scale = max(metric.scale or size or 1.0, size)
         limits.append(Limit(name, value, scale, margin, reason, metric.larger_is_better))
     ratio_margin = PD_MARGIN if search.no_worse_than_pd and worst is not None else None
-    return Objective(terms, tuple(limits), function, worst, ratio_margin)
+    reference = 1.0 if function is None else _of_pd(function, baseline)
+    return Objective(terms, tuple(limits), function, worst, ratio_margin, reference)
+
+
+def _of_pd(function: Callable[[Metrics], Array], baseline: Mapping[str, Any]) -> float:
+    try:
+        value = np.asarray(function({name: jnp.asarray(each) for name, each in baseline.items()}), float)
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else ""
+        raise ConfigError(f"objective: {type(error).__name__}: {reason}") from error
+    if not np.isfinite(value).all():
+        raise ConfigError(f"objective: expected a number of pd's walk, got {value}")
+    return float(value.mean())
 
 
 def _term(metric: mc.Metric, weight: float, baseline: Mapping[str, Any], worst: Worst | None) -> Term:

@@ -61,8 +61,13 @@ class Tuned(Result):
 
     @property
     def value(self) -> float:
-        """The objective of the best point, 1 for pd."""
+        """The objective of the best point."""
         return float(self.data["value"][self.best])
+
+    @property
+    def of_pd(self) -> float:
+        """The objective of pd: 1 where no function of the user's own is minimised."""
+        return float(getattr(self.problem.objective, "reference", 1.0))
 
     @property
     def feasible(self) -> bool:
@@ -99,7 +104,8 @@ class Tuned(Result):
         return dataset.save(self.data, path)
 
     def comment(self, name: str) -> str:
-        return f"mjx-climb tune {name}: {self.method}, {self.search.space}, objective {self.value:.4f} (pd: 1)"
+        how = f"{self.method}, {self.search.space}"
+        return f"mjx-climb tune {name}: {how}, objective {self.value:.4f} (pd: {self.of_pd:.4g})"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +119,7 @@ class Robust(Tuned):
 
     def comment(self, name: str) -> str:
         how = f"{self.method}, {self.search.space}, {self.ensemble.members} members"
-        return f"mjx-climb tune {name} --ensemble: {how}, objective {self.value:.4f} (pd: 1)"
+        return f"mjx-climb tune {name} --ensemble: {how}, objective {self.value:.4f} (pd: {self.of_pd:.4g})"
 
 
 def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarray], *, interrupted: bool) -> Tuned:

@@ -15,7 +15,7 @@ from mjx_climb.control import law_of
 from mjx_climb.execution.batch_axes import batch_shape
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.inputs.gait_values import GAIT
-from mjx_climb.inputs.own_objects import reference_to
+from mjx_climb.inputs.own_objects import load, reference_to
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.methods import Method, Points, Task, cmaes, method_of
@@ -41,7 +41,7 @@ def tune(
     progress: Callback | None = None,
     method: OwnMethod | None = None,
     law: mc.Law | None = None,
-    objective: OwnObjective | None = None,
+    objective: OwnObjective | str | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     parameters: mc.Parameters | None = None,
     engine: str = DEFAULT_ENGINE,
@@ -58,7 +58,8 @@ def tune(
         method: the name of a shipped one, `optuna:SAMPLER`, or FILE.py:NAME; or one of your own, as a
             `tuning.methods.Method`, or a function that yields a `Request` of points and receives what they are worth.
             It must ask for the same when it is given the same.
-        objective: a pure function of the metrics in place of the weighted terms, see `tuning.problem.objectives`.
+        objective: a pure function of the metrics in place of the weighted terms, see `tuning.problem.objectives`; or
+            FILE.py:NAME of one.
         metrics: of the walks, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may name them.
         parameters: in place of the scenario's; with leading axes (members, 1), an ensemble over which the score is the
             mean.
@@ -80,6 +81,7 @@ def tune(
     wanted = for_this_machine(scenario, wanted, (search, method, settings.get("method")), law)
     wanted, own = own_method(wanted, scenario, method)
     check_method(wanted, own, spaces.space(scenario, wanted, law))
+    scenario, objective = own_objective(scenario, objective)
     problem = problem_of(scenario, wanted, objective, law=law, metrics=metrics, engine=engine, own_method=own)
     if parameters is not None:
         problem = dataclasses.replace(problem, parameters=parameters, members=math.prod(batch_shape(parameters)))
@@ -143,6 +145,26 @@ def own_method(search: Search, scenario: mc.Scenario, given: OwnMethod | None = 
     if isinstance(named, str) and named.partition(":")[0] in METHODS:
         return search, None
     return search.model_copy(update={"method": OWN_METHOD}), method_of(named)
+
+
+def own_objective(
+    scenario: mc.Scenario, given: OwnObjective | str | None = None
+) -> tuple[mc.Scenario, OwnObjective | None]:
+    """Return a scenario that names no objective, and the user's own: `given`, FILE.py:NAME, or what the scenario names.
+
+    Raises:
+        ConfigError: there is no such objective.
+    """
+    own, named = None if scenario.own is None else scenario.own.objective, given
+    if own is not None:
+        named = reference_to(own, "objective", "scenario") if given is None else given
+        scenario = scenario.with_own(objective=None)
+    if not isinstance(named, str):
+        return scenario, named
+    found, file, name = load(named, "function")
+    if not callable(found) and not isinstance(found, Goal):
+        raise ConfigError(f"{file}: expected {name} to be a function of the metrics, got {found!r}")
+    return scenario, found
 
 
 def check_method(search: Search, own: Method | None, space: spaces.Space) -> None:
@@ -219,8 +241,7 @@ def problem_of(
         ConfigError: settings that make no sense for the scenario or the metrics, or pd diverges in a member.
     """
     if objective is None and scenario.own is not None and scenario.own.objective is not None:
-        name = scenario.own.objective.name
-        raise ConfigError(f"own.objective: expected {name} again, in tuning.tune(objective=...), got none")
+        raise ConfigError(f"own.objective: expected none but in a plain search, got {scenario.own.objective.name}")
     problem = dataclasses.replace(without_goal(scenario, search, **walks), own_objective=objective)
     if isinstance(objective, Goal):
         return dataclasses.replace(problem, objective=objective)

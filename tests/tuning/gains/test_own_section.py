@@ -14,6 +14,7 @@ from tuning.command_line import options
 from tuning.command_line.program import InputError
 from tuning.gains import own_section
 from tuning.gains.own_section import taken
+from tuning.problem import objectives
 from tuning.problem.search import Search
 from tuning.results.config_file import write_config
 from tuning.searches import tune
@@ -154,13 +155,48 @@ def test_a_law_of_a_session_is_named_and_refused(tmp_path):
     assert isinstance(asked(tmp_path / "config.yaml")[1], PD)
 
 
-def test_an_objective_is_named_and_wanted_again(file, tmp_path):
+def test_an_objective_is_named_and_found_again_by_a_plain_search_alone(file, tmp_path):
     judge, *_ = own_section.load(f"{file}:judge", "objective")
     write_config(mc.Scenario(), tmp_path, objective=judge)
     scenario, law, _ = asked(tmp_path / "config.yaml")
     assert law is None and scenario.own.objective.name == "judge"
-    with pytest.raises(ConfigError, match=r"own\.objective: expected judge again"):
+    bare, again = tune.own_objective(scenario)
+    assert again.__code__ == judge.__code__ and bare.own is None
+    with pytest.raises(ConfigError, match=r"own\.objective: expected none but in a plain search, got judge"):
         tune.problem_of(scenario, Search())
+
+
+@pytest.mark.parametrize(
+    ("named", "said"),
+    [
+        ("missing", "expected a function named missing, got none"),
+        ("calm", "expected calm to be a function of the metrics, got Scaled("),
+    ],
+)
+def test_what_is_no_objective_is_refused_in_one_line(file, named, said):
+    with pytest.raises(ConfigError, match=re.escape(f"{file}: {said}")):
+        tune.own_objective(mc.Scenario(), f"{file}:{named}")
+
+
+@pytest.mark.parametrize(
+    ("objective", "said"),
+    [
+        (lambda metrics: metrics["nothing"], "objective: KeyError: 'nothing'"),
+        (lambda metrics: metrics["travel"] * np.nan, "objective: expected a number of pd's walk, got nan"),
+    ],
+)
+def test_an_objective_that_fails_is_refused_in_one_line(objective, said):
+    baseline = {"base_deviation": 0.01, "travel": 1.0}
+    with pytest.raises(ConfigError, match=f"^{re.escape(said)}$"):
+        objectives.objective(mc.Scenario(), Search(), baseline, objective)
+
+
+def test_an_objective_has_its_own_value_of_pd_and_reads_smooth_metrics_of_a_walk_that_has_none():
+    baseline = {"base_deviation": 0.01, "travel": 2.0, "smooth_travel": 1.9}
+    goal = objectives.objective(mc.Scenario(), Search(), baseline, lambda metrics: 3 * metrics["smooth_travel"])
+    assert goal.reference == pytest.approx(5.7)
+    alone = {"joint_limit_margin": 1.0, "peak_pull_force": 0.0, "base_deviation": 0.01, "travel": 2.0}
+    assert float(goal.score({**alone, "diverged": np.array(False)}).value) == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize(
