@@ -1,8 +1,8 @@
 """Searches for admittance gains, and the command line on top of them.
 
-`tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `judge`, `degrade`, `compare`, `ceiling`, `identify`, `excite`:
-of what they return `tuning.write(result, folder)` writes what the command writes. `sweep_shard`, `judge_shard` and
-`merge` are for several machines.
+`tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `evaluate`, `degrade`, `compare`, `ceiling`, `identify`,
+`excite`: of what they return `tuning.write(result, folder)` writes what the command writes. `sweep_shard`,
+`evaluate_shard` and `merge` are for several machines.
 """
 
 from mjx_climb.lazy import lazy_names
@@ -14,6 +14,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tuning.comparisons.compare import compare as compare
     from tuning.comparisons.degraded import degrade as degrade
+    from tuning.comparisons.judge import evaluate as evaluate
+    from tuning.comparisons.judge import evaluate_shard as evaluate_shard
     from tuning.comparisons.judge import judge as judge
     from tuning.comparisons.judge import judge_shard as judge_shard
     from tuning.comparisons.merge import merge as merge

@@ -167,7 +167,7 @@ def degrade(
     """Simulate gains on unseen walks as drawn, and with worse hardware, one setting at a time.
 
     The members are the same in every setting but for what it changes. The other arguments are
-    those of `tuning.judge`. `tuning.write(tuning.degrade(...), folder)` is `mjx-climb evaluate --worse`.
+    those of `tuning.evaluate`. `tuning.write(tuning.degrade(...), folder)` is `mjx-climb evaluate --worse`.
 
     Arguments:
         worse: settings, see `setting`: factors on delay, period, friction, backlash, noise, bias and armature as the

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -59,7 +60,7 @@ OF_HARDWARE = {
 }
 
 
-def judge(
+def evaluate(
     scenario: mc.Scenario,
     gains: Mapping[str, AnyGains | Whole],
     ensemble: Ensemble,
@@ -74,7 +75,7 @@ def judge(
     """Simulate several gains with members that no search over the ensemble has seen, beside the scenario's own and pd.
 
     Nothing is torn off, so that every walk counts to its end; one whose peak pulling force passes the holding limit, or
-    that diverges, has failed, see `summary`. `tuning.write(tuning.judge(scenario, gains, ensemble), folder)` is
+    that diverges, has failed, see `summary`. `tuning.write(tuning.evaluate(scenario, gains, ensemble), folder)` is
     `mjx-climb evaluate`.
 
     Arguments:
@@ -95,7 +96,7 @@ def judge(
     return draw.result(Rows(draw, out).walk(progress))
 
 
-def judge_shard(
+def evaluate_shard(
     scenario: mc.Scenario,
     gains: Mapping[str, AnyGains | Whole],
     ensemble: Ensemble,
@@ -106,12 +107,24 @@ def judge_shard(
     progress: Counted | None = None,
     **walks: Any,
 ) -> Path:
-    """Simulate a shard of what `judge` does, with the same arguments, for `merge`; `mjx-climb evaluate --shard 3/16`.
+    """Simulate a shard of `evaluate`, with the same arguments, for `merge`; `mjx-climb evaluate --shard 3/16`.
 
     What `sweep_shard` says of `shard`, `out`, `progress`, its result and its errors holds here.
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
     return walk_shard(draw_of(Problem(scenario, **walks), gains, ensemble, members), shard, out, progress)
+
+
+def judge(*given: Any, **named: Any) -> Judged:
+    """The name of `evaluate` in the last version."""
+    warnings.warn("tuning.judge is tuning.evaluate now, and goes with the next release", DeprecationWarning, 2)
+    return evaluate(*given, **named)
+
+
+def judge_shard(*given: Any, **named: Any) -> Path:
+    """The name of `evaluate_shard` in the last version."""
+    warnings.warn("tuning.judge_shard is tuning.evaluate_shard now", DeprecationWarning, 2)
+    return evaluate_shard(*given, **named)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,7 +23,7 @@ class Comparison(Result):
     """Laws that were tuned alike, and their walks through members of an ensemble that no search has seen.
 
     `data` holds every metric of every walk over `gains` (the laws, pd retuned, that on better hardware, and the
-    scenario's pd), `seed` of their searches and `member`, as of `tuning.judge`; and what each search found, where it
+    scenario's pd), `seed` of their searches and `member`, as of `tuning.evaluate`; and what each search found, where it
     was one. `write` adds which differences from retuned pd are real.
     """
 

@@ -11,7 +11,7 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.inputs import gait_values
 from mjx_climb.scenario.messages import ConfigError
-from tuning.comparisons.judge import draw_of, judge, read_asked
+from tuning.comparisons.judge import draw_of, evaluate, read_asked
 from tuning.comparisons.worth import worth_of
 from tuning.gains import gains_file
 from tuning.kinds import write_found
@@ -152,7 +152,7 @@ def test_files_of_other_laws_and_gaits_are_judged_in_one_call(tmp_path):
         gains_file.save(gains, tmp_path / f"{name}.yaml", law=laws[name])
     whole = {f"{name}'s": gains_file.whole(tmp_path / f"{name}.yaml", SHORT) for name in files}
     still = Ensemble.make({"members": 2, "pushes": None, "cargo": None, "gravity": None})
-    walks = judge(SHORT, whole, still, members=2).data
+    walks = evaluate(SHORT, whole, still, members=2).data
     draw = {name: float(value) for name, value in walks.isel(member=0).sel(gains="feet's").items() if value.ndim == 0}
     feet = gains_file.applied(SHORT.with_overrides(["control.controller=end_effector_admittance"]), files["feet"])
     drawn = {name: np.asarray(draw[name]) for name in ("contact_stiffness", "mass_scale")}

@@ -324,7 +324,7 @@ def test_robust_gains_beat_the_papers_on_a_draw_that_was_not_seen():
     ensemble = Ensemble.load(config_path("ensemble.yaml"))
     found = tuning.robust(scenario, ensemble, method="gradient", starts=3, iterations=10)
     paper = mc.Gains(1.0, 5e3, 5e4)
-    summed = judge.summary(judge.judge(scenario, {"robust": found.gains, "paper": paper}, ensemble).data)
+    summed = judge.summary(judge.evaluate(scenario, {"robust": found.gains, "paper": paper}, ensemble).data)
     for metric, mean, worst in (("force_variation", 0.55, 0.55), ("peak_pull_force", 0.85, 0.95)):
         ratio = (summed[metric].sel(gains="robust") / summed[metric].sel(gains="paper")).values
         assert ratio[0] < mean and ratio[1] < worst, (metric, ratio)
