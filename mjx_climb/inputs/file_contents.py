@@ -22,6 +22,7 @@ def digest(file: Path) -> str:
 
 def needed(file: Path) -> list[Path]:
     """Return a file and what it takes in, as absolute paths, without what are only looks."""
+    file = Path(os.path.abspath(file))
     found = {file}
     if file.suffix.lower() == ".xml":
         taken = [Path(other) for other in mujoco.mju_getXMLDependencies(str(file))]

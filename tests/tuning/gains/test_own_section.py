@@ -9,6 +9,7 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.control import PD, law_of
+from mjx_climb.inputs.file_contents import digest
 from mjx_climb.scenario.messages import ConfigError
 from tuning.command_line import options
 from tuning.command_line.program import InputError
@@ -153,6 +154,13 @@ def test_a_law_of_a_session_is_named_and_refused(tmp_path):
         asked(tmp_path / "config.yaml")
     write_config(mc.Scenario(), tmp_path, PD())
     assert isinstance(asked(tmp_path / "config.yaml")[1], PD)
+
+
+def test_a_file_of_a_folder_below_is_found_by_its_relative_path(file, monkeypatch):
+    monkeypatch.chdir(file.parent.parent)
+    named = f"{file.parent.name}/mine.py"
+    assert own_section.load(f"{named}:judge", "objective")[0]({"travel": 1.0}) == 1.0
+    assert digest(Path(named)) == digest(file)
 
 
 def test_an_objective_is_named_and_found_again_by_a_plain_search_alone(file, tmp_path):
