@@ -353,13 +353,13 @@ def test_a_sweep_from_python_writes_what_the_command_writes(swept, tmp_path):
 @pytest.mark.slow
 @pytest.mark.nightly
 def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch, tmp_path):
-    walk, calls = mc.rollout_histories, []
+    walk, walked = mc.rollout_histories, []
 
-    def stopped(*arguments, **options):
-        calls.append(1)
-        if len(calls) == 1:
+    def stopped(scenario, gains, **options):
+        walked.append(len(gains["stiffness"]))
+        if len(walked) == 1:
             signal.raise_signal(signal.SIGTERM)
-        return walk(*arguments, **options)
+        return walk(scenario, gains, **options)
 
     command = ("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)
     monkeypatch.setattr(mc, "rollout_histories", stopped)
@@ -372,7 +372,8 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     monkeypatch.setattr(plots, "save_figure", lambda *_: None)
     monkeypatch.setattr(page, "write", lambda _, folder: folder / "report.html")
     code, out, err = call(*command)
-    assert (code, len(calls)) == (0, 2)
+    # the config's gains and pd by the program of the grid, whose size they take; then what the grid lacks
+    assert (code, walked) == (0, [4, 4, 2])
     assert "4 are there already" in err and "best: stiffness" in out
     same_grids(tmp_path, swept[0])
 

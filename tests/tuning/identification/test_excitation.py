@@ -298,7 +298,11 @@ def test_a_sway_keeps_all_feet_where_they_grip_and_pulls_less_than_they_hold():
     of_sensors = np.zeros((3, *force.shape))  # what a sensor's own numbers move in the log, by their scales
     of_sensors[0, :, 0], of_sensors[1, :, 0, 2], of_sensors[2] = force[:, 0], 2.0, 1.0
     flat = of_sensors.reshape(3, -1) / excitation.FORCE_NOISE
-    np.testing.assert_allclose(found.best.information.matrix[1:, 1:], flat @ flat.T, rtol=1e-6)
+    alone, told = flat @ flat.T, found.best.information.matrix[1:, 1:]
+    # what else `identify` fits takes a little of it, in no direction the other way
+    taken = np.linalg.eigvalsh(alone - told)
+    assert taken.min() > -1e-9 * taken.max() and taken.max() > 0
+    np.testing.assert_allclose(told, alone, rtol=1e-4)
 
 
 @pytest.mark.parametrize(
