@@ -274,23 +274,22 @@ def tune(
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
         from tuning.comparisons import of_search
-        from tuning.problem.spaces import space
         from tuning.searches import tune as searches
         from tuning.writing import record
 
         loaded, drawn = walk.load_with_gains(), many.load()
         if drawn is not None and "weights" not in search.model_fields_set and file.search is None:
             search = search.model_copy(update={"weights": ROBUST_WEIGHTS})
-        wanted = file.settings(search, loaded, walk.config)
+        wanted = file.joined(search, loaded)
         if drawn is not None:
             wanted = searches.over_ensemble(wanted, {}, drawn)
         chosen = search.method if "method" in search.model_fields_set else None
-        wanted = searches.for_this_machine(loaded.scenario, wanted, (file.search, chosen), loaded.law)
-        word = re.sub(r"\W", "_", wanted.method.rpartition(":")[2])  # as folders are called by it
         with file.naming(search, walk.config):
-            wanted, method = searches.own_method(wanted, loaded.scenario)
-            searches.check_method(wanted, method, space(loaded.scenario, wanted, loaded.law))
+            how = searches.prepare(loaded.scenario, wanted, (file.search, chosen), law=loaded.law)
             scenario, objective = searches.own_objective(loaded.scenario, goal.objective)
+        named = how.search.method if how.method is None else wanted.method
+        word = re.sub(r"\W", "_", named.rpartition(":")[2])  # as folders are called by it
+        wanted, space, method = how
         if objective is not None and drawn is not None:
             raise InputError("--objective: expected none with --ensemble, whose members are scored by weights")
         loaded = dataclasses.replace(loaded, scenario=scenario, own_method=method, own_objective=objective)
@@ -306,7 +305,7 @@ def tune(
         shell.say(*filter(None, [team.said]))
         team.begin(folder, loaded.scenario.to_yaml())
         with shell.stage("baseline"), file.naming(search):
-            walks = {**loaded.walks, "own_method": method}
+            walks = {**loaded.walks, "own_method": method, "space": space}
             problem = searches.problem_of(loaded.scenario, wanted, objective, ensemble=drawn, **walks)
         files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
         again, begun = repeated(["tune", *files], "--engine"), None

@@ -5,7 +5,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -78,11 +78,10 @@ def tune(
             `mjx_climb.execution.contents`.
     """
     wanted = (search or Search()).changed(settings)
-    wanted = for_this_machine(scenario, wanted, (search, method, settings.get("method")), law)
-    wanted, own = own_method(wanted, scenario, method)
-    check_method(wanted, own, spaces.space(scenario, wanted, law))
+    wanted, space, own = prepare(scenario, wanted, (search, method, settings.get("method")), method, law)
     scenario, objective = own_objective(scenario, objective)
-    problem = problem_of(scenario, wanted, objective, law=law, metrics=metrics, engine=engine, own_method=own)
+    walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine, "own_method": own}
+    problem = problem_of(scenario, wanted, objective, space=space, **walks)
     if parameters is not None:
         problem = dataclasses.replace(problem, parameters=parameters, members=math.prod(batch_shape(parameters)))
     return run(problem, wanted, out=out, progress=progress)
@@ -110,11 +109,10 @@ def robust(
     `mjx-climb tune --ensemble`.
     """
     wanted = over_ensemble(search, settings, ensemble)
-    wanted = for_this_machine(scenario, wanted, (search, method, settings.get("method")), law)
-    wanted, own = own_method(wanted, scenario, method)
-    check_method(wanted, own, spaces.space(scenario, wanted, law))
+    wanted, space, own = prepare(scenario, wanted, (search, method, settings.get("method")), method, law)
     walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine, "own_method": own}
-    found = run(problem_of(scenario, wanted, ensemble=ensemble, **walks), wanted, out=out, progress=progress)
+    problem = problem_of(scenario, wanted, ensemble=ensemble, space=space, **walks)
+    found = run(problem, wanted, out=out, progress=progress)
     assert isinstance(found, Robust)
     return dataclasses.replace(found, judges=judges)
 
@@ -127,6 +125,34 @@ def over_ensemble(settings: Search | None, changes: Mapping[str, Any], ensemble:
     settings = (settings or Search(weights=ROBUST_WEIGHTS)).changed(dict(changes))
     silent = settings.joint_gains is None and ensemble.hardware is not None
     return settings.model_copy(update={"joint_gains": True}) if silent else settings
+
+
+class Prepared(NamedTuple):
+    """What is resolved of a search's settings before anything walks."""
+
+    search: Search  # with the method that is used
+    space: spaces.Space
+    method: Method | None  # of the user's own
+
+
+def prepare(
+    scenario: mc.Scenario,
+    search: Search,
+    chosen: Iterable[object] = (),
+    method: OwnMethod | None = None,
+    law: mc.Law | None = None,
+) -> Prepared:
+    """Return settings with the method that is best here, where none of `chosen` (None: not given) says how to search.
+
+    Raises:
+        ConfigError: settings that make no sense for the scenario, or a method that cannot search their space.
+    """
+    space = spaces.space(scenario, search, law)
+    if all(given is None for given in chosen):
+        search = _for_this_machine(search, space)
+    search, own = own_method(search, scenario, method)
+    check_method(search, own, space)
+    return Prepared(search, space, own)
 
 
 def own_method(search: Search, scenario: mc.Scenario, given: OwnMethod | None = None) -> tuple[Search, Method | None]:
@@ -208,17 +234,13 @@ def run(
     return found
 
 
-def for_this_machine(
-    scenario: mc.Scenario, search: Search, chosen: Iterable[object] = (), law: mc.Law | None = None
-) -> Search:
-    """Return settings with the method that is best here, where none of `chosen` (None: not given) says how to search.
+def _for_this_machine(search: Search, space: spaces.Space) -> Search:
+    """Return settings with the method that is best here.
 
     Where a GPU's kernel walks thousands in the time of one, many points compared by their values go deeper, and sooner,
     than a few that follow their gradients. Times of the gait have no gradients to follow.
     """
-    if any(given is not None for given in chosen):
-        return search
-    space, method = spaces.space(scenario, search, law), search.method
+    method = search.method
     few = space.size <= cmaes.CMAES.most
     if few and (not space.smooth.all() or execution.many_at_once(np.dtype(search.precision))):
         method = "cmaes" if space.size > 1 else method if space.smooth.all() else "grid"
@@ -231,18 +253,20 @@ def problem_of(
     objective: OwnObjective | None = None,
     *,
     ensemble: Ensemble | None = None,
+    space: spaces.Space | None = None,
     **walks: Any,
 ) -> Problem:
     """Return the problem of a search: space, objective relative to pd, and walks; pd walks first.
 
-    `walks` are law, metrics and engine, as of `tune`, and `own_method`; an ensemble is drawn for the scenario.
+    `walks` are law, metrics and engine, as of `tune`, and `own_method`; an ensemble is drawn for the scenario. `space`
+    is that of the settings, where it is known.
 
     Raises:
         ConfigError: settings that make no sense for the scenario or the metrics, or pd diverges in a member.
     """
     if objective is None and scenario.own is not None and scenario.own.objective is not None:
         raise ConfigError(f"own.objective: expected none but in a plain search, got {scenario.own.objective.name}")
-    problem = dataclasses.replace(without_goal(scenario, search, **walks), own_objective=objective)
+    problem = dataclasses.replace(without_goal(scenario, search, space, **walks), own_objective=objective)
     if isinstance(objective, Goal):
         return dataclasses.replace(problem, objective=objective)
     table, engine, worst = problem.metrics, problem.engine, None
@@ -260,9 +284,14 @@ def problem_of(
 
 
 def without_goal(
-    scenario: mc.Scenario, search: Search, *, metrics: Iterable[mc.Metric] = mc.METRICS, **walks: Any
+    scenario: mc.Scenario,
+    search: Search,
+    space: spaces.Space | None = None,
+    *,
+    metrics: Iterable[mc.Metric] = mc.METRICS,
+    **walks: Any,
 ) -> Problem:
-    """Return the problem of a search without an objective yet; `walks` are law and engine.
+    """Return the problem of a search without an objective yet; `walks` are law and engine, `space` as of `problem_of`.
 
     Raises:
         ConfigError: settings that make no sense, or a shipped metric, by which searches know what failed, is missing.
@@ -271,7 +300,7 @@ def without_goal(
     if missing := [metric.name for metric in mc.METRICS if metric not in table]:
         raise ConfigError(f"metrics: expected the shipped {missing[0]} among them, as in METRICS + (mine,)")
     search_settings.check_metrics(search, table)
-    space, dtype = spaces.space(scenario, search, walks.get("law")), np.dtype(search.precision).type
+    space, dtype = space or spaces.space(scenario, search, walks.get("law")), np.dtype(search.precision).type
     if search.method != OWN_METHOD and method_of(search.method).gradients and not space.smooth.all():
         times = ", ".join(name for name, smooth in zip(space.names, space.smooth, strict=True) if not smooth)
         raise ConfigError(

@@ -24,7 +24,7 @@ from tuning.searches import retuned_pd
 from tuning.searches.pareto import pareto
 from tuning.searches.schedule import schedule
 from tuning.searches.shards import Kept, Shard
-from tuning.searches.tune import for_this_machine, problem_of, start_of, tune
+from tuning.searches.tune import prepare, problem_of, start_of, tune
 
 SHORT = mc.load_scenario("case_1_2", {"duration": 0.8, "gait.cycle": 0.8, "gait.stride": 0.01})
 PD = SHORT.with_overrides(["control.controller=pd"])
@@ -91,11 +91,11 @@ def test_fronts_and_schedules_have_no_gait_of_their_own(search):
 
 
 def test_times_are_searched_without_gradients_where_nobody_says_how():
-    chosen = for_this_machine(SHORT, Search(also=TIMES))
+    chosen = prepare(SHORT, Search(also=TIMES)).search
     assert chosen.method == "cmaes"
-    assert for_this_machine(SHORT, Search(also=TIMES), ("gradient",)).method == "gradient"
+    assert prepare(SHORT, Search(also=TIMES), ("gradient",)).search.method == "gradient"
     alone = {"also": ("gait.cycle",), "pins": {"stiffness": 1e4, "damping": 1e3}}
-    assert for_this_machine(SHORT, Search.make(alone)).method == "grid"
+    assert prepare(SHORT, Search.make(alone)).search.method == "grid"
 
 
 @pytest.fixture(scope="module")

@@ -89,10 +89,10 @@ def test_without_a_kernel_all_is_the_packages(cpu_alone):
 
 def test_the_method_that_suits_the_machine(kernel, case):
     scenario = case("case_1_2", "virtual_model")
-    assert tune.for_this_machine(scenario, Search()).method == "cmaes"
-    assert tune.for_this_machine(scenario, Search(precision="float64")).method == "gradient"
+    assert tune.prepare(scenario, Search()).search.method == "cmaes"
+    assert tune.prepare(scenario, Search(precision="float64")).search.method == "gradient"
     one = Search(pins={"damping": 100.0})
-    assert tune.for_this_machine(scenario, one).method == "gradient"
+    assert tune.prepare(scenario, one).search.method == "gradient"
 
 
 @pytest.mark.parametrize("robust", [False, True])

@@ -12,6 +12,7 @@ import scipy.optimize
 import xarray as xr
 
 import mjx_climb as mc
+import tuning
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.inputs.from_scenario import gains as gains_of
@@ -19,8 +20,10 @@ from mjx_climb.robot_import.load import load_robot
 from tuning.methods import Method, Request, Task, descents, grid, lbfgs, method_of
 from tuning.methods.rounds import follow, settled
 from tuning.problem import evaluation, known, objectives, search, spaces
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.results import tuned
+from tuning.searches import tune as searches
 from tuning.searches.tune import problem_of, run, start_of, tune
 
 SHORT = {"duration": 0.3, "disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.05}
@@ -29,6 +32,23 @@ SHORT = {"duration": 0.3, "disturbance.cargo.mass": 1.0, "disturbance.cargo.star
 @pytest.fixture(scope="module")
 def scenario():
     return mc.Scenario().with_overrides({"gravity": [0.0, 0.0, -1.635], **SHORT})
+
+
+@pytest.mark.parametrize("searched", [tuning.tune, functools.partial(tuning.robust, ensemble=Ensemble(members=2))])
+def test_the_space_is_resolved_once(scenario, monkeypatch, searched):
+    resolved, resolve = [], spaces.space
+    monkeypatch.setattr(spaces, "space", lambda *asked: resolved.append(resolve(*asked)) or resolved[-1])
+
+    def walked(problem, *_, **__):
+        raise LookupError(problem.space)
+
+    monkeypatch.setattr(searches, "run", walked)
+    monkeypatch.setattr(evaluation, "baseline", lambda *_: dict.fromkeys(mc.METRICS.names, 1.0))
+    monkeypatch.setattr(evaluation, "pd_of", lambda *_, **__: dict.fromkeys(mc.METRICS.names, np.ones(2)))
+    monkeypatch.setattr(objectives, "objective", lambda *_: None)
+    with pytest.raises(LookupError) as stopped:
+        searched(scenario)
+    assert len(resolved) == 1 and stopped.value.args[0] is resolved[0]
 
 
 @pytest.mark.parametrize("layout", search.LAYOUTS)
