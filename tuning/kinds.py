@@ -3,17 +3,13 @@
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tuning.background import Stage, silent
 from tuning.comparisons import degraded as degrading
 from tuning.comparisons import judge as judging
 from tuning.comparisons import of_ensemble, of_front, of_laws, of_search, of_sweep
 from tuning.comparisons.worth import of_schedule
-from tuning.identification.fit import output as of_fit
-from tuning.identification.fit.result import Identified
-from tuning.identification.plan import output as of_plan
-from tuning.identification.plan.excitation import Excited
 from tuning.pages import ceiling, degraded, judge, laws, pareto, robust, schedule, sweep, tune
 from tuning.pages.contents import Contents, Written, files_of
 from tuning.pages.page import Origin
@@ -29,6 +25,10 @@ from tuning.results.tuned import Robust, Tuned
 from tuning.writing import folder as folders
 from tuning.writing import record
 
+if TYPE_CHECKING:
+    from tuning.identification.fit.result import Identified
+    from tuning.identification.plan.excitation import Excited
+
 Begun = of_search.Begun | of_sweep.Begun
 
 
@@ -40,11 +40,11 @@ class Kind(NamedTuple):
 
 
 KINDS: Mapping[type[Result], Kind] = {
-    Swept: Kind(of_sweep.compare, sweep.contents),
+    Swept: Kind(lambda found, stage, _, *begun: of_sweep.compare(found, stage, *begun), sweep.contents),
     Tuned: Kind(of_search.compare, tune.contents),
     Robust: Kind(of_ensemble.compare, robust.contents),
-    Front: Kind(of_front.compare, pareto.contents),
-    Comparison: Kind(of_laws.compare, laws.contents),
+    Front: Kind(lambda found, stage, _: of_front.compare(found, stage), pareto.contents),
+    Comparison: Kind(lambda found, stage, _: of_laws.compare(found, stage), laws.contents),
     Judged: Kind(lambda found, *_: judging.summary(found.data), judge.contents),
     Degraded: Kind(lambda found, *_: degrading.summary(found.data), degraded.contents),
     Bounded: Kind(lambda *_: None, ceiling.contents),
@@ -53,7 +53,7 @@ KINDS: Mapping[type[Result], Kind] = {
 
 
 def write(
-    found: Result | Identified | Excited,
+    found: "Result | Identified | Excited",
     folder: str | os.PathLike[str],
     *,
     begun: Begun | None = None,
@@ -85,15 +85,22 @@ def write(
     home = Path(folder)
     how: dict[str, Any] = {"origin": origin, "figures": figures, "stage": stage, "settings": settings}
     own = [load_section(each) if isinstance(each, str) else each for each in sections]
-    if isinstance(found, Identified):
-        return of_fit.write(found, home, sections=sections_of(own, found, None), **how)
-    if isinstance(found, Excited):
-        return of_plan.write(found, home, sections=sections_of(own, found, None), **how)
+    if not isinstance(found, Result):
+        return _of_identification(found, home, sections=sections_of(own, found, None), **how)
     record.check_own(home, found.FILE)
     kind = KINDS[type(found)]
     compared = kind.compare(found, stage, home, *([] if begun is None else [begun]))
     made, told = kind.contents(found, compared, _name(origin)), sections_of(own, found, compared)
     return folders.write(made, home, f"tuning.{found.KIND}(...)", sections=told, **how)
+
+
+def _of_identification(found: "Identified | Excited", home: Path, **how: Any) -> Written:
+    # imported here: it takes a second, and searches need none of it
+    from tuning.identification.fit import output as of_fit
+    from tuning.identification.fit.result import Identified
+    from tuning.identification.plan import output as of_plan
+
+    return of_fit.write(found, home, **how) if isinstance(found, Identified) else of_plan.write(found, home, **how)
 
 
 def write_found(

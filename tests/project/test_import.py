@@ -77,6 +77,11 @@ def test_import_writes_nothing_and_starts_no_device(tmp_path):
 
 
 @pytest.mark.slow
+def test_writing_a_search_does_not_wait_for_what_identification_imports():
+    assert printed("import sys, tuning.kinds; print('scipy.stats' in sys.modules)") == "False\n"
+
+
+@pytest.mark.slow
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")
 @pytest.mark.parametrize("when", ["late", pytest.param("early", marks=pytest.mark.nightly)])
 def test_a_process_forked_from_one_that_has_computed_says_so_where_it_would_hang(when):

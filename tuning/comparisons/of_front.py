@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +22,8 @@ class FrontComparison:
     worth: str  # of a force sensor, in words
 
 
-def compare(found: Front, stage: Stage = silent, out: Path | None = None) -> FrontComparison:
-    """Simulate the points on a front, the law's own gains and pd; nothing is kept in `out`."""
+def compare(found: Front, stage: Stage = silent) -> FrontComparison:
+    """Simulate the points on a front, the law's own gains and pd."""
     problem, data, scenario = found.problem, found.data, found.scenario
     how: dict[str, Any] = {"law": problem.law, "engine": problem.engine}
     with stage("walks along the front"):

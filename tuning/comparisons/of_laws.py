@@ -1,7 +1,6 @@
 """Which differences between laws are real, and what that says of the force sensor and of better hardware."""
 
 import dataclasses
-from pathlib import Path
 
 import xarray as xr
 
@@ -30,8 +29,8 @@ class LawsComparison:
     reading: list[str]  # laws that read forces
 
 
-def compare(found: Comparison, stage: Stage = silent, out: Path | None = None) -> LawsComparison:
-    """Compute which differences are real; nothing walks, and nothing is kept in `out`."""
+def compare(found: Comparison, stage: Stage = silent) -> LawsComparison:
+    """Compute which differences are real; nothing walks."""
     problem = found.problem
     assert isinstance(problem.objective, Objective)
     reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]

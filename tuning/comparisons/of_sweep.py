@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,15 +78,12 @@ class SweepComparison:
     remedies: Sequence[str] = ()  # where all failed: what would keep the grippers of the config's walk shut
 
 
-def compare(
-    found: Swept, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None
-) -> SweepComparison:
+def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> SweepComparison:
     """Simulate what a grid is compared with, and compute its limit of stability.
 
     Arguments:
         found: the grid.
         stage: opened for each longer work.
-        out: not used; other comparisons keep rounds there.
         begun: what `begin` gave, where it was begun before the grid walked.
     """
     problem, best, (scenario, law) = found.problem, best_cell(found.data), found.walker()
