@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from mjx_climb.execution.batches import Robots as Robots
     from mjx_climb.execution.batches import run as run
     from mjx_climb.execution.batches import run_one as run_one
+    from mjx_climb.execution.batches import shapes_of as shapes_of
     from mjx_climb.execution.batches import walking_with as walking_with
     from mjx_climb.execution.flat import reached as reached
     from mjx_climb.execution.limbs import of_limbs as of_limbs
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 # where each name above is defined: it is imported, and JAX with it, when it is first asked for
 _HOMES = {
-    **dict.fromkeys(("Robots", "run", "run_one", "walking_with"), "batches"),
+    **dict.fromkeys(("Robots", "run", "run_one", "shapes_of", "walking_with"), "batches"),
     "reached": "flat",
     "of_limbs": "limbs",
     "over_robots": "one_robot",

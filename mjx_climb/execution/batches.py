@@ -6,6 +6,7 @@ asks for, the plain one is taken, and a warning says so once.
 """
 
 import functools
+import json
 import math
 import sys
 from collections.abc import Callable, Hashable, Sequence
@@ -17,9 +18,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.sharding import Sharding
+from jax.tree_util import PyTreeDef
 
 from mjx_climb.execution import devices, gpu_kernel, paths
-from mjx_climb.execution.cache import cached_jit, enable_cache, source_digest
+from mjx_climb.execution.cache import (
+    cached_jit,
+    enable_cache,
+    executable_file,
+    read_whole,
+    source_digest,
+    store_whole,
+)
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.execution.jax_types import Function, PyTree
 from mjx_climb.execution.one_robot import over_robots
@@ -142,6 +151,38 @@ def run_one(function: Function, structure: Hashable, *arguments: PyTree) -> PyTr
             return jax.tree.map(np.asarray, _program(path, "cpu", False)(call._replace(path=path), *arguments))
 
     return first_possible(by, paths.path_for("cpu", kernel=False), (call, jax.tree.structure(arguments)))
+
+
+def shapes_of(
+    function: Callable[..., dict[str, Array]], structure: Hashable, *arguments: PyTree
+) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of what a function of one robot returns, in double precision.
+
+    They are kept on disk as executables are, so that a warm start does not trace for them.
+
+    Arguments:
+        function: as of `run`.
+        structure: as of `run`.
+        arguments: trees of `jax.ShapeDtypeStruct`.
+    """
+    enable_cache()
+    leaves, tree = jax.tree.flatten(arguments)
+    return dict(_shapes_of(_Call(function, structure, ()), tree, tuple(leaves)))
+
+
+@functools.cache
+def _shapes_of(call: _Call, tree: PyTreeDef, leaves: tuple[jax.ShapeDtypeStruct, ...]) -> dict[str, tuple[int, ...]]:
+    trees = jax.tree.unflatten(tree, leaves)
+    known = _identity(call, *trees)
+    file = None if known is None else executable_file(call.function, known, (tree, leaves), {})
+    if (stored := None if file is None else read_whole(file)) is not None:
+        return {name: tuple(shape) for name, shape in json.loads(stored)}
+    with devices.on_host(), jax.enable_x64(True):
+        found = jax.eval_shape(functools.partial(call.function, call.structure), *trees)
+    shapes = {name: value.shape for name, value in found.items()}
+    if file is not None:
+        store_whole(file, json.dumps([*shapes.items()]).encode())
+    return shapes
 
 
 def walking_with(robots: range, whole: int) -> range:

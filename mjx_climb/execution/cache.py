@@ -1,4 +1,4 @@
-"""The folder of compiled programs: XLA's persistent cache, cached executables, and verdicts on the fast paths.
+"""The folder of compiled programs: XLA's persistent cache, executables, shapes, verdicts on the fast paths.
 
 It is in the user's cache folder, so that a second start does not wait for the compiler. `MJX_CLIMB_CACHE` moves it (a
 folder) or switches it off (`off`); a folder that the user has set in JAX itself is left. What lies there is executed,
@@ -205,10 +205,7 @@ def _loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
     """Return a stored executable, None where there is none."""
     begin = time.perf_counter()
     try:
-        if may_be_anothers(file):
-            return None
-        digest, content = file.read_bytes().split(b"\n", 1)
-        if _digest(file, content) != digest:
+        if (content := read_whole(file)) is None:
             return None
         default: object = settings()["jax_default_device"]
         device = default if isinstance(default, jax.Device) else jax.devices(cast(str | None, default))[0]
@@ -238,10 +235,26 @@ def _stored(
     # the program is not found there.
     named.__name__ = f"{function.__name__}_{uuid.uuid4().hex}"
     executable = jax.jit(named, static_argnums=0, compiler_options=options).lower(structure, *trees).compile()
-    with contextlib.suppress(Exception):  # no room, no rights, or not to be serialized: it is made again next time
-        content = pickle.dumps(serialize_executable.serialize(executable))
-        write_whole(file, _digest(file, content) + b"\n" + content)
+    with contextlib.suppress(Exception):  # not to be serialized: it is made again next time
+        store_whole(file, pickle.dumps(serialize_executable.serialize(executable)))
     return executable
+
+
+def read_whole(file: Path) -> bytes | None:
+    """Return what `store_whole` wrote, None where nothing of this user's is there, or it is damaged."""
+    try:
+        if may_be_anothers(file):
+            return None
+        digest, content = file.read_bytes().split(b"\n", 1)
+    except (OSError, ValueError):  # ValueError: one line
+        return None
+    return content if _digest(file, content) == digest else None
+
+
+def store_whole(file: Path, content: bytes) -> None:
+    """Keep a file under a digest of its content and name; where there is no room, or no rights, it is made again."""
+    with contextlib.suppress(OSError):
+        write_whole(file, _digest(file, content) + b"\n" + content)
 
 
 def write_whole(file: Path, content: bytes) -> None:

@@ -10,7 +10,8 @@ import jax
 import numpy as np
 import pytest
 
-from mjx_climb.execution import cache, paths
+from mjx_climb import execution
+from mjx_climb.execution import batches, cache, paths
 from tuning.command_line import machine
 
 ROOT = Path(__file__).parents[2]
@@ -104,6 +105,28 @@ def test_a_file_that_is_not_what_was_written_is_not_executed(run, tmp_path, dama
     [file] = (tmp_path / "programs").iterdir()
     damage(file, run)
     assert run() == (1, values)
+
+
+def test_shapes_are_traced_once_for_all_processes(tmp_path, monkeypatch):
+    """And again where the file that holds them is damaged, or the structure is another."""
+    traced, eval_shape = [], jax.eval_shape
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
+    monkeypatch.setattr(jax, "eval_shape", lambda *trees: traced.append(trees) or eval_shape(*trees))
+
+    def shapes(times=2):
+        batches._shapes_of.cache_clear()  # as in the next process
+        return execution.shapes_of(_repeated, times, jax.ShapeDtypeStruct((3,), np.dtype(float)))
+
+    with cache.cache_in(str(tmp_path)):
+        assert [shapes(), shapes()] == 2 * [{"all": (2, 3), "sum": ()}] and len(traced) == 1
+        [file] = (tmp_path / "programs").iterdir()
+        file.write_bytes(file.read_bytes().replace(b"[2, 3]", b"[2, 4]"))
+        assert shapes()["all"] == (2, 3) and len(traced) == 2
+        assert shapes(times=5)["all"] == (5, 3) and len(traced) == 3
+
+
+def _repeated(times, values):
+    return {"all": jax.numpy.stack(times * [values]), "sum": values.sum()}
 
 
 def test_a_cache_that_the_user_chose_in_jax_stays(tmp_path, monkeypatch):

@@ -41,6 +41,7 @@ from threadpoolctl import threadpool_limits
 import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import Law, law_of
+from mjx_climb.execution.jax_types import PyTree
 from mjx_climb.gait import schedule as gait
 from mjx_climb.hardware import bus
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -71,8 +72,9 @@ _LATE = ("base", "command", "force")  # the signals whose delays are put around 
 _REST = "rest"  # of the states, by name behind the signals
 _ONE_STEP = 2  # samples of a buffer whose signal is one time step late: the newest, and the one before
 HARDWARE = (*(f"{part}_delay" for part in _LATE), "control_period")  # what a loop may have whatever its values
+_OWN_OF_EACH = ("kp", "kd", "ki", "cargo_mass", *HARDWARE)  # by robot in every call, so that all share a program
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
-_Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, parameters where they vary
+_Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, and parameters of one's own
 
 
 def spectral_radius(
@@ -144,28 +146,43 @@ def by_stance(
         tail = value.shape[value.ndim - own :]
         return np.broadcast_to(value, (*found.shape, *tail)).reshape(periods.size, *tail)[rows]
 
-    law, parameters = jax.tree.map(of_rows, (found.law, found.parameters), found.axes)
-    delays = {part: getattr(parameters, f"{part}_delay") / scenario.time_step for part in late}
-    one_step = {f"{part}_delay": np.full(rows.size, scenario.time_step) for part in late}
-    parameters = dataclasses.replace(parameters, **one_step, cargo_mass=parameters.cargo_mass * loaded.astype(float))
-    radii = _radii_of(walk, (law, parameters), delays, periods.ravel()[rows], stances[rows, stance])
+    def if_varied(value: np.ndarray, own: int) -> np.ndarray:
+        return of_rows(value, own) if value.ndim > own else value
+
+    law = jax.tree.map(of_rows, found.law, found.axes[0])
+    parameters = jax.tree.map(if_varied, found.parameters, found.axes[1])  # each that is one a robot costs time to pass
+    each = {name: of_rows(getattr(found.parameters, name), 0) for name in _OWN_OF_EACH}
+    delays = {part: each[f"{part}_delay"] / scenario.time_step for part in late}
+    each |= {f"{part}_delay": np.full(rows.size, scenario.time_step) for part in late}
+    each["cargo_mass"] = each["cargo_mass"] * loaded
+    robots = law, dataclasses.replace(parameters, **each)
+    radii = _radii_of(walk, robots, found.axes, delays, periods.ravel()[rows], stances[rows, stance])
     return np.asarray(radii.reshape(*found.shape, which.size))
 
 
 def _radii_of(
-    walk: Structure, robots: _Robots, delays: Mapping[str, np.ndarray], periods: np.ndarray, first: np.ndarray
+    walk: Structure,
+    robots: _Robots,
+    axes: PyTree,
+    delays: Mapping[str, np.ndarray],
+    periods: np.ndarray,
+    first: np.ndarray,
 ) -> np.ndarray:
     """Return the radii (N,) of robots, linearised over their control periods (N,), which begin at a `first` step.
 
-    `delays` are those of signals, in time steps, (N,) each.
+    `axes` are those of one robot's values, `delays` those of signals, in time steps, (N,) each.
     """
-    single = jax.tree.map(lambda value: jax.ShapeDtypeStruct(value.shape[1:], value.dtype), robots)
-    with jax.enable_x64(True):
-        off, step = jax.ShapeDtypeStruct((), float), jax.ShapeDtypeStruct((), np.int32)
-        sizes = {name: value.size for name, value in _traced_once.eval_shape(walk, off, *single, step).items()}
+
+    def one(value: np.ndarray, own: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(value.shape[value.ndim - own :], value.dtype)
+
+    off, step = jax.ShapeDtypeStruct((), np.dtype(float)), jax.ShapeDtypeStruct((), np.dtype(np.int32))
+    of_one = off, *jax.tree.map(one, robots, axes), step
+    sizes = {name: math.prod(shape) for name, shape in execution.shapes_of(_moved, walk, *of_one).items()}
     states = sum(sizes.values())
     # robots that differ in their delays alone are linearised once
-    known = [np.reshape(value, (len(periods), -1)) for value in (*jax.tree.leaves(robots), first)]
+    varied = [value for value, own in zip(*map(jax.tree.leaves, (robots, axes)), strict=True) if value.ndim > own]
+    known = [np.reshape(value, (len(periods), -1)) for value in (*varied, first)]
     _, own, of = np.unique(np.concatenate(known, axis=1), axis=0, return_index=True, return_inverse=True)
     of = of.ravel()
     late = np.stack([delays[name] for name in sizes if name != _REST], axis=1) if delays else np.zeros((len(of), 0))
@@ -177,11 +194,10 @@ def _radii_of(
         # held: all steps after the first of a period are alike; on a line to the next target each is another
         longest, found = int(periods[rows].max()), []
         padded = np.resize(rows, max(len(rows), _FEWEST_MATRICES))
-        some = jax.tree.map(lambda value: value[padded], robots)
+        some = jax.tree.map(lambda value, own: value[padded] if value.ndim > own else value, robots, axes)
         still, columns = np.zeros((len(padded), states)), np.broadcast_to(np.eye(states), (len(padded), states, states))
         for kind in range(longest if walk.stages.linear else min(longest, 2)):
             step = (first[padded] + kind).astype(np.int32)
-            axes = jax.tree.map(lambda value: value.ndim - 1, some)
             linearised = execution.Robots((still, *some, step), (1, *axes, 0), (len(padded),), columns)
             _, tangents = execution.run(_moved, walk, linearised, batch_size=call, compile_briefly=True)
             found.append(np.concatenate([tangents[name] for name in sizes], axis=-1)[: len(rows)])
@@ -398,9 +414,6 @@ def _put(memory: control_loop.Memory, samples: Mapping[str, Any]) -> control_loo
         memory = memory._replace(targets=targets, joint_gains=gains)
         memory = memory._replace(reports=memory.reports._replace(buffers=reported) if memory.reports else None)
     return memory
-
-
-_traced_once = jax.jit(_moved, static_argnums=0)
 
 
 def _stance(walk: Walk, step: Array) -> Carry:

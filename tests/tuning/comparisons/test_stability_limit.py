@@ -147,7 +147,8 @@ def test_one_program_serves_whatever_part_of_the_hardware_gets_worse(case, monke
     scenario, gains, run, programs = case("case_1_2", "virtual_model"), mc.Gains(1.0, 150.0, 3e3), execution.run, set()
 
     def recorded(function, structure, robots, **how):
-        kinds = [(value.shape[1:], value.dtype) for value in jax.tree.leaves(robots.arguments)]
+        leaves = [jax.tree.leaves(each) for each in (robots.arguments, robots.axes)]
+        kinds = [(value.shape[value.ndim - own :], value.ndim > own) for value, own in zip(*leaves, strict=True)]
         programs.add((function, structure, tuple(kinds), tuple(how.items())))
         return run(function, structure, robots, **how)
 
@@ -168,7 +169,7 @@ def test_one_program_serves_whatever_part_of_the_hardware_gets_worse(case, monke
 
 @pytest.mark.parametrize("shape", [(), (2,)])
 def test_one_robot_and_a_batch_are_looked_at_over_their_control_period(case, monkeypatch, shape):
-    monkeypatch.setattr(stability_limit, "_radii_of", lambda walk, robots, axes, periods, first: 1.0 * periods)
+    monkeypatch.setattr(stability_limit, "_radii_of", lambda walk, robots, axes, delays, periods, first: 1.0 * periods)
     scenario = case("case_2", "virtual_model", {"hardware.control_period": 0.004})
     found = stability_limit.spectral_radius(scenario, mc.Gains(np.ones((*shape, 6)), 150.0, 3000.0))
     np.testing.assert_array_equal(found, np.full(shape, 4.0))  # steps
