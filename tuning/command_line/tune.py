@@ -308,7 +308,7 @@ def tune(
             walks = {**loaded.walks, "own_method": method, "space": space}
             problem = searches.problem_of(loaded.scenario, wanted, objective, ensemble=drawn, **walks)
         files = ["--search", "search.yaml", *([] if drawn is None else ["--ensemble", "ensemble.yaml"])]
-        again, begun = repeated(["tune", *files], "--engine"), None
+        again, begun = repeated(["tune", *files], "--test-members", "--seeds", "--engine"), None
         with shell.keeping("rounds"), background(busy=1) as begin:
             begin(lambda _: importlib.import_module("tuning.kinds"))  # matplotlib takes half a second
             if drawn is None:

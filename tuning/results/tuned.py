@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
@@ -164,21 +165,27 @@ def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarra
 
 
 def of_seeds(searches: Sequence[Tuned]) -> Tuned:
-    """Return the best of searches that differ in their seed, with how far they agree as the attribute `AGREEMENT`."""
-    best = min(searches, key=lambda own: (not own.feasible, own.value))
+    """Return the best of searches that differ in their seed, with how far they agree as the attribute `AGREEMENT`.
+
+    Its settings are those of the first, which repeat them all.
+    """
+    ranked = {name: [own.data[name].values[own.best] for own in searches] for name in ("value", "penalty", "feasible")}
+    best, asked = searches[best_of(ranked)], searches[0].search
     values, theta = [own.value for own in searches], np.stack([own.theta for own in searches])
     logarithms = best.data["unit"].values == 0
     said = f"{len(searches)} seeds end at objectives of {min(values):.4f} to {max(values):.4f}"
+    said += f", the best is of seed {best.search.seed}"
     if logarithms.any():
         apart = np.exp(np.ptp(theta[:, logarithms], axis=0))
         name = best.data["coordinate"].values[logarithms][apart.argmax()]
         said += f", their gains at most a factor of {apart.max():.3g} apart ({name})"
     if outside := sum(not own.feasible for own in searches):
         said += f"; {outside} of them break a limit"
-    return dataclasses.replace(best, data=best.data.assign_attrs({AGREEMENT: said}))
+    data = best.data.assign_attrs({AGREEMENT: said, "search": asked.to_yaml()})
+    return dataclasses.replace(best, data=data, search=asked)
 
 
-def best_of(arrays: Mapping[str, np.ndarray]) -> int:
+def best_of(arrays: Mapping[str, ArrayLike]) -> int:
     """Return the index of the best point."""
     value, penalty, feasible = (np.asarray(arrays[name]) for name in ("value", "penalty", "feasible"))
     ranked = np.where(feasible, value, np.inf) if feasible.any() else value + penalty

@@ -9,10 +9,10 @@ from tuning.problem.search import Search
 from tuning.results import tuned
 
 
-def search(seed, value, gains, *, feasible=True):
+def search(seed, value, gains, penalty=0.0):
     """A search of a stiffness, by its logarithm, and a duty, by its unit, that evaluated one point."""
     theta = [[np.log(gains[0]), gains[1]]]
-    one = {"value": [value], "penalty": [0.0 if feasible else 1.0], "feasible": [feasible]}
+    one = {"value": [value], "penalty": [penalty], "feasible": [not penalty]}
     data = {name: ("point", each) for name, each in one.items()} | {"theta": (("point", "coordinate"), theta)}
     data["unit"] = ("coordinate", [0.0, 0.1])
     names = {"coordinate": ["stiffness", "gait.duty"]}
@@ -20,15 +20,27 @@ def search(seed, value, gains, *, feasible=True):
 
 
 def test_the_best_of_several_seeds_is_taken_and_their_agreement_said():
-    each = search(0, 0.75, (1e3, 0.8)), search(1, 0.7, (2e3, 0.9)), search(2, 0.6, (9e2, 0.8), feasible=False)
+    each = search(0, 0.75, (1e3, 0.8)), search(1, 0.7, (2e3, 0.9)), search(2, 0.6, (9e2, 0.8), penalty=1.0)
     best = tuned.of_seeds(each)
-    assert (best.search.seed, best.value) == (1, 0.7)
+    assert best.value == 0.7
     assert best.data.attrs[tuned.AGREEMENT] == (
-        "3 seeds end at objectives of 0.6000 to 0.7500, their gains at most a factor of 2.22 apart (stiffness); "
-        "1 of them break a limit"
+        "3 seeds end at objectives of 0.6000 to 0.7500, the best is of seed 1, their gains at most a factor of 2.22 "
+        "apart (stiffness); 1 of them break a limit"
     )
     assert "break" not in tuned.of_seeds(each[:2]).data.attrs[tuned.AGREEMENT]
     assert tuned.AGREEMENT not in each[1].data.attrs
+
+
+def test_the_settings_of_several_seeds_are_those_that_repeat_them_all():
+    best = tuned.of_seeds([search(3, 0.75, (1e3, 0.8)), search(4, 0.7, (2e3, 0.9))])
+    assert best.value == 0.7 and best.search == Search(seed=3)
+    assert Search.parse(best.data.attrs["search"], "search.nc") == Search(seed=3)
+
+
+def test_where_no_seed_keeps_the_limits_the_nearest_to_them_is_taken():
+    """As of the points of one search."""
+    each = search(0, 0.9, (1e3, 0.8), penalty=0.1), search(1, 0.6, (2e3, 0.9), penalty=2.0)
+    assert tuned.of_seeds(each).value == 0.9
 
 
 def test_a_grid_has_no_seeds(call, tmp_path):
@@ -43,4 +55,5 @@ def test_tune_searches_from_several_seeds(call, tmp_path):
     short = ("--set", "duration=0.3", "--starts", "4", "--iterations", "2", "--method", "cmaes", "--space", "split")
     code, out, _ = call("tune", "case_1_2", *short, "--seeds", "2", "--out", tmp_path / "out")
     assert code == 0 and "2 seeds end at objectives of" in out
+    assert "--search search.yaml --seeds 2 --out again" in (tmp_path / "out" / "report.html").read_text()
     assert not (tmp_path / "out" / "parts").exists()
