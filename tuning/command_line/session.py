@@ -145,7 +145,8 @@ class Session:
         self.begin = time.perf_counter()
         self.console = console(stderr=True)
         self.tables = self.console if output.json_only else console(file=stdout)
-        self.output, self.name, self.out, self.done = output, "", Path(), 0
+        self.output, self.name, self.out = output, "", Path()
+        self.done = self._before = 0  # of what is kept where the command is stopped; in stages that are over
         self.sections = sections  # of the user's own, for the report
         self.lacks = ""  # what a result lacks that is in the folder before the command ends
         self.settings: Mapping[str, Any] | None = None  # what the command was asked for
@@ -289,7 +290,8 @@ class Session:
                 if self.settings is not None:
                     record.give_up(self.out)
                 raise
-            kept = f"{self.done} {what} are kept in {folder or self.out}"
+            which = f"{what.removesuffix('s')} is" if self.done == 1 and " " not in what else f"{what} are"
+            kept = f"{self.done} {which} kept in {folder or self.out}"
             kept = f"{self.out} holds a result without {self.lacks}" if self.lacks else kept
             raise Interrupted(f"{kept}; the same command goes on from there") from None
 
@@ -337,7 +339,7 @@ class Session:
 
         def advanced(done: int, total: int, text: str | None = None) -> None:
             if keeps:
-                self.done = done
+                self.done = self._before + done
             compilation.since = now = time.perf_counter()
             left = estimate.update(done, total, now)
             text = text or f"{name}: {done} of {total} {unit}"
@@ -350,6 +352,7 @@ class Session:
 
         with Compilation(compiled, traced) as compilation, bar:
             yield advanced
+        self._before = self.done if keeps else self._before
         text = f"{name}: {duration(time.perf_counter() - begin)}"
         spent = str(compilation)
         self.console.print(text + (f", of which {spent}" if spent else ""))

@@ -128,7 +128,8 @@ def _versus(own: xr.Dataset, base: xr.Dataset) -> tuple[str, str]:
     if not of:  # a share of no walks has no per cent of its own
         of = 1.0
     change, low, high = (100 * float(own[name]) / of for name in ("difference", "low", "high"))
-    return number(value), f"{change:+.1f} [{low:.1f}, {high:.1f}]{' ' if bool(own['real']) else '~'}"
+    interval = f"{low:.1f}, {high:.1f}" if np.isfinite([low, high]).all() else "no interval"  # of too few walks
+    return number(value), f"{change:+.1f} [{interval}]{' ' if bool(own['real']) else '~'}"
 
 
 def of_search(found: Tuned) -> dict[str, Any]:

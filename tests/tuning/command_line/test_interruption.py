@@ -141,6 +141,16 @@ def test_what_is_kept_is_said_where_another_process_was_stopped_first(asked, mon
         raise LostProcess("gone")
 
 
+@pytest.mark.parametrize(("rounds", "said"), [((3, 1), "^4 rounds are kept in "), ((1,), "^1 round is kept in ")])
+def test_the_rounds_of_all_searches_of_a_command_are_kept(rounds, said, tmp_path):
+    shell = Session(sys.stdout, Output())
+    with pytest.raises(interruption.Interrupted, match=said), shell.keeping("rounds", tmp_path):
+        for done in rounds:
+            with shell.stage("search", unit="rounds", keeps=True) as show:
+                show(done, 3)
+        raise KeyboardInterrupt
+
+
 def test_a_command_that_came_to_its_end_says_so(monkeypatch, call, tmp_path):
     monkeypatch.setattr(dataset, "write_text_atomically", lambda *_: signal.raise_signal(signal.SIGINT))
     code, _, err = call("doctor", "--schema", "--out", tmp_path / "schema.json")

@@ -20,7 +20,7 @@ from tuning.comparisons.of_search import TuneComparison
 from tuning.comparisons.of_sweep import SweepComparison
 from tuning.comparisons.side_by_side import differences
 from tuning.comparisons.worth import of_front
-from tuning.pages import comparison, explorer, judge, page, pareto, sweep, tune
+from tuning.pages import comparison, explorer, judge, laws, page, pareto, sweep, tune
 from tuning.problem.evaluation import Problem
 from tuning.results import front as fronts
 from tuning.results import tuned
@@ -549,3 +549,15 @@ def test_what_speaks_against_a_scenario_is_said_before_the_walk(changes, said):
     """
     lines = numbers.ahead_of(mc.load_scenario("case_1_1", changes))
     assert len(lines) == (said is not None) and all(said in line for line in lines)
+
+
+def test_a_difference_of_too_few_walks_has_no_interval():
+    numbers = {
+        "value": [[4.5, 5.0], [5.0, 5.0]], "difference": [[-0.5, 0.0], [0.25, 0.0]], "real": [[False, False]] * 2,
+        "low": [[-1.0, 0.0], [np.nan, 0.0]], "high": [[0.25, 0.0], [np.nan, 0.0]],
+    }  # fmt: skip
+    names = {"metric": ["force_variation"], "statistic": ["mean", "worst"], "gains": ["mine", "retuned_pd"]}
+    about = {"baseline": "retuned_pd", "worst_share": 0.05, "members_compared": 4}
+    table = xr.Dataset({name: (tuple(names), [each]) for name, each in numbers.items()}, names, about)
+    [(_, [own, _])] = laws.laws_table(table).sections
+    assert own == ["force variation", "mine", "4.5", "-10.0 [-20.0, 5.0]~", "5", "+5.0 [no interval]~"]
