@@ -1,7 +1,7 @@
 """What every search returns: data, gains, and the problem that was searched."""
 
 import dataclasses
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import xarray as xr
 
@@ -10,10 +10,6 @@ from mjx_climb.inputs.resolve import AnyGains, with_gains
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
-
-if TYPE_CHECKING:
-    pass
-
 
 # by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
 RESULTS = (
