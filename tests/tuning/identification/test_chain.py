@@ -45,7 +45,7 @@ def test_gains_from_a_log_are_those_of_the_truth():
         "truth": tuning.tune(truth, **SEARCH).gains,
     }
     alone = Ensemble(members=2, pushes=None, cargo=None, gravity=None, grip_stiffness=(1.0, 1.0), robot_mass=(1.0, 1.0))
-    walked = tuning.judge(truth, gains, alone, members=2).data
+    walked = tuning.evaluate(truth, gains, alone, members=2).data
     better = 0
     for name in WEIGHTS:
         values = walked[name].mean("member")
