@@ -97,8 +97,7 @@ class Objective:
     def score(self, metrics: Metrics) -> Score:
         """Score points by their metrics; NaN and infeasible where the walk diverged."""
         if self.function is not None:
-            # a walk alone has no smooth companions
-            value = smooth = self.function({PREFIX + name: each for name, each in metrics.items()} | {**metrics})
+            value = smooth = self.function(_with_companions(metrics))
         else:
             value, smooth = self._weighted(metrics, smooth=False), self._weighted(metrics, smooth=True)
         penalty, feasible = jnp.zeros_like(value), jnp.isfinite(value)
@@ -208,9 +207,15 @@ def objective(
     return Objective(terms, tuple(limits), function, worst, ratio_margin, reference)
 
 
+def _with_companions(metrics: Metrics) -> Metrics:
+    """Return metrics with themselves as smooth companions where they have none, as those of a walk alone."""
+    return {PREFIX + name: each for name, each in metrics.items()} | {**metrics}
+
+
 def _of_pd(function: Callable[[Metrics], Array], baseline: Mapping[str, Any]) -> float:
     try:
-        value = np.asarray(function({name: jnp.asarray(each) for name, each in baseline.items()}), float)
+        known = _with_companions({name: jnp.asarray(each) for name, each in baseline.items()})
+        value = np.asarray(function(known), float)
     except Exception as error:
         reason = str(error).splitlines()[0] if str(error) else ""
         raise ConfigError(f"objective: {type(error).__name__}: {reason}") from error

@@ -200,11 +200,16 @@ def test_an_objective_that_fails_is_refused_in_one_line(objective, said):
 
 
 def test_an_objective_has_its_own_value_of_pd_and_reads_smooth_metrics_of_a_walk_that_has_none():
-    baseline = {"base_deviation": 0.01, "travel": 2.0, "smooth_travel": 1.9}
-    goal = objectives.objective(mc.Scenario(), Search(), baseline, lambda metrics: 3 * metrics["smooth_travel"])
-    assert goal.reference == pytest.approx(5.7)
-    alone = {"joint_limit_margin": 1.0, "peak_pull_force": 0.0, "base_deviation": 0.01, "travel": 2.0}
-    assert float(goal.score({**alone, "diverged": np.array(False)}).value) == pytest.approx(6.0)
+    baseline = {"base_deviation": 0.01, "travel": 2.0, "smooth_travel": 1.9, "cost_of_transport": 10.0}
+
+    def mine(metrics):
+        return 3 * metrics["smooth_travel"] + metrics["smooth_cost_of_transport"]
+
+    goal = objectives.objective(mc.Scenario(), Search(), baseline, mine)
+    assert goal.reference == pytest.approx(15.7)
+    alone = {"joint_limit_margin": 1.0, "peak_pull_force": 0.0, "diverged": np.array(False)}
+    alone |= {name: value for name, value in baseline.items() if name != "smooth_travel"}
+    assert float(goal.score(alone).value) == pytest.approx(16.0)
 
 
 @pytest.mark.parametrize(
