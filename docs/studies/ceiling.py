@@ -43,8 +43,11 @@ def scenario_of(hardware: str, case: str, seconds: float) -> mc.Scenario:
     return scenario.with_overrides({"hardware": section})
 
 
-def laws_of(scenario: mc.Scenario, hardware: str, case: str, draw: Ensemble | None) -> dict:
-    """Return the laws that are compared: the shipped gains, or with ideal hardware the config's law, searched."""
+def laws_of(scenario: mc.Scenario, hardware: str, case: str, draw: Ensemble | None, folder: Path | None) -> dict:
+    """Return the laws that are compared: the gains of a folder, shipped ones, or with ideal hardware searched ones."""
+    if folder is not None:
+        files = {"load_transfer": "transfer", "retuned_pd": "pd"}
+        return {name: folder / f"{hardware}_{case}_{kind}.yaml" for name, kind in files.items()}
     if hardware != "ideal":
         files = {"load_transfer": "best", "retuned_pd": "pd"}
         return {name: f"configs/gains/{hardware}_case_{case}_{kind}.yaml" for name, kind in files.items()}
@@ -53,7 +56,9 @@ def laws_of(scenario: mc.Scenario, hardware: str, case: str, draw: Ensemble | No
     return {scenario.control.controller: found.gains}
 
 
-def row(place: Path, hardware: str, case: str, draw: Ensemble | None, settings: Ceiling, seconds: float) -> None:
+def row(
+    place: Path, hardware: str, case: str, draw: Ensemble | None, settings: Ceiling, seconds: float, gains: Path | None
+) -> None:
     """Search one row of the study and write its folder."""
     scenario, begun = scenario_of(hardware, case, seconds), time.time()
 
@@ -61,7 +66,7 @@ def row(place: Path, hardware: str, case: str, draw: Ensemble | None, settings: 
         if done % 20 == 0 or done == of:
             print(f"  {name}: {done} of {of} gradients, {time.time() - begun:.0f} s", flush=True)
 
-    laws = laws_of(scenario, hardware, case, draw)
+    laws = laws_of(scenario, hardware, case, draw, gains)
     found = tuning.ceiling(scenario, laws, settings, ensemble=draw, progress=told)
     print(
         "\n".join(f"  {line}" for line in tuning.write(found, place).outcome),
@@ -82,9 +87,13 @@ def main() -> None:
     parser.add_argument("--random", type=int, default=Ceiling().random, help="random starts")
     parser.add_argument("--test-members", type=int, default=Ceiling().test_members, help="unseen walks")
     parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--gains", type=Path, help="folder of ceiling_laws.py, whose pd and load transfer are compared")
+    parser.add_argument("--better", default=Ceiling().better, help="metric of a front")
+    parser.add_argument("--against", help="metric that it is traded against")
     asked = parser.parse_args()
     os.environ.setdefault("MJX_CLIMB_ON_CPU", "1000")
-    how = {name: getattr(asked, name) for name in ("iterations", "knots", "delays", "random", "test_members")}
+    names = ("iterations", "knots", "delays", "random", "test_members", "better", "against")
+    how = {name: getattr(asked, name) for name in names}
     settings = Ceiling(weights=WEIGHTS, **how)
     for hardware in ("dynamixel_x", "ideal"):
         for case in CASES:
@@ -93,7 +102,7 @@ def main() -> None:
                 place = asked.out / f"{hardware}_{case}_{name}"
                 if asked.only in place.name and not (place / "report.html").exists():
                     print(place.name, flush=True)
-                    row(place, hardware, case, draw, settings, asked.seconds)
+                    row(place, hardware, case, draw, settings, asked.seconds, asked.gains)
     rows = []
     for file in sorted(asked.out.glob("*/summary.json")):
         contestants = json.loads(file.read_text())["contestants"]

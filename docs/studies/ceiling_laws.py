@@ -4,7 +4,8 @@
 
 The steps of a case, each from the gains file that the one before it left, or from the shipped gains:
 
-    pd, transfer           the law's gains, joint gains and gait by CMA-ES
+    pd, transfer, even, base, end_effector, internal
+                           a law's gains, joint gains and gait by CMA-ES; after pd within its means of all metrics
     feet_pd, feet          `PlannedFeet` beside pd, beside load transfer: by gradients
     network_pd, network    the network of docs/guides/network_law.py beside pd, beside load transfer: by gradients
     blind, clairvoyant     `TimedFeet` beside pd: one plan for all walks, and a plan of each
@@ -21,25 +22,26 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import yaml
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "guides")]
 
 import ceiling as study
+from even_transfer import EvenTransfer
 from network_law import Network
 from planned_feet import PlannedFeet, TimedFeet
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.control import PD, LoadTransfer, combined
+from mjx_climb.control import PD, EndEffectorAdmittance, InternalForce, LoadTransfer, VirtualModelAdmittance, combined
 from mjx_climb.inputs.gait_values import GAIT, scenario_with_gait
 from tuning.gains import gains_file
-from tuning.gains.gains_file import by_name
 from tuning.methods.many_variables import Evaluated, descend
 from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, spaces
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.evaluation import Problem, under_pd
-from tuning.problem.objectives import Limit
+from tuning.problem.objectives import Limit, Objective, Score, penalty_of
 from tuning.problem.plans import RATE, SWING
 from tuning.problem.search import Search
 from tuning.searches import ceiling as bounds
@@ -47,9 +49,15 @@ from tuning.searches.tune import start_of
 
 TABLE = mc.MetricTable((*mc.METRICS, SWING, RATE))
 ALSO = tuple(name for name in GAIT if name != "gait.stride")
+LAWS = {"pd": PD, "transfer": LoadTransfer, "even": EvenTransfer, "base": VirtualModelAdmittance,
+        "end_effector": EndEffectorAdmittance, "internal": InternalForce}  # fmt: skip
+SHIPPED = {"pd": "_pd", "transfer": "_best", "even": "_best", "base": ""}  # ends of the names of gains files
 ADDED = {"feet": PlannedFeet, "network": Network, "blind": TimedFeet, "clairvoyant": TimedFeet}
 FLOATS = {"metrics": TABLE, "engine": "limb", "dtype": np.float32}
 UNSEEN, MOST, WAY, STAGES, LATE = 512, 1500, 0.02, 4, 45.0
+# the penalty of a pull begins so far below the holding limit; a mean may be so much above pd's, and its penalty begins
+# so far below; pulls by a share of the holding limit
+PULL_MARGIN, WORSE, MARGIN = 0.2, 0.02, 0.01
 KEPT = (*study.WEIGHTS, "peak_pull_force", "base_deviation", "swing_deviation", "travel")
 
 
@@ -70,12 +78,45 @@ def goals_on(scenario, weights, *draws):
     return goals
 
 
-def begun(scenario, file, kind):
-    """Return scenario and law with the gains of a file as their own."""
-    if file is None:
-        return scenario, (LoadTransfer if kind == "transfer" else PD)()
-    law, gains = gains_file.whole(file, scenario)
-    own = by_name(gains)
+@dataclasses.dataclass(frozen=True)
+class Within:
+    """An objective over an ensemble, (members, B) metrics, whose means over the members have limits too."""
+
+    each: Objective
+    most: tuple[tuple[str, float], ...]
+
+    @property
+    def limits(self):
+        """The limits of each walk."""
+        return self.each.limits
+
+    def score(self, metrics):
+        """Return the scores (B,) of points."""
+        value, descent, penalty, feasible = self.each.score(metrics)
+        value, descent, penalty, feasible = value.mean(0), descent.mean(0), penalty.mean(0), feasible.all(0)
+        for name, most in self.most:
+            over = metrics[name].mean(0) / most - 1
+            penalty, feasible = penalty + penalty_of(over + MARGIN), feasible & (over <= 0)
+        return Score(value, descent, penalty, feasible)
+
+
+def most_of(means, scenario):
+    """Return what the means of a law's metrics may be, by those of pd."""
+    extra = {"peak_pull_force": WORSE * scenario.contact.holding_limit}
+    names = (*study.WEIGHTS, "peak_pull_force", "base_deviation")
+    return tuple((name, float(means[name] + extra.get(name, WORSE * means[name]))) for name in names)
+
+
+def read(file):
+    """Return the gains of a file by name, gait and joint gains among them, at the scenario's speed of travel."""
+    own = yaml.safe_load(file.read_text()) if file.exists() else {}
+    gait = {f"gait.{name}": value for name, value in own.get("gait", {}).items() if name != "stride"}
+    return {name: value for name, value in own.items() if name not in ("law", "gait")} | gait
+
+
+def begun(scenario, own, kind):
+    """Return scenario and law with gains by name as their own."""
+    law = LAWS[kind]()
     law = dataclasses.replace(law, **{name: np.asarray(own[name], float) for name in law.GAINS if name in own})
     joint = {f"control.{name}": float(own[name]) for name in ("kp", "kd") if name in own}
     return scenario_with_gait(scenario.with_overrides(joint), {name: own[name] for name in GAIT if name in own}), law
@@ -84,7 +125,11 @@ def begun(scenario, file, kind):
 def values(problem, theta):
     """Return objective and metrics of a point in each of the unseen walks, and which are lost."""
     gains = spaces.to_gains64(problem.space, theta)
-    found = mc.rollout_metrics(problem.scenario, gains, problem.parameters, **problem._how)
+    return of_walks(problem, mc.rollout_metrics(problem.scenario, gains, problem.parameters, **problem._how))
+
+
+def of_walks(problem, found):
+    """Return objective and metrics of walks, and which are lost."""
     score = problem.objective.score({name: np.asarray(value) for name, value in found.items()})
     lost = np.asarray(found["diverged"], bool) | (found["peak_pull_force"] > problem.scenario.contact.holding_limit)
     kept = {name: np.asarray(found[name]) for name in KEPT} | {"objective": np.asarray(score.value), "lost": lost}
@@ -131,14 +176,16 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("case")
     parser.add_argument("steps", nargs="+")
-    parser.add_argument("--metric", action="append", help="to better in place of all of the ceiling's")
     parser.add_argument("--hardware", default="dynamixel_x")
-    parser.add_argument("--members", type=int, default=32)
+    parser.add_argument("--members", type=int, default=64)
     parser.add_argument("--unseen", type=int, default=UNSEEN)
     parser.add_argument("--minutes", type=float, default=12.0, help="for all steps together")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--rounds", type=int, default=150, help="of CMA-ES")
-    parser.add_argument("--points", type=int, default=256, help="of a round")
+    parser.add_argument("--points", type=int, default=128, help="of a round")
+    parser.add_argument("--seed", type=int, default=0, help="of CMA-ES")
+    parser.add_argument("--weight", action="append", default=[], help="METRIC=W in place of the ceiling's metrics")
+    parser.add_argument("--longer", type=float, default=16.0, help="s, of the walks that end the study; 0: none")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     began = time.time()
@@ -148,19 +195,23 @@ def main():
     scenario = study.scenario_of(hardware, case, asked.seconds)
     draw = study.DRAWS[case].model_copy(update={"members": asked.members})
     unseen = ensembles.fresh(draw).model_copy(update={"members": asked.unseen})
-    goal, judges = goals_on(scenario, {name: 1.0 for name in asked.metric or study.WEIGHTS}, draw, unseen)
-    rest = {name: f"configs/gains/{hardware}_case_{case}_{kind}.yaml" for name, kind in
-            (("transfer", "best"), ("pd", "pd"))}  # fmt: skip
+    weights = {name: float(weight) for name, weight in (text.split("=") for text in asked.weight)} or study.WEIGHTS
+    goal, judges = goals_on(scenario, weights, draw, unseen)
+    goal = dataclasses.replace(goal, limits=tuple(
+        limit._replace(margin=PULL_MARGIN) if limit.metric == "peak_pull_force" else limit for limit in goal.limits
+    ))  # fmt: skip
+    ended = []
     for place, step in enumerate(asked.steps):
         until = began + 60 * asked.minutes * (place + 1) / len(asked.steps)
         stem = asked.out / f"{hardware}_{case}_{step}"
         print(f"{stem.name}, {time.time() - began:.0f} s", flush=True)
         kind, _, of = step.partition("_")
         of = of or {"feet": "transfer", "network": "transfer"}.get(kind, "pd")
-        of = kind if kind in rest else of
-        file = asked.out / f"{hardware}_{case}_{of}.yaml"
-        file = file if file.exists() else rest[of] if hardware != "ideal" else None
-        changed, law = begun(scenario, file, of)
+        kind, of = (step, step) if step in LAWS else (kind, of)
+        own = {name: read(asked.out / f"{hardware}_{case}_{name}.yaml") for name in ("pd", "transfer", of)}
+        shipped = read(Path(f"configs/gains/{hardware}_case_{case}{SHIPPED.get(of, '_none')}.yaml"))
+        begin = shipped | own["pd"] | (own["transfer"] if of == "even" else {})
+        changed, law = begun(scenario, own[of] or begin, of)
         changed = under_pd(changed) if of == "pd" else changed
         if kind in ADDED:
             law = combined(law, ADDED[kind]()) if of != "pd" else ADDED[kind]()
@@ -176,17 +227,28 @@ def main():
                 stem.with_suffix(".log.json").write_text(json.dumps(lines))
                 print(f"  {count}: {merit:.4f} {value:.4f}, {time.time() - began:.0f} s", flush=True)
 
-        wanted = Search(**how, also=ALSO if kind in rest else ())
+        own_limits = {"also": (*ALSO, *(("pull_limit",) if "pull_limit" in law.GAINS else ())), "seed": asked.seed}
+        cycle = changed.gait.cycle  # a walk has a whole one
+        own_limits["bounds"] = {"gait.cycle": (cycle / 2, min(2 * cycle, asked.seconds))}
+        wanted = Search(**how, **(own_limits if kind in LAWS else {}))
         space = spaces.space(changed, wanted, law)
         fresh = Problem(changed, space, objective=judges, parameters=ensembles.draw(changed, unseen), law=law,
                         members=asked.unseen, metrics=TABLE)  # fmt: skip
         start = values(fresh, start_of(fresh)[None])  # compiles what the end needs too
         print(f"  {json.dumps(means(start))}, {time.time() - began:.0f} s", flush=True)
-        if kind in rest:
+        if kind in LAWS:
+            held, pd = Within(goal, ()), asked.out / f"{hardware}_{case}_pd.json"
+            if kind != "pd" and pd.exists():
+                held = Within(goal, most_of(json.loads(pd.read_text())["search"], scenario))
+
+            def told(now, until=until, log=log):
+                log(now.rounds, now.best, now.best)
+                if time.time() > until:
+                    raise KeyboardInterrupt  # ends the search with what it has
+
             found = tuning.tune(
-                changed, wanted, law=law, objective=goal, metrics=TABLE, parameters=each, method="cmaes",
-                starts=asked.points, iterations=asked.rounds,
-                progress=lambda now: log(now.rounds, now.best, now.best),
+                changed, wanted, law=law, objective=held, metrics=TABLE, parameters=each, method="cmaes",
+                starts=asked.points, iterations=asked.rounds, progress=told,
             )  # fmt: skip
             gains, theta = found.gains, space.from_gains(found.gains)[None]
         else:
@@ -205,7 +267,9 @@ def main():
         if kind != "clairvoyant":
             gains_file.save(gains, stem.with_suffix(".yaml"), f"{step}, searched for the ceiling of {case}", law)
             end = values(fresh, theta)
-            summary = {"unseen": means(end), "start": means(start)}
+            of_search = dataclasses.replace(fresh, objective=goal, parameters=each, members=asked.members)
+            summary = {"unseen": means(end), "start": means(start), "search": means(values(of_search, theta))}
+            ended.append((stem, changed, law, gains))
             np.savez_compressed(asked.out / f"{stem.name}_unseen.npz", **end)
         else:
             summary = {"merit": merit.tolist(), "objective": float(merit.mean())}
@@ -213,6 +277,21 @@ def main():
         stem.with_suffix(".json").write_text(json.dumps(summary, indent=1))
         stem.with_suffix(".log.json").write_text(json.dumps(lines))
         print(json.dumps(summary), flush=True)
+    for stem, changed, law, gains in ended if asked.longer else ():
+        if time.time() < began + 60 * asked.minutes:
+            summary = longer(scenario, unseen, weights, asked.longer, changed, law, gains)
+            summary |= json.loads(stem.with_suffix(".json").read_text())
+            stem.with_suffix(".json").write_text(json.dumps(summary, indent=1))
+
+
+def longer(scenario, unseen, weights, seconds, changed, law, gains):
+    """Return the means of unseen walks of some s."""
+    scenario, changed = (each.with_overrides({"duration": seconds}) for each in (scenario, changed))
+    (judges,) = goals_on(scenario, weights, unseen)
+    fresh = Problem(changed, objective=judges, parameters=ensembles.draw(changed, unseen), law=law,
+                    members=unseen.members, metrics=TABLE)  # fmt: skip
+    found = mc.rollout_metrics(changed, gains, fresh.parameters, **fresh._how)
+    return {f"{seconds:g} s": means(of_walks(fresh, found))}
 
 
 if __name__ == "__main__":

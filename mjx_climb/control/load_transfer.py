@@ -58,7 +58,7 @@ class LoadTransfer(Law):
         lever = (reference.foot_position - measured.base_position) @ rotation
         force = standing_forces(measured, rotation)
         weight = jnp.where(measured.support, self.weights(reference), 0.0)
-        wanted = distributed(net_wrench(lever, force), lever, weight, self.pull_limit)
+        wanted = self.wanted(net_wrench(lever, force), lever, weight)
         pushed = jnp.where(measured.forces_known, force - wanted, 0.0)
 
         # the rigid part of the offsets shifts and turns the base alone: it decays at a rate of its own, `leveling`
@@ -77,6 +77,10 @@ class LoadTransfer(Law):
         displacement = jnp.where(measured.support[:, None], moved, released(offsets, lands))
         offsets = offsets._replace(displacement=displacement)
         return offsets, feet_shifted(reference, offsets, rotation)
+
+    def wanted(self, wrench: Array, lever: Array, weight: Array) -> Array:
+        """Return the forces (limb, 3) N that share a wrench (6,) among feet at levers (limb, 3) m with some weights."""
+        return distributed(wrench, lever, weight, self.pull_limit)
 
     def weights(self, reference: Reference) -> Array:
         """Return the shares (limb,) that the gait wants the feet to have, if they stand."""

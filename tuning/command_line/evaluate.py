@@ -234,7 +234,9 @@ class Bounds(Files):
 
 
 # of the settings those that a first search needs
-_Asked = Annotated[Ceiling, "weights", "limits", "knots", "delays", "iterations", "test_members"]
+_Asked = Annotated[
+    Ceiling, "weights", "limits", "better", "against", "points", "knots", "delays", "iterations", "test_members"
+]
 
 
 def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], output: Output) -> None:
@@ -272,8 +274,9 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
             except ConfigError as error:
                 raise ConfigError(in_options(str(error), Ceiling)) from None
         again = ["evaluate", "--ceiling", *(["--ensemble", "ensemble.yaml"] if ensemble is not None else [])]
-        shell.result(found, repeated(again, "--gains", "--retuned-pd", "--weight", "--limit", "--knots", "--delays",
-                                     "--iterations", "--test-members", "--engine"))  # fmt: skip
+        shell.result(found, repeated(again, "--gains", "--retuned-pd", "--weight", "--limit", "--better",
+                                     "--against", "--points", "--knots", "--delays", "--iterations",
+                                     "--test-members", "--engine"))  # fmt: skip
 
 
 @command(
@@ -305,7 +308,8 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     --ceiling finds how good any law could be: the best joint targets over time for each walk, known in advance; the
     same plan for all walks of --ensemble, which needs no sensor; plans that know of a disturbance from a delay after
     its begin. A sensor is worth at most the difference. Prints them beside pd, the config's law and those of --gains,
-    the plan without a sensor and the laws in --test-members unseen walks too. Takes minutes a walk on two cores:
+    the plan without a sensor and the laws in --test-members unseen walks too. With --against METRIC along the front of
+    --better and this metric too. Takes minutes a walk on two cores:
     --knots 0.2 --iterations 25 is a first look.
 
     Finished parts are kept in DIR: the same command goes on where it stopped. With --shard, or as a task of a Slurm
@@ -320,6 +324,7 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --margins --json
       mjx-climb evaluate case_2 --gains gains.yaml --worse delay=x2 --worse force_sensor.dead.LF=3.0
       mjx-climb evaluate case_2 --ceiling --gains gains.yaml --knots 0.2 --iterations 25
+      mjx-climb evaluate case_2 --ceiling --against cost_of_transport --knots 0.2 --iterations 25
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"
     walk_rows(rivals, walk, output, "judge", again)

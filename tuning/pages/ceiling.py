@@ -15,6 +15,7 @@ from tuning.pages.page import Origin, Page, Table
 from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, Bounded
 
 BARS = "The objective of each contestant, pd's mean is 1: bars are means, dots the members' walks."
+FRONT = "The front of two metrics, means over the walks: plans that know all in advance, and the laws."
 FORCES = "The largest foot force and the base's offset in the walk of the first member."
 _METRICS = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque",
             "base_deviation")  # fmt: skip
@@ -107,6 +108,15 @@ def searches_table(found: Bounded) -> Table:
     )
 
 
+def front_table(found: Bounded) -> Table:
+    """Return the plans along the front."""
+    names, about = (found.asked.better, str(found.asked.against)), found.problem.metrics
+    columns = ["weight of the second %", *(f"{about.in_words(name)} {unit(name, about)}".strip() for name in names)]
+    each = zip(found.data["front_share"].values, found.data["front"].values.mean(-1), strict=True)
+    rows = [[f"{100 * share:g}", *map(number, means)] for share, means in each]
+    return Table("The front of two metrics: plans that know all in advance", columns, [("", rows)], 1)
+
+
 def summary(found: Bounded) -> dict[str, Any]:
     """Return it as plain data."""
     worth = found.sensor
@@ -121,8 +131,10 @@ def summary(found: Bounded) -> dict[str, Any]:
                **{metric: float(np.mean(found.data[f"unseen_{metric}"].sel(tested=name))) for metric in _METRICS}}
         for name, values in found.tested.items()
     }  # fmt: skip
+    front = found.data["front"].values.mean(-1).tolist() if "front" in found.data else []
     return {
         "sensor": sensor,
+        **({"front": {"metrics": [found.asked.better, found.asked.against], "points": front}} if front else {}),
         "unseen": unseen,
         "contestants": contestants,
         "search_noise": noise(found),
@@ -170,6 +182,23 @@ def plot_histories(found: Bounded) -> Figure:
     return figure
 
 
+@plots.style()
+def plot_front(found: Bounded) -> Figure:
+    """Draw the front of two metrics, with the laws and the other plans as points."""
+    names, about = (found.asked.better, str(found.asked.against)), found.problem.metrics
+    figure = Figure(figsize=(plots.COLUMN, 2.4), layout="constrained")
+    panel = figure.subplots()
+    panel.plot(*found.data["front"].values.mean(-1).T, "o-", color=plots.BLUE, markersize=3, linewidth=0.8)
+    for name in found.contestants:
+        place = [float(found.data[metric].sel(contestant=name).mean()) for metric in names]
+        panel.plot(*place, "s" if name in found.plans else "D", color="0.6" if name == PD else plots.ORANGE,
+                   markersize=3)  # fmt: skip
+        panel.annotate(name, place, xytext=(3, 2), textcoords="offset points", fontsize=6)
+    panel.set(**{f"{axis}label": f"{about.in_words(name)} [{unit(name, about) or 1}]"
+                 for axis, name in zip("xy", names, strict=True)})  # fmt: skip
+    return figure
+
+
 def contents(found: Bounded, _: None, name: str) -> Contents:
     """Return every contestant's walks with the plans found, two pictures, the page."""
     lines, text, shown = notes(found), to_json(summary(found)), table(found)
@@ -182,7 +211,8 @@ def contents(found: Bounded, _: None, name: str) -> Contents:
             "ceiling.yaml": found.asked.to_yaml(),
             "bounds": Picture(BARS, lambda: plot_bounds(found)),
             "first_walk": Picture(FORCES, lambda: plot_histories(found)),
-        },
+        }
+        | ({"front": Picture(FRONT, lambda: plot_front(found))} if "front" in found.data else {}),
         lambda origin: page(found, lines, origin),
     )
 
@@ -190,11 +220,13 @@ def contents(found: Bounded, _: None, name: str) -> Contents:
 def page(found: Bounded, lines: Sequence[str], origin: Origin) -> Page:
     """Return the page; warnings among the lines stand first."""
     first, *more = lines
+    front = [front_table(found)] if "front" in found.data else []
     asked, warnings = found.asked, [line for line in more if line.startswith("warning")]
     return Page(
         title=f"How good could any law be: {origin.name}", origin=origin, verdict=f"{sentence(found)}.",
         scenario=found.scenario, notes=sentences([first, *warnings]),
-        more=sentences(line for line in more if line not in warnings), tables=[table(found), searches_table(found)],
+        more=sentences(line for line in more if line not in warnings),
+        tables=[table(found), *front, searches_table(found)],
         facts={"precision": asked.precision, "seed": asked.seed, "limits": found.data.attrs["limits"],
                "gradients for each spacing of knots": asked.iterations},
     )  # fmt: skip

@@ -28,6 +28,12 @@ class Ceiling(Settings):
     deviation_factor: Positive = setting(
         3.0, "limit, relative to pd's, of base deviation, swing deviation, joint torque and joint rate"
     )
+    better: str = setting("force_variation", "metric of the front", metavar="METRIC", complete="metric")
+    against: str | None = setting(
+        None, "metric that it is traded against by the clairvoyant plan, along a front", metavar="METRIC",
+        complete="metric",
+    )  # fmt: skip
+    points: int = setting(5, "plans along the front", ge=2, le=100)
     knots: Annotated[tuple[Positive, ...], BeforeValidator(numbers_of)] = setting(
         (0.2, 0.1, 0.05),
         "s between two knots of the joint targets, coarse to fine",
@@ -57,4 +63,6 @@ class Ceiling(Settings):
                 raise ValueError(f"knots: expected each spacing to divide the one before it, got {coarse:g}, {fine:g}")
         if not any(self.weights.values()):
             raise ValueError("weights: expected one above 0")
+        if self.better == self.against:
+            raise ValueError(f"against: expected another metric than {self.better}")
         return self

@@ -31,7 +31,9 @@ class Bounded(Result):
     `value`, `merit` (value plus penalty) before and after it, and `slope`, the norm of the derivatives at its end
     relative to that at its begin. Along `contestant` and `instant` the largest foot force and the base's offset in the
     walk of the first member. Of an ensemble along `tested` and `fresh` what the blind plan and the laws do in walks of
-    a fresh draw: `unseen_value`, relative to pd in these, `unseen_feasible` and `unseen_` before each metric.
+    a fresh draw: `unseen_value`, relative to pd in these, `unseen_feasible` and `unseen_` before each metric. With a
+    front along `point` the weight of the second metric, `front_share`, and both metrics of the clairvoyant plans that
+    weigh these two alone, `front` (point, 2, member).
     """
 
     FILE = "ceiling.nc"

@@ -135,9 +135,10 @@ def ceiling(
     under = walks_of(scenario, goal, every, **walks)
     step = asked.step * float(pd.metrics["peak_joint_torque"].mean()) / scenario.control.kp
     contest = Contest(scenario, asked, under, members, step, progress or (lambda *_: None))
-    ended = _plans(contest, starts, parameters)
-    tested = {} if ensemble is None or not asked.test_members else _tested(contest, found, ended[0], ensemble, walks)
-    return _bounded(contest, goal, found, ended, tested, ensemble, table, engine)
+    ended, hidden = _plans(contest, starts, parameters)
+    front = None if asked.against is None else _front(contest, goal, pd.metrics, ended[-1].plan, table, walks)
+    tested = {} if ensemble is None or not asked.test_members else _tested(contest, found, ended, ensemble, walks)
+    return _bounded(contest, goal, found, ended, front, hidden, tested, ensemble, table, engine)
 
 
 # --- who takes part
@@ -228,6 +229,8 @@ def _objective(
     search = Search.make({"weights": asked.weights, "limits": asked.limits, "no_worse_than_pd": False,
                           "deviation_factor": asked.deviation_factor})  # fmt: skip
     check_metrics(search, metrics, "ceiling")
+    if asked.against is not None:
+        check_metrics(Search(weights=dict.fromkeys((asked.better, asked.against), 1.0)), metrics, "ceiling")
     baseline = {name: np.asarray(value, float).mean() for name, value in pd.items()}
     goal = objectives.objective(
         scenario, search, baseline | {"base_deviation": pd["base_deviation"].max()}, metrics=metrics
@@ -397,6 +400,48 @@ def _without_disturbances(parameters: mc.Parameters) -> mc.Parameters:
     return found
 
 
+# --- a front of two metrics
+
+
+class Front(NamedTuple):
+    """The clairvoyant plans between the best of one metric and the best of another."""
+
+    shares: np.ndarray  # (point,) the weight of the second metric, 0 to 1
+    metrics: np.ndarray  # (point, 2, member)
+    ended: list[Ended]
+
+
+def _front(
+    contest: Contest,
+    goal: Objective,
+    pd: Mapping[str, np.ndarray],
+    start: Start,
+    table: mc.MetricTable,
+    walks: Mapping[str, Any],
+) -> Front:
+    """Search clairvoyant plans for two metrics by turns of their weights, each from the one before it."""
+    asked, scenario = contest.asked, contest.scenario
+    assert asked.against is not None
+    names = asked.better, asked.against
+    terms = _objective(scenario, asked.changed({"weights": dict.fromkeys(names, 1.0)}), pd, table).terms
+    under = walks_of(scenario, dataclasses.replace(goal, terms=terms), start.parameters, **walks)
+    shares, ended = np.linspace(0.0, 1.0, asked.points), list[Ended]()
+    for share in shares:
+        weighted = np.array(under.numbers.terms)
+        weighted[:, 0] = 1 - share, share
+        own = dataclasses.replace(under, numbers=under.numbers._replace(terms=weighted))
+        starts = [start, *(each.plan for each in ended[-1:])]
+        name = f"front, {share:.0%} {asked.against}"
+        ended.append(_search(contest._replace(walks=own), name, starts, common=False, since=np.zeros(contest.members)))
+    metrics = np.array([[each.scored.metrics[name] for name in names] for each in ended])
+    ratios = [goal.ratios(metrics[:, place], term)[0] for place, term in enumerate(terms)]
+    # a plan may be better for its neighbours' weights than their own
+    penalty = np.array([each.scored.merit - each.scored.value for each in ended])
+    merits = (1 - shares)[:, None, None] * ratios[0] + shares[:, None, None] * ratios[1] + penalty
+    best = np.where(np.isfinite(merits), merits, np.inf).argmin(1)
+    return Front(shares, np.take_along_axis(metrics, best[:, None], 0), ended)
+
+
 # --- unseen walks
 
 
@@ -431,7 +476,9 @@ def _bounded(
     contest: Contest,
     goal: Objective,
     found: Mapping[str, Contestant],
-    ended: tuple[list[Ended], bool],
+    ended: Sequence[Ended],
+    front: Front | None,
+    hidden: bool,
     tested: Mapping[str, Mapping[str, np.ndarray]],
     ensemble: Ensemble | None,
     table: mc.MetricTable,
@@ -439,8 +486,8 @@ def _bounded(
 ) -> Bounded:
     """Return the contestants beside each other, the clairvoyant plan first and pd last."""
     scenario, asked, members = contest.scenario, contest.asked, contest.members
-    plans = {each.plan.name: each.plan for each in reversed(ended[0][1:])}
-    walked = {each.plan.name: each.scored.metrics for each in reversed(ended[0][1:])}
+    plans = {each.plan.name: each.plan for each in reversed(ended[1:])}
+    walked = {each.plan.name: each.scored.metrics for each in reversed(ended[1:])}
     walked |= {name: each.metrics for name, each in reversed([*found.items()])}
     data = _scores(goal, walked, table, ("contestant", "member"))
     if tested:
@@ -450,13 +497,16 @@ def _bounded(
     targets = np.stack([plan.targets for plan in plans.values()]).astype(np.float32)
     joint = {"units": "rad", "long_name": "joint target"}
     data["joint_targets"] = (("plan", "member", "time", "limb", "joint"), targets, joint)
-    records = [record for each in ended[0] for record in each.records]
+    records = [record for each in (*ended, *(front.ended if front else ())) for record in each.records]
     for name in records[0]:
         data[f"descent_{name}"] = ("descent", np.array([record[name] for record in records]))
+    if front is not None:
+        data["front"] = (("point", "axis_of_front", "member"), front.metrics)
+        data["front_share"] = ("point", front.shares, {"units": "1", "long_name": f"weight of {asked.against}"})
     data |= _histories(scenario, plans, found, table, engine)
     robot = load_robot(scenario.robot)
     attrs: dict[str, Any] = {"title": "bounds of control laws", **dataset.provenance(scenario)}
-    attrs |= {"ceiling": asked.to_yaml(), "hidden": int(ended[1])}
+    attrs |= {"ceiling": asked.to_yaml(), "hidden": int(hidden)}
     attrs["limits"] = "; ".join(objectives.in_words(limit) for limit in goal.limits)
     coordinates = {
         "contestant": list(walked), "member": np.arange(members), "plan": list(plans),

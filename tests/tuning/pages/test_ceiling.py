@@ -19,7 +19,7 @@ SCENARIO = mc.Scenario().with_overrides({"duration": 0.3})
 MEANS = {"clairvoyant": 0.6, "causal 5 ms": 0.65, "blind": 0.8, "mine": 0.7, "retuned_pd": 0.85, "pd": 1.0}
 
 
-def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=(), unseen=None):
+def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=(), unseen=None, front=False):
     """A result whose contestants have these mean objectives; the members differ alike, but for a part of each."""
     rng, names = np.random.default_rng(0), list(means)
     shared = rng.normal(0, 0.1, members)
@@ -44,11 +44,17 @@ def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=(), unseen=N
     data["foot_force_history"] = (("contestant", "instant"), np.ones((len(names), 5)))
     data["base_offset_history"] = (("contestant", "instant", "axis"), np.ones((len(names), 5, 3)))
     data["joint_targets"] = (("plan", "member", "time", "limb", "joint"), np.zeros((3, members, 9, 4, 3)))
+    if front:
+        data["front_share"] = ("point", np.array([0.0, 0.5, 1.0]))
+        data["front"] = (
+            ("point", "axis_of_front", "member"),
+            np.arange(6.0)[:, None].repeat(members, 1).reshape(3, 2, -1),
+        )
     coordinates = {"contestant": names, "plan": names[:3], "instant": np.arange(5) * 0.01}
     coordinates |= {} if unseen is None else {"tested": list(unseen)}
     attrs = {"limits": "base deviation at most 0.01", "hidden": 0, "scenario": SCENARIO.to_yaml()}
     ensemble = None if members < 2 else Ensemble(members=members)
-    asked = Ceiling(knots=(0.2, 0.1))
+    asked = Ceiling(knots=(0.2, 0.1), **({"against": "cost_of_transport"} if front else {}))
     return Bounded(xr.Dataset(data, coordinates, attrs), Problem(SCENARIO), ensemble=ensemble, asked=asked)
 
 
@@ -96,6 +102,17 @@ def test_a_blind_plan_is_told_by_walks_that_it_was_not_searched_on():
     assert bounded().tested == {} and "unseen" not in pages.table(bounded()).columns
 
 
+def test_a_front_is_a_table_and_part_of_the_summary():
+    found = bounded(front=True)
+    shown = pages.front_table(found)
+    assert shown.columns[1:] == ["force variation N", "cost of transport"]
+    assert shown.sections[0][1] == [["0", "0", "1"], ["50", "2", "3"], ["100", "4", "5"]]
+    assert pages.summary(found)["front"] == {
+        "metrics": ["force_variation", "cost_of_transport"], "points": [[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]],
+    }  # fmt: skip
+    assert "front" not in pages.summary(bounded())
+
+
 def test_one_walk_has_no_interval():
     found = bounded(members=1)
     assert np.isnan(found.sensor.low) and "one walk" in pages.sentence(found)
@@ -103,9 +120,17 @@ def test_one_walk_has_no_interval():
 
 @pytest.mark.slow
 def test_its_folder_holds_the_sentence_the_table_and_the_plans(tmp_path):
-    written = tuning.write(bounded(), tmp_path)
+    written = tuning.write(bounded(front=True), tmp_path)
     names = {file.name for file in tmp_path.iterdir()}
-    assert names >= {"ceiling.nc", "ceiling.yaml", "report.html", "bounds.png", "first_walk.png", "summary.json"}
+    assert names >= {
+        "ceiling.nc",
+        "ceiling.yaml",
+        "report.html",
+        "bounds.png",
+        "first_walk.png",
+        "front.png",
+        "summary.json",
+    }
     assert Ceiling.load(tmp_path / "ceiling.yaml").knots == (0.2, 0.1)
     assert json.loads(written.summary)["sensor"]["at_most"] == pytest.approx(0.2)
     text = html.unescape((tmp_path / "report.html").read_text("utf-8"))

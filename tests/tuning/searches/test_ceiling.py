@@ -52,12 +52,16 @@ def test_who_knows_more_is_no_worse_and_no_law_is_better():
 @pytest.mark.slow
 def test_a_disturbance_that_is_the_same_in_all_walks_is_hidden_from_the_blind_plan():
     scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
-    found = tuning.ceiling(scenario, LAWS, BRIEF, delays=(0.02,))
+    found = tuning.ceiling(scenario, LAWS, BRIEF, delays=(0.02,), against="cost_of_transport", points=3)
     assert found.data.attrs["hidden"] and found.data.sizes["member"] == 1
     plans = found.data["joint_targets"].isel(member=0)
     blind, late = plans.sel(plan="blind").values, plans.sel(plan="causal 20 ms").values
     np.testing.assert_array_equal(blind[:40], late[:40])
     assert np.abs(blind - late).max() > 0
+    variation, transport = found.data["front"].isel(member=0).values.T
+    assert (np.diff(variation) >= 0).all() and (np.diff(transport) <= 0).all() and variation[0] < variation[-1]
+    best = found.data.sel(contestant="clairvoyant").isel(member=0)
+    assert variation[0] <= best["force_variation"] and transport[-1] <= best["cost_of_transport"]
     without = tuning.ceiling(scenario.with_overrides({"disturbance.cargo.mass": 0.0}), {}, BRIEF, iterations=2)
     assert without.values("retuned_pd") < 1
     assert not without.data.attrs["hidden"] and "causal 5 ms" not in without.contestants
@@ -69,6 +73,7 @@ def test_a_disturbance_that_is_the_same_in_all_walks_is_hidden_from_the_blind_pl
     [
         ({"knots": (0.2, 0.15)}, "knots: expected each spacing to divide the one before it, got 0.2, 0.15"),
         ({"weights": {"force_variation": 0.0}}, "weights: expected one above 0"),
+        ({"against": "force_variation"}, "against: expected another metric than force_variation"),
         ({"iterations": 1}, "iterations: expected 2 or more, got 1"),
     ],
 )
