@@ -186,16 +186,17 @@ def plot_histories(found: Bounded) -> Figure:
 def plot_front(found: Bounded) -> Figure:
     """Draw the front of two metrics, with the laws and the other plans as points."""
     names, about = (found.asked.better, str(found.asked.against)), found.problem.metrics
-    figure = Figure(figsize=(plots.COLUMN, 2.4), layout="constrained")
+    figure = Figure(figsize=(plots.COLUMN, 2.8), layout="constrained")
     panel = figure.subplots()
-    panel.plot(*found.data["front"].values.mean(-1).T, "o-", color=plots.BLUE, markersize=3, linewidth=0.8)
-    for name in found.contestants:
-        place = [float(found.data[metric].sel(contestant=name).mean()) for metric in names]
-        panel.plot(*place, "s" if name in found.plans else "D", color="0.6" if name == PD else plots.ORANGE,
-                   markersize=3)  # fmt: skip
-        panel.annotate(name, place, xytext=(3, 2), textcoords="offset points", fontsize=6)
-    panel.set(**{f"{axis}label": f"{about.in_words(name)} [{unit(name, about) or 1}]"
-                 for axis, name in zip("xy", names, strict=True)})  # fmt: skip
+    look: dict[str, Any] = {"markersize": 4, "linewidth": 0.8}
+    lines = panel.plot(*found.data["front"].values.mean(-1).T, "o-", color=plots.BLUE, label="known in advance", **look)
+    for name, marker in zip(found.contestants, itertools.cycle("sDv^<>Pp"), strict=False):
+        place = [[float(found.data[metric].sel(contestant=name).mean())] for metric in names]
+        color = "0.6" if name == PD else plots.BLUE if name in found.plans else plots.ORANGE
+        lines += panel.plot(*place, marker, color=color, label=name, **look)
+    labels = (f"{about.in_words(name)} [{unit(name, about)}]".removesuffix(" []") for name in names)
+    panel.set(**{f"{axis}label": label for axis, label in zip("xy", labels, strict=True)})
+    plots.legend(figure, lines)
     return figure
 
 

@@ -434,7 +434,7 @@ def _front(
         name = f"front, {share:.0%} {asked.against}"
         ended.append(_search(contest._replace(walks=own), name, starts, common=False, since=np.zeros(contest.members)))
     metrics = np.array([[each.scored.metrics[name] for name in names] for each in ended])
-    ratios = [goal.ratios(metrics[:, place], term)[0] for place, term in enumerate(terms)]
+    ratios = [np.asarray(goal.ratios(jnp.asarray(metrics[:, place]), term)[0]) for place, term in enumerate(terms)]
     # a plan may be better for its neighbours' weights than their own
     penalty = np.array([each.scored.merit - each.scored.value for each in ended])
     merits = (1 - shares)[:, None, None] * ratios[0] + shares[:, None, None] * ratios[1] + penalty
