@@ -101,7 +101,7 @@ class Within:
 
 
 def most_of(means, scenario):
-    """Return what the means of a law's metrics may be, by those of pd."""
+    """Return the limits of the means of a law's metrics, by those of pd."""
     extra = {"peak_pull_force": WORSE * scenario.contact.holding_limit}
     names = (*study.WEIGHTS, "peak_pull_force", "base_deviation")
     return tuple((name, float(means[name] + extra.get(name, WORSE * means[name]))) for name in names)
