@@ -1,15 +1,18 @@
 """The planner: choice of footholds in a walk, and recovery."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import Recovering
 from mjx_climb.gait.footholds import ClimbLab, Footholds, Nearest
-from mjx_climb.gait.planner import hold_axes, middle_of
+from mjx_climb.gait.planner import Held, hold_axes, middle_of, pulls_of_feet, surface_at
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.ground import Holds
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -132,6 +135,27 @@ def test_the_axes_of_a_hold_are_those_of_the_reference():
         want = -np.broadcast_to(weight, 3) if np.any(weight) and abs(unit[2]) < 1 else np.eye(3)[int(abs(unit[0]) == 1)]
         along = want - (want @ unit) * unit
         np.testing.assert_allclose(axes[:, 0], along / np.linalg.norm(along), atol=1e-12)
+
+
+def test_the_plane_of_a_hold_counts_near_it_and_its_limit_where_it_is_held():
+    """At both ends of a swing; between them the ground is level. Of grip and hold the weaker one bears the pull."""
+    random = np.random.default_rng(0)
+    start, goal = random.normal(size=(2, 4, 3))
+    normal, left = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in random.normal(size=(2, 4, 3)))
+    held = Held(jnp.asarray(normal), jnp.asarray(-normal[:, None]), jnp.full((4, 1), 5.0))
+    progress: Any = SimpleNamespace(held=held, left=left, start=start, goal=jnp.asarray(goal), below=start[:, 2])
+    planner: Any = SimpleNamespace(plan=SimpleNamespace(settling=0.2))
+    up = np.tile([0.0, 0.0, 1.0], (4, 1))
+    middle = np.column_stack([goal[:, :2], start[:, 2]])
+    each = {-0.1: (start, left), 0.07: (start, left), 0.3: (middle, up), 0.6: (goal, up), 0.73: (goal, normal)}
+    for phase, (point, around) in (each | {4.0: (goal, normal)}).items():
+        now: Any = SimpleNamespace(swing_phase=jnp.full(4, phase))
+        surface = surface_at(planner, progress, now)
+        np.testing.assert_array_equal(surface.point, point)
+        np.testing.assert_array_equal(surface.normal, around)
+        for grip, weaker in ((15.0, 5.0), (3.0, 3.0), (0.0, 5.0)):
+            pull = pulls_of_feet(progress, now, surface, jnp.asarray(grip))
+            np.testing.assert_allclose(pull, (weaker if phase >= 1 else grip) * around, rtol=1e-12)
 
 
 @pytest.mark.slow
