@@ -300,10 +300,10 @@ def low_reaction_swings() -> Figure:
 
 
 def recovery() -> Figure:
-    """Impulse of a short push at which half of the walks survive, by servos, law and gravity."""
+    """Impulse at which half of the walks survive, by servos, law and gravity."""
 
     def values() -> Iterator[tuple[str, str, Span]]:
-        for row in table("recovery", push="0.2 s", direction="all"):
+        for row in table("recovery"):
             label = f"{row['hardware']}, {row['law']}, {row['gravity']}".replace("_", " ")
             name = {"none": "without", "recovery": "with recovery"}[row["recovery"]]
             yield name, label, (float(row["half"]), float(row["low"]), float(row["high"]))

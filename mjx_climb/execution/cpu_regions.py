@@ -121,7 +121,10 @@ class _Program(NamedTuple):
             return id(equation) not in self.refused and can_write(equation)
 
         parts = runs(program.jaxpr, fits)
-        between = [e for part, straight in parts if not straight for e in part.jaxpr.eqns if e.primitive.name != "scan"]
+        ways = {"scan": self._scan, "cond": self._condition}
+        between = [
+            e for part, straight in parts if not straight for e in part.jaxpr.eqns if e.primitive.name not in ways
+        ]
         if len(between) > MOST_BETWEEN:
             line = line_of(between[0])
             raise Unsupported(
@@ -140,7 +143,7 @@ class _Program(NamedTuple):
                 known |= zip(part.jaxpr.outvars, found, strict=True)
                 continue
             for equation in part.jaxpr.eqns:
-                carry_out = self._scan if equation.primitive.name == "scan" else self._as_it_is
+                carry_out = ways.get(equation.primitive.name, self._as_it_is)
                 known |= zip(equation.outvars, carry_out(equation, [*map(read, equation.invars)]), strict=True)
         return [read(atom) for atom in program.jaxpr.outvars]
 
@@ -186,6 +189,24 @@ class _Program(NamedTuple):
         start, how = _unseen(stacks.stacked(begun, _rows_of)), ("length", "reverse", "unroll")
         after, written = lax.scan(step, start, [value for value, _ in read], **{name: parameters[name] for name in how})
         return [*zip(stacks.apart(after), moving, strict=True), *zip(written, written_has, strict=True)]
+
+    def _condition(self, equation: core.JaxprEqn, given: Sequence[Varying]) -> list[Varying]:
+        """Return the results of the branches that robots take: a branch that loops is carried out for all or none."""
+        (which, own), *operands = given
+        together = tuple(map(any, zip(*(has for _, has in given), strict=True))) or (False,) * len(self.batch)
+        index = self._wide((which, own), together)
+
+        def taken(branch: int) -> list[Array]:
+            made = self.results(equation.params["branches"][branch], operands)
+            return [self._wide(value, together) for value in made]
+
+        def chosen(branch: int, before: list[Array]) -> list[Array]:
+            return [jnp.where(index == branch, new, old) for new, old in zip(taken(branch), before, strict=True)]
+
+        found = taken(0)
+        for branch in range(1, len(equation.params["branches"])):
+            found = lax.cond((index == branch).any(), functools.partial(chosen, branch), lambda before: before, found)
+        return [(value, together) for value in found]
 
     def _stacked(
         self, body: core.ClosedJaxpr, constants: int, moving: Sequence[Has]

@@ -300,7 +300,8 @@ def _lifted_off(
     if planner.free and planner.rule is not None and planner.holds is not None:
         wait = jnp.maximum(plan.cycle_steps / planner.moves - plan.swing_steps, 0.0)
         stand = (at >= progress.begun + progress.span).all() & (progress.running > 0)
-        prospects = prospects_of(planner, planner.holds, situation, base, ways)
+        look, none = planner.holds, Prospects.none(situation.feet)
+        prospects = jax.lax.cond(stand, lambda: prospects_of(planner, look, situation, base, ways), lambda: none)
         lifts = stand & _first_largest(planner.rule.limb_worth(prospects))
     else:
         wait = jnp.mod(plan.swing_offset - clock, plan.cycle_steps)
@@ -308,8 +309,12 @@ def _lifted_off(
         situation = situation._replace(planned=_planned(plan, clock + wait))
     chosen, goal, height = situation.planned, progress.goal, progress.goal[:, 2]
     if planner.rule is not None and planner.holds is not None:
+        rule, holds, now_there = planner.rule, planner.holds, (progress.goal, progress.held)
         situation = situation._replace(stands=~lifts)
-        chosen, held = choose(planner, planner.rule, planner.holds, situation, base, ways, progress.held)
+        # the loop over holds is carried out where it is needed alone
+        chosen, held = jax.lax.cond(
+            lifts.any(), lambda: choose(planner, rule, holds, situation, base, ways, progress.held), lambda: now_there
+        )
         if progress.held is not None:
             height = grip_point[:, 2]
             progress = _with_holds(progress, lifts, held, progress.held.normal)
@@ -432,8 +437,7 @@ def prospects_of(
         farthest = jnp.where(may, jnp.maximum(found.farthest, ahead), found.farthest)
         return Prospects(farthest, found.near + near), None
 
-    none = jnp.zeros_like(situation.feet[:, 0])
-    found, _ = jax.lax.scan(look, Prospects(none - jnp.inf, none), (holds.position, holds.valid > 0))
+    found, _ = jax.lax.scan(look, Prospects.none(situation.feet), (holds.position, holds.valid > 0))
     return Prospects(*map(stop_gradient, found))
 
 
@@ -583,12 +587,13 @@ def _interrupted(
         ways = ways_beside(below.dtype) * recovery.reach
         pull = jnp.broadcast_to(body.holding_force, ways.shape[:1])
         each = Candidates(ways, pull, jnp.ones(ways.shape[:1], bool))
-        place, held = _best(score, allowed, lambda way: below + way, each, (below, progress.held), body.weight)
+        of_limbs, otherwise = (lambda way: below + way), (below, progress.held)
     else:
-        each, now_there = Candidates.of(planner.holds, body.holding_force), (progress.goal, progress.held)
-        place, held = _best(
-            score, allowed, lambda point: jnp.broadcast_to(point, below.shape), each, now_there, body.weight
-        )
+        each, otherwise = Candidates.of(planner.holds, body.holding_force), (progress.goal, progress.held)
+        of_limbs = lambda point: jnp.broadcast_to(point, below.shape)  # noqa: E731
+    place, held = jax.lax.cond(
+        lands.any(), lambda: _best(score, allowed, of_limbs, each, otherwise, body.weight), lambda: otherwise
+    )
     progress = _with_holds(progress, lands, held, _up(below))
     one = lands[:, None]
     stood_still = progress.resumes > at

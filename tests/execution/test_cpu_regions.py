@@ -257,3 +257,30 @@ def test_a_metric_with_large_arrays_is_as_by_numpy():
     found = mc.rollout_metrics(scenario, gains, metrics=(*mc.METRICS, net), dtype=np.float64)
     forces = mc.rollout(scenario, {"stiffness": np.full(6, 3e3)}).foot_force[:, 0]
     np.testing.assert_allclose(found["net"], value(forces.T, np).max(), rtol=1e-9)
+
+
+def test_a_branch_with_a_loop_is_carried_out_where_a_robot_takes_it():
+    """Values, derivatives, and bits that do not depend on the branch of a neighbour."""
+
+    def choose(number, vector):
+        def far(carry, add):
+            return (jnp.maximum(carry[0] * 0.9, add), carry[1] + 1), None
+
+        def loop():
+            return jax.lax.scan(far, (vector, 0), jnp.arange(5.0))[0]
+
+        one, count = jax.lax.cond(number > 0, loop, lambda: (vector, 7))
+        return one.sum() + number, count
+
+    numbers, vectors = jnp.array([1.0, -1.0, 2.0, -3.0]), jnp.arange(12.0).reshape(4, 3) / 3
+    fast, plain = jax.jit(jax.vmap(over_robots(choose))), jax.vmap(choose)
+    assert re.search(r"stablehlo\.(case|if)\b", fast.lower(numbers, vectors).as_text())
+    for some in (numbers, -jnp.abs(numbers), jnp.abs(numbers)):
+        found, expected = fast(some, vectors), plain(some, vectors)
+        np.testing.assert_allclose(found[0], expected[0], rtol=1e-12)
+        np.testing.assert_array_equal(found[1], expected[1])
+    np.testing.assert_array_equal(fast(numbers, vectors)[0][1::2], fast(-jnp.abs(numbers), vectors)[0][1::2])
+    tangents = jax.jvp(lambda v: fast(numbers, v)[0], (vectors,), (jnp.ones_like(vectors),))[1]
+    np.testing.assert_allclose(
+        tangents, jax.jvp(lambda v: plain(numbers, v)[0], (vectors,), (jnp.ones_like(vectors),))[1]
+    )

@@ -39,6 +39,12 @@ class Prospects(NamedTuple):
     farthest: Array  # (limb,) m, way to the farthest hold that may be chosen; -inf: there is none
     near: Array  # (limb,) number of those ahead within `AHEAD`
 
+    @classmethod
+    def none(cls, feet: Array) -> "Prospects":
+        """Those of feet (limb, 3) without a hold."""
+        nothing = jnp.zeros_like(feet[:, 0])
+        return cls(nothing - jnp.inf, nothing)
+
 
 class Footholds(Component):
     """Base of the rules: a class that inherits from it becomes a frozen dataclass and a pytree.
