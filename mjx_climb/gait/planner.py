@@ -3,7 +3,7 @@
 What it decides is a `Progress`, which changes at its ticks alone; between them schedule and reference are functions of
 it and of the step. A limb swings from where it stands to where the planner wants it. The base follows the planned
 path, or, where footholds are chosen, moves with each swing over the point where the lines between opposite feet meet
-(ClimbLab's rule).
+(ClimbLab's rule), as far as all feet stay within reach.
 """
 
 from collections.abc import Callable
@@ -41,6 +41,8 @@ from mjx_climb.robot.constants import Robot
 _ALONG = 1e-4  # sine of the angle of directions that count as along each other
 _NEAR = 0.1  # share of a swing within which the foot is near its hold: some 3 % of the way
 _TINY = 1e-9  # N
+_SHARES = (0.25, 0.5, 0.75, 1.0)  # of a move of the base, of which the largest is made that the feet allow
+_SPARE = 0.05  # of the length of a limb, which is never stretched farther
 _ROUNDS = 4  # of inverse kinematics without a closed form, from the rest stance
 
 
@@ -291,11 +293,12 @@ def _lifted_off(
 ) -> Progress:
     """Return the progress with swings of the limbs that lift off before the next tick."""
     plan, clock = planner.plan, progress.clock
-    swing = plan.swing_steps / plan.cycle_steps
-    ways = swing * plan.advance, plan.advance  # of the base until the touchdown, and until the next lift-off
+    # of the base until the touchdown, where the other feet may keep it, and until the next lift-off
+    ways = jnp.zeros_like(plan.advance), plan.advance
     situation = Situation(
         feet=progress.goal, planned=progress.goal + plan.advance, forward=_forward(plan), stands=body.support,
-        center_of_mass=body.center_of_mass + ways[0], weight=body.weight, holding_force=body.holding_force,
+        center_of_mass=body.center_of_mass + plan.swing_steps / plan.cycle_steps * plan.advance,
+        weight=body.weight, holding_force=body.holding_force,
     )  # fmt: skip
     if planner.free and planner.rule is not None and planner.holds is not None:
         wait = jnp.maximum(plan.cycle_steps / planner.moves - plan.swing_steps, 0.0)
@@ -336,9 +339,18 @@ def _lifted_off(
     middle = middle_of(goal) + plan.base_start - middle_of(plan.footholds)
     return progress._replace(
         base_start=jnp.where(moves, unswayed, progress.base_start),
-        base_goal=jnp.where(moves, middle, progress.base_goal),
+        base_goal=jnp.where(moves, towards(planner, goal, base[1], unswayed, middle), progress.base_goal),
         base_begun=jnp.where(moves, clock, progress.base_begun),
     )
+
+
+def towards(planner: Planner, feet: Array, rotation: Array, start: Array, goal: Array) -> Array:
+    """Return the place (3,) m of a base on its way from start to goal, as far as feet (limb, 3) m stay within reach."""
+    place = start
+    for share in _SHARES:
+        ahead = start + share * (goal - start)
+        place = jnp.where(within_reach(planner, (feet - ahead) @ rotation).all(), ahead, place)
+    return place
 
 
 def _planned(plan: Plan, lift_off: Array) -> Array:
@@ -534,8 +546,13 @@ def hold_axes(normal: Array, weight: Array) -> Array:
 
 
 def within_reach(planner: Planner, target: Array) -> Array:
-    """Return whether limbs reach points (limb, 3) m of the base's axes within their joints' limits, (limb,) bool."""
+    """Return whether limbs reach points (limb, 3) m of the base's axes within their joints' limits, (limb,) bool.
+
+    They must reach a little farther from their first joints: a limb that is stretched straight cannot give way, and
+    its joint gains are stiffer at the foot than a time step allows.
+    """
     geometry, robot = planner.geometry, planner.robot
+    target = target + _SPARE * (target - robot.frame_position[:, 0])
     solution = inverse_kinematics(geometry, target)
     if isinstance(geometry, Chain):
         for _ in range(_ROUNDS - 1):

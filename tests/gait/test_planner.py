@@ -12,11 +12,14 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import Recovering
 from mjx_climb.gait.footholds import ClimbLab, Footholds, Nearest
-from mjx_climb.gait.planner import Held, hold_axes, middle_of, pulls_of_feet, surface_at
+from mjx_climb.gait.planner import Held, Planner, hold_axes, middle_of, pulls_of_feet, surface_at, towards
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.ground import Holds
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import resolve_in
+from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains import own_section
 from tuning.problem import spaces
@@ -204,6 +207,29 @@ def test_the_base_stands_where_the_lines_between_opposite_feet_meet(limbs):
     across /= np.linalg.norm(across, axis=1)[:, None]
     meet = np.linalg.lstsq(across, (across * one).sum(1), rcond=None)[0]
     np.testing.assert_allclose(found, [*meet, feet[:, 2].mean()], atol=1e-12)
+
+
+def test_the_base_moves_as_far_as_all_feet_stay_within_reach(scenario):
+    """Of the shares of its way the largest, by joint angles found anew, with room left before a limb is straight."""
+    robot = load_robot(scenario.robot)
+    geometry, random, shares = limb_geometry(robot), np.random.default_rng(0), [0.0, 0.25, 0.5, 0.75, 1.0]
+    planner = Planner(robot, geometry, None, None, None, None, 1, 4, 0.001)
+    start, rotation = robot.stance_position, np.eye(3)
+    stance = start + limb_frames(robot, None, robot.stance_joints).foot
+    feet = stance + random.normal(0, [0.04, 0.04, 0.005], (200, 4, 3))
+    goal = start + random.normal(0, [0.06, 0.06, 0.005], (200, 3))
+    found = jax.vmap(lambda feet, goal: towards(planner, feet, rotation, start, goal))(feet, goal)
+    made = []
+    for each, end, place in zip(feet, goal, np.asarray(found), strict=True):
+        fine = []
+        for share in shares:
+            lever = each - (start + share * (end - start)) - robot.frame_position[:, 0]
+            angles, reachable = inverse_kinematics(geometry, 1.05 * lever + robot.frame_position[:, 0])
+            within = (angles >= robot.joint_lower) & (angles <= robot.joint_upper)
+            fine.append(bool(reachable.all() and within.all()))
+        made.append(max((share for share, may in zip(shares, fine, strict=True) if may), default=0.0))
+        np.testing.assert_allclose(place, start + made[-1] * (end - start), atol=1e-6)
+    assert {*made} == {*shares}
 
 
 def test_footholds_are_chosen_where_there_are_holds_alone(scenario):
