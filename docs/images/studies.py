@@ -311,6 +311,32 @@ def recovery() -> Figure:
     return plain(gathered(values()), "impulse that half survive, N s", None)
 
 
+def climb() -> Figure:
+    """Share of climbs over rock that come 2 m far by density of holds, at each angle, and over all by rule and law."""
+    of_angle = {"0": "floor", "90": "wall", "180": "ceiling"}
+    counts: dict[str, dict[str, np.ndarray]] = {}
+    for row in table("climb", ground="rock"):
+        robot, law, rule = (row[name].replace("_", " ") for name in ("robot", "law", "rule"))
+        robot = robot.replace("hubrobo", "HubRobo")
+        labels = [f"{robot}, {rule}" + ("" if law == "base admittance" else f", {law}")]
+        if (robot, law, rule) == ("HubRobo", "base admittance", "best margin"):
+            labels.insert(0, f"{row['angle']}°" + (f", {of_angle[row['angle']]}" if row["angle"] in of_angle else ""))
+        for label in labels:
+            own = counts.setdefault(f"{float(row['density']):g} holds a m²", {})
+            own[label] = own.get(label, np.zeros(2)) + np.array([int(row["arrived"]), int(row["of"])])
+    order = sorted(dict.fromkeys(label for own in counts.values() for label in own), key=lambda label: "°" not in label)
+    series = {name: {label: share(*own[label]) for label in order} for name, own in counts.items()}
+    return plain(series, "climbs that come 2 m far, %", None, columns=2)
+
+
+def share(count: float, of: float, z: float = 1.96) -> Span:
+    """Return a share in per cent with its interval of 95 % (Wilson)."""
+    middle, more = count / of, z * z / of
+    half = z * np.sqrt(middle * (1 - middle) / of + more / (4 * of))
+    low, high = ((middle + more / 2 + sign * half) / (1 + more) for sign in (-1, 1))
+    return (100 * middle, 100 * low, 100 * high)
+
+
 def speed() -> Figure:
     """Steps of a robot in a second by machine and program: of each the fastest batch."""
     rows = table("speed")
@@ -359,6 +385,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     draw.__name__: draw
     for draw in (
         ceiling,
+        climb,
         does_the_sensor_pay,
         gradient_against_grid,
         identification,

@@ -19,6 +19,7 @@ READY = {  # limbs, joints of each
     "hexapod_ceiling": (6, 3),
     "lemur_like_cliff": (4, 7),
     "station_arms_handrail": (3, 7),
+    "climb_rock": (4, 3),
 }
 
 
