@@ -241,7 +241,7 @@ def _stored(
 
 
 def read_whole(file: Path) -> bytes | None:
-    """Return the object that `store_whole` wrote, None where nothing of this user's is there, or it is damaged."""
+    """Return the bytes that `store_whole` wrote, None where nothing of this user's is there, or it is damaged."""
     try:
         if may_be_anothers(file):
             return None
