@@ -141,6 +141,7 @@ def test_without_gravity_the_tsm_has_no_length():
 # --- on holds ---
 
 
+@pytest.mark.slow
 def test_margins_on_holds_of_any_normal_are_answers_of_linear_programs():
     """Of pulls that holds bear along their normals: one gripper's for the TSM, those of all for the GIA margin."""
     rng = np.random.default_rng(1)

@@ -53,7 +53,7 @@ def test_a_cliff_is_named_by_what_breaks_off():
     metrics = dict.fromkeys(mc.METRICS.names, np.zeros(1 + 2 * n)) | {"peak_pull_force": pull}
     around = Evaluation(value, value, np.zeros(1 + 2 * n), feasible, none, none, metrics)
     theta = (problem.space.lower + problem.space.upper) / 2
-    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5)
+    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5, of_pd=1.0)
     walk = {**HELD, "peak_pull_force": 30.0, "force_variation": 1.0}
     checked = verify(found, problem, metrics=walk, tested=verification.Tests(around, np.zeros(n), 0.99))
     assert [checked.shape[name] for name in names] == ["cliff", "cliff", "cliff", "plateau"]
