@@ -179,6 +179,9 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     "sweep merge law": ["--law {folder}/mine.py:Mine"],
     "evaluate law": ["{config} --gains {folder}/mine.yaml --law {folder}/mine.py:Mine"],
     "evaluate ceiling ceiling": ["{config} --gains {folder}/held.yaml --ceiling"],
+    "evaluate ceiling against": ["--against base_deviation"],
+    "evaluate ceiling better": ["--against base_deviation --better peak_foot_force"],
+    "evaluate ceiling points": ["--against base_deviation --points 3"],
     "evaluate ceiling members": ["--ensemble ensemble --members 3"],
     "evaluate worse law": [
         "{config} --gains {folder}/mine.yaml --worse force_sensor.bias=1 --law {folder}/mine.py:Mine"

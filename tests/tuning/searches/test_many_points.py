@@ -121,7 +121,8 @@ def test_a_chosen_method_stays(kernel, monkeypatch, robust):
 )
 def test_the_search_is_a_call_of_the_package(first):
     """Whatever is imported first."""
-    code = f"{first}\nimport tuning\nfrom tuning import tune\ntry: tuning.tune(None, method='none')\n"
+    code = f"{first}\nimport tuning\nfrom tuning import tune\nfrom mjx_climb import load_scenario\n"
+    code += "scenario = load_scenario('case_1_2')\ntry: tuning.tune(scenario, method='none')\n"
     code += "except Exception as error: print(type(error).__name__)\nprint(callable(tune))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.split() == ["ConfigError", "True"], done.stderr
