@@ -267,6 +267,7 @@ def test_the_choice_is_part_of_the_parameters():
     assert jax.tree.leaves(ClimbLab()) == [0.1]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_step_by_step_it_is_the_same_walk(scenario):
     """A robot that is stepped from outside decides at the same steps as one that walks."""

@@ -161,6 +161,7 @@ def test_the_picture_shows_what_was_commanded_logged_and_simulated(log):
     assert len(figure.axes[24].lines) == 6
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_at_the_shell(walk, tmp_path, capsys):
     from tuning.command_line import program
