@@ -95,7 +95,7 @@ def write(
 
 
 def _of_identification(found: "Identified | Excited", home: Path, **how: Any) -> Written:
-    # imported here: it takes a second, and searches need none of it
+    # imported here: the import takes a second, and searches do without
     from tuning.identification.fit import output as of_fit
     from tuning.identification.fit.result import Identified
     from tuning.identification.plan import output as of_plan

@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/start/ from what its commands left in `results/`: the report, the way of a search, a walk.
+"""Draw the pictures of docs/start/ from the folders that its commands wrote: the report, the way of a search, a walk.
 
 python docs/images/first_pages.py results docs/images
 """

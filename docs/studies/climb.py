@@ -116,7 +116,7 @@ def grounds(scenario: mc.Scenario, robot: str, ground: str, seeds: range) -> Hol
 
 
 def climbed(row: Kind, seeds: range, way: float) -> dict[str, np.ndarray]:
-    """Return what is kept of climbs, (angle, density, seed); reasons by their number among `REASONS`."""
+    """Return the `KEPT` metrics of climbs, (angle, density, seed) each; a reason is its index in `REASONS`."""
     robot, ground, law, rule = row
     scenario = scenario_of(robot, law, rule, way)
     angle = np.radians(ANGLES if ground == "rock" else (0,))

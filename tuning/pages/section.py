@@ -1,6 +1,6 @@
-"""A section of the user's own: what stands under one heading of a report, and the files that it adds to the folder.
+"""A section of the user's own: one heading of a report with its content, and files that it adds to the folder.
 
-A function of a result and of what that was compared with (None where nothing is) makes it.
+A function of a result and of its comparison (None without one) makes it.
 """
 
 import contextlib

@@ -66,7 +66,7 @@ class Variable:
     frozen: bool = False  # held at the nominal value
     limb: int | None = None  # the one limb that it moves, where there is one
     beside: bool = False  # not asked for: what is not told of it alone is not said
-    change: Change | None = None  # what it changes, where the user brought it: at the nominal value nothing
+    change: Change | None = None  # of a variable of the user's own; the nominal value changes nothing
 
     @property
     def place(self) -> "Place":
