@@ -7,13 +7,14 @@ each function here, which fails first when JAX changes; CI runs it with the olde
 `pyproject.toml` lets in.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import weakref
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from contextlib import AbstractContextManager
 
 import jax
 import numpy as np
 from jax import Array
-from jax._src import source_info_util, xla_bridge
+from jax._src import dtypes, literals, source_info_util, xla_bridge
 from jax._src.interpreters import ad, partial_eval
 from jax._src.interpreters.ad import jvp_jaxpr as jvp_jaxpr  # forward derivatives of a jaxpr, by some of its arguments
 from jax.experimental.xla_metadata import set_xla_metadata
@@ -90,6 +91,28 @@ def scan_sizes(parameters: Parameters) -> tuple[int, int]:
         return parameters["num_consts"], parameters["num_carry"]
     constants, carry, _ = map(len, parameters["ft_in"].unpack())
     return constants, carry
+
+
+def take_tables_in_each_precision() -> None:
+    """Have JAX read an array of NumPy in the precision that is allowed now, as often as that changes.
+
+    JAX 0.10 and 0.11 keep the first reading while a program holds it: an array in float64 that a law reads in a walk in
+    double precision would be float64 in the next walk in single precision, whose operations do not take it.
+    """
+
+    kept: dict[int, tuple[weakref.ref[np.ndarray], MutableMapping[np.dtype, literals.TypedNdArray]]] = {}  # by id
+
+    def read(table: np.ndarray) -> literals.TypedNdArray:
+        key, dtype = id(table), dtypes.canonicalize_dtype(table.dtype)
+        if key not in kept:
+            kept[key] = weakref.ref(table, lambda _: kept.pop(key, None)), weakref.WeakValueDictionary()
+        _, readings = kept[key]
+        if (reading := readings.get(dtype)) is None:
+            # one reading for all uses: a program has each table once
+            reading = readings[dtype] = literals.TypedNdArray(np.asarray(table, dtype))
+        return reading
+
+    dtypes.register_canonicalize_value_handler(np.ndarray, read)
 
 
 def register_reverse_mode(

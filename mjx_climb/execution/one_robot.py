@@ -19,7 +19,12 @@ from jax.interpreters import ad, batching, mlir
 from mjx_climb.execution.cpu_regions import in_regions
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import Has, by_axis, mapped, reached, tangents_of
-from mjx_climb.execution.jax_internals import OVER_ROBOTS, new_program, register_reverse_mode
+from mjx_climb.execution.jax_internals import (
+    OVER_ROBOTS,
+    new_program,
+    register_reverse_mode,
+    take_tables_in_each_precision,
+)
 from mjx_climb.execution.jax_types import PyTree
 
 _Result = TypeVar("_Result")
@@ -168,5 +173,6 @@ _program.def_impl(lambda *values, **how: jax.jit(functools.partial(_program.bind
 batching.primitive_batchers[_program] = _batched
 ad.primitive_jvps[_program] = _differentiated
 register_reverse_mode(_program, _linearized, _whole, _as_call)
+take_tables_in_each_precision()
 mlir.register_lowering(_program, mlir.lower_fun(_whole, multiple_results=True))
 mlir.register_lowering(_program, mlir.lower_fun(_for_cpu, multiple_results=True), platform="cpu")

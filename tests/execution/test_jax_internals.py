@@ -14,7 +14,7 @@ import pytest
 from jax import lax
 from jax.extend import core
 
-from mjx_climb.execution import jax_internals
+from mjx_climb.execution import jax_internals, one_robot
 from mjx_climb.execution.flat import flat
 from mjx_climb.execution.limbs import of_limbs
 from mjx_climb.physics.state import State
@@ -176,3 +176,24 @@ def test_the_limbs_are_declared_where_shapes_begin_with_them(kind):
 def test_what_declares_no_limbs_is_refused():
     with pytest.raises(TypeError, match=r"^float: expected a class with OF_LIMBS, the fields whose first axis is the"):
         of_limbs(1.0)
+
+
+def test_take_tables_in_each_precision():
+    """A table of a program in double precision, which lives on, is single in the next one that is; once in each."""
+    table = np.arange(1.0, 7.0).reshape(2, 3)
+
+    def function(vector):
+        return lax.fori_loop(0, 3, lambda _, turned: (table * turned).sum(0) + (table - turned).sum(0), vector)
+
+    expected, programs = np.ones(3), []
+    for _ in range(3):
+        expected = (table * expected).sum(0) + (table - expected).sum(0)
+    for double in (True, False, True):
+        with jax.enable_x64(double):
+            vector = np.ones(3, np.float64 if double else np.float32)
+            programs.append(jax.make_jaxpr(function)(vector))
+            found = one_robot.over_robots(function, regions=True)(vector)
+            tangents = jax.jit(lambda x: jax.jvp(one_robot.over_robots(function), (x,), (x,))[1])(vector)
+        assert [constant.dtype for constant in programs[-1].consts] == [vector.dtype]
+        assert found.dtype == tangents.dtype == vector.dtype
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
