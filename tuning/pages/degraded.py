@@ -88,14 +88,16 @@ def in_words(found: Degraded, compared: Degradation) -> str:
     name, table = next(iter(compared.losses.items()))
     settings = [each for each in compared.lead if each != AS_DRAWN]
     own = table.sel(metric="force_variation", statistic="mean")
-    worst = max(settings, key=lambda each: np.nan_to_num(float(own["difference"].sel(gains=each)), nan=-np.inf))
+    differences = {each: float(own["difference"].sel(gains=each)) for each in settings}
+    real = [each for each in settings if bool(own["real"].sel(gains=each)) and differences[each] > 0]
+    worst = max(real, key=lambda each: differences[each], default=None)
+    taken = f"none takes force variation from {name} that can be told"
+    if worst is not None:
+        taken = f"{worst} takes most from {name}, {change(table, 'force_variation', worst)} % force variation"
     share = table["value"].sel(metric="failed", statistic="mean", gains=settings)
     lost, most = settings[int(share.values.argmax())], round(float(share.max()) * found.data.sizes["member"])
     losing = "none of their walks is lost" if not most else f"{lost} loses {most} walks"
-    return (
-        f"{found.data.sizes['member']} walks in each of {len(settings)} settings: {worst} takes most from {name}, "
-        f"{change(table, 'force_variation', worst)} % force variation; {losing}"
-    )
+    return f"{found.data.sizes['member']} walks in each of {len(settings)} settings: {taken}; {losing}"
 
 
 def _plain(compared: Degradation) -> dict[str, dict[str, dict[str, dict[str, float]]]]:
