@@ -313,7 +313,7 @@ def tune(
             begin(lambda _: importlib.import_module("tuning.kinds"))  # matplotlib takes half a second
             if drawn is None:
                 of_search.load_tests(problem, wanted, begin)
-                begun = of_search.begin(problem, wanted, begin, out=folder)
+                begun = of_search.begin(problem, wanted, begin, seeds=seeds, out=folder)
             with shell.rounds("search") as show:
                 found: Any = searches.run(problem, wanted, out=folder, progress=show)
             if seeds > 1 and not found.interrupted:

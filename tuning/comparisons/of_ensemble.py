@@ -42,7 +42,7 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     problem, ensemble, goal = found.problem, found.ensemble, found.problem.objective
     assert isinstance(goal, Objective)
     with stage("retuned pd", unit="rounds") as told:
-        rival = retuned(problem, found.search, out)(told)
+        rival = retuned(problem, found.search, found.seeds, out)(told)
     walked, pd, step = problem, {}, None
     if rival is not None:  # as short a time step as it needs, for all that are compared
         pd = {retuned_pd.NAME: rival.gains}

@@ -36,14 +36,17 @@ class Begun(NamedTuple):
     on_hardware: Mapping[str, Work[xr.Dataset]]  # pd, config: the first walks on worse hardware
 
 
-def begin(problem: Problem, search: Search, start: Begin, *, out: Path | None = None) -> Begun:
-    """Begin what a search is compared with; `out` holds the rounds in which pd is retuned until the result is there."""
+def begin(problem: Problem, search: Search, start: Begin, *, seeds: int = 1, out: Path | None = None) -> Begun:
+    """Begin what a search from so many seeds is compared with.
+
+    `out` holds the rounds in which pd is retuned until the result is there.
+    """
     scenario, law, engine = problem.scenario, problem.law, problem.engine
     on_the_map = law is None and {*JOINT, INTEGRAL, *GAIT}.isdisjoint(
         problem.space.index
     )  # then one map serves all results
     return Begun(
-        start(retuned(problem, search, out)),
+        start(retuned(problem, search, seeds, out)),
         {"pd": start(one_walk(under_pd(scenario), None, engine)), "config": start(one_walk(scenario, law, engine))},
         start(lambda report: verification.map_with(problem, scenario, None, progress=report)) if on_the_map else None,
         {
@@ -85,7 +88,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
     ours, engine = (replaced(found.scenario, found.law, found.gains)[0], found.law), problem.engine
     with background() as start:
         tested = start(lambda _: verification.tests(found, problem))  # the longest to compile
-        others = begun or begin(problem, found.search, start, out=out)
+        others = begun or begin(problem, found.search, start, seeds=found.seeds, out=out)
         mapped = others.over or start(lambda told: verification.map_of(found, problem, progress=told))
         walking = {**others.walks, "tuned": start(one_walk(*ours, engine))}
         with stage("retuned pd", unit="rounds") as told:

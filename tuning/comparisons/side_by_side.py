@@ -79,8 +79,8 @@ def beside_retuned(
     return begin(one_walk(alone, None, engine)), step, level
 
 
-def retuned(problem: Problem, search: Search, out: Path | None) -> Work[Tuned | None]:
+def retuned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None]:
     """Return a work that searches kp and kd of pd as the gains were searched; `out` keeps its rounds."""
     return lambda report: retuned_pd.search(
-        problem, search, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
+        problem, search, seeds=seeds, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
     )

@@ -1,6 +1,5 @@
 """Gains on worse hardware: what it takes from each, and what is left of their lead over pd."""
 
-import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 

@@ -26,6 +26,7 @@ from tuning.problem.spaces import INTEGRAL, JOINT, as_gains, to_gains64
 from tuning.results.result import Result
 
 AGREEMENT = "agreement_of_seeds"  # in words
+SEEDS = "seeds"  # how many searches, where it is the best of several
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +95,11 @@ class Tuned(Result):
     def interrupted(self) -> bool:
         """Whether the user ended the search."""
         return bool(self.data.attrs["interrupted"])
+
+    @property
+    def seeds(self) -> int:
+        """From how many seeds it was searched."""
+        return int(self.data.attrs.get(SEEDS, 1))
 
     @property
     def converged(self) -> bool:
@@ -181,7 +187,7 @@ def of_seeds(searches: Sequence[Tuned]) -> Tuned:
         said += f", their gains at most a factor of {apart.max():.3g} apart ({name})"
     if outside := sum(not own.feasible for own in searches):
         said += f"; {outside} of them break a limit"
-    data = best.data.assign_attrs({AGREEMENT: said, "search": asked.to_yaml()})
+    data = best.data.assign_attrs({AGREEMENT: said, SEEDS: len(searches), "search": asked.to_yaml()})
     return dataclasses.replace(best, data=data, search=asked)
 
 

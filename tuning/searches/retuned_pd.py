@@ -21,7 +21,7 @@ from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT, default_bounds
-from tuning.results.tuned import Tuned
+from tuning.results.tuned import Tuned, of_seeds
 from tuning.searches import tune
 
 NAME = "retuned_pd"  # in tables and files
@@ -47,13 +47,15 @@ def search(
     problem: Problem,
     settings: Search,
     *,
+    seeds: int = 1,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
 ) -> Tuned | None:
     """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same, and the gait.
 
     The time step is one that all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were
-    searched, it is the one of theirs. `out` keeps each finished round in a folder of its own.
+    searched, it is the one of theirs. The best of `seeds` searches counts, as with a law's. `out` keeps each finished
+    round in a folder of its own.
     None where what was searched is itself pd.
 
     Raises:
@@ -73,10 +75,14 @@ def search(
         scenario = scenario.with_overrides({"time_step": time_step_for(problem.scenario, _highest(space))})
     rival = dataclasses.replace(problem, scenario=scenario, space=space, law=None)
     own = None if out is None else Path(out) / parts.FOLDER / NAME
-    again = tune.run(rival, settings, out=own, progress=progress)
-    if again.interrupted:
-        raise KeyboardInterrupt
-    return again
+    found = []
+    for number in range(seeds):
+        again = settings.model_copy(update={"seed": settings.seed + number})
+        kept = own if own is None or number == 0 else own / f"seed-{again.seed}"
+        found.append(tune.run(rival, again, out=kept, progress=progress))
+        if found[-1].interrupted:
+            raise KeyboardInterrupt
+    return of_seeds(found) if seeds > 1 else found[0]
 
 
 def walked_on_grid(

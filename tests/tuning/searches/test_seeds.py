@@ -1,12 +1,17 @@
 """One search from several seeds: the best is taken, and how far they agree is said."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import xarray as xr
 
+import mjx_climb as mc
+from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.results import tuned
+from tuning.searches import retuned_pd, tune
 
 
 def search(seed, value, gains, penalty=0.0):
@@ -22,7 +27,7 @@ def search(seed, value, gains, penalty=0.0):
 def test_the_best_of_several_seeds_is_taken_and_their_agreement_said():
     each = search(0, 0.75, (1e3, 0.8)), search(1, 0.7, (2e3, 0.9)), search(2, 0.6, (9e2, 0.8), penalty=1.0)
     best = tuned.of_seeds(each)
-    assert best.value == 0.7
+    assert (best.value, best.seeds, each[0].seeds) == (0.7, 3, 1)
     assert best.data.attrs[tuned.AGREEMENT] == (
         "3 seeds end at objectives of 0.6000 to 0.7500, the best is of seed 1, their gains at most a factor of 2.22 "
         "apart (stiffness); 1 of them break a limit"
@@ -41,6 +46,23 @@ def test_where_no_seed_keeps_the_limits_the_nearest_to_them_is_taken():
     """As of the points of one search."""
     each = search(0, 0.9, (1e3, 0.8), penalty=0.1), search(1, 0.6, (2e3, 0.9), penalty=2.0)
     assert tuned.of_seeds(each).value == 0.9
+
+
+def test_pd_is_searched_from_as_many_seeds(monkeypatch, tmp_path):
+    """And the best of them counts, each with its rounds in a folder of its own."""
+    values, asked = {5: 0.8, 6: 0.7, 7: 0.75}, []
+
+    def found(problem, settings, *, out, progress):
+        asked.append((settings.seed, out.name))
+        one = search(settings.seed, values[settings.seed], (1e3, 0.8))
+        return dataclasses.replace(one, data=one.data.assign_attrs(interrupted=0))
+
+    monkeypatch.setattr(tune, "run", found)
+    settings = Search(seed=5)
+    problem = Problem(mc.load_scenario("case_1_2"), space=spaces.space(mc.load_scenario("case_1_2"), settings))
+    again = retuned_pd.search(problem, settings, seeds=3, out=tmp_path)
+    assert asked == [(5, "retuned_pd"), (6, "seed-6"), (7, "seed-7")]
+    assert (again.value, again.search.seed) == (0.7, 5)
 
 
 def test_a_grid_has_no_seeds(call, tmp_path):
