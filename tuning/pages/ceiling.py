@@ -12,7 +12,7 @@ from mjx_climb.viz.plots import key
 from tuning.numbers import number, to_json, unit
 from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
 from tuning.pages.page import Origin, Page, Table
-from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, Bounded
+from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, RETUNED, Bounded
 
 BARS = "The objective of each contestant, pd's mean is 1: bars are means, dots the members' walks."
 FRONT = "The front of two metrics, means over the walks: plans that know all in advance, and the laws."
@@ -228,6 +228,7 @@ def page(found: Bounded, lines: Sequence[str], origin: Origin) -> Page:
         scenario=found.scenario, notes=sentences([first, *warnings]),
         more=sentences(line for line in more if line not in warnings),
         tables=[table(found), *front, searches_table(found)],
+        main=list(dict.fromkeys((CLAIRVOYANT, BLIND, best_law(found), RETUNED, PD))),
         facts={"precision": asked.precision, "seed": asked.seed, "limits": found.data.attrs["limits"],
                "gradients for each spacing of knots": asked.iterations},
     )  # fmt: skip

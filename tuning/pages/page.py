@@ -66,6 +66,7 @@ class Page:
     more: Sequence[str] = ()  # notes that come after these
     explorers: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)  # by heading
     tables: Sequence[Table] = ()
+    main: Sequence[str] = MAIN  # the rows of the first table that stand on the first screen
     prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
     own: Sequence[Part] = ()  # sections of the user's
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
@@ -77,12 +78,14 @@ class Page:
 
     @property
     def brief(self) -> Table | None:
-        """The `ROWS` of the first table on the first screen: of the main metrics, or its first; None without one."""
+        """The `ROWS` of the first table on the first screen: the main ones, or its first; None without one."""
         if not self.tables:
             return None
         table = self.tables[0]
         rows = {row[0]: row for _, rows in reversed(table.sections) for row in reversed(rows)}  # the first of each name
-        chosen = [rows[name] for name in MAIN if name in rows] or [row for _, rows in table.sections for row in rows]
+        chosen = [rows[name] for name in self.main if name in rows] or [
+            row for _, rows in table.sections for row in rows
+        ]
         return table._replace(sections=[("", chosen[:ROWS])])
 
     @property

@@ -10,6 +10,7 @@ import xarray as xr
 import mjx_climb as mc
 import tuning
 from tuning.pages import ceiling as pages
+from tuning.pages.page import Origin
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
@@ -116,6 +117,12 @@ def test_a_front_is_a_table_and_part_of_the_summary():
 def test_one_walk_has_no_interval():
     found = bounded(members=1)
     assert np.isnan(found.sensor.low) and "one walk" in pages.sentence(found)
+
+
+def test_the_first_screen_goes_from_the_best_plan_to_pd():
+    page = pages.page(bounded(), ["what it rests on"], Origin("case_2", "", ""))
+    shown = [row[0] for _, rows in page.brief.sections for row in rows]
+    assert shown == ["clairvoyant", "blind", "mine", "retuned_pd", "pd"]
 
 
 @pytest.mark.slow
