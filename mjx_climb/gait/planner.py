@@ -67,6 +67,7 @@ class Planner(NamedTuple):
     moves: int  # of the base in a cycle: the lift-offs
     time_step: float
     free: bool = False  # the limb that gains most is next, in place of the order of the periodic gait
+    way_points: tuple[tuple[float, float], ...] = ()  # m, world, that the base walks to in turn; none: it walks ahead
 
 
 class Progress(NamedTuple):
@@ -92,6 +93,7 @@ class Progress(NamedTuple):
     interruptions: Array  # () number of interruptions
     held: Held | None = None  # at the goals; None: there are no holds
     left: Array | None = None  # (limb, 3) 1, normals of the ground where the last swings began
+    reached: Array | None = None  # () number of way points that the base has reached; None: there are none
 
 
 def begin(planner: Planner, base_position: Array) -> Progress:
@@ -105,7 +107,7 @@ def begin(planner: Planner, base_position: Array) -> Progress:
         span=limbs + plan.swing_steps, rise=limbs + plan.step_height, touched=begun + plan.swing_steps,
         base_start=base_position, base_goal=base_position, base_begun=zero, offset=jnp.zeros_like(base_position),
         offset_since=zero, force=jnp.zeros_like(feet), interruptions=zero, held=held,
-        left=None if held is None else held.normal,
+        left=None if held is None else held.normal, reached=zero if planner.way_points else None,
     )  # fmt: skip
 
 
@@ -293,11 +295,13 @@ def _lifted_off(
 ) -> Progress:
     """Return the progress with swings of the limbs that lift off before the next tick."""
     plan, clock = planner.plan, progress.clock
+    unswayed = base_path if plan.sway is None else base_path - swayed(plan.sway, now.cycle_phase)
+    progress, advance = _on_its_way(planner, progress, unswayed)
     # of the base until the touchdown, where the other feet may keep it, and until the next lift-off
-    ways = jnp.zeros_like(plan.advance), plan.advance
+    ways = jnp.zeros_like(advance), advance
     situation = Situation(
-        feet=progress.goal, planned=progress.goal + plan.advance, forward=_forward(plan), stands=body.support,
-        center_of_mass=body.center_of_mass + plan.swing_steps / plan.cycle_steps * plan.advance,
+        feet=progress.goal, planned=progress.goal + advance, forward=_direction(advance), stands=body.support,
+        center_of_mass=body.center_of_mass + plan.swing_steps / plan.cycle_steps * advance,
         weight=body.weight, holding_force=body.holding_force,
     )  # fmt: skip
     if planner.free and planner.rule is not None and planner.holds is not None:
@@ -309,7 +313,11 @@ def _lifted_off(
     else:
         wait = jnp.mod(plan.swing_offset - clock, plan.cycle_steps)
         lifts = now.closed & (at >= progress.begun) & (wait < planner.period) & (progress.running > 0)
-        situation = situation._replace(planned=_planned(plan, clock + wait))
+        planned = _planned(plan, clock + wait)
+        planned = planned if progress.reached is None else _beside(planner, progress, unswayed, advance)
+        situation = situation._replace(planned=planned)
+    if progress.reached is not None:
+        lifts = lifts & (progress.reached < len(planner.way_points))
     chosen, goal, height = situation.planned, progress.goal, progress.goal[:, 2]
     if planner.rule is not None and planner.holds is not None:
         rule, holds, now_there = planner.rule, planner.holds, (progress.goal, progress.held)
@@ -335,7 +343,6 @@ def _lifted_off(
     if planner.rule is None:
         return progress
     moves = lifts.any()
-    unswayed = base_path if plan.sway is None else base_path - swayed(plan.sway, now.cycle_phase)
     middle = middle_of(goal) + plan.base_start - middle_of(plan.footholds)
     return progress._replace(
         base_start=jnp.where(moves, unswayed, progress.base_start),
@@ -360,10 +367,42 @@ def _planned(plan: Plan, lift_off: Array) -> Array:
     return jnp.concatenate([points[:, :2], points[:, 2:] + foothold_height(plan, number)[:, None]], axis=1)
 
 
-def _forward(plan: Plan) -> Array:
+def _direction(advance: Array) -> Array:
     """Return the direction of travel, (3,)."""
-    length = jnp.sqrt((plan.advance * plan.advance).sum())
-    return plan.advance / jnp.where(length > 0, length, 1.0)
+    length = jnp.sqrt((advance * advance).sum())
+    return advance / jnp.where(length > 0, length, 1.0)
+
+
+def _on_its_way(planner: Planner, progress: Progress, base: Array) -> tuple[Progress, Array]:
+    """Return the progress with the way points reached, and the way of the base in the next cycle, (3,) m.
+
+    It leads to the next way point; one is reached at half a stride. `base` (3,) m is on the base's path.
+    """
+    advance, reached = planner.plan.advance, progress.reached
+    if reached is None:
+        return progress, advance
+    stride, points = norm(advance), jnp.asarray(planner.way_points, advance.dtype)
+
+    def left(reached: Array) -> Array:
+        point = points[0]
+        for number in range(1, len(points)):
+            point = jnp.where(reached >= number, points[number], point)
+        return point - base[:2]
+
+    there = (reached < len(points)) & (norm(left(reached)) <= stride / 2)
+    reached = reached + there
+    way = left(reached)
+    share = jnp.where(reached < len(points), jnp.minimum(stride / norm(way, at_zero=1.0), 1.0), 0.0)
+    return progress._replace(reached=reached), jnp.concatenate([share * way, jnp.zeros_like(way[:1])])
+
+
+def _beside(planner: Planner, progress: Progress, base: Array, advance: Array) -> Array:
+    """Return the footholds (limb, 3) m at which limbs that lift off now keep pace with a base at (3,) m."""
+    plan = planner.plan
+    # limbs swing one after the other: those that have waited longer stand farther behind
+    share = (planner.moves + 1) / (2 * planner.moves)
+    place = base + plan.footholds - plan.base_start + share * advance
+    return jnp.concatenate([place[:, :2], progress.goal[:, 2:]], axis=1)
 
 
 def middle_of(feet: Array) -> Array:

@@ -92,6 +92,9 @@ class Gait(v.Section):
     order: Literal["periodic", "free"] = setting(
         "periodic", "order of the limbs: by the sequence, or the limb next that gains most, one at a time"
     )
+    way_points: v.Pairs = setting(
+        (), "x and y of points that the base walks to, one after the other, m; with chosen footholds; none: by heading"
+    )
     planning_period: v.Positive = setting(
         0.02,
         "time between two choices of footholds or looks for danger, s; rounded to time steps that divide the duration",

@@ -91,6 +91,7 @@ Gravity = Annotated[
 Way = Annotated[Finite, Field(ge=0, le=MAX_LENGTH), _expects(f"a number from 0 to {MAX_LENGTH:g}")]
 Height = Annotated[Finite, Field(gt=0, le=MAX_LENGTH), _expects(f"a number above 0, {MAX_LENGTH:g} at most")]
 Pair = Annotated[tuple[Finite, Finite], _expects("a list of two finite numbers")]
+Pairs = Annotated[tuple[tuple[Finite, Finite], ...], _expects("a list of lists of two finite numbers")]
 Sides = Annotated[tuple[_Length, _Length], _expects(f"a list of two numbers above 0, {MAX_LENGTH:g} at most")]
 Rows = Annotated[
     tuple[tuple[Finite, Finite, Finite], ...], Field(min_length=1), _expects("a list of rows of three finite numbers")

@@ -124,7 +124,7 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
         plans = planning.Planner(
             robot, geometry, setup.plan, parameters.footholds, parameters.holds,
             recovery_of(setup.law, parameters.recovery),
-            structure.planning, moves, structure.time_step, structure.free,
+            structure.planning, moves, structure.time_step, structure.free, structure.way_points,
         )  # fmt: skip
     return Walk(robot, parameters, setup.plan, setup.windows, contact, holding_force, controller, structure, plans)
 

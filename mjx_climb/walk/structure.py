@@ -14,6 +14,7 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.robot_import.load import load_model, load_robot
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 from mjx_climb.walk.metrics import METRICS, SENSORS, Metric, MetricTable
 
@@ -36,6 +37,7 @@ class Structure(NamedTuple):
     # digest of law, components, metrics and engine of the user's own: a global that they read may have changed
     own_code: str = ""
     free: bool = False  # the limb that gains most swings next
+    way_points: tuple[tuple[float, float], ...] = ()  # m, that the base walks to
     planning: int = 0  # steps between the ticks of the planner; 0: the periodic gait, whatever happens
 
 
@@ -55,13 +57,16 @@ def structure(
     batch axes, say which stages of hardware there are; see `stages_under_trace`.
 
     Raises:
-        ValueError: two metrics of one name, parameters that JAX traces and that decide about a stage, or footholds to
-            be chosen where there are no holds.
+        ConfigError: footholds to be chosen where there are no holds, or what goes with chosen ones alone.
+        ValueError: two metrics of one name, or parameters that JAX traces and that decide about a stage.
     """
     if parameters.footholds is not None and parameters.holds is None:
-        raise ValueError("gait.footholds: expected planned, as the ground has no holds to choose among")
+        raise ConfigError("gait.footholds: expected planned, as the ground has no holds to choose among")
     if parameters.footholds is None and scenario.gait.order == "free":
-        raise ValueError("gait.order: expected periodic with planned footholds, got free")
+        raise ConfigError("gait.order: expected periodic with planned footholds, got free")
+    if parameters.footholds is None and scenario.gait.way_points:
+        points = [list(point) for point in scenario.gait.way_points]
+        raise ConfigError(f"gait.way_points: expected none with planned footholds, got {points}")
     table = MetricTable(metrics)
     own: list[object] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
     own += [] if law is None or type(law) in LAWS.values() else [type(law)]
@@ -85,6 +90,7 @@ def structure(
         model=_digest(scenario.robot, engine),
         own_code=own_code,
         free=scenario.gait.order == "free",
+        way_points=scenario.gait.way_points,
         planning=0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps,
     )
 

@@ -85,8 +85,10 @@ class Bounded(Result):
     @property
     def left(self) -> float:
         """By how much the second search of the blind plan bettered the first, relative: how far from its end it is."""
+        finest = self.data["descent_knots"].values == min(self.asked.knots)
         merit, of = self.data["descent_merit"].values, self.data["descent_contestant"].values
-        return float(1 - merit[of == BLIND][-1] / merit[of == FIRST][-1])
+        first, second = (merit[finest & (of == name)].min() for name in (FIRST, BLIND))
+        return float(1 - second / first)
 
 
 def mean_and_interval(values: np.ndarray) -> Worth:

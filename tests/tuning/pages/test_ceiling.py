@@ -1,5 +1,6 @@
 """What is said of a ceiling, and what its folder holds, of made-up walks."""
 
+import dataclasses
 import html
 import json
 
@@ -67,6 +68,13 @@ def test_a_sensor_is_worth_at_most_what_knowing_all_betters_the_blind_plan_by():
     said = pages.sentence(found)
     assert "at most 20.0 % of pd's objective" in said and "over 6 walks" in said
     assert "mine reaches 0.700, 50% of the way" in said
+
+
+def test_of_several_starts_at_one_spacing_the_best_tells_how_far_the_search_is_from_its_end():
+    found = bounded()
+    data = found.data.isel(descent=[1, 0, 3])  # the better start comes first
+    found = dataclasses.replace(found, data=data, asked=Ceiling(knots=(0.2,)))
+    assert found.left == pytest.approx(1 - 0.8 / 0.84)
 
 
 @pytest.mark.parametrize(
