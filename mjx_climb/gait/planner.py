@@ -3,7 +3,7 @@
 What it decides is a `Progress`, which changes at its ticks alone; between them schedule and reference are functions of
 it and of the step. A limb swings from where it stands to where the planner wants it. The base follows the planned
 path, or, where footholds are chosen, moves with each swing over the point where the lines between opposite feet meet
-(ClimbLab's rule), as far as all feet stay within reach.
+(ClimbLab's rule), as far as all feet stay within reach: ahead, or from way point to way point.
 """
 
 from collections.abc import Callable

@@ -62,6 +62,12 @@ def notes(found: Bounded) -> list[str]:
             "the first disturbance comes at one time in all walks, so the blind plan was searched without "
             "disturbances; laws and pd were searched with them"
         )
+    own_gait = str(found.data.attrs["own_gait"])
+    if own_gait and RETUNED not in own_gait.split(", "):
+        lines.append(
+            f"warning: {RETUNED} walks with the config's gait, and the gait is searched for {own_gait}; "
+            "--retuned-pd FILE takes kp, kd and a gait"
+        )
     for name in found.contestants:
         broken = int((~found.data["feasible"].sel(contestant=name).values.astype(bool)).sum())
         if broken:

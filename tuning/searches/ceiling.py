@@ -23,6 +23,7 @@ from mjx_climb.control import law_of
 from mjx_climb.execution.batch_axes import own_axes
 from mjx_climb.files import dataset
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.gait_values import gait_of
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.robot_import.load import load_robot
@@ -507,6 +508,7 @@ def _bounded(
     robot = load_robot(scenario.robot)
     attrs: dict[str, Any] = {"title": "bounds of control laws", **dataset.provenance(scenario)}
     attrs |= {"ceiling": asked.to_yaml(), "hidden": int(hidden)}
+    attrs["own_gait"] = ", ".join(name for name, each in found.items() if gait_of(by_name(each.gains)))
     attrs["limits"] = "; ".join(objectives.in_words(limit) for limit in goal.limits)
     coordinates = {
         "contestant": list(walked), "member": np.arange(members), "plan": list(plans),

@@ -54,7 +54,7 @@ def bounded(means=MEANS, members=6, spread=0.01, left=0.005, broken=(), unseen=N
         )
     coordinates = {"contestant": names, "plan": names[:3], "instant": np.arange(5) * 0.01}
     coordinates |= {} if unseen is None else {"tested": list(unseen)}
-    attrs = {"limits": "base deviation at most 0.01", "hidden": 0, "scenario": SCENARIO.to_yaml()}
+    attrs = {"limits": "base deviation at most 0.01", "hidden": 0, "own_gait": "", "scenario": SCENARIO.to_yaml()}
     ensemble = None if members < 2 else Ensemble(members=members)
     asked = Ceiling(knots=(0.2, 0.1), **({"against": "cost_of_transport"} if front else {}))
     return Bounded(xr.Dataset(data, coordinates, attrs), Problem(SCENARIO), ensemble=ensemble, asked=asked)
@@ -90,6 +90,13 @@ def test_of_several_starts_at_one_spacing_the_best_tells_how_far_the_search_is_f
 def test_what_does_not_survive_is_not_claimed(how):
     said = pages.sentence(bounded(**how))
     assert "cannot be told from nothing" in said and "at most" not in said
+
+
+@pytest.mark.parametrize(("own", "warned"), [("", False), ("mine", True), ("mine, retuned_pd", False)])
+def test_a_gait_that_pd_lacks_is_said(own, warned):
+    found = bounded()
+    found.data.attrs["own_gait"] = own
+    assert any("retuned_pd walks with the config's gait" in line for line in pages.notes(found)) == warned
 
 
 def test_a_law_that_breaks_a_limit_is_named_and_not_the_best():
