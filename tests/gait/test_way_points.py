@@ -7,6 +7,8 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.robot_import.load import load_robot
 from tests.gait.test_planner import NO_PUSH, holds
 
 STRIDE = 0.02
@@ -19,10 +21,11 @@ WALK = {
 def walked(case, points, **changes):
     """Return the walk of a robot over holds 1 cm apart, on its way to points beside its start."""
     scenario = case("case_2", "pd", WALK | {f"gait.{name}": value for name, value in changes.items()})
-    first = mc.rollout(case("case_2", "pd", WALK | {"duration": 0.1, "gait.footholds": "planned"}))
-    beside = np.asarray(first.base_position[0][:2]) + np.array(points)
+    robot = load_robot(scenario.robot)
+    feet = robot.stance_position + np.asarray(limb_frames(robot, np.eye(3), robot.stance_joints).foot)
+    beside = robot.stance_position[:2] + np.array(points)
     scenario = scenario.with_overrides({"gait.way_points": [[float(x), float(y)] for x, y in beside]})
-    feet, spread = first.foot_position[0], np.arange(-0.12, 0.121, 0.01)
+    spread = np.arange(-0.12, 0.121, 0.01)
     offsets = np.stack([*np.meshgrid(spread, spread), np.zeros((len(spread), len(spread)))], -1).reshape(-1, 3)
     places = (feet[:, None] * [1, 1, 0] + offsets).reshape(-1, 3)
     parameters = dataclasses.replace(own_parameters(scenario), holds=holds(places))
