@@ -313,9 +313,10 @@ def _lifted_off(
     else:
         wait = jnp.mod(plan.swing_offset - clock, plan.cycle_steps)
         lifts = now.closed & (at >= progress.begun) & (wait < planner.period) & (progress.running > 0)
-        planned = _planned(plan, clock + wait)
-        planned = planned if progress.reached is None else _beside(planner, progress, unswayed, advance)
-        situation = situation._replace(planned=planned)
+        ahead = (
+            _planned(plan, clock + wait) if progress.reached is None else _beside(planner, progress, unswayed, advance)
+        )
+        situation = situation._replace(planned=ahead)
     if progress.reached is not None:
         lifts = lifts & (progress.reached < len(planner.way_points))
     chosen, goal, height = situation.planned, progress.goal, progress.goal[:, 2]

@@ -9,6 +9,7 @@ import mjx_climb as mc
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
+from mjx_climb.scenario.messages import ConfigError
 from tests.gait.test_planner import NO_PUSH, holds
 
 STRIDE = 0.02
@@ -46,6 +47,6 @@ def test_the_base_comes_by_each_way_point_in_turn_and_stays_at_the_last(case, or
 def test_planned_footholds_have_a_way_of_their_own():
     scenario = mc.load_scenario("case_2").with_overrides({"gait.way_points": [[0.1, 0.0]], "duration": 0.1})
     with pytest.raises(
-        ValueError, match=r"^gait.way_points: expected none with planned footholds, got \[\[0.1, 0.0\]\]$"
+        ConfigError, match=r"^gait.way_points: expected none with planned footholds, got \[\[0.1, 0.0\]\]$"
     ):
         mc.rollout(scenario)
