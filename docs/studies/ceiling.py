@@ -25,6 +25,11 @@ from tuning.problem.ensemble import Cargo, Ensemble, Pushes
 CASES = ("1_1", "1_2", "2")
 WEIGHTS = {name: 1.0 for name in ("force_variation", "peak_foot_force", "cost_of_transport", "peak_joint_torque")}
 ROBOTS = {"grip_stiffness": (0.5, 2.0), "robot_mass": (0.9, 1.1), "gravity": None}
+# names of laws, and of their steps in ceiling_laws.py
+SEARCHED = {
+    "load_transfer": "transfer", "even_transfer": "even", "base_admittance": "base",
+    "end_effector_admittance": "end_effector", "internal_force": "internal", "retuned_pd": "pd",
+}  # fmt: skip
 # disturbances of the kind of each case, at a time that no plan can know
 DRAWS = {
     "1_1": Ensemble(pushes=None, cargo=Cargo(mass=(0.5, 1.5), start=(1.0, 3.0)), **ROBOTS),
@@ -46,8 +51,8 @@ def scenario_of(hardware: str, case: str, seconds: float) -> mc.Scenario:
 def laws_of(scenario: mc.Scenario, hardware: str, case: str, draw: Ensemble | None, folder: Path | None) -> dict:
     """Return the laws that are compared: the gains of a folder, shipped ones, or with ideal hardware searched ones."""
     if folder is not None:
-        files = {"load_transfer": "transfer", "retuned_pd": "pd"}
-        return {name: folder / f"{hardware}_{case}_{kind}.yaml" for name, kind in files.items()}
+        files = {name: folder / f"{hardware}_{case}_{kind}.yaml" for name, kind in SEARCHED.items()}
+        return {name: file for name, file in files.items() if file.exists()}
     if hardware != "ideal":
         files = {"load_transfer": "best", "retuned_pd": "pd"}
         return {name: f"configs/gains/{hardware}_case_{case}_{kind}.yaml" for name, kind in files.items()}
@@ -87,7 +92,7 @@ def main() -> None:
     parser.add_argument("--random", type=int, default=Ceiling().random, help="random starts")
     parser.add_argument("--test-members", type=int, default=Ceiling().test_members, help="unseen walks")
     parser.add_argument("--seconds", type=float, default=8.0)
-    parser.add_argument("--gains", type=Path, help="folder of ceiling_laws.py, whose pd and load transfer are compared")
+    parser.add_argument("--gains", type=Path, help="folder of ceiling_laws.py, whose laws are compared")
     parser.add_argument("--better", default=Ceiling().better, help="metric of a front")
     parser.add_argument("--against", help="metric that it is traded against")
     asked = parser.parse_args()
