@@ -19,7 +19,7 @@ from jaxtyping import PyTree
 from mjx_climb.arrays import Tree
 from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
-from mjx_climb.gait.footholds.footholds import AHEAD, SAME, Candidate, Footholds, Prospects, Situation, pulls
+from mjx_climb.gait.footholds.footholds import AHEAD, SAME, Candidate, Footholds, Prospects, Situation, pull_of_grip
 from mjx_climb.gait.recovery import Body, Recovery, danger, interrupts, stopping_margin, ways_beside
 from mjx_climb.gait.schedule import (
     Plan,
@@ -195,11 +195,15 @@ def pulls_of_feet(progress: Progress, now: Schedule, surface: Surface | None, ho
     """
     if progress.held is None or surface is None:
         return holding_force
-    down = -(progress.held.rows * surface.normal[:, None]).sum(2)
-    most = jnp.where(down > 0, progress.held.bound / jnp.where(down > 0, down, 1.0), jnp.inf).min(1, initial=jnp.inf)
-    most = jnp.where(now.swing_phase >= 1, most, jnp.inf)
-    most = jnp.minimum(most, jnp.where(holding_force > 0, holding_force, jnp.inf))
-    return jnp.where(jnp.isfinite(most), most, 0.0)[:, None] * surface.normal
+    bound = jnp.where((now.swing_phase >= 1)[:, None], progress.held.bound, jnp.inf)
+    return pulls_of_holds(Held(surface.normal, progress.held.rows, bound), holding_force)
+
+
+def pulls_of_holds(held: Held, holding_force: Array) -> Array:
+    """Return the pulls that grips on holds bear, (limb, 3) N, each times the hold's normal; `holding_force` () N."""
+    down = -(held.rows * held.normal[:, None]).sum(2)
+    most = jnp.where(down > 0, held.bound / jnp.where(down > 0, down, 1.0), jnp.inf).min(1, initial=jnp.inf)
+    return pull_of_grip(most, holding_force)[:, None] * held.normal
 
 
 def reference_at(
@@ -299,10 +303,14 @@ def _lifted_off(
     progress, advance = _on_its_way(planner, progress, unswayed)
     # of the base until the touchdown, where the other feet may keep it, and until the next lift-off
     ways = jnp.zeros_like(advance), advance
+    if progress.held is None:
+        pull = body.holding_force * _up(progress.goal)
+    else:
+        pull = pulls_of_holds(progress.held, body.holding_force)
     situation = Situation(
         feet=progress.goal, planned=progress.goal + advance, forward=_direction(advance), stands=body.support,
         center_of_mass=body.center_of_mass + plan.swing_steps / plan.cycle_steps * advance,
-        weight=body.weight, holding_force=body.holding_force,
+        weight=body.weight, holding_force=body.holding_force, pull=pull,
     )  # fmt: skip
     if planner.free and planner.rule is not None and planner.holds is not None:
         wait = jnp.maximum(plan.cycle_steps / planner.moves - plan.swing_steps, 0.0)
@@ -450,7 +458,7 @@ def choose(
     """
 
     def score(position: Array, one: Candidates) -> Array:
-        return rule.score(situation, Candidate(position, one.pull))
+        return rule.score(situation, one.with_feet(position))
 
     def allowed(position: Array) -> Array:
         return _allowed(planner, situation, base, ways, position)
@@ -507,15 +515,20 @@ class Candidates(NamedTuple):
     """Points to choose among, by their number."""
 
     vector: Array  # (n, 3), what makes the limbs' points
-    pull: Array  # (n,) N, that they bear along their normals
+    pull: Array  # (n,) N, that grips on them bear along their normals
     valid: Array  # (n,) bool
     holds: tuple[Array, Array, Array] | None = None  # (n, 3) normals, (n, m, 3) and (n, m) N, limits in their axes
 
     @classmethod
     def of(cls, holds: Holds, holding_force: Array) -> "Candidates":
-        """The holds of a ground, with the pull of a grip () N where they have no limits."""
+        """The holds of a ground, for grips that bear a pull () N; 0: they name none."""
         each = holds.normal, holds.limit_matrix, holds.limit_bound
-        return cls(holds.position, pulls(holds, holding_force), holds.valid > 0, each)
+        return cls(holds.position, pull_of_grip(holds.pulls(), holding_force), holds.valid > 0, each)
+
+    def with_feet(self, position: Array) -> Candidate:
+        """One of them as rules see it, with the limbs' feet at (limb, 3) m."""
+        normal = jnp.array(UP, position.dtype) if self.holds is None else self.holds[0]
+        return Candidate(position, self.pull, normal)
 
 
 def _best(
@@ -629,9 +642,7 @@ def _interrupted(
     ground = ground_at(progress, now)
 
     def score(position: Array, one: Candidates) -> Array:
-        pull = jnp.minimum(body.holding_force, one.pull)
-        if one.holds is not None:
-            pull = jnp.where(lands[:, None], pull * one.holds[0], body.pull)
+        pull = one.pull if one.holds is None else jnp.where(lands[:, None], one.pull * one.holds[0], body.pull)
         worth = stopping_margin(recovery, body._replace(pull=pull), lands, position)
         # of equal ones the nearest
         return worth - 1e-6 * jnp.sum((position - reference.foot_position) ** 2, axis=1)

@@ -8,8 +8,6 @@ stability", IEEE/SICE SII 2019.
 import numpy as np
 from scipy.optimize import linprog
 
-from tests.oracle import margins
-
 NONE = -1  # no point may be chosen
 
 
@@ -70,21 +68,33 @@ def diagonals(feet):
 
 
 def tumbling_margin(feet, com, weight, pull):
-    """Return the smallest moment () N m that keeps a robot at rest on all its feet from tumbling, 0 once it does."""
-    reaction = -weight
-    # the TSM of a mass and a gravity of 1 is the moment itself
-    return margins(feet, np.ones(len(feet), bool), com, reaction, np.cross(com, reaction), 1.0, 1.0, pull)[0]
+    """Return the smallest moment () N m that keeps a robot at rest on all its feet from tumbling, 0 once it does.
+
+    About each line from a foot to the next one it is that of the weight and of the one grip off the line that holds
+    best; grips pull the feet towards the ground, against `pull` (limb, 3) N.
+    """
+    smallest = np.inf
+    for number, foot in enumerate(feet):
+        after = feet[(number + 1) % len(feet)]
+        outwards = (foot - after) / np.linalg.norm(foot - after)
+        held = [outwards @ np.cross(other - foot, -force) for other, force in zip(feet, pull, strict=True)]
+        smallest = min(smallest, outwards @ np.cross(com - foot, weight) + max(0.0, *held))
+    return max(0.0, smallest)
 
 
-def best_margin(position, pulls, allowed, feet, planned, stands, com, weight, holding, distance_weight=1.0):
+def best_margin(
+    position, normals, pulls, allowed, feet, planned, stands, com, weight, standing_pull, distance_weight=1.0
+):
     """Return the point (limb,) of the largest margin, over weight and pull, less the distance from the planned one.
 
-    Limbs that do not stand are all on the point, whose pull counts where it is below the grips'.
+    Limbs that do not stand are all on the point, where their grips bear its pull along its normal; the others bear
+    `standing_pull` (limb, 3) N, of which the largest scales the margin.
     """
-    scale, moments = np.linalg.norm(weight) + holding, []
-    for point, pull in zip(position, pulls, strict=True):
-        placed = np.where(stands[:, None], feet, point)
-        moments.append(tumbling_margin(placed, com, weight, min(holding, pull)))
+    scale, moments = np.linalg.norm(weight) + max(np.linalg.norm(each) for each in standing_pull), []
+    for point, normal, pull in zip(position, normals, pulls, strict=True):
+        placed, holding = np.array(feet), np.array(standing_pull)
+        placed[~stands], holding[~stands] = point, pull * normal
+        moments.append(tumbling_margin(placed, com, weight, holding))
 
     def worth(limb, point, number):
         return moments[number] / scale - distance_weight * np.linalg.norm(point - planned[limb])

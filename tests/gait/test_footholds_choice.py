@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mjx_climb.gait.footholds import SHIPPED
-from mjx_climb.gait.footholds.footholds import Candidate, Situation
-from mjx_climb.gait.planner import middle_of
+from mjx_climb.gait.footholds.footholds import Situation
+from mjx_climb.gait.planner import Candidates, middle_of
+from mjx_climb.ground import Holds
 from tests.gait import footholds_reference as reference
 
 POINTS, DEFAULT, NIGHTLY = 12, 300, 10_000
@@ -27,12 +28,16 @@ def ground(random, limbs):
     forward = np.array([np.cos(heading), np.sin(heading), 0])
     stands = np.ones(limbs, bool)
     stands[random.integers(limbs)] = False
+    tilted = random.normal([0, 0, 1], 0.6, (POINTS + limbs, 3))
+    normal, under = np.split(tilted / np.linalg.norm(tilted, axis=1, keepdims=True), [POINTS])
+    # of the holds some bear any pull
+    limit = np.where(random.random(POINTS) < 0.3, np.inf, random.uniform(1, 20, POINTS))
     weight = random.uniform(0, 20) * np.array([*random.normal(0, 0.3, 2), random.choice([-1.0, 1.0])])
     return {
         "feet": feet, "planned": feet + 0.05 * forward, "forward": forward, "stands": stands,
         "center_of_mass": random.normal([0, 0, 0.1], 0.02), "weight": weight,
         "holding_force": random.choice([0.0, 5.0, 15.0]), "position": position, "allowed": allowed,
-        "pulls": random.uniform(1, 20, POINTS),
+        "normal": normal, "limit": limit, "pull": random.uniform(0, 15, (limbs, 1)) * under,
     }  # fmt: skip
 
 
@@ -45,25 +50,28 @@ def expected(name, case):
         return reference.farthest(position, allowed, feet, forward)
     if name == "climblab":
         return reference.climblab(position, allowed, feet, forward, CAP)
-    own = ("pulls", "allowed", "feet", "planned", "stands", "center_of_mass", "weight", "holding_force")
-    return reference.best_margin(position, *(case[key] for key in own))
+    weaker = np.minimum(case["limit"], case["holding_force"] or np.inf)
+    pulls = np.where(np.isfinite(weaker), weaker, 0.0)
+    own = ("allowed", "feet", "planned", "stands", "center_of_mass", "weight", "pull")
+    return reference.best_margin(position, case["normal"], pulls, *(case[key] for key in own))
 
 
 def chosen(names, cases):
     """Return the points of all limbs in all cases by each rule, in one program."""
     rules = [SHIPPED[name](**({"stride_cap": CAP} if name == "climblab" else {})) for name in names]
     stacked = {key: jnp.array([case[key] for case in cases]) for key in cases[0]}
+    down, valid = jnp.tile(jnp.array([0.0, 0.0, -1.0]), (POINTS, 1, 1)), jnp.ones(POINTS)
 
     def choose(case):
         situation = Situation(**{key: case[key] for key in Situation._fields})
+        holds = Holds(case["position"], case["normal"], down, case["limit"][:, None], valid)
 
-        def scores(point, pull):
-            candidate = Candidate(jnp.broadcast_to(point, situation.feet.shape), pull)
+        def scores(one):
+            candidate = one.with_feet(jnp.broadcast_to(one.vector, situation.feet.shape))
             return [rule.score(situation, candidate) for rule in rules]
 
-        worth = [
-            jnp.where(case["allowed"], each.T, -jnp.inf) for each in jax.vmap(scores)(case["position"], case["pulls"])
-        ]
+        each = jax.vmap(scores)(Candidates.of(holds, case["holding_force"]))
+        worth = [jnp.where(case["allowed"], of_rule.T, -jnp.inf) for of_rule in each]
         return [jnp.where(jnp.isfinite(each.max(1)), each.argmax(1), reference.NONE) for each in worth]
 
     return dict(zip(names, map(np.asarray, jax.jit(jax.vmap(choose))(stacked)), strict=True))

@@ -59,20 +59,35 @@ def test_lines_of_opposite_feet_meet():
 
 def test_a_robot_tumbles_over_the_axis_nearest_to_its_weight():
     """10 N, 0.1 m from each axis of the square, 2 N of pull with an arm of 0.2 m; beside the square it tumbles."""
-    com, weight = np.array([0, 0, 0.1]), np.array([0, 0, -10.0])
-    assert reference.tumbling_margin(FEET, com, weight, 0.0) == pytest.approx(1.0)
-    assert reference.tumbling_margin(FEET, com, weight, 2.0) == pytest.approx(1.4)
-    assert reference.tumbling_margin(FEET, com + 0.2 * AHEAD, weight, 0.0) == 0.0
+    com, weight, up = np.array([0, 0, 0.1]), np.array([0, 0, -10.0]), np.tile([0, 0, 1.0], (4, 1))
+    assert reference.tumbling_margin(FEET, com, weight, 0 * up) == pytest.approx(1.0)
+    assert reference.tumbling_margin(FEET, com, weight, 2 * up) == pytest.approx(1.4)
+    assert reference.tumbling_margin(FEET, com + 0.2 * AHEAD, weight, 0 * up) == 0.0
     # hanging, only pulls hold
-    assert reference.tumbling_margin(FEET, com, -weight, 6.0) == pytest.approx(0.2)
-    assert reference.tumbling_margin(FEET, com, -weight, 4.0) == 0.0
+    assert reference.tumbling_margin(FEET, com, -weight, 6 * up) == pytest.approx(0.2)
+    assert reference.tumbling_margin(FEET, com, -weight, 4 * up) == 0.0
+
+
+def test_a_grip_pulls_along_its_own_normal():
+    """Of a square the level part of a pull has no arm; a foot that is 0.1 m higher pulls back with that arm."""
+    com, weight = np.array([0, 0, 0.1]), np.array([0, 0, 10.0])
+    aside = np.tile([0.6, 0, 0.8], (4, 1))
+    # hanging: 0.8 of the pull with an arm of 0.2 m less 10 N with one of 0.1 m
+    assert reference.tumbling_margin(FEET, com, weight, 6 * aside) == 0.0
+    assert reference.tumbling_margin(FEET, com, weight, 7.5 * aside) == pytest.approx(0.2)
+    # standing 0.05 m behind the front axis, RH higher
+    raised, ahead = FEET + np.outer([0, 0, 1, 0], [0, 0, 0.1]), com + 0.05 * AHEAD
+    for normal, margin in ((AHEAD, 0.8), (-AHEAD, 0.5)):
+        pull = np.outer([0, 0, 3.0, 0], normal)
+        assert reference.tumbling_margin(raised, ahead, -weight, pull) == pytest.approx(margin)
 
 
 def test_the_best_margin_is_a_wider_stance_unless_it_is_too_far():
     """LF swings, and the axis in front is 0.05, 0.089 or 0.079 m from the centre of mass."""
     points = np.array([[0.1, 0.1, 0], [0.2, 0.1, 0], [0.2, 0.2, 0]])
     stands, com, weight = np.array([False, True, True, True]), np.array([0.05, 0, 0.1]), np.array([0, 0, -10.0])
-    arguments = points, np.full(3, np.inf), all_of(points), FEET, FEET, stands, com, weight, 0.0
+    up, bare = np.tile([0, 0, 1.0], (3, 1)), np.zeros((4, 3))
+    arguments = points, up, np.zeros(3), all_of(points), FEET, FEET, stands, com, weight, bare
     assert reference.best_margin(*arguments, distance_weight=0.0)[0] == 1
     assert reference.best_margin(*arguments, distance_weight=10.0)[0] == 0
 

@@ -13,7 +13,7 @@ class BestMargin(Footholds):
     """A limb swings to the point of the best compromise of margin and distance from the planned foothold.
 
     The margin is the smallest moment that tumbles the robot at rest over an axis of the support with the point in it,
-    over its weight and one grip's pull, m.
+    over its weight and the strongest grip's pull, m. Grips pull along the normals of their holds.
     """
 
     distance_weight: Array = parameter("1", bounds=(0.0, 100.0), default=1.0, long_name="weight of the distance")
@@ -24,8 +24,8 @@ class BestMargin(Footholds):
         axes = support_axes(feet, jnp.ones_like(situation.stands))
         reaction = -situation.weight
         wrench = reaction, jnp.cross(situation.center_of_mass, reaction)
-        pull = jnp.minimum(situation.holding_force, candidate.pull)
-        scale = norm(situation.weight) + situation.holding_force
+        pull = jnp.where(situation.stands[:, None], situation.pull, candidate.pull * candidate.normal)
+        scale = norm(situation.weight) + norm(situation.pull).max()
         margin = tumbling_moment(axes, wrench, pull) / jnp.where(scale > 0, scale, 1.0)
         away = norm(candidate.position - situation.planned)
         return jnp.asarray(margin - self.distance_weight * away)

@@ -8,7 +8,6 @@ from jax import Array
 
 from mjx_climb.arrays import AnyArray
 from mjx_climb.component import Component
-from mjx_climb.ground import Holds
 
 SAME = 1e-3  # m, points nearer to each other than this are one
 AHEAD = 0.2  # m, within which holds ahead of a limb are counted, as in ClimbLab
@@ -23,14 +22,16 @@ class Situation(NamedTuple):
     stands: Array  # (limb,) bool, which limbs hold while the others swing
     center_of_mass: Array  # (3,) m, where the limbs that swing touch down
     weight: Array  # (3,) N, of the robot
-    holding_force: Array  # () N, pull that a grip of the scenario bears; 0: no grip pulls
+    holding_force: Array  # () N, pull that a grip of the scenario bears; 0: it names none
+    pull: Array  # (limb, 3) N, that grips bear where the feet are: each the pull times the normal of the hold
 
 
 class Candidate(NamedTuple):
-    """A point, for each limb one."""
+    """A hold, and where each limb's foot would be on it; world axes."""
 
-    position: Array  # (limb, 3) m, world
-    pull: Array  # () N, along its normal, that it bears
+    position: Array  # (limb, 3) m
+    pull: Array  # () N, along the normal, that a grip on it bears
+    normal: Array  # (3,) 1, unit, out of the ground
 
 
 class Prospects(NamedTuple):
@@ -62,10 +63,15 @@ class Footholds(Component):
         return prospects.farthest
 
 
-def pulls(holds: Holds, otherwise: Array) -> Array:
-    """Return the largest pull along the normal that each hold bears, (n,) N; `otherwise` () where it names no limit."""
-    found = holds.pulls()
-    return jnp.where(jnp.isfinite(found), found, otherwise)
+def pull_of_grip(of_hold: AnyArray, holding_force: Array) -> Array:
+    """Return the pull along the normal that a grip on a hold bears, N: that of the weaker; 0 where neither names one.
+
+    Arguments:
+        of_hold: N, that holds bear, of any shape; infinite where they name none.
+        holding_force: () N, that grips bear; 0: they name none.
+    """
+    weaker = jnp.minimum(of_hold, jnp.where(holding_force > 0, holding_force, jnp.inf))
+    return jnp.where(jnp.isfinite(weaker), weaker, 0.0)
 
 
 def level(vector: AnyArray) -> Array:
