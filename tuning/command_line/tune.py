@@ -18,10 +18,7 @@ from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Searc
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    from tuning.command_line.session import Session
     from tuning.problem.ensemble import Ensemble
-    from tuning.problem.evaluation import Problem
-    from tuning.results.tuned import Tuned
 
 
 class Many(Options):
@@ -315,9 +312,7 @@ def tune(
                 of_search.load_tests(problem, wanted, begin)
                 begun = of_search.begin(problem, wanted, begin, seeds=seeds, out=folder)
             with shell.rounds("search") as show:
-                found: Any = searches.run(problem, wanted, out=folder, progress=show)
-            if seeds > 1 and not found.interrupted:
-                found = _of_seeds(found, problem, seeds, folder, shell)
+                found: Any = searches.from_seeds(problem, wanted, seeds, out=folder, progress=show)
             if many.test_members is not None:
                 found = dataclasses.replace(found, judges=many.test_members)
             if found.interrupted:
@@ -330,20 +325,3 @@ def tune(
                 best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
                 raise Interrupted(f"the best of {shell.done} rounds is in {folder}: {best}")
             shell.result(found, again, begun)
-
-
-def _of_seeds(first: "Tuned", problem: "Problem", seeds: int, folder: Path, shell: "Session") -> "Tuned":
-    """Search from further seeds, each with its rounds in a folder of its own, and return the best of all."""
-    from tuning.methods import parts
-    from tuning.results import tuned
-    from tuning.searches import tune as searches
-
-    found = [first]
-    for number in range(1, seeds):
-        own = first.search.model_copy(update={"seed": first.search.seed + number})
-        with shell.rounds(f"search, seed {own.seed}") as show:
-            out = folder / parts.FOLDER / f"seed-{own.seed}"
-            found.append(searches.run(problem, own, out=out, progress=show))
-        if found[-1].interrupted:
-            raise KeyboardInterrupt
-    return tuned.of_seeds(found)
