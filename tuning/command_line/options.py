@@ -123,6 +123,7 @@ class Walk(Options):
         """
         from mjx_climb.inputs.from_scenario import own_parameters
         from mjx_climb.scenario.yaml_text import pairs
+        from mjx_climb.walk.structure import structure
         from tuning.gains import gains_file
         from tuning.gains.own_section import of_one, taken, without
         from tuning.problem.evaluation import Problem
@@ -151,7 +152,7 @@ class Walk(Options):
             except (TypeError, ValueError) as error:
                 raise InputError(f"--set {', '.join(mine)}: {error}") from None
         scenario = without(scenario_from(Path(source), changes, self.hardware, self.controller))
-        own_parameters(scenario, source)
+        structure(scenario, self.engine, own_parameters(scenario, source))  # refuses what cannot walk
         if self.gains is not None and self.law is None:
             scenario, law = self._of_file(self.gains, scenario, law, changes)
         elif self.gains is not None and law is not None:
