@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mjx_climb.inputs.resolve import AnyGains
     from tuning.command_line.session import Session
     from tuning.problem.evaluation import Problem
+    from tuning.problem.spaces import Space
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 EngineName = Literal["limb", "mjx"]
@@ -275,14 +276,13 @@ class SearchFile(Options):
 
     search: Path | None = setting(None, "settings of the search, YAML; options change them", metavar="FILE")
 
-    def settings(self, typed: Search, loaded: "Problem", config: Path) -> Search:
-        """Return the settings of the file with those that were typed in their place, checked against the scenario."""
+    def settings(self, typed: Search, loaded: "Problem", config: Path) -> "tuple[Search, Space]":
+        """Return the settings of the file with those that were typed in their place, and the space of the scenario."""
         from tuning.problem.spaces import space
 
         wanted = self.joined(typed, loaded)
         with self.naming(typed, config):
-            space(loaded.scenario, wanted, loaded.law)
-        return wanted
+            return wanted, space(loaded.scenario, wanted, loaded.law)
 
     def joined(self, typed: Search, loaded: "Problem") -> Search:
         """Return the result of `settings`, before the gains that they name are looked for."""

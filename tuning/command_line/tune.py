@@ -118,14 +118,14 @@ def pareto(asked: Pareto, search: _OfFront, file: SearchFile, walk: _FromConfig,
         from tuning.writing.record import settings_of
 
         loaded = walk.load()
-        wanted = file.settings(search, loaded, walk.config)
+        wanted, space = file.settings(search, loaded, walk.config)
         for option, name in (("--better", asked.better), ("--against", asked.against)):
             check_metrics(Search(weights={name: 1.0}), loaded.metrics, option)
         own = {"search": wanted.model_dump(mode="json"), "front": asked.model_dump(mode="json")}
         folder = shell.take(walk, "front.nc", settings_of(loaded, "pareto", **own), "pareto")
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, "--better"):
-            problem = fronts.problem_of(loaded.scenario, wanted, asked, **loaded.walks)
+            problem = fronts.problem_of(loaded.scenario, wanted, asked, space=space, **loaded.walks)
         with shell.keeping("rounds"):
             with shell.rounds("front") as show:
                 found = fronts.run(problem, wanted, asked, out=folder, progress=show)
@@ -143,12 +143,12 @@ def schedule(asked: Over, search: _OfPoints, file: SearchFile, walk: _FromConfig
         from tuning.writing.record import settings_of
 
         loaded = walk.load()
-        points, wanted = asked.points(loaded.scenario), file.settings(search, loaded, walk.config)
+        points, (wanted, space) = asked.points(loaded.scenario), file.settings(search, loaded, walk.config)
         own = {"search": wanted.model_dump(mode="json"), "operating_points": points.model_dump(mode="json")}
         folder = shell.take(walk, "schedule.nc", settings_of(loaded, "schedule", **own), "schedule")
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, walk.config):
-            problem = schedules.operating_points(loaded.scenario, wanted, points, **loaded.walks)
+            problem = schedules.operating_points(loaded.scenario, wanted, points, space=space, **loaded.walks)
         with shell.keeping("rounds"):
             with shell.rounds("schedule") as show:
                 found = schedules.run(problem, out=folder, progress=show)
