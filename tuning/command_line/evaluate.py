@@ -57,10 +57,7 @@ class Margins(Rival):
 
 def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated[Output, "-sections"]) -> None:
     """Find how late, slow and weak a robot's hardware may be before gains fail."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
+    with output.session(walks=True) as shell:
         from mjx_climb.control import PD, law_of
         from mjx_climb.files import dataset
         from mjx_climb.viz import plots
@@ -241,10 +238,7 @@ _Asked = Annotated[
 
 def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], output: Output) -> None:
     """Find the best joint targets over time, by what they know, beside pd and the laws of gains files."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
+    with output.session(walks=True) as shell:
         from mjx_climb.control import law_of
         from mjx_climb.scenario.messages import ConfigError
         from tuning.gains.gains_file import Whole, by_name

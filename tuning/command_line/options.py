@@ -258,8 +258,11 @@ class Output(Options):
     json_only: bool = setting(False, "print JSON alone on standard output, all else on standard error", flag="--json")
 
     @contextlib.contextmanager
-    def session(self) -> Iterator["Session"]:
-        """Give what the command prints to and shows its progress on; ConfigError: a section is not there."""
+    def session(self, *, walks: bool = False) -> Iterator["Session"]:
+        """Give what the command prints to and shows its progress on; where it walks, JAX's devices begin to start.
+
+        Raises ConfigError: a section is not there.
+        """
         from tuning.command_line.session import Session
 
         sections = []
@@ -268,6 +271,10 @@ class Output(Options):
 
             sections = [load_section(text) for text in self.sections]
         with reserved_stdout() as stdout:
+            if walks:
+                from mjx_climb.execution import devices
+
+                devices.begin()
             yield Session(stdout, self, sections)
 
 

@@ -110,10 +110,7 @@ _FromConfig = Annotated[Walk, "-gains"]
 
 def pareto(asked: Pareto, search: _OfFront, file: SearchFile, walk: _FromConfig, output: Output) -> None:
     """Search the front of two metrics."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
+    with output.session(walks=True) as shell:
         from tuning.searches import pareto as fronts
         from tuning.writing.record import settings_of
 
@@ -135,10 +132,7 @@ def pareto(asked: Pareto, search: _OfFront, file: SearchFile, walk: _FromConfig,
 
 def schedule(asked: Over, search: _OfPoints, file: SearchFile, walk: _FromConfig, output: Output) -> None:
     """Tune gains for every operating point, all side by side in one batch."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
+    with output.session(walks=True) as shell:
         from tuning.searches import schedule as schedules
         from tuning.writing.record import settings_of
 
@@ -164,11 +158,8 @@ def compare(
     output: Output,
 ) -> None:
     """Tune several laws from several seeds until they converge, and test them on the same unseen walks."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
+    with output.session(walks=True) as shell:
         from mjx_climb.scenario.messages import ConfigError
-
-        devices.begin()
         from tuning.comparisons import compare as comparing
         from tuning.problem.evaluation import Problem
         from tuning.searches import tune as searches
