@@ -21,6 +21,7 @@ from tuning.problem.settings import Options, setting
 if TYPE_CHECKING:
     from mjx_climb.inputs.resolve import AnyGains
     from tuning.command_line.session import Session
+    from tuning.problem.ensemble import Ensemble
     from tuning.problem.evaluation import Problem
     from tuning.problem.spaces import Space
 
@@ -276,6 +277,27 @@ class Output(Options):
 
                 devices.begin()
             yield Session(stdout, self, sections)
+
+
+class Members(Options):
+    """Which members of an ensemble walk in place of the config's own walk."""
+
+    ensemble: Path | None = setting(None, ENSEMBLE, metavar="FILE", complete="ensemble")
+    members: int | None = setting(None, "walks of the ensemble; null: the file's", ge=1)
+
+    def load(self) -> "Ensemble | None":
+        """Return the ensemble, None without one."""
+        if self.ensemble is not None:
+            return self.loaded(self.ensemble)
+        for name in self.model_fields_set & {"members", "test_members"}:
+            raise InputError(f"--{name.replace('_', '-')}: expected --ensemble with it")
+        return None
+
+    def loaded(self, file: Path) -> "Ensemble":
+        """Return an ensemble with as many members as were asked for."""
+        from tuning.problem.ensemble import Ensemble
+
+        return Ensemble.load(shipped.found(file), **self.model_dump(include={"members"}, exclude_unset=True))
 
 
 class SearchFile(Options):

@@ -12,7 +12,7 @@ from mjx_climb.scenario import shipped
 from tuning.command_line import processes
 from tuning.command_line.from_models import command, in_options, made
 from tuning.command_line.interruption import Interrupted
-from tuning.command_line.options import ENSEMBLE, Output, SearchFile, Walk
+from tuning.command_line.options import ENSEMBLE, Members, Output, SearchFile, Walk
 from tuning.command_line.program import InputError, origin, repeated
 from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Search, check_metrics
 from tuning.problem.settings import Options, setting
@@ -21,32 +21,18 @@ if TYPE_CHECKING:
     from tuning.problem.ensemble import Ensemble
 
 
-class Many(Options):
+class Many(Members):
     """Which walks gains are searched for: those of an ensemble in place of the config's."""
 
     ensemble: Path | None = setting(
         None, f"{ENSEMBLE}; of several laws null: that of --hardware", metavar="FILE", complete="ensemble"
     )
-    members: int | None = setting(None, "walks of the ensemble; null: the file's", ge=1)
     test_members: int | None = setting(None, "walks of the fresh draw that tests the result; null: 128", ge=1)
-
-    def load(self) -> "Ensemble | None":
-        """Return the ensemble, None without one."""
-        if self.ensemble is None:
-            for name in self.model_fields_set:
-                raise InputError(f"--{name.replace('_', '-')}: expected --ensemble with it")
-            return None
-        return self._loaded(self.ensemble)
 
     def of_laws(self, hardware: str | None) -> "Ensemble":
         """Return the ensemble that laws are compared on, by default the shipped one of a profile of hardware."""
         own = f"ensemble_{hardware}"
-        return self._loaded(self.ensemble or Path(own if own in shipped.ensembles() else "ensemble"))
-
-    def _loaded(self, file: Path) -> "Ensemble":
-        from tuning.problem.ensemble import Ensemble
-
-        return Ensemble.load(shipped.found(file), **self.model_dump(include={"members"}, exclude_unset=True))
+        return self.loaded(self.ensemble or Path(own if own in shipped.ensembles() else "ensemble"))
 
 
 class Goal(Options):
