@@ -94,13 +94,19 @@ def write(
     return folders.write(made, home, f"tuning.{found.KIND}(...)", sections=told, **how)
 
 
-def _of_identification(found: "Identified | Excited", home: Path, **how: Any) -> Written:
+def _of_identification(
+    found: "Identified | Excited", home: Path, settings: Mapping[str, Any] | None, origin: Origin | None, **how: Any
+) -> Written:
     # imported here: the import takes a second, and searches do without
     from tuning.identification.fit import output as of_fit
     from tuning.identification.fit.result import Identified
     from tuning.identification.plan import output as of_plan
 
-    return of_fit.write(found, home, **how) if isinstance(found, Identified) else of_plan.write(found, home, **how)
+    made_by: Any = of_fit if isinstance(found, Identified) else of_plan
+    record.check_own(home, made_by.FILE)
+    with record.whole(home, settings) as place:
+        files, page, where = made_by.contents(found, place, origin)
+        return Written(folders.fill(place, files, page, where, **how))
 
 
 def write_found(

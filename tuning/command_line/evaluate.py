@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mjx_climb.scenario import shipped
 from tuning.command_line.from_models import command, in_options
-from tuning.command_line.options import ENSEMBLE, SHARD, Output, Walk
+from tuning.command_line.options import ENSEMBLE, SHARD, Members, Output, Walk
 from tuning.command_line.program import InputError, repeated
 from tuning.command_line.sweep import merge, walk_rows
 from tuning.problem.ceiling import Ceiling
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from tuning.comparisons.linear_margins import Stable
     from tuning.comparisons.margins import Found
     from tuning.gains.gains_file import Whole
-    from tuning.problem.ensemble import Ensemble
     from tuning.problem.evaluation import Problem
 
 
@@ -57,10 +56,7 @@ class Margins(Rival):
 
 def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated[Output, "-sections"]) -> None:
     """Find how late, slow and weak a robot's hardware may be before gains fail."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
+    with output.session(walks=True) as shell:
         from mjx_climb.control import PD, law_of
         from mjx_climb.files import dataset
         from mjx_climb.viz import plots
@@ -211,26 +207,12 @@ def worse(asked: Worse, walk: Annotated[Walk, "-gains"], output: Output) -> None
     walk_rows(asked, walk, output, "degrade", again)
 
 
-class Bounds(Files):
+class Bounds(Files, Members):
     """What bounds every law."""
 
     ceiling: bool = setting(
         False, "find how good any law could be on these walks, and what a force sensor is worth at most"
     )
-    ensemble: Path | None = setting(None, ENSEMBLE, metavar="FILE", complete="ensemble")
-    members: int | None = setting(None, "walks of the ensemble; null: the file's", ge=1)
-
-    def load(self) -> "Ensemble | None":
-        """Return the ensemble, None without one."""
-        from tuning.problem.ensemble import Ensemble
-
-        if self.ensemble is None:
-            if self.members is not None:
-                raise InputError("--members: expected --ensemble with it")
-            return None
-        return Ensemble.load(
-            shipped.found(self.ensemble), **({} if self.members is None else {"members": self.members})
-        )
 
 
 # of the settings those that a first search needs
@@ -241,10 +223,7 @@ _Asked = Annotated[
 
 def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], output: Output) -> None:
     """Find the best joint targets over time, by what they know, beside pd and the laws of gains files."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
+    with output.session(walks=True) as shell:
         from mjx_climb.control import law_of
         from mjx_climb.scenario.messages import ConfigError
         from tuning.gains.gains_file import Whole, by_name

@@ -21,7 +21,9 @@ from tuning.problem.settings import Options, setting
 if TYPE_CHECKING:
     from mjx_climb.inputs.resolve import AnyGains
     from tuning.command_line.session import Session
+    from tuning.problem.ensemble import Ensemble
     from tuning.problem.evaluation import Problem
+    from tuning.problem.spaces import Space
 
 ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 EngineName = Literal["limb", "mjx"]
@@ -123,6 +125,7 @@ class Walk(Options):
         """
         from mjx_climb.inputs.from_scenario import own_parameters
         from mjx_climb.scenario.yaml_text import pairs
+        from mjx_climb.walk.structure import structure
         from tuning.gains import gains_file
         from tuning.gains.own_section import of_one, taken, without
         from tuning.problem.evaluation import Problem
@@ -151,7 +154,7 @@ class Walk(Options):
             except (TypeError, ValueError) as error:
                 raise InputError(f"--set {', '.join(mine)}: {error}") from None
         scenario = without(scenario_from(Path(source), changes, self.hardware, self.controller))
-        own_parameters(scenario, source)
+        structure(scenario, self.engine, own_parameters(scenario, source))  # refuses what cannot walk
         if self.gains is not None and self.law is None:
             scenario, law = self._of_file(self.gains, scenario, law, changes)
         elif self.gains is not None and law is not None:
@@ -256,8 +259,11 @@ class Output(Options):
     json_only: bool = setting(False, "print JSON alone on standard output, all else on standard error", flag="--json")
 
     @contextlib.contextmanager
-    def session(self) -> Iterator["Session"]:
-        """Give what the command prints to and shows its progress on; ConfigError: a section is not there."""
+    def session(self, *, walks: bool = False) -> Iterator["Session"]:
+        """Give what the command prints to and shows its progress on; where it walks, JAX's devices begin to start.
+
+        Raises ConfigError: a section is not there.
+        """
         from tuning.command_line.session import Session
 
         sections = []
@@ -266,7 +272,32 @@ class Output(Options):
 
             sections = [load_section(text) for text in self.sections]
         with reserved_stdout() as stdout:
+            if walks:
+                from mjx_climb.execution import devices
+
+                devices.begin()
             yield Session(stdout, self, sections)
+
+
+class Members(Options):
+    """Which members of an ensemble walk in place of the config's own walk."""
+
+    ensemble: Path | None = setting(None, ENSEMBLE, metavar="FILE", complete="ensemble")
+    members: int | None = setting(None, "walks of the ensemble; null: the file's", ge=1)
+
+    def load(self) -> "Ensemble | None":
+        """Return the ensemble, None without one."""
+        if self.ensemble is not None:
+            return self.loaded(self.ensemble)
+        for name in self.model_fields_set & {"members", "test_members"}:
+            raise InputError(f"--{name.replace('_', '-')}: expected --ensemble with it")
+        return None
+
+    def loaded(self, file: Path) -> "Ensemble":
+        """Return an ensemble with as many members as were asked for."""
+        from tuning.problem.ensemble import Ensemble
+
+        return Ensemble.load(shipped.found(file), **self.model_dump(include={"members"}, exclude_unset=True))
 
 
 class SearchFile(Options):
@@ -274,14 +305,13 @@ class SearchFile(Options):
 
     search: Path | None = setting(None, "settings of the search, YAML; options change them", metavar="FILE")
 
-    def settings(self, typed: Search, loaded: "Problem", config: Path) -> Search:
-        """Return the settings of the file with those that were typed in their place, checked against the scenario."""
+    def settings(self, typed: Search, loaded: "Problem", config: Path) -> "tuple[Search, Space]":
+        """Return the settings of the file with those that were typed in their place, and the space of the scenario."""
         from tuning.problem.spaces import space
 
         wanted = self.joined(typed, loaded)
         with self.naming(typed, config):
-            space(loaded.scenario, wanted, loaded.law)
-        return wanted
+            return wanted, space(loaded.scenario, wanted, loaded.law)
 
     def joined(self, typed: Search, loaded: "Problem") -> Search:
         """Return the result of `settings`, before the gains that they name are looked for."""

@@ -12,44 +12,27 @@ from mjx_climb.scenario import shipped
 from tuning.command_line import processes
 from tuning.command_line.from_models import command, in_options, made
 from tuning.command_line.interruption import Interrupted
-from tuning.command_line.options import ENSEMBLE, Output, SearchFile, Walk
+from tuning.command_line.options import ENSEMBLE, Members, Output, SearchFile, Walk
 from tuning.command_line.program import InputError, origin, repeated
 from tuning.problem.search import ROBUST_WEIGHTS, Judge, Pareto, Schedule, Search, check_metrics
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
-    from tuning.command_line.session import Session
     from tuning.problem.ensemble import Ensemble
-    from tuning.problem.evaluation import Problem
-    from tuning.results.tuned import Tuned
 
 
-class Many(Options):
+class Many(Members):
     """Which walks gains are searched for: those of an ensemble in place of the config's."""
 
     ensemble: Path | None = setting(
         None, f"{ENSEMBLE}; of several laws null: that of --hardware", metavar="FILE", complete="ensemble"
     )
-    members: int | None = setting(None, "walks of the ensemble; null: the file's", ge=1)
     test_members: int | None = setting(None, "walks of the fresh draw that tests the result; null: 128", ge=1)
-
-    def load(self) -> "Ensemble | None":
-        """Return the ensemble, None without one."""
-        if self.ensemble is None:
-            for name in self.model_fields_set:
-                raise InputError(f"--{name.replace('_', '-')}: expected --ensemble with it")
-            return None
-        return self._loaded(self.ensemble)
 
     def of_laws(self, hardware: str | None) -> "Ensemble":
         """Return the ensemble that laws are compared on, by default the shipped one of a profile of hardware."""
         own = f"ensemble_{hardware}"
-        return self._loaded(self.ensemble or Path(own if own in shipped.ensembles() else "ensemble"))
-
-    def _loaded(self, file: Path) -> "Ensemble":
-        from tuning.problem.ensemble import Ensemble
-
-        return Ensemble.load(shipped.found(file), **self.model_dump(include={"members"}, exclude_unset=True))
+        return self.loaded(self.ensemble or Path(own if own in shipped.ensembles() else "ensemble"))
 
 
 class Goal(Options):
@@ -113,22 +96,19 @@ _FromConfig = Annotated[Walk, "-gains"]
 
 def pareto(asked: Pareto, search: _OfFront, file: SearchFile, walk: _FromConfig, output: Output) -> None:
     """Search the front of two metrics."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
+    with output.session(walks=True) as shell:
         from tuning.searches import pareto as fronts
         from tuning.writing.record import settings_of
 
         loaded = walk.load()
-        wanted = file.settings(search, loaded, walk.config)
+        wanted, space = file.settings(search, loaded, walk.config)
         for option, name in (("--better", asked.better), ("--against", asked.against)):
             check_metrics(Search(weights={name: 1.0}), loaded.metrics, option)
         own = {"search": wanted.model_dump(mode="json"), "front": asked.model_dump(mode="json")}
         folder = shell.take(walk, "front.nc", settings_of(loaded, "pareto", **own), "pareto")
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, "--better"):
-            problem = fronts.problem_of(loaded.scenario, wanted, asked, **loaded.walks)
+            problem = fronts.problem_of(loaded.scenario, wanted, asked, space=space, **loaded.walks)
         with shell.keeping("rounds"):
             with shell.rounds("front") as show:
                 found = fronts.run(problem, wanted, asked, out=folder, progress=show)
@@ -138,20 +118,17 @@ def pareto(asked: Pareto, search: _OfFront, file: SearchFile, walk: _FromConfig,
 
 def schedule(asked: Over, search: _OfPoints, file: SearchFile, walk: _FromConfig, output: Output) -> None:
     """Tune gains for every operating point, all side by side in one batch."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
-
-        devices.begin()
+    with output.session(walks=True) as shell:
         from tuning.searches import schedule as schedules
         from tuning.writing.record import settings_of
 
         loaded = walk.load()
-        points, wanted = asked.points(loaded.scenario), file.settings(search, loaded, walk.config)
+        points, (wanted, space) = asked.points(loaded.scenario), file.settings(search, loaded, walk.config)
         own = {"search": wanted.model_dump(mode="json"), "operating_points": points.model_dump(mode="json")}
         folder = shell.take(walk, "schedule.nc", settings_of(loaded, "schedule", **own), "schedule")
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, walk.config):
-            problem = schedules.operating_points(loaded.scenario, wanted, points, **loaded.walks)
+            problem = schedules.operating_points(loaded.scenario, wanted, points, space=space, **loaded.walks)
         with shell.keeping("rounds"):
             with shell.rounds("schedule") as show:
                 found = schedules.run(problem, out=folder, progress=show)
@@ -167,11 +144,8 @@ def compare(
     output: Output,
 ) -> None:
     """Tune several laws from several seeds until they converge, and test them on the same unseen walks."""
-    with output.session() as shell:
-        from mjx_climb.execution import devices
+    with output.session(walks=True) as shell:
         from mjx_climb.scenario.messages import ConfigError
-
-        devices.begin()
         from tuning.comparisons import compare as comparing
         from tuning.problem.evaluation import Problem
         from tuning.searches import tune as searches
@@ -315,9 +289,7 @@ def tune(
                 of_search.load_tests(problem, wanted, begin)
                 begun = of_search.begin(problem, wanted, begin, seeds=seeds, out=folder)
             with shell.rounds("search") as show:
-                found: Any = searches.run(problem, wanted, out=folder, progress=show)
-            if seeds > 1 and not found.interrupted:
-                found = _of_seeds(found, problem, seeds, folder, shell)
+                found: Any = searches.from_seeds(problem, wanted, seeds, out=folder, progress=show)
             if many.test_members is not None:
                 found = dataclasses.replace(found, judges=many.test_members)
             if found.interrupted:
@@ -330,20 +302,3 @@ def tune(
                 best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
                 raise Interrupted(f"the best of {shell.done} rounds is in {folder}: {best}")
             shell.result(found, again, begun)
-
-
-def _of_seeds(first: "Tuned", problem: "Problem", seeds: int, folder: Path, shell: "Session") -> "Tuned":
-    """Search from further seeds, each with its rounds in a folder of its own, and return the best of all."""
-    from tuning.methods import parts
-    from tuning.results import tuned
-    from tuning.searches import tune as searches
-
-    found = [first]
-    for number in range(1, seeds):
-        own = first.search.model_copy(update={"seed": first.search.seed + number})
-        with shell.rounds(f"search, seed {own.seed}") as show:
-            out = folder / parts.FOLDER / f"seed-{own.seed}"
-            found.append(searches.run(problem, own, out=out, progress=show))
-        if found[-1].interrupted:
-            raise KeyboardInterrupt
-    return tuned.of_seeds(found)

@@ -5,26 +5,15 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, model_validator
 
-from tuning.problem.search import WEIGHTS, numbers_of
+from tuning.problem.search import OF_LIMITS, OF_WEIGHTS, numbers_of
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
 
 class Ceiling(Settings):
     """A search for joint targets over time, fully specified beside its scenario."""
 
-    weights: dict[str, NonNegative] = setting(
-        WEIGHTS,
-        "metric to better and its weight, relative to its value under pd; those named take the place of the default",
-        flag="--weight",
-        metavar="METRIC=W",
-        default_in_words=", ".join(WEIGHTS),
-    )
-    limits: dict[str, Finite] = setting(
-        {},
-        "highest value of a metric (lowest, where larger is better), in its unit, as peak_joint_torque=0.5",
-        flag="--limit",
-        metavar="METRIC=VALUE",
-    )
+    weights: dict[str, NonNegative] = OF_WEIGHTS
+    limits: dict[str, Finite] = OF_LIMITS
     deviation_factor: Positive = setting(
         3.0, "limit, relative to pd's, of base deviation, swing deviation, joint torque and joint rate"
     )

@@ -22,6 +22,19 @@ OWN_METHOD = "own"  # one that the caller brought, or that `own.method` of the s
 LAYOUTS: tuple[str, ...] = get_args(SpaceName)
 WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}  # of a search over an ensemble
+OF_WEIGHTS = setting(
+    WEIGHTS,
+    "metric to better and its weight, relative to its value under pd; those named take the place of the default",
+    flag="--weight",
+    metavar="METRIC=W",
+    default_in_words=", ".join(WEIGHTS),
+)
+OF_LIMITS = setting(
+    {},
+    "highest value of a metric (lowest, where larger is better), in its unit, as base_deviation=5e-3",
+    flag="--limit",
+    metavar="METRIC=VALUE",
+)
 
 
 def _method(name: str) -> str:
@@ -75,19 +88,8 @@ class Search(Settings):
     frozen: tuple[str, ...] = setting(
         (), "gain of the law that keeps its own values, named likewise", flag="--freeze", metavar="GAIN"
     )
-    weights: dict[str, NonNegative] = setting(
-        WEIGHTS,
-        "metric to better and its weight, relative to its value under pd; those named take the place of the default",
-        flag="--weight",
-        metavar="METRIC=W",
-        default_in_words=", ".join(WEIGHTS),
-    )
-    limits: dict[str, Finite] = setting(
-        {},
-        "highest value of a metric (lowest, where larger is better), in its unit, as base_deviation=5e-3",
-        flag="--limit",
-        metavar="METRIC=VALUE",
-    )
+    weights: dict[str, NonNegative] = OF_WEIGHTS
+    limits: dict[str, Finite] = OF_LIMITS
     deviation_factor: Positive = setting(3.0, "limit of base_deviation relative to pd's, where limits name none")
     no_worse_than_pd: bool = setting(
         True, "no metric with a weight may be worse than under pd", flag="--no-worse-than-pd/--may-be-worse-than-pd"

@@ -187,7 +187,8 @@ def of_seeds(searches: Sequence[Tuned]) -> Tuned:
         said += f", their gains at most a factor of {apart.max():.3g} apart ({name})"
     if outside := sum(not own.feasible for own in searches):
         said += f"; {outside} of them break a limit"
-    data = best.data.assign_attrs({AGREEMENT: said, SEEDS: len(searches), "search": asked.to_yaml()})
+    attrs = {AGREEMENT: said, SEEDS: len(searches), "search": asked.to_yaml()}
+    data = best.data.assign_attrs(attrs, interrupted=int(searches[-1].interrupted))
     return dataclasses.replace(best, data=data, search=asked)
 
 

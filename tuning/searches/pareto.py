@@ -76,7 +76,7 @@ def pareto(
 
 
 def problem_of(scenario: mc.Scenario, search: Search, asked: Pareto, **walks: Any) -> Problem:
-    """Return the problem that weighs the metric to better alone; `walks` and errors as of `tune.problem_of`."""
+    """Return the problem that weighs the metric to better alone; `walks`, `space`, errors as of `tune.problem_of`."""
     refuse_gait(search)
     return tune.problem_of(scenario, _bettering(search, asked), **walks)
 

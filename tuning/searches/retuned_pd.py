@@ -21,7 +21,7 @@ from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT, default_bounds
-from tuning.results.tuned import Tuned, of_seeds
+from tuning.results.tuned import Tuned
 from tuning.searches import tune
 
 NAME = "retuned_pd"  # in tables and files
@@ -75,14 +75,10 @@ def search(
         scenario = scenario.with_overrides({"time_step": time_step_for(problem.scenario, _highest(space))})
     rival = dataclasses.replace(problem, scenario=scenario, space=space, law=None)
     own = None if out is None else Path(out) / parts.FOLDER / NAME
-    found = []
-    for number in range(seeds):
-        again = settings.model_copy(update={"seed": settings.seed + number})
-        kept = own if own is None or number == 0 else own / f"seed-{again.seed}"
-        found.append(tune.run(rival, again, out=kept, progress=progress))
-        if found[-1].interrupted:
-            raise KeyboardInterrupt
-    return of_seeds(found) if seeds > 1 else found[0]
+    found = tune.from_seeds(rival, settings, seeds, out=own, progress=progress)
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return found
 
 
 def walked_on_grid(

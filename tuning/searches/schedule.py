@@ -95,7 +95,7 @@ class OperatingPoints:
 
 
 def operating_points(scenario: mc.Scenario, search: Search, asked: Schedule, **walks: Any) -> OperatingPoints:
-    """Return the problem of `schedule`, with its errors; pd walks first. `walks`: law, metrics and engine."""
+    """Return the problem of `schedule`, with its errors; pd walks first. `walks`: law, metrics, engine, `space`."""
     refuse_gait(search)
     problem = tune.without_goal(scenario, search, **walks)
     down = np.asarray(scenario.gravity, float)

@@ -2,9 +2,11 @@
 
 import dataclasses
 import functools
+import itertools
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,8 +21,8 @@ from mjx_climb.inputs.own_objects import load, reference_to
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.methods import Method, Points, Task, cmaes, method_of
-from tuning.methods.parts import identity_of
-from tuning.methods.rounds import Callback, Rounds, follow, settled
+from tuning.methods.parts import FOLDER, identity_of
+from tuning.methods.rounds import Callback, Progress, Rounds, follow, settled
 from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, known, objectives, spaces
 from tuning.problem import search as search_settings
@@ -28,7 +30,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Goal, OwnObjective
 from tuning.problem.search import METHODS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
-from tuning.results.tuned import Robust, Tuned, from_rounds
+from tuning.results.tuned import Robust, Tuned, from_rounds, of_seeds
 
 OwnMethod = str | Method | type[Method] | Callable[[Task], Points]  # a method, or the name of one
 
@@ -37,6 +39,7 @@ def tune(
     scenario: mc.Scenario,
     search: Search | None = None,
     *,
+    seeds: int = 1,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
     method: OwnMethod | None = None,
@@ -55,6 +58,7 @@ def tune(
         scenario: what walks where.
         law: whose gains are searched; its own are the first start. The scenario's where None.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it.
+        seeds: how many searches, from the seed of the settings on, of which the best counts.
         method: the name of a shipped one, `optuna:SAMPLER`, or FILE.py:NAME; or one of your own, as a
             `tuning.methods.Method`, or a function that yields a `Request` of points and receives what they are worth.
             It must ask for the same when it is given the same.
@@ -84,7 +88,7 @@ def tune(
     problem = problem_of(scenario, wanted, objective, space=space, **walks)
     if parameters is not None:
         problem = dataclasses.replace(problem, parameters=parameters, members=math.prod(batch_shape(parameters)))
-    return run(problem, wanted, out=out, progress=progress)
+    return from_seeds(problem, wanted, seeds, out=out, progress=progress)
 
 
 def robust(
@@ -93,6 +97,7 @@ def robust(
     search: Search | None = None,
     *,
     judges: int = Judge().members,
+    seeds: int = 1,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
     method: OwnMethod | None = None,
@@ -112,7 +117,7 @@ def robust(
     wanted, space, own = prepare(scenario, wanted, (search, method, settings.get("method")), method, law)
     walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine, "own_method": own}
     problem = problem_of(scenario, wanted, ensemble=ensemble, space=space, **walks)
-    found = run(problem, wanted, out=out, progress=progress)
+    found = from_seeds(problem, wanted, seeds, out=out, progress=progress)
     assert isinstance(found, Robust)
     return dataclasses.replace(found, judges=judges)
 
@@ -196,6 +201,27 @@ def own_objective(
 def check_method(search: Search, own: Method | None, space: spaces.Space) -> None:
     """Refuse by a ConfigError, before anything walks, a method that cannot search a space or is not installed."""
     (own or method_of(search.method)).check(space, search)
+
+
+def from_seeds(
+    problem: Problem, search: Search, seeds: int, *, out: str | os.PathLike[str] | None, progress: Callback | None
+) -> Tuned:
+    """Search a problem from several seeds and return the best; arguments, result and errors as of `tune`.
+
+    `progress` counts the rounds of all seeds; those of further seeds are kept in folders of their own below `out`.
+    """
+    found, rounds = list[Tuned](), itertools.count(1)
+
+    def told(now: Progress) -> None:
+        if progress is not None:
+            phase = f"seed {search.seed + len(found)}, {now.phase}" if seeds > 1 else now.phase
+            progress(now._replace(rounds=next(rounds), rounds_in_all=seeds * now.rounds_in_all, phase=phase))
+
+    while len(found) < seeds and not (found and found[-1].interrupted):
+        own = search.model_copy(update={"seed": search.seed + len(found)})
+        kept = Path(out) / FOLDER / f"seed-{own.seed}" if found and out is not None else out
+        found.append(run(problem, own, out=kept, progress=told))
+    return of_seeds(found) if len(found) > 1 else found[0]
 
 
 def run(

@@ -82,10 +82,9 @@ def begin(folder: Path, settings: Settings) -> None:
 
 
 def give_up(folder: Path) -> None:
-    """Remove what `begin` wrote where nothing else is in the folder: the command was refused before it did any work."""
-    if folder.is_dir() and [path.name for path in folder.iterdir()] == [FILE]:
-        (folder / FILE).unlink()
-        folder.rmdir()
+    """Remove a folder that only says whose it is: the command was refused before it did any work."""
+    if {path.name for path in folder.rglob("*") if path.is_file()} in ({FILE}, {FILE, parts.IDENTITY}):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def another(folder: Path, settings: Settings | None) -> str:

@@ -87,20 +87,6 @@ def test_bad_input_ends_with_2_and_one_line(line, expected, call, files, monkeyp
     assert {file.read_text() for file in files.glob("with_*/config.yaml")} == {"theirs"}
 
 
-@pytest.mark.parametrize(
-    ("key", "said"),
-    [
-        ("order=free", "expected periodic with planned footholds, got free"),
-        ("footholds=nearest", "expected planned, as the ground has no holds to choose among"),
-        ("way_points=[[0.1, 0]]", "expected none with planned footholds, got [[0.1, 0.0]]"),
-    ],
-)
-def test_what_a_choice_of_footholds_lacks_is_said_in_one_line(call, tmp_path, key, said):
-    code, out, err = call("run", CONFIG, "--set", f"gait.{key}", "--set", "duration=0.1", "--out", tmp_path / "out")
-    assert (code, out) == (2, "")
-    assert err.splitlines()[-1] == f"mjx-climb: error: gait.{key.partition('=')[0]}: {said}"
-
-
 HAS_NONE = "cost_of_transport: expected a metric that pd has"
 UNWEIGHABLE = {  # in free fall no transport has a cost relative to the weight
     "tune": f"error: --weight {HAS_NONE} here, got nan under pd",

@@ -72,10 +72,9 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.searches.pareto": "problem_of run",
     "tuning.searches.schedule": "operating_points run",
     "tuning.comparisons.merge": "merged",
-    "tuning.results.tuned": "of_seeds",
     "tuning.searches.shards": "Rows find home",
     "tuning.searches.sweep": "Grid.named Grid.result",
-    "tuning.searches.tune": "problem_of run",
+    "tuning.searches.tune": "from_seeds problem_of",
 }
 TYPED = {  # what is typed for an option by the name of its parameter, unlike its default
     "also": "--also inertia",
@@ -329,7 +328,7 @@ def traced(monkeypatch, tmp_path, folder):
             "tuning.comparisons.degraded.Worse.result",
             "tuning.searches.schedule.run", "tuning.comparisons.merge.merged", "tuning.searches.sweep.Grid.result",
             "tuning.searches.ceiling.ceiling",
-            "tuning.searches.tune.run", "tuning.results.tuned.of_seeds",
+            "tuning.searches.tune.from_seeds",
         ),
         found,
     )  # fmt: skip

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from tuning.methods.rounds import Progress
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
@@ -21,7 +22,7 @@ def search(seed, value, gains, penalty=0.0):
     data = {name: ("point", each) for name, each in one.items()} | {"theta": (("point", "coordinate"), theta)}
     data["unit"] = ("coordinate", [0.0, 0.1])
     names = {"coordinate": ["stiffness", "gait.duty"]}
-    return tuned.Tuned(xr.Dataset(data, names), Problem(None), Search(seed=seed))
+    return tuned.Tuned(xr.Dataset(data, names, {"interrupted": 0}), Problem(None), Search(seed=seed))
 
 
 def test_the_best_of_several_seeds_is_taken_and_their_agreement_said():
@@ -54,8 +55,7 @@ def test_pd_is_searched_from_as_many_seeds(monkeypatch, tmp_path):
 
     def found(problem, settings, *, out, progress):
         asked.append((settings.seed, out.name))
-        one = search(settings.seed, values[settings.seed], (1e3, 0.8))
-        return dataclasses.replace(one, data=one.data.assign_attrs(interrupted=0))
+        return search(settings.seed, values[settings.seed], (1e3, 0.8))
 
     monkeypatch.setattr(tune, "run", found)
     settings = Search(seed=5)
@@ -63,6 +63,24 @@ def test_pd_is_searched_from_as_many_seeds(monkeypatch, tmp_path):
     again = retuned_pd.search(problem, settings, seeds=3, out=tmp_path)
     assert asked == [(5, "retuned_pd"), (6, "seed-6"), (7, "seed-7")]
     assert (again.value, again.search.seed) == (0.7, 5)
+
+
+def test_where_the_user_stops_a_seed_the_best_so_far_is_given(monkeypatch):
+    """And the rounds of all seeds are counted."""
+    told = []
+
+    def stopped_in_the_second(problem, settings, *, out, progress):
+        for number in (1, 2):
+            progress(Progress(number, 2, "points", *[0] * 5, walked=True))
+        one = search(settings.seed, {5: 0.8, 6: 0.9}[settings.seed], (1e3, 0.8))
+        return dataclasses.replace(one, data=one.data.assign_attrs(interrupted=settings.seed - 5))
+
+    monkeypatch.setattr(tune, "run", stopped_in_the_second)
+    best = tune.from_seeds(None, Search(seed=5), 3, out=None, progress=told.append)
+    assert (best.value, best.seeds, best.interrupted) == (0.8, 2, True)
+    assert [f"{now.phase} {now.rounds}/{now.rounds_in_all}" for now in told] == [
+        "seed 5, points 1/6", "seed 5, points 2/6", "seed 6, points 3/6", "seed 6, points 4/6",
+    ]  # fmt: skip
 
 
 def test_a_grid_has_no_seeds(call, tmp_path):

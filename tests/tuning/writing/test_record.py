@@ -1,6 +1,7 @@
 """A folder belongs to one run's settings, and its result appears whole or not at all."""
 
 import os
+import shutil
 from concurrent.futures import ThreadPoolExecutor, wait
 
 import pytest
@@ -121,6 +122,18 @@ def test_a_folder_of_another_run_is_refused(tmp_path, prepare, got):
     prepare(tmp_path)
     with pytest.raises(OutputError, match=f"^{tmp_path}: expected a folder of this run alone, got {got} "):
         record.check(tmp_path, OURS)
+
+
+def test_a_command_that_is_refused_before_it_did_any_work_leaves_no_folder(tmp_path):
+    """As sweep and evaluate, which claim their folder first; a part that is kept is work."""
+    for kept in (True, False):
+        record.begin(tmp_path / "out", OURS)
+        parts = Parts(tmp_path / "out", {"a": 1})
+        if kept:
+            parts.save(0, {})
+        record.give_up(tmp_path / "out")
+        assert (tmp_path / "out").exists() is kept
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
 
 def test_settings_are_what_is_asked_for_not_where_it_is_computed(monkeypatch):

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from mjx_climb.files import dataset
 from mjx_climb.parameter_types import KEYS
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from tuning.background import Stage, silent
 from tuning.identification.fit import robot_files
 from tuning.identification.fit.report import (
     CORRELATION,
@@ -28,34 +27,20 @@ from tuning.identification.fit.report import (
     plot_residuals,
 )
 from tuning.identification.fit.result import Identified
-from tuning.pages import page
-from tuning.pages.contents import Files, Picture, Written
-from tuning.pages.section import Section
+from tuning.pages.contents import Files, Picture
+from tuning.pages.page import Origin, Page
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
 from tuning.results.config_file import write_config
 from tuning.scenario_files import portable_yaml
-from tuning.writing.folder import fill
-from tuning.writing.record import Settings, check_own, whole
 
 FILE = "result.json"
 CALL = "tuning.identify(...)"
 
 
-def write(
-    found: Identified,
-    folder: Path,
-    *,
-    origin: page.Origin | None = None,
-    figures: Collection[str] = ("png",),
-    sections: Sequence[Section] = (),
-    stage: Stage = silent,
-    settings: Settings | None = None,
-) -> Written:
-    """Write what `mjx-climb identify --out` does; arguments and errors as of `tuning.write`."""
-    check_own(folder, FILE)
-    where, report = origin or page.Origin("the scenario", CALL, CALL), functools.partial(page_of, found)
-    with whole(folder, settings) as place:
-        return Written(fill(place, _files(found, place, where.asked), report, where, figures, stage, sections))
+def contents(found: Identified, place: Path, origin: Origin | None) -> tuple[Files, Callable[[Origin], Page], Origin]:
+    """Write the config and return the files beside it, the page, and where they come from."""
+    where = origin or Origin("the scenario", CALL, CALL)
+    return _files(found, place, where.asked), functools.partial(page_of, found), where
 
 
 def _files(found: Identified, place: Path, asked: str) -> Files:

@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,15 @@ from matplotlib.figure import Figure
 
 import mjx_climb as mc
 from mjx_climb.viz import plots
-from tuning.background import Stage, silent
 from tuning.identification.plan.excitation import PLAIN, Excited, scale
 from tuning.identification.plan.information import SEEN
 from tuning.identification.plan.rig import SPEED
 from tuning.identification.readers.formats.csv_file import csv_of
 from tuning.identification.readers.log import joints_of
 from tuning.numbers import to_json
-from tuning.pages.contents import Files, Picture, Written
+from tuning.pages.contents import Files, Picture
 from tuning.pages.page import Origin, Page, Table
-from tuning.pages.section import Section
 from tuning.results.config_file import write_config
-from tuning.writing.folder import fill
-from tuning.writing.record import Settings, check_own, whole
 
 FILE = "excitation.csv"  # by it the folder is known
 TRAJECTORY = "excitation_trajectory.yaml"
@@ -32,29 +28,16 @@ _EARTH = 9.81  # m/s^2
 BINS = 150  # of a picture's envelopes
 
 
-def write(
-    found: Excited,
-    folder: Path,
-    *,
-    origin: Origin | None = None,
-    figures: Collection[str] = ("png",),
-    sections: Sequence[Section] = (),
-    stage: Stage = silent,
-    settings: Settings | None = None,
-) -> Written:
-    """Write what `mjx-climb excite` does; arguments and errors as of `tuning.write`."""
-    check_own(folder, FILE)
+def contents(found: Excited, place: Path, origin: Origin | None) -> tuple[Files, Callable[[Origin], Page], Origin]:
+    """Write the config and return the files beside it, the page, and where they come from."""
     asked = found.asked.model_dump(exclude_unset=True)
     call = f"tuning.excite(mjx_climb.load_scenario('config.yaml'), **{asked})"
     files: Files = {
         FILE: csv_of(columns(found)), TRAJECTORY: trajectory(found), "excitation.json": to_json(summary(found)) + "\n",
         "excitation": Picture("Commands, rates and torques of the nominal robot", lambda: plot(found)),
     }  # fmt: skip
-    where = origin or Origin("the scenario", call, call)
-    with whole(folder, settings) as place:
-        scenario = write_config(found.scenario, place)
-        report = functools.partial(page_of, found, scenario)
-        return Written(fill(place, files, report, where, figures, stage, sections))
+    report = functools.partial(page_of, found, write_config(found.scenario, place))
+    return files, report, origin or Origin("the scenario", call, call)
 
 
 def page_of(found: Excited, scenario: mc.Scenario, origin: Origin) -> Page:
