@@ -303,15 +303,7 @@ def _lifted_off(
     progress, advance = _on_its_way(planner, progress, unswayed)
     # of the base until the touchdown, where the other feet may keep it, and until the next lift-off
     ways = jnp.zeros_like(advance), advance
-    if progress.held is None:
-        pull = body.holding_force * _up(progress.goal)
-    else:
-        pull = pulls_of_holds(progress.held, body.holding_force)
-    situation = Situation(
-        feet=progress.goal, planned=progress.goal + advance, forward=_direction(advance), stands=body.support,
-        center_of_mass=body.center_of_mass + plan.swing_steps / plan.cycle_steps * advance,
-        weight=body.weight, holding_force=body.holding_force, pull=pull,
-    )  # fmt: skip
+    situation = situation_of(plan, progress, body, advance)
     if planner.free and planner.rule is not None and planner.holds is not None:
         wait = jnp.maximum(plan.cycle_steps / planner.moves - plan.swing_steps, 0.0)
         stand = (at >= progress.begun + progress.span).all() & (progress.running > 0)
@@ -358,6 +350,19 @@ def _lifted_off(
         base_goal=jnp.where(moves, towards(planner, goal, base[1], unswayed, middle), progress.base_goal),
         base_begun=jnp.where(moves, clock, progress.base_begun),
     )
+
+
+def situation_of(plan: Plan, progress: Progress, body: Body, advance: Array) -> Situation:
+    """Return the situation as it is known without the limbs that lift off; `advance` (3,) m, of a cycle."""
+    if progress.held is None:
+        pull = body.holding_force * _up(progress.goal)
+    else:
+        pull = pulls_of_holds(progress.held, body.holding_force)
+    return Situation(
+        feet=progress.goal, planned=progress.goal + advance, forward=_direction(advance), stands=body.support,
+        center_of_mass=body.center_of_mass + plan.swing_steps / plan.cycle_steps * advance,
+        weight=body.weight, holding_force=body.holding_force, pull=pull,
+    )  # fmt: skip
 
 
 def towards(planner: Planner, feet: Array, rotation: Array, start: Array, goal: Array) -> Array:

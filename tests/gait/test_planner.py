@@ -12,7 +12,17 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import Recovering
 from mjx_climb.gait.footholds import ClimbLab, Footholds, Nearest
-from mjx_climb.gait.planner import Held, Planner, hold_axes, middle_of, pulls_of_feet, surface_at, towards
+from mjx_climb.gait.planner import (
+    Held,
+    Planner,
+    _no_holds,
+    hold_axes,
+    middle_of,
+    pulls_of_feet,
+    situation_of,
+    surface_at,
+    towards,
+)
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.ground import Holds
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -159,6 +169,13 @@ def test_the_plane_of_a_hold_counts_near_it_and_its_limit_where_it_is_held():
         for grip, weaker in ((15.0, 5.0), (3.0, 3.0), (0.0, 5.0)):
             pull = pulls_of_feet(progress, now, surface, jnp.asarray(grip))
             np.testing.assert_allclose(pull, (weaker if phase >= 1 else grip) * around, rtol=1e-12)
+    # a choice counts on the holds where limbs will stand, and before the first one on level ground
+    body: Any = SimpleNamespace(support=None, center_of_mass=0, weight=None, holding_force=jnp.asarray(3.0))
+    plan: Any = SimpleNamespace(swing_steps=1, cycle_steps=4)
+    for hold, around in ((held, normal), (_no_holds(holds(start), goal), up), (None, up)):
+        progress.held = hold
+        pull = situation_of(plan, progress, body, jnp.ones(3)).pull
+        np.testing.assert_allclose(pull, 3 * around, rtol=1e-12)
 
 
 @pytest.mark.slow
