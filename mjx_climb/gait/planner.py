@@ -16,7 +16,7 @@ from jax import Array
 from jax.lax import stop_gradient
 from jaxtyping import PyTree
 
-from mjx_climb.arrays import Tree
+from mjx_climb.arrays import AnyArray, Tree
 from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
 from mjx_climb.gait.footholds.footholds import AHEAD, SAME, Candidate, Footholds, Prospects, Situation, pull_of_grip
@@ -370,7 +370,7 @@ def towards(planner: Planner, feet: Array, rotation: Array, start: Array, goal: 
     place = start
     for share in _SHARES:
         ahead = start + share * (goal - start)
-        place = jnp.where(within_reach(planner, (feet - ahead) @ rotation).all(), ahead, place)
+        place = jnp.where(within_reach(planner.robot, planner.geometry, (feet - ahead) @ rotation).all(), ahead, place)
     return place
 
 
@@ -483,7 +483,7 @@ def _allowed(
     others = ~np.eye(len(position), dtype=bool)
     free = (apart | ~others).all(1)
     for way in ways:
-        free = free & within_reach(planner, (position - base[0] - way) @ base[1])
+        free = free & within_reach(planner.robot, planner.geometry, (position - base[0] - way) @ base[1])
     return free
 
 
@@ -603,21 +603,19 @@ def hold_axes(normal: Array, weight: Array) -> Array:
     return jnp.stack([up, jnp.cross(normal, up), normal], axis=1)
 
 
-def within_reach(planner: Planner, target: Array) -> Array:
+def within_reach(robot: Robot, geometry: LimbGeometry | Chain, target: AnyArray) -> AnyArray:
     """Return whether limbs reach points (limb, 3) m of the base's axes within their joints' limits, (limb,) bool.
 
     They must reach a little farther from their first joints: a limb that is stretched straight cannot give way, and
     its joint gains are stiffer at the foot than a time step allows.
     """
-    geometry, robot = planner.geometry, planner.robot
     target = target + _SPARE * (target - robot.frame_position[:, 0])
     solution = inverse_kinematics(geometry, target)
     if isinstance(geometry, Chain):
         for _ in range(_ROUNDS - 1):
             solution = inverse_kinematics(geometry, target, solution.joint_angles)
     angles = solution.joint_angles
-    within = (angles >= robot.joint_lower) & (angles <= robot.joint_upper)
-    return jnp.asarray(solution.reachable & within.all(1))
+    return solution.reachable & ((angles >= robot.joint_lower) & (angles <= robot.joint_upper)).all(-1)
 
 
 def _interrupted(
@@ -653,7 +651,8 @@ def _interrupted(
         return worth - 1e-6 * jnp.sum((position - reference.foot_position) ** 2, axis=1)
 
     def allowed(position: Array) -> Array:
-        return within_reach(planner, (position - base[0] - recovery.landing_time * body.velocity) @ base[1])
+        ahead = base[0] + recovery.landing_time * body.velocity
+        return jnp.asarray(within_reach(planner.robot, planner.geometry, (position - ahead) @ base[1]))
 
     below = jnp.concatenate([reference.foot_position[:, :2], ground[:, None]], axis=1)
     if planner.holds is None:
