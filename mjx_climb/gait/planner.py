@@ -16,7 +16,7 @@ from jax import Array
 from jax.lax import stop_gradient
 from jaxtyping import PyTree
 
-from mjx_climb.arrays import Tree
+from mjx_climb.arrays import AnyArray, Tree
 from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
 from mjx_climb.gait.footholds.footholds import AHEAD, SAME, Candidate, Footholds, Prospects, Situation, pull_of_grip
@@ -303,15 +303,7 @@ def _lifted_off(
     progress, advance = _on_its_way(planner, progress, unswayed)
     # of the base until the touchdown, where the other feet may keep it, and until the next lift-off
     ways = jnp.zeros_like(advance), advance
-    if progress.held is None:
-        pull = body.holding_force * _up(progress.goal)
-    else:
-        pull = pulls_of_holds(progress.held, body.holding_force)
-    situation = Situation(
-        feet=progress.goal, planned=progress.goal + advance, forward=_direction(advance), stands=body.support,
-        center_of_mass=body.center_of_mass + plan.swing_steps / plan.cycle_steps * advance,
-        weight=body.weight, holding_force=body.holding_force, pull=pull,
-    )  # fmt: skip
+    situation = situation_of(plan, progress, body, advance)
     if planner.free and planner.rule is not None and planner.holds is not None:
         wait = jnp.maximum(plan.cycle_steps / planner.moves - plan.swing_steps, 0.0)
         stand = (at >= progress.begun + progress.span).all() & (progress.running > 0)
@@ -360,12 +352,25 @@ def _lifted_off(
     )
 
 
+def situation_of(plan: Plan, progress: Progress, body: Body, advance: Array) -> Situation:
+    """Return the situation as it is known without the limbs that lift off; `advance` (3,) m, of a cycle."""
+    if progress.held is None:
+        pull = body.holding_force * _up(progress.goal)
+    else:
+        pull = pulls_of_holds(progress.held, body.holding_force)
+    return Situation(
+        feet=progress.goal, planned=progress.goal + advance, forward=_direction(advance), stands=body.support,
+        center_of_mass=body.center_of_mass + plan.swing_steps / plan.cycle_steps * advance,
+        weight=body.weight, holding_force=body.holding_force, pull=pull,
+    )  # fmt: skip
+
+
 def towards(planner: Planner, feet: Array, rotation: Array, start: Array, goal: Array) -> Array:
     """Return the place (3,) m of a base on its way from start to goal, as far as feet (limb, 3) m stay within reach."""
     place = start
     for share in _SHARES:
         ahead = start + share * (goal - start)
-        place = jnp.where(within_reach(planner, (feet - ahead) @ rotation).all(), ahead, place)
+        place = jnp.where(within_reach(planner.robot, planner.geometry, (feet - ahead) @ rotation).all(), ahead, place)
     return place
 
 
@@ -478,7 +483,7 @@ def _allowed(
     others = ~np.eye(len(position), dtype=bool)
     free = (apart | ~others).all(1)
     for way in ways:
-        free = free & within_reach(planner, (position - base[0] - way) @ base[1])
+        free = free & within_reach(planner.robot, planner.geometry, (position - base[0] - way) @ base[1])
     return free
 
 
@@ -598,21 +603,19 @@ def hold_axes(normal: Array, weight: Array) -> Array:
     return jnp.stack([up, jnp.cross(normal, up), normal], axis=1)
 
 
-def within_reach(planner: Planner, target: Array) -> Array:
+def within_reach(robot: Robot, geometry: LimbGeometry | Chain, target: AnyArray) -> AnyArray:
     """Return whether limbs reach points (limb, 3) m of the base's axes within their joints' limits, (limb,) bool.
 
     They must reach a little farther from their first joints: a limb that is stretched straight cannot give way, and
     its joint gains are stiffer at the foot than a time step allows.
     """
-    geometry, robot = planner.geometry, planner.robot
     target = target + _SPARE * (target - robot.frame_position[:, 0])
     solution = inverse_kinematics(geometry, target)
     if isinstance(geometry, Chain):
         for _ in range(_ROUNDS - 1):
             solution = inverse_kinematics(geometry, target, solution.joint_angles)
     angles = solution.joint_angles
-    within = (angles >= robot.joint_lower) & (angles <= robot.joint_upper)
-    return jnp.asarray(solution.reachable & within.all(1))
+    return solution.reachable & ((angles >= robot.joint_lower) & (angles <= robot.joint_upper)).all(-1)
 
 
 def _interrupted(
@@ -648,7 +651,8 @@ def _interrupted(
         return worth - 1e-6 * jnp.sum((position - reference.foot_position) ** 2, axis=1)
 
     def allowed(position: Array) -> Array:
-        return within_reach(planner, (position - base[0] - recovery.landing_time * body.velocity) @ base[1])
+        ahead = base[0] + recovery.landing_time * body.velocity
+        return jnp.asarray(within_reach(planner.robot, planner.geometry, (position - ahead) @ base[1]))
 
     below = jnp.concatenate([reference.foot_position[:, :2], ground[:, None]], axis=1)
     if planner.holds is None:

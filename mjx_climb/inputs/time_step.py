@@ -3,8 +3,10 @@
 Held by contact springs, joint loop, back EMF and the joints' friction alone (no admittance law, no gravity, no delays),
 the robot is a linear system near each posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K
 x - D v)`, then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. What a
-law adds is in `tuning.comparisons.stability_limit`. A contact or an actuator of the user's own says by which springs it
-holds feet or joints; where it does not, these are left out, and a refusal says so.
+law adds is in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may be stretched farther than
+the gait plans, and are stiffer at the foot: then the posture with all of them stretched level outwards, as far as the
+planner lets them, counts too. A contact or an actuator of the user's own says by which springs it holds feet or joints;
+where it does not, these are left out, and a refusal says so.
 """
 
 import functools
@@ -18,16 +20,18 @@ import jax
 import numpy as np
 
 from mjx_climb.execution.batch_axes import is_traced
+from mjx_climb.gait.planner import within_reach
 from mjx_climb.hardware.actuator import Actuator, JointSpring
 from mjx_climb.hardware.servo import RELAXATION
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import KEYS, Parameters
 from mjx_climb.physics.contact.contact import Contact, Springs
+from mjx_climb.physics.inverse_kinematics import limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.postures import MET, limb_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix
-from mjx_climb.robot.constants import PASSIVE
+from mjx_climb.robot.constants import PASSIVE, Robot
 from mjx_climb.robot_import.load import load_model, load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
@@ -39,6 +43,7 @@ _STIFFENING = (
     "viscous_friction",
 )  # fmt: skip
 _AT_ONCE = 1024  # robots
+_FARTHEST, _SHARES = 3.0, 512  # of a foot's way outwards, of which the largest share within reach counts
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
@@ -50,6 +55,7 @@ class Own(NamedTuple):
 
     contact: Springs | None = None
     drive: JointSpring | None = None
+    chooses: bool = False  # whether limbs may land on any hold within reach, whatever the config says
 
 
 _CONFIG = Own()
@@ -133,13 +139,15 @@ def _own_springs(parameters: Parameters, h: float) -> list[Own]:
     """Return the springs of contact and actuator: the largest values of a batch first, then those of each robot."""
     contact = None if parameters.contact is None else parameters.contact.springs() or Springs(0.0, 0.0)
     drive = None if parameters.drive is None else parameters.drive.spring(h) or JointSpring(0.0, 0.0)
-    leaves, tree = jax.tree.flatten(Own(contact, drive))
+    chooses = parameters.holds is not None and not (parameters.footholds is parameters.recovery is None)
+    leaves, tree = jax.tree.flatten((contact, drive))
     if not leaves:
-        return [_CONFIG]
+        return [Own(chooses=chooses)]
     values = [np.zeros(()) if is_traced(leaf) else np.asarray(leaf, float) for leaf in leaves]
     rows = np.unique(np.stack(np.broadcast_arrays(*values), -1).reshape(-1, len(values)), axis=0)
     rows = rows if len(rows) == 1 else np.vstack([rows.max(0), rows])
-    return [jax.tree.unflatten(tree, row.tolist()) for row in rows]
+    each = (jax.tree.unflatten(tree, row.tolist()) for row in rows)
+    return [Own(contact, drive, chooses) for contact, drive in each]
 
 
 def _words(scenario: Scenario, own: Own, parameters: Parameters | None) -> tuple[str, str]:
@@ -154,7 +162,8 @@ def _words(scenario: Scenario, own: Own, parameters: Parameters | None) -> tuple
         feet = _of_own(parameters.contact, own.contact, "N/m", "N s/m")
     if parameters is not None and own.drive is not None:
         joints = f" and {_of_own(parameters.drive, own.drive, 'N m/rad', 'N m s/rad')}"
-    return feet, joints
+    stretched = ", limbs stretched to the farthest footholds that may be chosen" if _chooses(scenario, own) else ""
+    return feet, joints + stretched
 
 
 def _of_own(component: Contact | Actuator | None, spring: Springs | JointSpring, of_angle: str, of_rate: str) -> str:
@@ -214,8 +223,10 @@ def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarra
         dry, viscous = 0 * dry, 0.0
     springs = contact if own.contact is None else own.contact
     swings = itertools.product(feet, ((walk.stride / 2, walk.step_height), (walk.stride, 0.0), (-walk.stride, 0.0)))
-    for limb, away in ((None, (0.0, 0.0)), *swings):
-        mass, *jacobians = _at(scenario.robot, limb, *away)
+    postures = [(limb, _at(scenario.robot, limb, *away)) for limb, away in ((None, (0.0, 0.0)), *swings)]
+    if _chooses(scenario, own):
+        postures.append((None, _stretched(scenario.robot)))
+    for limb, (mass, *jacobians) in postures:
         places, turns = (jacobian[feet != limb].reshape(-1, model.nv) for jacobian in jacobians)
         held = springs.stiffness * places.T @ places + springs.rotational_stiffness * turns.T @ turns
         resisted = springs.damping * places.T @ places
@@ -229,6 +240,12 @@ def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarra
                 np.diag((loop.stiffness * driven + spring + bristle) * joint) + held,
                 np.diag(of_rates * joint) + resisted,
             )
+
+
+def _chooses(scenario: Scenario, own: Own) -> bool:
+    """Return whether limbs may land on any hold within reach."""
+    rule = scenario.gait.footholds != "planned" or (scenario.own is not None and scenario.own.footholds is not None)
+    return own.chooses or (rule and scenario.ground.holds is not None)
 
 
 def _of_loop(scenario: Scenario) -> tuple[float, float]:
@@ -246,10 +263,31 @@ def _of_loop(scenario: Scenario) -> tuple[float, float]:
 def _at(robot: str | RobotFile, swinging: int | None, ahead: float, up: float) -> tuple[np.ndarray, ...]:
     """Return mass matrix and foot Jacobians (L, 3, 18), of places and of turning, at stance or with one foot moved."""
     model = load_model(robot)
+    angles = np.array(model.key_qpos[0, 7:]).reshape(model.nsite, -1)
+    if swinging is not None:
+        angles[swinging] = _moved(robot, ahead, up)[swinging]
+    return _matrices(robot, angles)
+
+
+@functools.lru_cache(maxsize=64)
+def _stretched(robot: str | RobotFile) -> tuple[np.ndarray, ...]:
+    """Return those of `_at` with all limbs stretched level outwards, as far as the planner chooses footholds."""
+    loaded = load_robot(robot)
+    frames, up = limb_frames(loaded, None, loaded.stance_joints), quaternion_to_matrix(loaded.stance_orientation)[2]
+    lever = frames.foot - loaded.frame_position[:, 0]
+    outwards = lever - (lever @ up)[:, None] * up
+    feet = frames.foot + np.linspace(0.0, _FARTHEST, _SHARES)[:, None, None] * outwards
+    may = within_reach(loaded, limb_geometry(loaded), feet)
+    farthest = feet[_SHARES - 1 - may[::-1].argmax(0), np.arange(len(outwards))]
+    return _matrices(robot, _posture(loaded, farthest))
+
+
+def _matrices(robot: str | RobotFile, angles: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return mass matrix and foot Jacobians (L, 3, 18), of places and of turning, at joint angles (L, N) rad."""
+    model = load_model(robot)
     data = mujoco.MjData(model)
     data.qpos[:] = model.key_qpos[0]
-    if swinging is not None:
-        data.qpos[7:].reshape(model.nsite, -1)[swinging] = _moved(robot, ahead, up)[swinging]
+    data.qpos[7:] = angles.ravel()
     mujoco.mj_forward(model, data)
     mass = np.empty((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
@@ -266,5 +304,10 @@ def _moved(robot: str | RobotFile, ahead: float, up: float) -> np.ndarray:
     feet = limb_frames(loaded, None, loaded.stance_joints).foot
     # ahead and up are the world's, the feet in the frame of the base
     turned = quaternion_to_matrix(loaded.stance_orientation).T @ np.array([ahead, 0, up])
-    solved = limb_joints(loaded, feet + turned)
-    return np.where(solved.errors[:, None] < MET, solved.angles, loaded.stance_joints)
+    return _posture(loaded, feet + turned)
+
+
+def _posture(robot: Robot, feet: np.ndarray) -> np.ndarray:
+    """Return joint angles (L, N) with the feet at (L, 3) m of the base's axes; where a limb misses, its stance."""
+    solved = limb_joints(robot, feet)
+    return np.where(solved.errors[:, None] < MET, solved.angles, robot.stance_joints)

@@ -9,12 +9,12 @@ import mjx_climb as mc
 from mjx_climb.gait.footholds import Farthest
 from mjx_climb.gait.planner import _first_largest
 from mjx_climb.inputs.from_scenario import own_parameters
-from tests.gait.test_planner import NO_PUSH, holds
+from tests.gait.test_planner import NO_PUSH, SOFT, holds
 
 # a limb swings for 0.2 s, and all stand for 0.1 s
 WALK = {
     "duration": 1.0, "gait.cycle": 1.2, "gait.duty": 0.834, "gait.stride": 0.01, "gait.step_height": 0.005,
-    "gait.order": "free", "disturbance.pushes": [NO_PUSH],
+    "gait.order": "free", "disturbance.pushes": [NO_PUSH], **SOFT,
 }  # fmt: skip
 
 

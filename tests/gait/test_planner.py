@@ -12,7 +12,17 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import Recovering
 from mjx_climb.gait.footholds import ClimbLab, Footholds, Nearest
-from mjx_climb.gait.planner import Held, Planner, hold_axes, middle_of, pulls_of_feet, surface_at, towards
+from mjx_climb.gait.planner import (
+    Held,
+    Planner,
+    _no_holds,
+    hold_axes,
+    middle_of,
+    pulls_of_feet,
+    situation_of,
+    surface_at,
+    towards,
+)
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.ground import Holds
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -27,6 +37,7 @@ from tuning.problem.search import Search
 
 PUSH = {"force": [0.0, 10.0, 0.0], "start": 0.02, "stop": 0.06}
 NO_PUSH = PUSH | {"force": [0.0, 0.0, 0.0]}
+SOFT = {"control.kd": 0.1}  # N m s/rad, with which a stretched limb can follow the time step
 # a limb swings for 0.2 s; footholds are near, so that nothing tears off
 SHORT = {
     "duration": 0.3, "gait.cycle": 0.8, "gait.stride": 0.004, "gait.step_height": 0.005,
@@ -50,6 +61,12 @@ def holds(position):
 @pytest.fixture(scope="module")
 def scenario(case):
     return case("case_2", "pd", SHORT)
+
+
+@pytest.fixture(scope="module")
+def soft(scenario):
+    """That of walks on holds."""
+    return scenario.with_overrides(SOFT)
 
 
 @pytest.fixture(scope="module")
@@ -94,25 +111,25 @@ def rock(planned):
 
 
 @pytest.mark.slow
-def test_a_limb_swings_to_the_nearest_hold(scenario, planned, rock):
+def test_a_limb_swings_to_the_nearest_hold(soft, planned, rock):
     """The first limb that swings grips the hold that is nearest to its planned foothold."""
-    parameters = dataclasses.replace(own_parameters(scenario), holds=holds(rock[0]), footholds=Nearest())
-    walk = mc.rollout(scenario, parameters=parameters)
-    want = planned.foot_position[0, LH] + [scenario.gait.stride, 0, 0]
+    parameters = dataclasses.replace(own_parameters(soft), holds=holds(rock[0]), footholds=Nearest())
+    walk = mc.rollout(soft, parameters=parameters)
+    want = planned.foot_position[0, LH] + [soft.gait.stride, 0, 0]
     hold = rock[0][np.linalg.norm(rock[0] - want, axis=1).argmin()]
     np.testing.assert_allclose(walk.grip_point[SWING + 20, LH], hold, rtol=0, atol=5e-4)
 
 
 @pytest.mark.slow
-def test_a_hold_bears_what_its_polyhedron_says(scenario, rock):
+def test_a_hold_bears_what_its_polyhedron_says(soft, rock):
     """A pull along its normal of more than its limit tears the grip off at once; one of less does not."""
-    own, pulled = own_parameters(scenario), np.tile([[[0.0, 0.0, -1.0]]], (12, 1, 1))
+    own, pulled = own_parameters(soft), np.tile([[[0.0, 0.0, -1.0]]], (12, 1, 1))
     normal = np.array([0.48, 0.36, 0.8])
 
     def walked(limit):
         limits = {"limit_matrix": pulled, "limit_bound": np.full((12, 1), limit)}
         ground = dataclasses.replace(holds(rock[0]), normal=np.tile(normal, (12, 1)), **limits)
-        return mc.rollout(scenario, parameters=dataclasses.replace(own, holds=ground, footholds=Nearest()))
+        return mc.rollout(soft, parameters=dataclasses.replace(own, holds=ground, footholds=Nearest()))
 
     strong = walked(1e3)
     landed = np.arange(len(strong.time)) >= SWING
@@ -159,16 +176,23 @@ def test_the_plane_of_a_hold_counts_near_it_and_its_limit_where_it_is_held():
         for grip, weaker in ((15.0, 5.0), (3.0, 3.0), (0.0, 5.0)):
             pull = pulls_of_feet(progress, now, surface, jnp.asarray(grip))
             np.testing.assert_allclose(pull, (weaker if phase >= 1 else grip) * around, rtol=1e-12)
+    # a choice counts on the holds where limbs will stand, and before the first one on level ground
+    body: Any = SimpleNamespace(support=None, center_of_mass=0, weight=None, holding_force=jnp.asarray(3.0))
+    plan: Any = SimpleNamespace(swing_steps=1, cycle_steps=4)
+    for hold, around in ((held, normal), (_no_holds(holds(start), goal), up), (None, up)):
+        progress.held = hold
+        pull = situation_of(plan, progress, body, jnp.ones(3)).pull
+        np.testing.assert_allclose(pull, 3 * around, rtol=1e-12)
 
 
 @pytest.mark.slow
-def test_different_grounds_are_one_program_and_each_walks_as_alone(scenario, rock):
+def test_different_grounds_are_one_program_and_each_walks_as_alone(soft, rock):
     """Three grounds in a batch walk as each does alone, and neighbours change no bit."""
-    own, rule = own_parameters(scenario), ClimbLab(stride_cap=0.05)
+    own, rule = own_parameters(soft), ClimbLab(stride_cap=0.05)
 
     def walked(points):
         return mc.rollout_metrics(
-            scenario, parameters=dataclasses.replace(own, holds=holds(points), footholds=rule), dtype=np.float64
+            soft, parameters=dataclasses.replace(own, holds=holds(points), footholds=rule), dtype=np.float64
         )
 
     together, others = walked(rock), walked(rock[[2, 1, 1]])
@@ -180,12 +204,12 @@ def test_different_grounds_are_one_program_and_each_walks_as_alone(scenario, roc
 
 @pytest.mark.slow
 @pytest.mark.nightly
-def test_tangents_pass_with_the_choice_frozen(scenario, rock):
+def test_tangents_pass_with_the_choice_frozen(soft, rock):
     """The derivative by a gain is that of finite differences, between which the choice stays."""
-    parameters = dataclasses.replace(own_parameters(scenario), holds=holds(rock[0]), footholds=Nearest())
+    parameters = dataclasses.replace(own_parameters(soft), holds=holds(rock[0]), footholds=Nearest())
     how = {"parameters": parameters, "dtype": np.float64}
-    _, tangents = mc.rollout_jvp(scenario, {"kp": 50.0}, {"kp": np.array([1.0])}, **how)
-    ends = [mc.rollout_metrics(scenario, {"kp": 50.0 + step}, **how) for step in (-1e-3, 1e-3)]
+    _, tangents = mc.rollout_jvp(soft, {"kp": 50.0}, {"kp": np.array([1.0])}, **how)
+    ends = [mc.rollout_metrics(soft, {"kp": 50.0 + step}, **how) for step in (-1e-3, 1e-3)]
     for name in ("cost_of_transport", "force_variation"):
         difference = (ends[1][name] - ends[0][name]) / 2e-3
         assert difference != 0

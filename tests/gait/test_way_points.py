@@ -10,12 +10,12 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
-from tests.gait.test_planner import NO_PUSH, holds
+from tests.gait.test_planner import NO_PUSH, SOFT, holds
 
 STRIDE = 0.02
 WALK = {
     "duration": 4.0, "gait.cycle": 0.8, "gait.duty": 0.85, "gait.stride": STRIDE, "gait.step_height": 0.005,
-    "gait.footholds": "nearest", "disturbance.pushes": [NO_PUSH],
+    "gait.footholds": "nearest", "disturbance.pushes": [NO_PUSH], **SOFT,
 }  # fmt: skip
 
 

@@ -14,6 +14,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
+from mjx_climb import ground
+from mjx_climb.gait.footholds import Nearest
+from mjx_climb.gait.recovery import Recovery
 from mjx_climb.hardware.actuator import JointSpring
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -335,6 +338,18 @@ def test_a_step_too_long_for_the_contacts_is_known_before_the_walk():
     assert growth(light, 1e-4) < 1 < growth(light, 2e-4)
     softer = light.with_overrides({"contact.stiffness": 1e3, "contact.damping": 0.5, "control.kd": 0.01})
     assert largest_time_step(softer) > largest_time_step(light)
+
+
+def test_limbs_that_are_stretched_to_chosen_footholds_take_a_shorter_step():
+    """1 ms is short enough for the stances that v3.2 plans, and not for the farthest holds that it may choose."""
+    rock = mc.load_scenario("hubrobo_v3_2_rock")
+    assert growth(rock) < 1 < growth(rock, 1e-3)
+    planned = mc.Scenario(robot="hubrobo_v3_2")
+    holds = dataclasses.replace(own_parameters(planned), holds=ground.of(np.zeros((1, 3))))
+    check_time_step(planned, parameters=holds)
+    for changes in ({"footholds": Nearest()}, {"recovery": Recovery()}):
+        with pytest.raises(mc.ConfigError, match=r"0\.2, limbs stretched to .* got 0\.001 .*: 0\.0005 would do"):
+            check_time_step(planned, parameters=dataclasses.replace(holds, **changes))
 
 
 class Bare(mc.Contact):
