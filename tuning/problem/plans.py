@@ -29,7 +29,8 @@ from mjx_climb.walk.structure import Structure, structure
 from mjx_climb.walks import metrics_under
 from tuning.problem.objectives import Limit, Objective, Term
 
-_AT_ONCE = 16  # robots of a call on one core, at most
+# robots of a call on one core: four take hardly longer than one, and more than 16 are done no sooner together
+_AT_LEAST, _AT_ONCE = 4, 16
 
 
 # --- metrics that limit a plan: without them it could leave its feet where they are, or jerk
@@ -227,7 +228,7 @@ def _at_once(count: int) -> int:
     """Return how many robots walk in a call: on a CPU a share for each core, a power of 2 for few programs."""
     if jax.default_backend() != "cpu" and paths.device_for(count, 0, kernel=False) is None:
         return count
-    share = -(-count // devices.usable_cores())
+    share = max(-(-count // devices.usable_cores()), _AT_LEAST)
     return min(1 << (share - 1).bit_length(), _AT_ONCE if count > 8 else 2)
 
 
