@@ -16,9 +16,11 @@ import time
 from pathlib import Path
 
 import yaml
+from even_transfer import EvenTransfer
 
 import mjx_climb as mc
 import tuning
+from tuning.gains import gains_file
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Cargo, Ensemble, Pushes
 
@@ -52,7 +54,9 @@ def laws_of(scenario: mc.Scenario, hardware: str, case: str, draw: Ensemble | No
     """Return the laws that are compared: the gains of a folder, shipped ones, or with ideal hardware searched ones."""
     if folder is not None:
         files = {name: folder / f"{hardware}_{case}_{kind}.yaml" for name, kind in SEARCHED.items()}
-        return {name: file for name, file in files.items() if file.exists()}
+        # a law of one's own is not known by its file alone
+        own = {"even_transfer": EvenTransfer()}
+        return {name: gains_file.whole(file, scenario, own.get(name)) for name, file in files.items() if file.exists()}
     if hardware != "ideal":
         files = {"load_transfer": "best", "retuned_pd": "pd"}
         return {name: f"configs/gains/{hardware}_case_{case}_{kind}.yaml" for name, kind in files.items()}
