@@ -6,7 +6,8 @@ A walk survives if no grip is torn off and the walk does not diverge. Each draw 
 off the ground, down, sideways or ahead; every walk of a row meets the same draws, at each impulse. Thresholds of the
 recovery are chosen on draws of their own: those with which most walks survive. A file `NAME.json` of each row has
 which walks survived. `--tables` alone gathers them: `survived.csv` has the shares, `half.csv` the impulse at which
-half of the walks survive, with an interval over resampled draws, for all directions and each.
+half of the walks survive, with an interval over resampled draws, for all directions and each. `--bound` prints what
+no law and no step could better: the largest push up that grips bear at rest, however they share it.
 """
 
 import argparse
@@ -19,10 +20,14 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from scipy.linalg import block_diag
+from scipy.optimize import linprog
 
 import mjx_climb as mc
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.physics.spatial import skew
+from mjx_climb.robot_import.load import load_robot
 from tuning.gains import gains_file
 
 LENGTHS = {"0.2 s": 0.2, "1 s": 1.0}  # of a push
@@ -156,6 +161,51 @@ def write_tables(out: Path) -> None:
             writer.writerows(rows)
 
 
+def most_up(feet: np.ndarray, base: np.ndarray, com: np.ndarray, weight: float, limit: float) -> float:
+    """Return the largest push up on the base, N, that grips at feet (n, 3) m bear at rest, whatever the law.
+
+    Feet that are pulled bear `limit` N, as a law could share it; friction of the others is without limit. A linear
+    program for each choice of the feet that are pulled, with a cone of 24 sides.
+    """
+    turn = 2 * np.pi * np.arange(24) / 24
+    cone = np.stack([np.cos(turn), np.sin(turn), -np.ones(24)], axis=1) / np.sqrt(2)
+    rows, best = np.vstack([cone, cone * [1, 1, 0] * np.sqrt(2), [0, 0, -1]]), 0.0
+    # forces on the feet and the push add up to nothing, and so do their moments about the centre of mass
+    forces = np.hstack([np.eye(3)] * len(feet) + [np.eye(3)[:, 2:]])
+    levers = [skew(lever) for lever in feet - com]
+    moments = np.hstack([*levers, skew(base - com)[:, 2:]])
+    for pulled in itertools.product((False, True), repeat=len(feet)):
+        limits = block_diag(*(rows for each in pulled if each)) if any(pulled) else np.zeros((0, 0))
+        columns = [3 * foot + axis for foot, each in enumerate(pulled) if each for axis in range(3)]
+        above = np.zeros((len(limits), 3 * len(feet) + 1))
+        above[:, columns] = limits
+        ranges = [(None, None), (None, None), (0, None)], [(None, None), (None, None), (None, 0)]
+        found = linprog(
+            [0.0] * 3 * len(feet) + [-1.0], above, np.full(len(limits), limit), np.vstack([forces, moments]),
+            [0, 0, weight, 0, 0, 0], [each for foot in pulled for each in ranges[foot]] + [(0, None)],
+        )  # fmt: skip
+        best = max(best, -found.fun) if found.status == 0 else best
+    return best
+
+
+def print_bound(seconds: float, count: int = 40) -> None:
+    """Print the largest push up that the feet bear at rest, as the walk has them and with all of them down."""
+    simulation, gains = walker("ideal", "pd", seconds)
+    robot, times = load_robot(simulation.scenario.robot), drawn(count, seconds, 2)[1][:count]
+    for name, size in GRAVITY.items():
+        own = dataclasses.replace(own_parameters(simulation.scenario), gravity=np.array([0.0, 0.0, -size]))
+        walk = simulation.rollout(gains, own)
+        steps = (times / simulation.scenario.time_step).astype(int)
+        found = [
+            [most_up(walk.foot_position[k][down], walk.base_position[k], walk.center_of_mass[k],
+                     robot.total_mass * size, simulation.scenario.contact.holding_limit)
+             for down in (walk.support[k], np.full(walk.support.shape[1], True))]
+            for k in steps
+        ]  # fmt: skip
+        standing, all_down = np.median(found, axis=0)
+        print(f"{name}: {standing:.1f} N on the feet that stand, {all_down:.1f} N on all feet", flush=True)
+
+
 def main() -> None:
     """Walk the rows and write both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -164,7 +214,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--only", help="the row of this hardware and law, as ideal-pd, and no table")
     parser.add_argument("--tables", action="store_true", help="walk nothing")
+    parser.add_argument("--bound", action="store_true", help="print the bound alone")
     asked = parser.parse_args()
+    if asked.bound:
+        print_bound(asked.seconds)
+        return
     asked.out.mkdir(parents=True, exist_ok=True)
     begun = time.time()
     for hardware, law in itertools.product(HARDWARE, GAINS):
