@@ -300,11 +300,11 @@ def low_reaction_swings() -> Figure:
 
 
 def recovery() -> Figure:
-    """Impulse at which half of the walks survive, by servos, law and gravity."""
+    """Impulse at which half of the walks survive on Dynamixel X servos, by law, gravity and length of the push."""
 
     def values() -> Iterator[tuple[str, str, Span]]:
-        for row in table("recovery"):
-            label = f"{row['hardware']}, {row['law']}, {row['gravity']}".replace("_", " ")
+        for row in table("recovery", hardware="dynamixel_x", direction="all"):
+            label = f"{row['law']}, {row['gravity']}, {row['push']}".replace("_", " ")
             name = {"none": "without", "recovery": "with recovery"}[row["recovery"]]
             yield name, label, (float(row["half"]), float(row["low"]), float(row["high"]))
 
