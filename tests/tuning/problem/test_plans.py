@@ -9,6 +9,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD, law_of
 from mjx_climb.walk.metrics import peak
 from tuning.methods.many_variables import Evaluated, descend
+from tuning.problem import plans
 from tuning.problem.evaluation import under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.plans import RATE, SWING, Freedom, Knots, commanded, row, rows, walks_of
@@ -145,3 +146,9 @@ def test_a_static_load_on_four_feet_is_shared_as_a_convex_program_shares_it():
         ends.append(found.merit[0])
     assert ends[1] <= ends[0]
     assert 0.99 < ends[1] < 1.01
+
+
+@pytest.mark.parametrize(("cores", "walks", "share"), [(2, 48, 16), (2, 16, 8), (16, 48, 4), (16, 16, 4), (16, 3, 2)])
+def test_a_call_of_many_walks_holds_four_at_least(monkeypatch, cores, walks, share):
+    monkeypatch.setattr(plans.devices, "usable_cores", lambda: cores)
+    assert plans._at_once(walks) == share
