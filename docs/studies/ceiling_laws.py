@@ -44,6 +44,7 @@ from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Objective, Score, penalty_of
 from tuning.problem.plans import RATE, SWING
 from tuning.problem.search import Search
+from tuning.results.tuned import AGREEMENT
 from tuning.searches import ceiling as bounds
 from tuning.searches.tune import start_of
 
@@ -217,7 +218,7 @@ def main():
             law = combined(law, ADDED[kind]()) if of != "pd" else ADDED[kind]()
         how = {"space": "isotropic", "joint_gains": kind not in ("blind", "clairvoyant"), "precision": "float32"}
         each = ensembles.draw(changed, draw)
-        lines, searched = [], []
+        lines, agreement = [], ""
 
         def log(count, merit, value, best=None, least=None, lines=lines, stem=stem):
             lines.append([count, round(time.time() - began, 1), merit, value])
@@ -246,18 +247,11 @@ def main():
                 if time.time() > until:
                     raise KeyboardInterrupt  # ends the search with what it has
 
-            least = True, np.inf
-            for seed in range(asked.seeds):
-                if searched and time.time() > until:
-                    break
-                found = tuning.tune(
-                    changed, wanted.changed({"seed": seed}), law=law, objective=held, metrics=TABLE,
-                    parameters=each, method="cmaes", starts=asked.points, iterations=asked.rounds, progress=told,
-                )  # fmt: skip
-                best = found.data.isel(point=found.best)
-                searched.append((not best.feasible, float(best.value + best.penalty)))
-                if searched[-1] < least or len(searched) == 1:
-                    least, gains = searched[-1], found.gains
+            found = tuning.tune(
+                changed, wanted, seeds=asked.seeds, law=law, objective=held, metrics=TABLE, parameters=each,
+                method="cmaes", starts=asked.points, iterations=asked.rounds, progress=told,
+            )  # fmt: skip
+            gains, agreement = found.gains, found.data.attrs.get(AGREEMENT, "")
             theta = space.from_gains(gains)[None]
         else:
             theta = start_of(Problem(changed, space, law=law))[None]
@@ -277,7 +271,7 @@ def main():
             end = values(fresh, theta)
             of_search = dataclasses.replace(fresh, objective=goal, parameters=each, members=asked.members)
             summary = {"unseen": means(end), "start": means(start), "search": means(values(of_search, theta))}
-            summary["seeds"] = [merit for _, merit in searched]
+            summary["seeds"] = agreement
             ended.append((stem, changed, law, gains))
             np.savez_compressed(asked.out / f"{stem.name}_unseen.npz", **end)
         else:
