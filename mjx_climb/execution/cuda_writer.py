@@ -12,7 +12,7 @@ from jax import lax
 from jax.extend import core
 from numpy.typing import DTypeLike
 
-from mjx_climb.execution.elements import Number, OfLane, Unsupported, Value, Writer
+from mjx_climb.execution.elements import Number, OfLane, Shared, Unsupported, Value, Writer
 from mjx_climb.execution.jax_types import Parameters
 
 TYPES = {
@@ -265,21 +265,37 @@ class CudaWriter(Writer):
             text = f"__shfl_sync({_WARP}, {word}, {source.content}, {self.width})"
         return self._value(value.dtype, f"{text} != 0" if value.dtype == bool else text)
 
-    def loop(self, steps: int, start: Sequence[Number], step: Callable[[list[Value]], Sequence[Number]]) -> list[Value]:
-        carried = []
-        for number in start:
-            self._count += 1
-            carried.append(Value(f"c{self._count}", np.dtype(number.dtype)))
-            self._lines.append(f"{typed(number.dtype)} c{self._count} = {_text(number)};")
+    def loop(self, steps: int, start: Sequence[Shared], step: Callable[[list[Value]], Sequence[Shared]]) -> list[Value]:
+        carried = self._variables(start)
         self._count += 1
         time = f"t{self._count}"
         self._lines += ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
-        after = step(list(carried))
-        # all are computed before the first is changed
-        for value, number in zip(carried, after, strict=True):
-            self._lines.append(f"const {typed(value.dtype)} next_{value.content} = {_text(number)};")
-        self._lines += [f"{value.content} = next_{value.content};" for value in carried] + ["}"]
+        self._assign(carried, step(list(carried)))
         return carried
+
+    def branch(self, taken: Shared, before: Sequence[Shared], make: Callable[[], Sequence[Shared]]) -> list[Value]:
+        carried = self._variables(before)
+        # lanes exchange values inside: the threads of a warp go there together
+        self._lines.append(f"if (__any_sync({_WARP}, {_text(taken)})) {{")
+        self._assign(carried, make(), where=f"{_text(taken)} ? {{}} : {{}}")
+        return carried
+
+    def _variables(self, start: Sequence[Shared]) -> list[Value]:
+        """Return variables that begin as numbers."""
+        variables = []
+        for number in start:
+            self._count += 1
+            variables.append(Value(f"c{self._count}", np.dtype(number.dtype)))
+            self._lines.append(f"{typed(number.dtype)} c{self._count} = {_text(number)};")
+        return variables
+
+    def _assign(self, variables: Sequence[Value], numbers: Sequence[Shared], where: str = "{}") -> None:
+        """End a block that gives variables new numbers; `where` makes each of the new one and of the one before."""
+        # all are computed before the first is changed
+        for value, number in zip(variables, numbers, strict=True):
+            self._lines.append(f"const {typed(value.dtype)} next_{value.content} = {_text(number)};")
+        new = (where.format(f"next_{value.content}", value.content) for value in variables)
+        self._lines += [f"{value.content} = {each};" for value, each in zip(variables, new, strict=True)] + ["}"]
 
     def _value(self, dtype: DTypeLike, text: str) -> Value:
         self._count += 1

@@ -7,6 +7,7 @@ thought of, raises `Unsupported`. A rule is a function of the operations, the eq
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,11 +19,12 @@ from mjx_climb.execution.element_operations import Operations, computed_now, neu
 from mjx_climb.execution.elements import MOVES, Elements, Shared, Unsupported, Value, along, as_array, known, objects
 from mjx_climb.execution.jax_internals import inner_program, line_of, scan_sizes
 from mjx_climb.execution.jax_types import Parameters, aval_of
+from mjx_climb.execution.limbs import Axis
 
 MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array to XLA as well
 MOST_PRODUCTS = 4096  # of a product of matrices
 MOST_STEPS = 64  # of a loop that is written out step by step
-MOST_OF_BRANCHES = 100  # equations of a condition in a region, which computes all of its branches
+MOST_OF_BRANCHES = 100  # equations of a condition all of whose branches are computed
 MOST_CHOICES = 64  # places of a table at which an operation may read or write
 
 # each result element depends on one element of each operand
@@ -225,25 +227,39 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
     body = equation.params["jaxpr"]
     if read or len(body.jaxpr.outvars) > carry or _searches(equation):
         return _written_out(do, equation.params, common, start, read)
-    carried = [aval_of(variable) for variable in body.jaxpr.outvars]
-    axes = [do.limbs.of(variable) if do.writer.lanes > 1 else None for variable in body.jaxpr.invars[constants:]]
-
-    def numbers(inside: Operations, arrays: Sequence[Elements]) -> list[Shared]:
-        each = zip(arrays, carried, axes, strict=True)
-        return [number for array, aval, axis in each for number in inside.put_together(array, aval.dtype, axis)]
-
-    def arrays(inside: Operations, values: Sequence[Value]) -> list[Elements]:
-        rest, result = iter(values), []
-        for aval, axis in zip(carried, axes, strict=True):
-            count = math.prod(size for number, size in enumerate(aval.shape) if number != axis)
-            result.append(inside.taken_apart(itertools.islice(rest, count), aval.shape, axis))
-        return result
+    axes = [do.limbs.of(variable) for variable in body.jaxpr.invars[constants:]]
+    carry_of = _Shapes([aval_of(variable) for variable in body.jaxpr.outvars], axes)
 
     def step(before: list[Value]) -> list[Shared]:
         inside = Operations(do.writer, do.limbs, do.done)  # knows the operations before the loop
-        return numbers(inside, results(inside, body, [*common, *arrays(inside, before)]))
+        return carry_of.numbers(inside, results(inside, body, [*common, *carry_of.arrays(inside, before)]))
 
-    return arrays(do, do.writer.loop(equation.params["length"], numbers(do, start), step))
+    return carry_of.arrays(do, do.writer.loop(equation.params["length"], carry_of.numbers(do, start), step))
+
+
+class _Shapes(NamedTuple):
+    """Arrays that variables of a kernel hold."""
+
+    avals: Sequence[jax.ShapeDtypeStruct]
+    axes: Sequence[Axis]  # of each, which runs over the limbs
+
+    def numbers(self, do: Operations, arrays: Sequence[Elements]) -> list[Shared]:
+        """Return the elements of arrays as numbers of all lanes."""
+        each = zip(arrays, self.avals, self.axes, strict=True)
+        return [
+            number
+            for array, aval, axis in each
+            for number in do.put_together(array, aval.dtype, axis if do.writer.lanes > 1 else None)
+        ]
+
+    def arrays(self, do: Operations, values: Sequence[Value]) -> list[Elements]:
+        """Return arrays of the values that `numbers` would give."""
+        rest, result = iter(values), []
+        for aval, of_limbs in zip(self.avals, self.axes, strict=True):
+            axis = of_limbs if do.writer.lanes > 1 else None
+            count = math.prod(size for number, size in enumerate(aval.shape) if number != axis)
+            result.append(do.taken_apart(itertools.islice(rest, count), aval.shape, axis))
+        return result
 
 
 def _searches(loop: core.JaxprEqn) -> bool:
@@ -253,11 +269,38 @@ def _searches(loop: core.JaxprEqn) -> bool:
 
 
 def _condition(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
-    """Return the results of the branch that is taken; all are computed, as under `jax.vmap`."""
+    """Return the results of the branch that is taken: all are computed, as under `jax.vmap`, but for long ones.
+
+    A long one is computed where a robot takes it that shares its threads' way.
+    """
     which, *operands = given
-    branches = [results(do, branch, operands) for branch in equation.params["branches"]]
+    branches = equation.params["branches"]
+    if len(branches) == 2 and not known(which) and _is_long(branches[1]):
+        return _branched(do, equation, which, operands)
+    made = [results(do, branch, operands) for branch in branches]
     shapes = [aval_of(variable).shape for variable in equation.outvars]
-    return [do.choice(which, cases, shape) for *cases, shape in zip(*branches, shapes, strict=True)]
+    return [do.choice(which, cases, shape) for *cases, shape in zip(*made, shapes, strict=True)]
+
+
+def _branched(do: Operations, equation: core.JaxprEqn, which: Elements, operands: list[Elements]) -> list[Elements]:
+    """Return the results of the second of two branches where it is taken."""
+    otherwise, long = equation.params["branches"]
+    made_of = _Shapes([aval_of(v) for v in equation.outvars], [do.limbs.of(v) for v in equation.outvars])
+
+    def make() -> list[Shared]:
+        inside = Operations(do.writer, do.limbs, do.done)  # knows the operations before the branch
+        return made_of.numbers(inside, results(inside, long, operands))
+
+    [taken] = do.put_together(which, np.dtype(bool), None)
+    before = made_of.numbers(do, results(do, otherwise, operands))
+    return made_of.arrays(do, do.writer.branch(taken, before, make))
+
+
+def _is_long(program: core.ClosedJaxpr) -> bool:
+    """Return whether a branch is too long to be computed by all robots."""
+    equations = program.jaxpr.eqns
+    loops = any(equation.primitive.name == "scan" and not _searches(equation) for equation in equations)
+    return loops or len(equations) > MOST_OF_BRANCHES
 
 
 def _written_out(

@@ -71,6 +71,10 @@ class Writer(Protocol):
         """Return the last carry of a loop; `step` maps a carry to the next."""
         raise Unsupported("a loop")
 
+    def branch(self, taken: Shared, before: Sequence[Shared], make: Callable[[], Sequence[Shared]]) -> list[Value]:
+        """Return what `make` gives where `taken`, the same in all lanes of a robot, is true, `before` elsewhere."""
+        raise Unsupported("a branch of its own")
+
 
 def as_array(elements: Iterable[object], shape: Sequence[int]) -> Elements:
     """Return elements as an array, of plain numbers where all are known."""

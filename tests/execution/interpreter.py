@@ -8,7 +8,7 @@ from mjx_climb.execution.elements import Value, as_array
 
 
 class Interpreter(ArrayWriter):
-    """Writes loops as those of JAX, which a CPU's regions do not hold."""
+    """Writes loops and long branches, which a CPU's regions do not hold."""
 
     def loop(self, steps, start, step):
         shape = (self.lanes, *self.batch)
@@ -18,6 +18,16 @@ class Interpreter(ArrayWriter):
 
         after = lax.fori_loop(0, steps, lambda _, before: whole(step([*map(self.value, before)])), whole(start))
         return [*map(self.value, after)]
+
+    def branch(self, taken, before, make):
+        shape = (self.lanes, *self.batch)
+
+        def whole(numbers):
+            return (self.rows(number, shape).astype(of.dtype) for number, of in zip(numbers, before, strict=True))
+
+        where = jnp.broadcast_to(self.rows(taken, shape), shape)
+        each = zip(whole(make()), whole(before), strict=True)
+        return [self.value(jnp.where(where, new, old)) for new, old in each]
 
     def column(self, number):
         """Return a number that all lanes have, (robots,); the lanes may have rows of their own, all alike."""

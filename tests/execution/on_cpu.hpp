@@ -43,6 +43,15 @@ template <class T> T __shfl_xor_sync(unsigned m, T v, int distance, int width) {
   return __shfl_sync(m, v, (int)(threadIdx.x % width) ^ distance, width);
 }
 
+static bool __any_sync(unsigned, bool v) {
+  changed[threadIdx.x] = v;
+  all->arrive_and_wait();
+  bool any = false;
+  for (unsigned lane = 0; lane < blockDim.x; ++lane) any |= changed[lane] != 0;
+  all->arrive_and_wait();
+  return any;
+}
+
 typedef void Kernel(const int *, const int *, int *);
 
 static void run(Kernel kernel, int threads, const int *own, const int *common, int *made) {

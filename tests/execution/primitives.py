@@ -128,6 +128,10 @@ KNOWN = {
         lax.cond(v[0] > 0, lambda a: (a * 2, 1), lambda a: (a - 1, 2), v),
         lax.cond(n > 0, lambda a: jnp.maximum(a, m[0]).sum(), lambda a: lax.cond(n < -2, jnp.sin, jnp.cos, a)[0], v),
     ),
+    "cond of a loop": lambda v, m, n: [
+        lax.cond(which, lambda a: lax.scan(lambda c, row: (c * 0.9 + row, None), a, m)[0], lambda a: a + n, v)
+        for which in (v[0] > 0, v[0] <= 0)
+    ],
     "switch": lambda v, m, n: lax.switch(n, [lambda a: a, lambda a: a * a, lambda a: -a], v),
     "checkpoint": lambda v, m, n: jax.checkpoint(jnp.sin)(v),
 }

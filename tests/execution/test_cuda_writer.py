@@ -156,6 +156,23 @@ def test_what_nothing_is_made_of_is_not_written():
     assert exchanges(summed) == 2
 
 
+def test_a_long_branch_is_taken_by_the_threads_of_a_warp_together():
+    """A robot that does not take it while another does keeps its own values."""
+
+    def function(number):
+        long = lambda a: jax.lax.fori_loop(0, 3, lambda _, b: jnp.sin(b), a)  # noqa: E731
+        return jax.lax.cond(number > 0, long, jnp.cos, number), jax.lax.cond(number > 0, jnp.tanh, jnp.exp, number)
+
+    with jax.enable_x64(False):
+        text = written(body_of(jax.make_jaxpr(function)(np.float32(1))), [True])
+    before, inside = text[text.index("extern") :].split("if (__any_sync(")
+    inside, after = inside.split("\n}\n")[0], inside.split("\n}\n")[1:]
+    assert "sine(" in inside
+    assert "cosine(" in before
+    assert not any(other in inside for other in ("cosine(", "tanhf(", "expf("))
+    assert "?" in after[0]
+
+
 @pytest.mark.nightly
 def test_a_walk_in_cuda_c(carried_out, case):
     """Metrics of a walk in single precision, by a thread for each limb, agree with XLA's in float64 to 1e-4."""
