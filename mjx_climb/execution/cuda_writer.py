@@ -171,7 +171,7 @@ THREADS = 128  # in a block
 NAME = "walk"
 _WARP = "0xffffffffu"  # all threads of a warp
 _NAMES = re.compile(r"\bv\d+\b")
-_MADE = re.compile(r"const \S+ (v\d+) = ")
+_MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
 
 # Arguments are words of 32 bits: `own` (rows, robots) of each robot, `common` of all, the first of which is the number
 # of robots, and what is written, `made` (rows, robots).
@@ -201,13 +201,15 @@ class CudaWriter(Writer):
         self._count = 0
         self._table: list[int] = []  # words of constants that differ from lane to lane
         self._read = {"own": 0, "common": 1}
+        self._rows: dict[str, tuple[str, int]] = {}  # names of arguments, and their rows
 
     def read(self, of: str, dtype: DTypeLike) -> Value:
         """Return the next number of the robot's `own`, or of the `common` ones."""
         row = self._read[of]
         self._read[of] += 1
-        word = f"own[{row} * (size_t)robots + robot]" if of == "own" else f"common[{row}]"
-        return self._value(dtype, _from_word(word, dtype))
+        value = self._value(dtype, _from_word(_word(of, str(row)), dtype))
+        self._rows[value.content] = of, row
+        return value
 
     def source(self, results: Sequence[Number]) -> str:
         """Return the kernel, which writes these numbers."""
@@ -265,13 +267,35 @@ class CudaWriter(Writer):
             text = f"__shfl_sync({_WARP}, {word}, {source.content}, {self.width})"
         return self._value(value.dtype, f"{text} != 0" if value.dtype == bool else text)
 
-    def loop(self, steps: int, start: Sequence[Shared], step: Callable[[list[Value]], Sequence[Shared]]) -> list[Value]:
-        carried = self._variables(start)
+    def loop(
+        self,
+        steps: int,
+        start: Sequence[Shared],
+        read: Sequence[Sequence[Shared]],
+        step: Callable[[list[Value], list[Value]], Sequence[Shared]],
+    ) -> list[Value]:
+        carried, tables = self._variables(start), [self._table_of(numbers) for numbers in read]
         self._count += 1
         time = f"t{self._count}"
         self._lines += ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
-        self._assign(carried, step(list(carried)))
+        now = [self._value(row[0].dtype, table.format(time)) for row, table in zip(read, tables, strict=True)]
+        self._assign(carried, step(list(carried), now))
         return carried
+
+    def _table_of(self, numbers: Sequence[Shared]) -> str:
+        """Return what a loop reads in a step {0}: an argument, or else an array of a thread's own."""
+        rows = [self._rows.get(number.content) if isinstance(number, Value) else None for number in numbers]
+        known = [row for row in rows if row is not None]
+        if len(known) == len(numbers) and len({of for of, _ in known}) == 1:
+            (of, first), places = known[0], np.array([place for _, place in known])
+            stride = int(places[1] - first) if len(places) > 1 else 0
+            if (np.diff(places) == stride).all():
+                return _from_word(_word(of, f"({first} + {stride} * {{0}})"), numbers[0].dtype)
+        self._count += 1
+        name = f"v{self._count}"
+        each = ", ".join(map(_text, numbers))
+        self._lines.append(f"const {typed(numbers[0].dtype)} {name}[{len(numbers)}] = {{{each}}};")
+        return f"{name}[{{0}}]"
 
     def branch(self, taken: Shared, before: Sequence[Shared], make: Callable[[], Sequence[Shared]]) -> list[Value]:
         carried = self._variables(before)
@@ -306,6 +330,11 @@ class CudaWriter(Writer):
 def _text(number: Number) -> str:
     assert not isinstance(number, OfLane)  # what is written is of all lanes
     return str(number.content) if isinstance(number, Value) else literal(number)
+
+
+def _word(of: str, row: str) -> str:
+    """Return a word of the arguments."""
+    return f"own[{row} * (size_t)robots + robot]" if of == "own" else f"common[{row}]"
 
 
 def _from_word(word: str, dtype: DTypeLike) -> str:

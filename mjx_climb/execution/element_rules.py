@@ -24,6 +24,7 @@ from mjx_climb.execution.limbs import Axis
 MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array to XLA as well
 MOST_PRODUCTS = 4096  # of a product of matrices
 MOST_STEPS = 64  # of a loop that is written out step by step
+MOST_WRITTEN_OUT = 1000  # equations of all steps of a loop that reads something at each
 MOST_OF_BRANCHES = 100  # equations of a condition all of whose branches are computed
 MOST_CHOICES = 64  # places of a table at which an operation may read or write
 
@@ -225,16 +226,22 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
     constants, carry = scan_sizes(equation.params)
     common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
     body = equation.params["jaxpr"]
-    if read or len(body.jaxpr.outvars) > carry or _searches(equation):
+    steps, few = equation.params["length"], equation.params["length"] * len(body.jaxpr.eqns) <= MOST_WRITTEN_OUT
+    if len(body.jaxpr.outvars) > carry or _searches(equation) or (read and few):
         return _written_out(do, equation.params, common, start, read)
     axes = [do.limbs.of(variable) for variable in body.jaxpr.invars[constants:]]
-    carry_of = _Shapes([aval_of(variable) for variable in body.jaxpr.outvars], axes)
+    carry_of = _Shapes([aval_of(variable) for variable in body.jaxpr.outvars], axes[:carry])
+    read_of = _Shapes([aval_of(variable) for variable in body.jaxpr.invars[constants + carry :]], [None] * len(read))
+    rows = [read_of.numbers(do, [array[step, ...] for array in map(objects, read)]) for step in range(steps)]
+    rows = rows[::-1] if equation.params["reverse"] else rows
 
-    def step(before: list[Value]) -> list[Shared]:
+    def step(before: list[Value], now: list[Value]) -> list[Shared]:
         inside = Operations(do.writer, do.limbs, do.done)  # knows the operations before the loop
-        return carry_of.numbers(inside, results(inside, body, [*common, *carry_of.arrays(inside, before)]))
+        given = *carry_of.arrays(inside, before), *read_of.arrays(inside, now)
+        return carry_of.numbers(inside, results(inside, body, [*common, *given]))
 
-    return carry_of.arrays(do, do.writer.loop(equation.params["length"], carry_of.numbers(do, start), step))
+    columns = list(zip(*rows, strict=True)) if read else []
+    return carry_of.arrays(do, do.writer.loop(steps, carry_of.numbers(do, start), columns, step))
 
 
 class _Shapes(NamedTuple):

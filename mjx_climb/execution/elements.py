@@ -67,8 +67,17 @@ class Writer(Protocol):
         """Return a value reduced over all lanes; None: the caller exchanges between lanes."""
         return None
 
-    def loop(self, steps: int, start: Sequence[Shared], step: Callable[[list[Value]], Sequence[Shared]]) -> list[Value]:
-        """Return the last carry of a loop; `step` maps a carry to the next."""
+    def loop(
+        self,
+        steps: int,
+        start: Sequence[Shared],
+        read: Sequence[Sequence[Shared]],
+        step: Callable[[list[Value], list[Value]], Sequence[Shared]],
+    ) -> list[Value]:
+        """Return the last carry of a loop; `step` maps a carry, and what is read in a step, to the next.
+
+        Of each number that is read, `read` has one for each step.
+        """
         raise Unsupported("a loop")
 
     def branch(self, taken: Shared, before: Sequence[Shared], make: Callable[[], Sequence[Shared]]) -> list[Value]:

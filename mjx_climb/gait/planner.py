@@ -32,7 +32,7 @@ from mjx_climb.gait.schedule import (
     settled_phase,
 )
 from mjx_climb.gait.swing import rest_to_rest
-from mjx_climb.ground import Holds
+from mjx_climb.ground import Holds, pull_of
 from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics
 from mjx_climb.physics.kinematics import UP, Surface
 from mjx_climb.physics.spatial import norm
@@ -463,7 +463,7 @@ def choose(
     """
 
     def score(position: Array, one: Candidates) -> Array:
-        return rule.score(situation, one.with_feet(position))
+        return rule.score(situation, one.with_feet(position, situation.holding_force))
 
     def allowed(position: Array) -> Array:
         return _allowed(planner, situation, base, ways, position)
@@ -471,7 +471,7 @@ def choose(
     def of_all(position: Array) -> Array:
         return jnp.broadcast_to(position, situation.feet.shape)
 
-    each = Candidates.of(holds, situation.holding_force)
+    each = Candidates.of(holds)
     return _best(score, allowed, of_all, each, (situation.feet, held), situation.weight)
 
 
@@ -497,12 +497,12 @@ def prospects_of(
         position = stop_gradient(jnp.broadcast_to(point, situation.feet.shape))
         step = position - situation.feet
         ahead = (step * situation.forward).sum(1)
-        may = _allowed(planner, situation, base, ways, position) & valid
+        may = _allowed(planner, situation, base, ways, position) & (valid > 0)
         near = may & (ahead > 0) & ((step * step).sum(1) <= AHEAD**2)
         farthest = jnp.where(may, jnp.maximum(found.farthest, ahead), found.farthest)
         return Prospects(farthest, found.near + near), None
 
-    found, _ = jax.lax.scan(look, Prospects.none(situation.feet), (holds.position, holds.valid > 0))
+    found, _ = jax.lax.scan(look, Prospects.none(situation.feet), (holds.position, holds.valid))
     return Prospects(*map(stop_gradient, found))
 
 
@@ -520,20 +520,20 @@ class Candidates(NamedTuple):
     """Points to choose among, by their number."""
 
     vector: Array  # (n, 3), what makes the limbs' points
-    pull: Array  # (n,) N, that grips on them bear along their normals
-    valid: Array  # (n,) bool
+    valid: Array  # (n,) 1: one, 0: padding
     holds: tuple[Array, Array, Array] | None = None  # (n, 3) normals, (n, m, 3) and (n, m) N, limits in their axes
 
     @classmethod
-    def of(cls, holds: Holds, holding_force: Array) -> "Candidates":
-        """The holds of a ground, for grips that bear a pull () N; 0: they name none."""
-        each = holds.normal, holds.limit_matrix, holds.limit_bound
-        return cls(holds.position, pull_of_grip(holds.pulls(), holding_force), holds.valid > 0, each)
+    def of(cls, holds: Holds) -> "Candidates":
+        """The holds of a ground."""
+        return cls(holds.position, holds.valid, (holds.normal, holds.limit_matrix, holds.limit_bound))
 
-    def with_feet(self, position: Array) -> Candidate:
-        """One of them as rules see it, with the limbs' feet at (limb, 3) m."""
-        normal = jnp.array(UP, position.dtype) if self.holds is None else self.holds[0]
-        return Candidate(position, self.pull, normal)
+    def with_feet(self, position: Array, holding_force: Array) -> Candidate:
+        """One of them as rules see it, with the limbs' feet at (limb, 3) m, for grips that bear () N; 0: any."""
+        if self.holds is None:
+            return Candidate(position, holding_force, jnp.array(UP, position.dtype))
+        normal, *limits = self.holds
+        return Candidate(position, pull_of_grip(pull_of(*limits), holding_force), normal)
 
 
 def _best(
@@ -558,7 +558,7 @@ def _best(
         worth, place, found_hold = best
         position = of_limbs(one.vector)
         frozen = stop_gradient(position)
-        found = stop_gradient(jnp.where(allowed(frozen) & one.valid, score(frozen, one), -jnp.inf))
+        found = stop_gradient(jnp.where(allowed(frozen) & (one.valid > 0), score(frozen, one), -jnp.inf))
         better = found > worth
         place, found_hold = _of_some(better, (position, one.holds), (place, found_hold))
         return (jnp.where(better, found, worth), place, found_hold), None
@@ -645,7 +645,8 @@ def _interrupted(
     ground = ground_at(progress, now)
 
     def score(position: Array, one: Candidates) -> Array:
-        pull = one.pull if one.holds is None else jnp.where(lands[:, None], one.pull * one.holds[0], body.pull)
+        grip = one.with_feet(position, body.holding_force)
+        pull = grip.pull if one.holds is None else jnp.where(lands[:, None], grip.pull * grip.normal, body.pull)
         worth = stopping_margin(recovery, body._replace(pull=pull), lands, position)
         # of equal ones the nearest
         return worth - 1e-6 * jnp.sum((position - reference.foot_position) ** 2, axis=1)
@@ -657,11 +658,10 @@ def _interrupted(
     below = jnp.concatenate([reference.foot_position[:, :2], ground[:, None]], axis=1)
     if planner.holds is None:
         ways = ways_beside(below.dtype) * recovery.reach
-        pull = jnp.broadcast_to(body.holding_force, ways.shape[:1])
-        each = Candidates(ways, pull, jnp.ones(ways.shape[:1], bool))
+        each = Candidates(ways, jnp.ones_like(ways[:, 0]))
         of_limbs, otherwise = (lambda way: below + way), (below, progress.held)
     else:
-        each, otherwise = Candidates.of(planner.holds, body.holding_force), (progress.goal, progress.held)
+        each, otherwise = Candidates.of(planner.holds), (progress.goal, progress.held)
         of_limbs = lambda point: jnp.broadcast_to(point, below.shape)  # noqa: E731
     place, held = jax.lax.cond(
         lands.any(), lambda: _best(score, allowed, of_limbs, each, otherwise, body.weight), lambda: otherwise

@@ -36,14 +36,19 @@ class Holds(Component):
 
     def pulls(self) -> AnyArray:
         """The largest pull along the normal alone that each hold bears, (n,) N; infinite where it bears any."""
-        xp, down = namespace(self.limit_bound, self.limit_matrix), -self.limit_matrix[..., 2]
-        most = xp.where(down > 0, self.limit_bound / xp.where(down > 0, down, 1.0), np.inf)
-        return most.min(1, initial=np.inf)
+        return pull_of(self.limit_matrix, self.limit_bound)
 
     def shown(self) -> Shown:
         """The holds without the padding, for pictures."""
         there = np.asarray(self.valid) > 0
         return Shown(*(np.asarray(each)[there] for each in (self.position, self.normal, self.pulls())))
+
+
+def pull_of(matrix: AnyArray, bound: AnyArray) -> AnyArray:
+    """Return the largest pull along the normal alone, (...) N, within limits (..., m, 3) and (..., m) N."""
+    xp, down = namespace(bound, matrix), -matrix[..., 2]
+    most = xp.where(down > 0, bound / xp.where(down > 0, down, 1.0), np.inf)
+    return most.min(-1, initial=np.inf)
 
 
 def of(

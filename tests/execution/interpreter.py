@@ -10,13 +10,18 @@ from mjx_climb.execution.elements import Value, as_array
 class Interpreter(ArrayWriter):
     """Writes loops and long branches, which a CPU's regions do not hold."""
 
-    def loop(self, steps, start, step):
+    def loop(self, steps, start, read, step):
         shape = (self.lanes, *self.batch)
+        tables = [jnp.stack([self.rows(number, shape) for number in numbers]) for numbers in read]
 
         def whole(numbers):
             return tuple(self.rows(number, shape).astype(of.dtype) for number, of in zip(numbers, start, strict=True))
 
-        after = lax.fori_loop(0, steps, lambda _, before: whole(step([*map(self.value, before)])), whole(start))
+        def stepped(time, before):
+            now = [self.value(table[time]) for table in tables]
+            return whole(step([*map(self.value, before)], now))
+
+        after = lax.fori_loop(0, steps, stepped, whole(start))
         return [*map(self.value, after)]
 
     def branch(self, taken, before, make):

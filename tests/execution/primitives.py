@@ -17,6 +17,14 @@ def _backwards(vector, matrix, number):
     return lax.scan(lambda carry, row: (carry * 0.5 + row, carry), vector, matrix, reverse=True)
 
 
+def _read(carry, given, number):
+    """Return the next carry of a loop that is too long to be written out."""
+    row, own = given
+    for _ in range(150):
+        carry = carry * 0.9 + row * own
+    return carry - number, None
+
+
 def _draw(vector, matrix, number):
     key = jax.random.fold_in(jax.random.key(3), number)
     first, second = jax.random.split(key)
@@ -131,6 +139,11 @@ KNOWN = {
     "cond of a loop": lambda v, m, n: [
         lax.cond(which, lambda a: lax.scan(lambda c, row: (c * 0.9 + row, None), a, m)[0], lambda a: a + n, v)
         for which in (v[0] > 0, v[0] <= 0)
+    ],
+    "a loop that reads": lambda v, m, n: [
+        lax.scan(lambda c, row: _read(c, row, n), v, rows, reverse=reverse)[0]
+        for rows in ((m, jnp.arange(4)), (v, TABLE[:3]), (jnp.sin(m), m[:, 0] > 0))
+        for reverse in (False, True)
     ],
     "switch": lambda v, m, n: lax.switch(n, [lambda a: a, lambda a: a * a, lambda a: -a], v),
     "checkpoint": lambda v, m, n: jax.checkpoint(jnp.sin)(v),

@@ -67,10 +67,10 @@ def chosen(names, cases):
         holds = Holds(case["position"], case["normal"], down, case["limit"][:, None], valid)
 
         def scores(one):
-            candidate = one.with_feet(jnp.broadcast_to(one.vector, situation.feet.shape))
+            candidate = one.with_feet(jnp.broadcast_to(one.vector, situation.feet.shape), case["holding_force"])
             return [rule.score(situation, candidate) for rule in rules]
 
-        each = jax.vmap(scores)(Candidates.of(holds, case["holding_force"]))
+        each = jax.vmap(scores)(Candidates.of(holds))
         worth = [jnp.where(case["allowed"], of_rule.T, -jnp.inf) for of_rule in each]
         return [jnp.where(jnp.isfinite(each.max(1)), each.argmax(1), reference.NONE) for each in worth]
 
