@@ -57,7 +57,7 @@ ADDED = {"feet": PlannedFeet, "network": Network, "blind": TimedFeet, "clairvoya
 FLOATS = {"metrics": TABLE, "engine": "limb", "dtype": np.float32}
 UNSEEN, MOST, WAY, STAGES, LATE = 512, 1500, 0.02, 4, 45.0
 # the penalty of a pull begins so far below the holding limit; a mean may be so much above pd's, and its penalty begins
-# so far below; pulls by a share of the holding limit
+# so far below
 PULL_MARGIN, WORSE, MARGIN = 0.2, 0.02, 0.01
 KEPT = (*study.WEIGHTS, "peak_pull_force", "base_deviation", "swing_deviation", "travel")
 
@@ -101,11 +101,10 @@ class Within:
         return Score(value, descent, penalty, feasible)
 
 
-def most_of(means, scenario):
+def most_of(means):
     """Return the limits of the means of a law's metrics, by those of pd."""
-    extra = {"peak_pull_force": WORSE * scenario.contact.holding_limit}
     names = (*study.WEIGHTS, "peak_pull_force", "base_deviation")
-    return tuple((name, float(means[name] + extra.get(name, WORSE * means[name]))) for name in names)
+    return tuple((name, (1 + WORSE) * float(means[name])) for name in names)
 
 
 def read(file):
@@ -240,7 +239,7 @@ def main():
         if kind in LAWS:
             held, pd = Within(goal, ()), asked.out / f"{hardware}_{case}_pd.json"
             if kind != "pd" and pd.exists():
-                held = Within(goal, most_of(json.loads(pd.read_text())["search"], scenario))
+                held = Within(goal, most_of(json.loads(pd.read_text())["search"]))
 
             def told(now, until=until, log=log):
                 log(now.rounds, now.best, now.best)
