@@ -44,8 +44,8 @@ _STIFFENING = (
     "kp", "kd", "contact_stiffness", "contact_damping", "rotational_stiffness", "rotational_damping",
     "viscous_friction",
 )  # fmt: skip
-# a walk sags and overshoots: it rings up to 2 % short of the limit of its planned postures
-_LONGER = 1.02  # time steps
+# a walk sags and overshoots: it may ring 1 % short of the limit of its planned postures
+_LONGER = 1.01  # time steps
 _BESIDE = 1e-3  # of a swing, from its ends
 _AT_ONCE = 1024  # robots
 _FARTHEST, _SHARES = 3.0, 512  # of a foot's way outwards, of which the largest share within reach counts
@@ -277,9 +277,9 @@ def _planned(robot: str | RobotFile, gait: Gait) -> list[tuple[np.ndarray, tuple
     """Return which feet are held, (L,) bool, and the matrices of `_matrices`, at the moments of a gait."""
     loaded = load_robot(robot)
     feet, swing = planned_feet(robot, gait, _moments(gait))
-    feet = feet @ quaternion_to_matrix(loaded.stance_orientation)
+    angles = _posture(loaded, feet @ quaternion_to_matrix(loaded.stance_orientation))
     held = (swing < 0) | (swing > 1)
-    return [(grips, _matrices(robot, _posture(loaded, each))) for grips, each in zip(held, feet, strict=True)]
+    return [(grips, _matrices(robot, each)) for grips, each in zip(held, angles, strict=True)]
 
 
 def _moments(gait: Gait) -> np.ndarray:
@@ -320,6 +320,6 @@ def _matrices(robot: str | RobotFile, angles: np.ndarray) -> tuple[np.ndarray, .
 
 
 def _posture(robot: Robot, feet: np.ndarray) -> np.ndarray:
-    """Return joint angles (L, N) with the feet at (L, 3) m of the base's axes; where a limb misses, its stance."""
+    """Return joint angles (..., L, N) for feet (..., L, 3) m in the base's axes; where a limb misses, its stance."""
     solved = limb_joints(robot, feet, robot.stance_joints)
-    return np.where(solved.errors[:, None] < MET, solved.angles, robot.stance_joints)
+    return np.where(solved.errors[..., None] < MET, solved.angles, robot.stance_joints)
