@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.arrays import AnyArray, namespace
-from mjx_climb.gait.swing import rest_to_rest
+from mjx_climb.gait.swing import lift, rest_to_rest
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.postures import MET, limb_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -64,6 +64,26 @@ def swayed(sway: Sway, phase: float | AnyArray) -> AnyArray:
 def raised(name: str | RobotFile, gait: Gait) -> np.ndarray:
     """Return how far the gait has a robot's base from where it is in the rest stance, (3,) m, but for its sway."""
     return (gait.height - 1) * load_robot(name).stance_position * [0, 0, 1]
+
+
+def planned_feet(name: str | RobotFile, gait: Gait, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the gait has the feet of a robot from its base on level ground, but for shapes added to a swing.
+
+    Returns:
+        feet (P, limb, 3) m at phases (P,) of the cycle, in axes that are the world's at heading zero, and the shares of
+        their swings that are over, (P, limb), below 0 before a swing and above 1 after it.
+    """
+    robot = load_robot(name)
+    lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
+    rotation = quaternion_to_matrix(robot.stance_orientation)
+    feet = np.asarray(limb_frames(robot, rotation, robot.stance_joints).foot)
+    sway = sway_of(feet, lift_off, gait.duty, gait.sway)
+    swing = (phases[:, None] - lift_off) / (1 - gait.duty)
+    moved = np.clip(swing / (1 - gait.settling), 0.0, 1.0)
+    ahead = gait.stride * (rest_to_rest(moved) - rest_to_rest(phases)[:, None])
+    above = gait.step_height * lift(moved)
+    base = raised(name, gait) + [swayed(sway, phase) for phase in phases]
+    return feet + np.stack([ahead, 0 * ahead, above], -1) - base[:, None], swing
 
 
 def check_base(scenario: Scenario, source: str = "scenario") -> None:

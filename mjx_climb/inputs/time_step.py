@@ -1,16 +1,16 @@
 """Is the time step short enough for this robot's contacts and joints? Answered before anything is walked.
 
 Held by contact springs, joint loop, back EMF and the joints' friction alone (no admittance law, no gravity, no delays),
-the robot is a linear system near each posture of its gait, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K
-x - D v)`, then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. What a
-law adds is in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may be stretched farther than
-the gait plans, and are stiffer at the foot: then the posture with all of them stretched level outwards, as far as the
-planner lets them, counts too. A contact or an actuator of the user's own says by which springs it holds feet or joints;
-where it does not, these are left out, and a refusal says so.
+the robot is a linear system near each posture, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D v)`,
+then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. Postures are those
+that the gait plans at both ends of each swing and in its middle: a limb is farthest back when it lifts off and farthest
+ahead when it lands. What a law adds is in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may
+be stretched farther than the gait plans, and are stiffer at the foot: then the posture with all of them stretched level
+outwards, as far as the planner lets them, counts too. A contact or an actuator of the user's own says by which springs
+it holds feet or joints; where it does not, these are left out, and a refusal says so.
 """
 
 import functools
-import itertools
 import math
 import operator
 from collections.abc import Iterator, Mapping
@@ -20,10 +20,12 @@ import jax
 import numpy as np
 
 from mjx_climb.execution.batch_axes import is_traced
+from mjx_climb.gait.base_path import planned_feet
 from mjx_climb.gait.planner import within_reach
 from mjx_climb.hardware.actuator import Actuator, JointSpring
 from mjx_climb.hardware.servo import RELAXATION
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.gait_values import GAIT
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import KEYS, Parameters
 from mjx_climb.physics.contact.contact import Contact, Springs
@@ -34,7 +36,7 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import PASSIVE, Robot
 from mjx_climb.robot_import.load import load_model, load_robot
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import RobotFile, Scenario
+from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 
 _ROUNDING = 1e-7  # a free motion is twice the eigenvalue 1: rounding parts the two by its square root, 1e-8
 # parameters that shorten the time step as they grow: stiffness and damping are linear in each
@@ -42,19 +44,23 @@ _STIFFENING = (
     "kp", "kd", "contact_stiffness", "contact_damping", "rotational_stiffness", "rotational_damping",
     "viscous_friction",
 )  # fmt: skip
+# a walk sags and overshoots: it may ring 1 % short of the limit of its planned postures
+_LONGER = 1.01  # time steps
+_BESIDE = 1e-3  # of a swing, from its ends
 _AT_ONCE = 1024  # robots
 _FARTHEST, _SHARES = 3.0, 512  # of a foot's way outwards, of which the largest share within reach counts
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
 class Own(NamedTuple):
-    """Springs of a contact and of an actuator in place of the config's, as numbers; None: there is none.
+    """Springs of a contact and of an actuator, and a gait, in place of the config's, as numbers; None: there is none.
 
     Springs that are not known have no stiffness.
     """
 
     contact: Springs | None = None
     drive: JointSpring | None = None
+    gait: Gait | None = None
     chooses: bool = False  # whether limbs may land on any hold within reach, whatever the config says
 
 
@@ -64,7 +70,7 @@ _CONFIG = Own()
 @functools.lru_cache(maxsize=256)
 def growth(scenario: Scenario, time_step: float | None = None, own: Own = _CONFIG) -> float:
     """Return by how much a small disturbance grows in one step, at worst: 1 or less where the step is short enough."""
-    h = scenario.time_step if time_step is None else time_step
+    h = _LONGER * (scenario.time_step if time_step is None else time_step)
     worst = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         for mass, stiffness, damping in _systems(scenario, h, own):
@@ -106,14 +112,14 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     """Refuse a time step too long for the robot's contacts and joint loop.
 
     Parameters, with any batch axes, replace the scenario's: the step is short enough for each robot. Those that JAX
-    traces stay the scenario's.
+    traces stay the scenario's, and so do values of the gait that differ from robot to robot.
 
     Raises:
         ConfigError: in one line, the time step that would do.
     """
     if parameters is None and scenario.own is not None:
         parameters = own_parameters(scenario, source)
-    largest, *each = [_CONFIG] if parameters is None else _own_springs(parameters, scenario.time_step)
+    largest, *each = [_CONFIG] if parameters is None else _own_springs(parameters, scenario)
     unstable = _unstable(scenario, parameters, largest)
     if unstable is not None and each:  # no robot of the batch may have all the largest values
         found = (_unstable(scenario, parameters, own) for own in each)
@@ -135,19 +141,27 @@ def _unstable(scenario: Scenario, parameters: Parameters | None, own: Own) -> tu
     return None if short_enough(scenario, own) else (scenario, own)
 
 
-def _own_springs(parameters: Parameters, h: float) -> list[Own]:
+def _own_springs(parameters: Parameters, scenario: Scenario) -> list[Own]:
     """Return the springs of contact and actuator: the largest values of a batch first, then those of each robot."""
+    gait, h = _shared_gait(parameters, scenario.gait), scenario.time_step
     contact = None if parameters.contact is None else parameters.contact.springs() or Springs(0.0, 0.0)
     drive = None if parameters.drive is None else parameters.drive.spring(h) or JointSpring(0.0, 0.0)
     chooses = parameters.holds is not None and not (parameters.footholds is parameters.recovery is None)
     leaves, tree = jax.tree.flatten((contact, drive))
     if not leaves:
-        return [Own(chooses=chooses)]
+        return [Own(gait=gait, chooses=chooses)]
     values = [np.zeros(()) if is_traced(leaf) else np.asarray(leaf, float) for leaf in leaves]
     rows = np.unique(np.stack(np.broadcast_arrays(*values), -1).reshape(-1, len(values)), axis=0)
     rows = rows if len(rows) == 1 else np.vstack([rows.max(0), rows])
     each = (jax.tree.unflatten(tree, row.tolist()) for row in rows)
-    return [Own(contact, drive, chooses) for contact, drive in each]
+    return [Own(contact, drive, gait, chooses) for contact, drive in each]
+
+
+def _shared_gait(parameters: Parameters, own: Gait) -> Gait:
+    """Return the gait with the values that all robots have in place of its own."""
+    given = {key.removeprefix("gait."): getattr(parameters, name) for key, name in GAIT.items()}
+    known = {key: np.unique(np.asarray(value, float)) for key, value in given.items() if not is_traced(value)}
+    return own.model_copy(update={key: float(values[0]) for key, values in known.items() if len(values) == 1})
 
 
 def _words(scenario: Scenario, own: Own, parameters: Parameters | None) -> tuple[str, str]:
@@ -206,15 +220,15 @@ def _stiffest(scenario: Scenario, parameters: Parameters, springs: Own) -> Scena
 
 def _definite(scenario: Scenario, own: Own) -> np.ndarray:
     """Return 4 M - 2 h D - h^2 K of each posture, (S, 18, 18)."""
-    h = scenario.time_step
+    h = _LONGER * scenario.time_step
     return np.stack([4 * m - 2 * h * d - h * h * k for m, k, d in _systems(scenario, h, own)])
 
 
 def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield mass, stiffness and damping matrix (18, 18) at stance and on the way of every swing, by steps of `h`."""
+    """Yield mass, stiffness and damping matrix (18, 18) at each posture, by steps of `h`."""
     model = load_model(scenario.robot)
-    contact, walk, servo = scenario.contact, scenario.gait, scenario.hardware.servo
-    feet, joint = np.arange(model.nsite), np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
+    contact, servo = scenario.contact, scenario.hardware.servo
+    joint = np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
     driven, spring = np.ones(model.nv), np.zeros(model.nv)
     driven[6:], spring[6:] = model.jnt_group[1:] != PASSIVE, model.jnt_stiffness[1:]
     dry, viscous = servo.coulomb_friction + servo.stribeck_friction + model.dof_frictionloss, servo.viscous_friction
@@ -222,12 +236,11 @@ def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarra
     if own.drive is not None:  # the friction is that of the config's servos
         dry, viscous = 0 * dry, 0.0
     springs = contact if own.contact is None else own.contact
-    swings = itertools.product(feet, ((walk.stride / 2, walk.step_height), (walk.stride, 0.0), (-walk.stride, 0.0)))
-    postures = [(limb, _at(scenario.robot, limb, *away)) for limb, away in ((None, (0.0, 0.0)), *swings)]
+    postures = _planned(scenario.robot, own.gait or scenario.gait)
     if _chooses(scenario, own):
-        postures.append((None, _stretched(scenario.robot)))
-    for limb, (mass, *jacobians) in postures:
-        places, turns = (jacobian[feet != limb].reshape(-1, model.nv) for jacobian in jacobians)
+        postures = [*postures, (np.ones(model.nsite, bool), _stretched(scenario.robot))]
+    for grips, (mass, *jacobians) in postures:
+        places, turns = (jacobian[grips].reshape(-1, model.nv) for jacobian in jacobians)
         held = springs.stiffness * places.T @ places + springs.rotational_stiffness * turns.T @ turns
         resisted = springs.damping * places.T @ places
         if springs.rotational_stiffness:
@@ -259,19 +272,28 @@ def _of_loop(scenario: Scenario) -> tuple[float, float]:
     return richer * control.kp, richer * control.kd + servo.torque_limit / servo.no_load_speed
 
 
-@functools.lru_cache(maxsize=256)
-def _at(robot: str | RobotFile, swinging: int | None, ahead: float, up: float) -> tuple[np.ndarray, ...]:
-    """Return mass matrix and foot Jacobians (L, 3, 18), of places and of turning, at stance or with one foot moved."""
-    model = load_model(robot)
-    angles = np.array(model.key_qpos[0, 7:]).reshape(model.nsite, -1)
-    if swinging is not None:
-        angles[swinging] = _moved(robot, ahead, up)[swinging]
-    return _matrices(robot, angles)
+@functools.lru_cache(maxsize=64)
+def _planned(robot: str | RobotFile, gait: Gait) -> list[tuple[np.ndarray, tuple[np.ndarray, ...]]]:
+    """Return which feet are held, (L,) bool, and the matrices of `_matrices`, at the moments of a gait."""
+    loaded = load_robot(robot)
+    feet, swing = planned_feet(robot, gait, _moments(gait))
+    angles = _posture(loaded, feet @ quaternion_to_matrix(loaded.stance_orientation))
+    held = (swing < 0) | (swing > 1)
+    return [(grips, _matrices(robot, each)) for grips, each in zip(held, angles, strict=True)]
+
+
+def _moments(gait: Gait) -> np.ndarray:
+    """Return phases of the cycle beside both ends of each swing, and in its middle."""
+    swing, moves = 1 - gait.duty, 1 - gait.settling
+    shares = np.array([-_BESIDE, _BESIDE, moves / 2, moves * (1 - _BESIDE), 1 - _BESIDE, 1 + _BESIDE])
+    moments = np.add.outer(list(gait.lift_off.values()), swing * shares)
+    moments = np.add.outer(list(gait.lift_off.values()), swing * shares)
+    return np.unique((moments % 1).round(9))
 
 
 @functools.lru_cache(maxsize=64)
 def _stretched(robot: str | RobotFile) -> tuple[np.ndarray, ...]:
-    """Return those of `_at` with all limbs stretched level outwards, as far as the planner chooses footholds."""
+    """Return the matrices with all limbs stretched level outwards, as far as the planner chooses footholds."""
     loaded = load_robot(robot)
     frames, up = limb_frames(loaded, None, loaded.stance_joints), quaternion_to_matrix(loaded.stance_orientation)[2]
     lever = frames.foot - loaded.frame_position[:, 0]
@@ -297,17 +319,7 @@ def _matrices(robot: str | RobotFile, angles: np.ndarray) -> tuple[np.ndarray, .
     return mass, places, turns
 
 
-@functools.lru_cache(maxsize=64)
-def _moved(robot: str | RobotFile, ahead: float, up: float) -> np.ndarray:
-    """Return joint angles (L, N) with all feet as far from the stance; those of the stance where one cannot be."""
-    loaded = load_robot(robot)
-    feet = limb_frames(loaded, None, loaded.stance_joints).foot
-    # ahead and up are the world's, the feet in the frame of the base
-    turned = quaternion_to_matrix(loaded.stance_orientation).T @ np.array([ahead, 0, up])
-    return _posture(loaded, feet + turned)
-
-
 def _posture(robot: Robot, feet: np.ndarray) -> np.ndarray:
-    """Return joint angles (L, N) with the feet at (L, 3) m of the base's axes; where a limb misses, its stance."""
-    solved = limb_joints(robot, feet)
-    return np.where(solved.errors[:, None] < MET, solved.angles, robot.stance_joints)
+    """Return joint angles (..., L, N) for feet (..., L, 3) m in the base's axes; where a limb misses, its stance."""
+    solved = limb_joints(robot, feet, robot.stance_joints)
+    return np.where(solved.errors[..., None] < MET, solved.angles, robot.stance_joints)

@@ -20,8 +20,8 @@ SINGULAR = 0.01
 class LimbJoints(NamedTuple):
     """Joint angles of every limb, and by how much its foot misses the target."""
 
-    angles: np.ndarray  # (limb, joint) rad
-    errors: np.ndarray  # (limb,) m
+    angles: np.ndarray  # (..., limb, joint) rad
+    errors: np.ndarray  # (..., limb) m
 
 
 def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) -> LimbJoints:
@@ -30,7 +30,8 @@ def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) 
     Of several postures the one whose joints are nearest the middle of their ranges, in the mean of squares over these;
     of limbs of three joints the one whose knee is, and the others only where knees are alike. Of limbs with more joints
     a singular posture only where there is no other. Joints nothing drives are where their springs are slack. `near` are
-    angles (limb, joint) to begin with: where all feet get there from these, no other posture is looked for.
+    angles (limb, joint) to begin with: where all feet get there from these, no other posture is looked for. With it
+    `feet` may have batch axes.
     """
     if robot.joints == 3:
         fractions = (np.arange(_STARTS) + 0.5) / _STARTS
@@ -40,9 +41,12 @@ def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) 
         shares = np.vstack([np.full(robot.joints, 0.5), spread])
     starts = robot.joint_lower + (robot.joint_upper - robot.joint_lower) * shares[:, None]
     if near is not None:
-        angles, missed = _reached(robot, feet, near[None])
+        angles, missed = _reached(robot, feet, np.broadcast_to(near, (*feet.shape[:-1], robot.joints)))
         if missed.max() < MET:
-            return LimbJoints(angles[0], missed[0])
+            return LimbJoints(angles, missed)
+        if feet.ndim > 2:
+            each = [limb_joints(robot, one, near) for one in feet]
+            return LimbJoints(np.stack([one.angles for one in each]), np.stack([one.errors for one in each]))
         starts = np.concatenate([near[None], starts])
     angles, missed = _reached(robot, feet, starts)
     middle, half = (robot.joint_lower + robot.joint_upper) / 2, (robot.joint_upper - robot.joint_lower) / 2

@@ -560,7 +560,8 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(saved):
     )
     hub = '<body name="hub"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="0.02 0.02 0.03"/>'
     file = saved(f"<mujoco><worldbody>{hub}{limbs}</body></worldbody></mujoco>")
-    out, stride, kd = 0.051, 0.045, 6.5  # m, from the pitch axis; m; N m s/rad
+    out, stride, kd = 0.051, 0.053, 6.5  # m, from the pitch axis; m; N m s/rad
+    ahead = stride * (1 - 5 / 32)  # the base has gone 5/32 of its way at a quarter of the cycle
     far = 0.19 + out
     limbs = {
         f"B{n}": {"joints": [f"B{n}_slide", f"B{n}_yaw", f"B{n}_pitch"], "foot": f"foot{n}", "foothold": foot}
@@ -568,17 +569,18 @@ def test_the_time_step_is_short_enough_where_a_swing_ends(saved):
     }
     scenario = mc.Scenario.model_validate({
         "robot": {"file": str(file), "height": 0.17, "limbs": limbs}, "time_step": 1e-5,
-        "gait": {"sequence": list(limbs), "stride": stride}, "control": {"kp": 1600.0, "kd": kd},
+        "gait": {"sequence": ["B2", "B1", "B0", "B3"], "stride": stride},
+        "control": {"kp": 1600.0, "kd": kd},
     })  # fmt: skip
     model = load_model(scenario.robot)
     data, mass = mujoco.MjData(model), np.empty((model.nv, model.nv))
     data.qpos[:] = model.key_qpos[0]
     limb = next(n for n in range(4) if model.site(n).name == "B2_foot")
-    data.qpos[7 + 3 * limb + 2] = np.arccos((out - stride) / 0.22)
+    data.qpos[7 + 3 * limb + 2] = np.arccos((out - ahead) / 0.22)
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, mass)
     inertia = 1 / np.linalg.inv(mass)[6 + 3 * limb + 1, 6 + 3 * limb + 1]
-    assert growth(scenario, 2.2 * inertia / kd) > 1
+    assert growth(scenario, 2.05 * inertia / kd) > 1
 
 
 def test_a_held_joint_is_a_body_turned(saved):

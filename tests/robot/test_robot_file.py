@@ -340,6 +340,28 @@ def test_a_step_too_long_for_the_contacts_is_known_before_the_walk():
     assert largest_time_step(softer) > largest_time_step(light)
 
 
+def long_strides(kd):
+    """v3.2 with strides of twice the usual length; its limbs go 84 mm of each from the stance, ahead or back."""
+    return mc.Scenario().with_overrides({"gait.cycle": 8.0, "gait.stride": 0.1, "control.kd": kd})
+
+
+def test_the_time_step_is_that_of_the_postures_which_the_gait_plans():
+    """Between kd 0.55 and 0.6 the walks begin to diverge; a gait among the gains counts as the scenario's own."""
+    assert growth(long_strides(0.55)) < 1 < growth(long_strides(0.6))
+    usual = mc.Scenario().with_overrides({"control.kd": 0.59})
+    check_time_step(usual)
+    with pytest.raises(mc.ConfigError, match=r"control.kd 0.59, got 0\.001"):
+        mc.rollout(usual, gains={"gait.cycle": 8.0})
+
+
+@pytest.mark.slow
+def test_walks_diverge_where_the_time_step_is_too_long_for_a_planned_posture():
+    """In weightlessness pd holds with 0.1 N."""
+    walks = long_strides(0.2).with_overrides({"control.controller": "pd", "gravity": [0, 0, 0], "duration": 2.5})
+    forces = mc.rollout_metrics(walks, {"kd": (kd := np.array([0.55, 0.6]))}, unsteady=True)["peak_foot_force"]
+    assert [growth(long_strides(each)) > 1 for each in kd] == (forces > 10).tolist() == [False, True]
+
+
 def test_limbs_that_are_stretched_to_chosen_footholds_take_a_shorter_step():
     """1 ms is short enough for the stances that v3.2 plans, and not for the farthest holds that it may choose."""
     rock = mc.load_scenario("hubrobo_v3_2_rock")

@@ -354,7 +354,7 @@ def scenario_from(
         scenario = overridden(with_hardware(scenario, load_hardware(hardware), hardware), changes, str(config))
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
-    for check in (check_stance, check_base, check_time_step, check_reach):
+    for check in (check_stance, check_base, check_reach, check_time_step):
         check(scenario, str(config))
     return scenario
 

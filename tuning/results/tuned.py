@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
+from mjx_climb.inputs.gait_values import scenario_with_gait
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.scenario.messages import ConfigError
@@ -133,8 +134,9 @@ def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarra
     """Return the result of the points evaluated so far.
 
     The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
-    Joint gains shake at a long time step. A search may see little of it in one walk, but nobody can walk with them: a
-    point that would be the best, were its time step short enough, is infeasible and has a penalty without end.
+    Joint gains shake at a long time step, under some gaits sooner than under others. A search may see little of it in
+    one walk, but nobody can walk with them: a point that would be the best, were its time step short enough, is
+    infeasible and has a penalty without end.
 
     Raises:
         ValueError: nothing was evaluated.
@@ -149,8 +151,8 @@ def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarra
         joint = {
             f"control.{name}": float(value) for name, value in by_name(gains).items() if name in (*JOINT, INTEGRAL)
         }
-        steady = not joint or short_enough(scenario.with_overrides(joint))
-        if steady or not np.isfinite(arrays["penalty"][best]):
+        walked = scenario_with_gait(scenario.with_overrides(joint), by_name(gains))
+        if walked is scenario or short_enough(walked) or not np.isfinite(arrays["penalty"][best]):
             break
         arrays["penalty"][best], arrays["feasible"][best] = np.inf, False
     data: dict[str, Any] = {}

@@ -10,7 +10,7 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.control import PD
-from mjx_climb.inputs.gait_values import GAIT, gait_of
+from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
 from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
@@ -184,7 +184,8 @@ def rival_of(retuned: Tuned, step: float | None = None) -> Rival:
 
 
 def _follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
-    return short_enough(scenario.with_overrides({f"control.{name}": float(joint[name]) for name in JOINT}))
+    own = {f"control.{name}": float(joint[name]) for name in JOINT}
+    return short_enough(scenario_with_gait(scenario.with_overrides(own), joint))
 
 
 def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:
@@ -192,4 +193,4 @@ def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:
 
 
 def _highest(space: spaces.Space) -> dict[str, float]:
-    return dict(zip(space.names, np.exp(space.upper), strict=True))
+    return {name: high for name, high in zip(space.names, np.exp(space.upper), strict=True) if name in JOINT}

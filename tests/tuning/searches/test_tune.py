@@ -111,6 +111,19 @@ def test_joint_gains_that_shake_at_the_time_step_are_no_result(scenario):
     assert not tuned.from_rounds(problem, settings, none, interrupted=False).feasible
 
 
+def test_joint_gains_that_shake_with_the_gait_beside_them_are_no_result(scenario):
+    """A kd that the scenario's own gait can take, and strides of twice the length cannot."""
+    settings = search.Search.make({"joint_gains": True, "also": ["gait.cycle"]})
+    space = spaces.space(scenario, settings)
+    gains = {"damping": 1e2, "stiffness": 3e3, "kp": 50.0, "kd": 0.59}
+    arrays = {
+        "theta": np.array([space.from_gains(gains | {"gait.cycle": cycle}) for cycle in (8.0, 4.0)]),
+        "value": np.array([0.1, 0.2]), "penalty": np.zeros(2), "feasible": np.ones(2, bool), "env_steps": np.arange(2),
+    }  # fmt: skip
+    found = tuned.from_rounds(Problem(scenario, space), settings, arrays, interrupted=False)
+    assert found.gains["gait.cycle"] == pytest.approx(4.0) and found.data["feasible"].values.tolist() == [False, True]
+
+
 def test_bounds_are_those_of_the_robot(scenario):
     """HubRobo's as declared, in proportion for a robot from a file; joint gains about the scenario's own."""
     law = law_of(scenario)
