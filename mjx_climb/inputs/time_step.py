@@ -287,7 +287,6 @@ def _moments(gait: Gait) -> np.ndarray:
     swing, moves = 1 - gait.duty, 1 - gait.settling
     shares = np.array([-_BESIDE, _BESIDE, moves / 2, moves * (1 - _BESIDE), 1 - _BESIDE, 1 + _BESIDE])
     moments = np.add.outer(list(gait.lift_off.values()), swing * shares)
-    moments = np.add.outer(list(gait.lift_off.values()), swing * shares)
     return np.unique((moments % 1).round(9))
 
 
