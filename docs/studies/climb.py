@@ -43,6 +43,8 @@ ROWS: tuple[Kind, ...] = (
     ("hexapod", "rails", "base_admittance", "nearest"),
     *(("hubrobo", "rails", law, "nearest") for law in ("pd", "load_transfer")),
     ("hexapod", "rock", "base_admittance", "best_margin"),
+    *(("hubrobo", "rock", law, "least_use") for law in ("base_admittance", "load_transfer")),
+    ("hexapod", "rock", "base_admittance", "least_use"),
 )
 KEPT = ("reason", "held_way", "detached_limb", "peak_pull_force")  # of each climb
 

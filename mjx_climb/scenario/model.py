@@ -86,7 +86,7 @@ class Gait(v.Section):
         "nominal", "where each cycle's base reference starts: where planned, or where the base is"
     )
     heading: v.Angle = setting(0.0, "direction of walking and initial yaw about world z, rad")
-    footholds: Literal["planned", "nearest", "farthest", "climblab", "best_margin"] = setting(
+    footholds: Literal["planned", "nearest", "farthest", "climblab", "best_margin", "least_use"] = setting(
         "planned", "footholds of the periodic gait, or the rule that chooses among the points that can be held"
     )
     order: Literal["periodic", "free"] = setting(

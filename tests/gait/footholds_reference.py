@@ -102,6 +102,47 @@ def best_margin(
     return _best(position, allowed, worth)
 
 
+def resting_forces(feet, com, weight):
+    """Return the forces of the ground on feet (n, 3) N that bear a weight at rest, of the least sum of squares."""
+    balance = np.zeros((6, 3 * len(feet)))
+    for number, (x, y, z) in enumerate(feet - com):
+        balance[:, 3 * number : 3 * number + 3] = [
+            [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -z, y], [z, 0, -x], [-y, x, 0],
+        ]  # fmt: skip
+    return np.linalg.lstsq(balance, -np.append(weight, np.zeros(3)), rcond=None)[0].reshape(-1, 3)
+
+
+def springs_of_a_base(feet, force, points):
+    """Return what springs at points (m, 3) would bear if feet on equal springs bear forces (n, 3) N.
+
+    The springs' ends move with the base: its rigid motion is fitted to the forces.
+    """
+    rows, sides = [], []
+    for (x, y, z), own in zip(feet, force, strict=True):
+        # t + theta x r
+        rows += [[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x], [0, 0, 1, y, -x, 0]]
+        sides += list(own)
+    motion = np.linalg.lstsq(np.array(rows, float), np.array(sides), rcond=None)[0]
+    return motion[:3] + np.cross(motion[3:], points)
+
+
+def least_use(position, normals, pulls, allowed, feet, planned, stands, com, weight, distance_weight=1.4):
+    """Return the point (limb,) of the smallest pull over what its grip bears, and of distance from the planned one.
+
+    The pull is that of a spring at the point on a base which hangs on the standing feet, at least three.
+    """
+    uses = np.zeros(len(position))
+    if stands.sum() >= 3:
+        force = springs_of_a_base(feet[stands], resting_forces(feet[stands], com, weight), position)
+        for number, (own, normal, pull) in enumerate(zip(force, normals, pulls, strict=True)):
+            uses[number] = max(0.0, -own @ normal) / pull if pull > 0 else 0.0
+
+    def worth(limb, point, number):
+        return -uses[number] - distance_weight * np.linalg.norm(point - planned[limb])
+
+    return _best(position, allowed, worth)
+
+
 # --- linear programs
 
 

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from mjx_climb.gait.footholds import SHIPPED
-from mjx_climb.gait.footholds.footholds import Situation
+from mjx_climb.gait.footholds.footholds import Candidate, Situation
+from mjx_climb.gait.footholds.least_use import LeastUse, resting_forces
 from mjx_climb.gait.planner import Candidates, middle_of
 from mjx_climb.ground import Holds
 from tests.gait import footholds_reference as reference
 
 POINTS, DEFAULT, NIGHTLY = 12, 300, 10_000
 CAP = 0.15
-NAMES = ["nearest", "farthest", "climblab", "best_margin"]
+NAMES = ["nearest", "farthest", "climblab", "best_margin", "least_use"]
 LIMBS = {"four": 4, "six": 6}
 
 
@@ -52,8 +53,10 @@ def expected(name, case):
         return reference.climblab(position, allowed, feet, forward, CAP)
     weaker = np.minimum(case["limit"], case["holding_force"] or np.inf)
     pulls = np.where(np.isfinite(weaker), weaker, 0.0)
-    own = ("allowed", "feet", "planned", "stands", "center_of_mass", "weight", "pull")
-    return reference.best_margin(position, case["normal"], pulls, *(case[key] for key in own))
+    own = [case[key] for key in ("allowed", "feet", "planned", "stands", "center_of_mass", "weight")]
+    if name == "least_use":
+        return reference.least_use(position, case["normal"], pulls, *own)
+    return reference.best_margin(position, case["normal"], pulls, *own, case["pull"])
 
 
 def chosen(names, cases):
@@ -87,6 +90,34 @@ def compare(names, limbs, count):
 
 def test_rules_choose_as_their_references():
     compare(NAMES, 4, DEFAULT // len(NAMES))
+
+
+def situation_of(case):
+    return Situation(**{key: jnp.asarray(case[key]) for key in Situation._fields})
+
+
+def test_resting_forces_bear_the_weight_with_the_least_squares():
+    case = ground(np.random.default_rng(0), 6)
+    stands = case["stands"] = np.array([True, False, True, True, False, True])
+    feet, com, weight = case["feet"], case["center_of_mass"], case["weight"]
+    own = np.asarray(jax.jit(resting_forces)(situation_of(case), feet))[stands]
+    np.testing.assert_allclose(own.sum(0), -weight, atol=1e-9)
+    np.testing.assert_allclose(np.cross(feet[stands] - com, own).sum(0), 0, atol=1e-9)
+    np.testing.assert_allclose(own, reference.resting_forces(feet[stands], com, weight), atol=1e-9)
+
+
+def test_a_foot_off_the_support_sags_most_and_pressing_or_two_feet_predict_nothing():
+    """LF of a square that hangs: the opposite foot bears nothing, its neighbours half the weight, it would bear all."""
+    feet = np.array([[0.1, 0.1, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0], [0.1, -0.1, 0]])
+    case = ground(np.random.default_rng(0), 4) | {"feet": feet, "planned": feet, "stands": np.arange(4) > 0}
+    case |= {"center_of_mass": np.array([0, 0, 0.1]), "weight": np.array([0, 0, 4.0])}
+    forces, score = jax.jit(resting_forces), jax.jit(LeastUse().score)
+    np.testing.assert_allclose(forces(situation_of(case), feet)[:, 2], [-4, -2, 0, -2], atol=1e-9)
+    hold = Candidate(feet, jnp.asarray(8.0), jnp.array([0, 0, 1.0]))
+    assert score(situation_of(case), hold)[0] == pytest.approx(-0.5)
+    assert score(situation_of(case), hold._replace(pull=jnp.asarray(0.0)))[0] == 0
+    assert score(situation_of(case | {"weight": np.array([0, 0, -4.0])}), hold)[0] == 0
+    assert score(situation_of(case | {"stands": np.arange(4) > 1}), hold)[0] == 0
 
 
 @pytest.mark.slow

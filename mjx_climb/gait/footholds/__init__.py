@@ -4,6 +4,7 @@ from mjx_climb.gait.footholds.best_margin import BestMargin
 from mjx_climb.gait.footholds.climblab import ClimbLab
 from mjx_climb.gait.footholds.farthest import Farthest
 from mjx_climb.gait.footholds.footholds import Footholds
+from mjx_climb.gait.footholds.least_use import LeastUse
 from mjx_climb.gait.footholds.nearest import Nearest
 
 # by the names that `gait.footholds` takes beside `planned`
@@ -12,4 +13,5 @@ SHIPPED: dict[str, type[Footholds]] = {
     "farthest": Farthest,
     "climblab": ClimbLab,
     "best_margin": BestMargin,
+    "least_use": LeastUse,
 }
