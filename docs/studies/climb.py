@@ -39,7 +39,10 @@ ROWS: tuple[Kind, ...] = (
     ("hubrobo", "rails", "base_admittance", "nearest"),
     ("hexapod", "rock", "base_admittance", "nearest"),
     ("hubrobo", "rock", "load_transfer", "best_margin"),
-    *(("hubrobo", "rock", "base_admittance", rule) for rule in ("nearest", "climblab", "climblab free")),
+    *(
+        ("hubrobo", "rock", "base_admittance", rule)
+        for rule in ("nearest", "climblab", "climblab free", "best_margin free")
+    ),
     ("hexapod", "rails", "base_admittance", "nearest"),
     *(("hubrobo", "rails", law, "nearest") for law in ("pd", "load_transfer")),
     ("hexapod", "rock", "base_admittance", "best_margin"),
