@@ -230,17 +230,17 @@ def ceiling() -> Figure:
     }
     found = {(row["row"], row["contestant"]): row["objective"] for row in table("ceiling")}
 
-    def of(gait: str) -> Series:
+    def of(rows: str) -> Series:
         return gathered(
-            (f"case {case.replace('_', '.')}", label, span(found[f"dynamixel_x_{case}_{gait}", contestant]))
+            (f"case {case.replace('_', '.')}", label, span(found[f"dynamixel_x_{case}_{rows}", contestant]))
             for contestant, label in words.items()
             for case in ("1_1", "1_2", "2")
         )
 
     made, panels = figure(2 * len(words), 2)
-    for panel, gait, title in zip(panels, ("ensemble", "searched_gait"), ("shipped gait", "searched gait"), strict=True):
-        dots(panel, of(gait), spread=0.25)
-        panel.set_title(title, fontsize=11)
+    for panel, rows, gait in zip(panels, ("ensemble", "searched_gait"), ("shipped", "searched"), strict=True):
+        dots(panel, of(rows), spread=0.25)
+        panel.set_title(f"{gait} gait", fontsize=11)
     ends = [end for panel in panels for end in panel.get_xlim()]
     for panel in panels:
         panel.set_xlim(min(ends) - 0.01, max(ends) + 0.01)
