@@ -9,6 +9,7 @@ import xarray as xr
 
 import mjx_climb as mc
 import tuning
+from mjx_climb.control import Recovering
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.scenario.load import load_hardware, with_hardware
@@ -205,6 +206,24 @@ def test_walks_that_lose_a_gripper_count_by_their_number_and_break_no_limit():
     assert score.feasible.tolist() == [True] and float(score.penalty[0]) == 0.0
     rows["base_deviation"][2] = 0.02
     assert goal.score(rows).feasible.tolist() == [False]
+
+
+@pytest.mark.slow
+def test_a_search_over_large_pushes_finds_thresholds_with_which_more_walks_hold():
+    """Under pd's stiff gains, on walks of the search and on others; at their upper bounds thresholds interrupt none."""
+    scenario = mc.load_scenario(config_path("case_2.yaml"), {"duration": 2.5})
+    scenario = with_hardware(scenario, load_hardware("dynamixel_x"))
+    pushes = Ensemble.load(config_path("ensemble_large_pushes.yaml")).pushes.model_copy(update={"start": (0.2, 0.7)})
+    large = Ensemble.load(config_path("ensemble_large_pushes.yaml"), members=16, pushes=pushes)
+    found = tuning.robust(
+        scenario, large, method="cmaes", law=Recovering(), joint_gains=False, starts=12, iterations=4,
+        weights={"lost": 1.0},
+    )  # fmt: skip
+    problem = found.problem
+    points = np.stack([found.theta, problem.space.upper] * 6)  # as many as walked: the same compiled program
+    for parameters in (problem.parameters, draw(scenario, judge.fresh(large))):
+        value = dataclasses.replace(problem, parameters=parameters).evaluate(points).value[:2]
+        assert value[0] < 0.8 * value[1], value
 
 
 @pytest.mark.slow
