@@ -333,7 +333,8 @@ def broken(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
     shares, words = [], [in_words(limit) for limit in goal.limits]
     for limit in goal.limits:
         kept = violation(limit, walks[limit.metric].values.astype(float)) <= 0
-        kept |= failed(walks).values & goal.weighs_lost
+        if goal.weighs_lost:
+            kept |= failed(walks).values
         shares.append((~kept | walks["diverged"].values.astype(bool)).mean(1))
     about = {"units": "1", "long_name": "share of walks that break the limit"}
     values = np.reshape(shares, (len(words), walks.sizes["gains"]))
