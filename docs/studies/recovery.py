@@ -206,6 +206,17 @@ def print_bound(seconds: float, count: int = 40) -> None:
         print(f"{name}: {standing:.1f} N on the feet that stand, {all_down:.1f} N on all feet", flush=True)
 
 
+def print_searched(file: Path, seconds: float, draws: int) -> None:
+    """Print how many walks survive without recovery and with the thresholds of a gains file, under pd."""
+    simulation, gains = walker("dynamixel_x", "pd", seconds)
+    found = gains_file.whole(file, simulation.scenario).gains
+    recovery = Recovery(**{name: found[f"recovery_{name}"] for name in (*THRESHOLDS, "take_over")})
+    for name, each in (("none", None), ("searched", recovery)):
+        alive = survived(simulation, gains, drawn(draws, seconds, 7), IMPULSES, each)
+        for gravity, length in np.ndindex(alive.shape[:2]):
+            print(name, [*GRAVITY][gravity], [*LENGTHS][length], *alive[gravity, length].sum(1), "of", alive.shape[-1])
+
+
 def main() -> None:
     """Walk the rows and write both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -215,7 +226,11 @@ def main() -> None:
     parser.add_argument("--only", help="the row of this hardware and law, as ideal-pd, and no table")
     parser.add_argument("--tables", action="store_true", help="walk nothing")
     parser.add_argument("--bound", action="store_true", help="print the bound alone")
+    parser.add_argument("--searched", type=Path, help="gains of Recovering: print its survivors alone")
     asked = parser.parse_args()
+    if asked.searched:
+        print_searched(asked.searched, asked.seconds, asked.draws)
+        return
     if asked.bound:
         print_bound(asked.seconds)
         return

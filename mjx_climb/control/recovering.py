@@ -24,7 +24,7 @@ class Recovering(Law):
         "s", length=1, bounds=(2e-2, 2.0), default=0.3, long_name="time at rest after a landing"
     )
     recovery_take_over: Array = gain(
-        "1", length=1, bounds=(1e-2, 1.0), default=1.0, long_name="share of a shift that is taken over", searched=False
+        "1", length=1, bounds=(1e-2, 1.0), default=1.0, long_name="share of a shift that is taken over"
     )
     recovery_return_time: Array = gain(
         "s", length=1, bounds=(1e-1, 1e1), default=1.0, long_name="time of the base's return", searched=False

@@ -274,7 +274,7 @@ def test_gains_of_a_law_are_values_of_the_recovery(scenario):
     """Searches find them in any sum with the law that has them; the scenario's own values stay beside them."""
     law = own_section.load_law("VirtualModelAdmittance+Recovering")
     names = spaces.space(scenario, Search(), law).names
-    assert {"damping", "recovery_shift", "recovery_landing_time"} <= {*names} and "recovery_take_over" not in names
+    assert {"damping", "recovery_shift", "recovery_take_over"} <= {*names} and "recovery_return_time" not in names
     some = scenario.with_overrides({"control.recovery": {"margin": 0.5, "shift": 0.1}})
     found = resolve_in(some, law, {"recovery_shift": np.array([0.01, 0.02])}, None, np.float64).parameters.recovery
     np.testing.assert_array_equal(found.shift, [0.01, 0.02])

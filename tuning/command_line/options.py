@@ -316,9 +316,9 @@ class SearchFile(Options):
     def joined(self, typed: Search, loaded: "Problem") -> Search:
         """Return the result of `settings`, before the gains that they name are looked for."""
         own = Search() if self.search is None else Search.load(self.search)
-        check_metrics(own, loaded.metrics, str(self.search))
+        check_metrics(own, loaded.metrics, str(self.search), over_ensemble=True)
         wanted = own.changed(typed.model_dump(exclude_unset=True), "options")
-        check_metrics(wanted, loaded.metrics, "--weight, --limit")
+        check_metrics(wanted, loaded.metrics, "--weight, --limit", over_ensemble=True)
         return wanted
 
     @contextlib.contextmanager

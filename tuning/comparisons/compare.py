@@ -276,13 +276,13 @@ def run(
         each.append(_of_one_law(draw.dataset(arrays), name, list(draw.gains), numbers))
         if name == next(iter(draws)):  # every draw has walked it
             scenarios_pd = _of_one_law(draw.dataset(arrays), judging.PD, [judging.PD] * seeds, numbers)
-    lost = "; ".join(text for own in each if (text := own.attrs[judging.LOST]))
+    lost = "; ".join(text for own in each if (text := own.attrs[judging.LOST_SENSORS]))
     data = xr.concat(
         [*each, scenarios_pd], "gains", data_vars="minimal", coords="minimal", compat="override",
         combine_attrs="override",
     )  # fmt: skip
     of_searches = {f"search_{field}": _of_searches(found, field, data) for field in ("value", "feasible", "converged")}
-    data = data.assign_attrs({judging.LOST: lost}).assign(of_searches)
+    data = data.assign_attrs({judging.LOST_SENSORS: lost}).assign(of_searches)
     return Comparison(data, base, asked, base.ensemble, searched={name: tuple(own) for name, own in found.items()})
 
 

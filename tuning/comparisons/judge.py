@@ -32,8 +32,8 @@ from tuning.problem import ensemble as ensembles
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.ensemble import fresh as fresh
 from tuning.problem.evaluation import Problem, under_pd
-from tuning.problem.objectives import BINDING, Objective, Term, in_words, violation
-from tuning.problem.search import Judge
+from tuning.problem.objectives import BINDING, Objective, Term, in_words, lost, violation
+from tuning.problem.search import LOST, Judge
 from tuning.results.config_file import write_config
 from tuning.results.judged import Judged
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
@@ -42,7 +42,7 @@ from tuning.searches.sweep import default_batch_size
 MEMBERS = Judge().members
 WORST_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
 PD = "pd"
-LOST = "lost_sensors"  # of a dataset: in words, which laws did without a force sensor
+LOST_SENSORS = "lost_sensors"  # of a dataset: in words, which laws did without a force sensor
 DRAWN = {  # said of each member: unit and words
     "cargo_mass": ("kg", "mass of the cargo"),
     "contact_stiffness": ("N/m", "contact stiffness"),
@@ -181,12 +181,15 @@ class Draw:
         for name, (units, text) in (DRAWN if ensemble.hardware is None else DRAWN | OF_HARDWARE).items():
             each = np.broadcast_to(np.reshape(values[name], -1), members)
             data[name] = ("member", each, {"units": units, "long_name": text})
+        holding = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
+        each_lost = lost(arrays, holding).T.astype(bool)
+        data[LOST] = (("gains", "member"), each_lost, {"long_name": "walk loses a gripper or diverges"})
         attrs: dict[str, Any] = {"title": "gains on the walks of an ensemble", **dataset.provenance(scenario)}
         attrs["ensemble"] = ensemble.to_yaml()
-        attrs["holding_limit"] = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
+        attrs["holding_limit"] = holding
         names, limbs = [*self.gains, *self.pd, PD], load_robot(scenario.robot).limbs
-        lost = {name: _lost(arrays, number, limbs) for number, name in enumerate(names)}
-        attrs[LOST] = "; ".join(f"{name} {text}" for name, text in lost.items() if text)
+        sensors = {name: _lost(arrays, number, limbs) for number, name in enumerate(names)}
+        attrs[LOST_SENSORS] = "; ".join(f"{name} {text}" for name, text in sensors.items() if text)
         return xr.Dataset(data, {"gains": names, "member": np.arange(members)}, attrs)
 
     def result(self, arrays: Mapping[str, np.ndarray]) -> Judged:
@@ -278,7 +281,7 @@ def failed_in_words(summed: xr.Dataset) -> str:
 
 def lost_in_words(walks: xr.Dataset) -> list[str]:
     """Return a warning that laws did without force sensors in some walks, none where none did."""
-    text = walks.attrs.get(LOST)
+    text = walks.attrs.get(LOST_SENSORS)
     return [f"warning: {text}"] if text else []
 
 
@@ -330,6 +333,8 @@ def broken(walks: xr.Dataset, goal: Objective) -> xr.DataArray:
     shares, words = [], [in_words(limit) for limit in goal.limits]
     for limit in goal.limits:
         kept = violation(limit, walks[limit.metric].values.astype(float)) <= 0
+        if goal.weighs_lost:
+            kept |= failed(walks).values
         shares.append((~kept | walks["diverged"].values.astype(bool)).mean(1))
     about = {"units": "1", "long_name": "share of walks that break the limit"}
     values = np.reshape(shares, (len(words), walks.sizes["gains"]))

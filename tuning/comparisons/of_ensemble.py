@@ -17,7 +17,7 @@ from tuning.searches import retuned_pd
 from tuning.searches.shards import Rows
 
 SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_torque", "cost_of_transport",
-         "base_deviation", "joint_limit_margin")  # fmt: skip
+         "travel", "base_deviation", "joint_limit_margin")  # fmt: skip
 
 
 def shown(metrics: mc.MetricTable) -> list[str]:

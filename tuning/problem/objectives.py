@@ -17,7 +17,7 @@ import mjx_climb as mc
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import PREFIX
 from tuning.problem.ensemble import Worst, worst_mean
-from tuning.problem.search import Search
+from tuning.problem.search import LOST, Search
 
 Metrics = Mapping[str, Array]
 
@@ -84,7 +84,7 @@ class Objective:
 
     With `worst` the metrics are those of an ensemble (members, B), and the scores (B,): of each term the mean and the
     mean over the worst members count, each relative to pd's. Limits hold for every member; the penalty is that of the
-    worst members.
+    worst members. Where a term is `LOST`, members that lose a gripper count by it and break no limit.
     """
 
     terms: tuple[Term, ...]
@@ -93,9 +93,17 @@ class Objective:
     worst: Worst | None = None
     margin: float | None = None  # relative; no ratio of a term may be above 1 less this; None: they may
     reference: float = 1.0  # value of pd
+    holding_limit: float = np.inf  # N, pull above which a gripper is lost
+
+    @property
+    def weighs_lost(self) -> bool:
+        """Whether members that lose a gripper count by their number."""
+        return any(term.metric == LOST for term in self.terms)
 
     def score(self, metrics: Metrics) -> Score:
         """Score points by their metrics; NaN and infeasible where the walk diverged."""
+        if self.weighs_lost:
+            metrics = {**metrics, LOST: lost(metrics, self.holding_limit)}
         if self.function is not None:
             value = smooth = self.function(_with_companions(metrics))
         else:
@@ -107,13 +115,16 @@ class Objective:
                 feasible &= ratio <= 1
         for limit in self.limits:
             slack = violation(limit, metrics[limit.metric])
+            if self.weighs_lost:
+                # searches walk on without tearing a gripper off: how such a walk ends says nothing
+                slack = jnp.where(metrics[LOST] > 0, -1.0, slack)
             over, kept = penalty_of(slack + limit.margin), slack <= 0
             penalty += over if self.worst is None else worst_mean(over, self.worst.share, numpy=jnp)
             feasible &= kept if self.worst is None else kept.all(0)
-        lost = metrics["diverged"] if self.worst is None else metrics["diverged"].any(0)
-        number = jnp.where(lost, jnp.nan, jnp.ones_like(value))  # for derivatives too
+        diverged = metrics["diverged"] if self.worst is None else metrics["diverged"].any(0)
+        number = jnp.where(diverged, jnp.nan, jnp.ones_like(value))  # for derivatives too
         value, descent, penalty = (jnp.asarray(part * number) for part in (value, smooth + penalty, penalty))
-        return Score(value, descent, penalty, feasible & ~lost)
+        return Score(value, descent, penalty, feasible & ~diverged)
 
     def ratios(self, values: Array, term: Term, *, smooth: bool = False) -> tuple[Array, ...]:
         """Return a metric relative to pd's, above 1 is worse: of an ensemble (members, ...) mean and worst."""
@@ -136,6 +147,12 @@ class Objective:
 
 
 NO_OBJECTIVE = Objective((), ())
+
+
+def lost(metrics: Mapping[str, Any], holding_limit: float) -> Any:
+    """Return 1.0 for walks that lose a gripper or diverge, else 0.0, an array as the metrics are."""
+    pull = metrics["peak_pull_force"]
+    return ((pull > holding_limit) | (metrics["diverged"] > 0)).astype(pull.dtype)
 
 
 def penalty_of(over: Array | np.ndarray) -> Array:
@@ -184,11 +201,17 @@ def objective(
         ConfigError: pd diverges, or has no value of a metric that is weighed; the user's function fails.
     """
     weighed = {} if function is not None else {name: weight for name, weight in search.weights.items() if weight}
-    terms = tuple(_term(metrics[name], weight, baseline, worst) for name, weight in weighed.items())
+    holding = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
+    if LOST in weighed:
+        baseline = {**baseline, LOST: lost(baseline, holding)}
+    terms = tuple(
+        _term(name, weight, baseline, worst, larger_is_better=name != LOST and metrics[name].larger_is_better)
+        for name, weight in weighed.items()
+    )
     # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
     widest, factor = float(np.max(baseline["base_deviation"])), search.deviation_factor
     wanted = [("joint_limit_margin", 0.0, "joint limits")]
-    if (holding := scenario.contact.holding_limit) is not None:
+    if np.isfinite(holding) and LOST not in weighed:
         wanted.append(("peak_pull_force", holding, "holding limit of the grippers"))
     if np.isfinite(widest):
         wanted.append(("base_deviation", factor * widest, f"{factor:g} times pd's"))
@@ -204,7 +227,7 @@ def objective(
         limits.append(Limit(name, value, scale, margin, reason, metric.larger_is_better))
     ratio_margin = PD_MARGIN if search.no_worse_than_pd and worst is not None else None
     reference = 1.0 if function is None else _of_pd(function, baseline)
-    return Objective(terms, tuple(limits), function, worst, ratio_margin, reference)
+    return Objective(terms, tuple(limits), function, worst, ratio_margin, reference, holding)
 
 
 def _with_companions(metrics: Metrics) -> Metrics:
@@ -224,16 +247,17 @@ def _of_pd(function: Callable[[Metrics], Array], baseline: Mapping[str, Any]) ->
     return float(value.mean())
 
 
-def _term(metric: mc.Metric, weight: float, baseline: Mapping[str, Any], worst: Worst | None) -> Term:
-    larger = metric.larger_is_better
-    both = [baseline[metric.name], baseline.get(PREFIX + metric.name, baseline[metric.name])]
+def _term(
+    name: str, weight: float, baseline: Mapping[str, Any], worst: Worst | None, *, larger_is_better: bool
+) -> Term:
+    both = [baseline[name], baseline.get(PREFIX + name, baseline[name])]
     numbers = both if worst is None else [float(values.mean()) for values in both]
     if worst is not None:
-        numbers += [float(worst_mean(values, worst.share, larger_is_better=larger)) for values in both]
+        numbers += [float(worst_mean(values, worst.share, larger_is_better=larger_is_better)) for values in both]
     diverged = np.any(baseline["diverged"])
     if diverged or not (np.isfinite(numbers).all() and all(numbers)):
         where, of = ("here", "under pd") if worst is None else ("in every member", "in the mean")
         got = "a walk that diverges under pd" if diverged else f"{numbers[0]:g} {of}"
-        raise ConfigError(f"weights.{metric.name}: expected a metric that pd has {where}, got {got}")
+        raise ConfigError(f"weights.{name}: expected a metric that pd has {where}, got {got}")
     fields = ("baseline", "smooth_baseline", "worst", "smooth_worst")
-    return Term(metric.name, weight, larger_is_better=larger, **dict(zip(fields, numbers, strict=False)))
+    return Term(name, weight, larger_is_better=larger_is_better, **dict(zip(fields, numbers, strict=False)))

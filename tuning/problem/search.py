@@ -22,9 +22,11 @@ OWN_METHOD = "own"  # one that the caller brought, or that `own.method` of the s
 LAYOUTS: tuple[str, ...] = get_args(SpaceName)
 WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}
 ROBUST_WEIGHTS = {**WEIGHTS, "peak_pull_force": 1.0}  # of a search over an ensemble
+LOST = "lost"  # weight of the share of an ensemble's walks that lose a gripper, which then breaks no limit
 OF_WEIGHTS = setting(
     WEIGHTS,
-    "metric to better and its weight, relative to its value under pd; those named take the place of the default",
+    "metric to better and its weight, relative to its value under pd; those named take the place of the default; with "
+    "--ensemble also lost, the share of walks that lose a gripper",
     flag="--weight",
     metavar="METRIC=W",
     default_in_words=", ".join(WEIGHTS),
@@ -159,14 +161,20 @@ class Judge(Settings):
     members: int = setting(128, "walks of each set of gains", ge=1, le=100_000)
 
 
-def check_metrics(search: Search, metrics: "MetricTable", source: str = "search") -> None:
-    """Refuse settings that weigh or limit what is no metric, by a ConfigError with the source and the name."""
+def check_metrics(
+    search: Search, metrics: "MetricTable", source: str = "search", *, over_ensemble: bool = False
+) -> None:
+    """Refuse settings that weigh or limit what is no metric, by a ConfigError with the source and the name.
+
+    Over an ensemble `LOST` may be weighed too.
+    """
     from difflib import get_close_matches
 
     from mjx_climb.walk.metrics import FAILURES
 
     known = [name for name in metrics.names if name not in FAILURES]
-    for name in (*search.weights, *search.limits):
+    weighed = [name for name in search.weights if not (over_ensemble and name == LOST)]
+    for name in (*weighed, *search.limits):
         if name not in known:
             near = get_close_matches(name, known)
             hint = f" (did you mean {' or '.join(near)}?)" if near else ""

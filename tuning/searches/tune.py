@@ -292,7 +292,8 @@ def problem_of(
     """
     if objective is None and scenario.own is not None and scenario.own.objective is not None:
         raise ConfigError(f"own.objective: expected none but in a plain search, got {scenario.own.objective.name}")
-    problem = dataclasses.replace(without_goal(scenario, search, space, **walks), own_objective=objective)
+    problem = without_goal(scenario, search, space, over_ensemble=ensemble is not None, **walks)
+    problem = dataclasses.replace(problem, own_objective=objective)
     if isinstance(objective, Goal):
         return dataclasses.replace(problem, objective=objective)
     table, engine, worst = problem.metrics, problem.engine, None
@@ -315,6 +316,7 @@ def without_goal(
     space: spaces.Space | None = None,
     *,
     metrics: Iterable[mc.Metric] = mc.METRICS,
+    over_ensemble: bool = False,
     **walks: Any,
 ) -> Problem:
     """Return the problem of a search without an objective yet; `walks` are law and engine, `space` as of `problem_of`.
@@ -325,7 +327,7 @@ def without_goal(
     table = mc.MetricTable(metrics)
     if missing := [metric.name for metric in mc.METRICS if metric not in table]:
         raise ConfigError(f"metrics: expected the shipped {missing[0]} among them, as in METRICS + (mine,)")
-    search_settings.check_metrics(search, table)
+    search_settings.check_metrics(search, table, over_ensemble=over_ensemble)
     space, dtype = space or spaces.space(scenario, search, walks.get("law")), np.dtype(search.precision).type
     if search.method != OWN_METHOD and method_of(search.method).gradients and not space.smooth.all():
         times = ", ".join(name for name, smooth in zip(space.names, space.smooth, strict=True) if not smooth)

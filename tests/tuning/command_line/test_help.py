@@ -84,7 +84,7 @@ def test_shells_complete_options_and_their_values(shell):
         ("mjx-climb run case_2 --engine ", list(get_args(EngineName))),
         ("mjx-climb run case_2 --controller base", ["base_admittance"]),
         ("mjx-climb tune case_2 --space ", list(search.LAYOUTS)),
-        ("mjx-climb tune case_2 --ensemble e", ["ensemble", "ensemble_dynamixel_x", "ensemble_mx_64"]),
+        ("mjx-climb tune case_2 --ensemble e", shipped.ensembles()),
         ("mjx-climb tune case_2 --against min_", ["min_tsm", "min_gia_margin"]),
     ],
 )

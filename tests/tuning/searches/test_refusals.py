@@ -56,6 +56,7 @@ def draw(**hardware):
         (space(pins={"damping": 1, "stiffness": 1}), "pins: expected a gain left to search, got none"),
         (search(weights={"speed": 1}), "search: 'speed' is no metric to weigh or limit"),
         (search(weights={"lowest_base": 1.0}), "search: 'lowest_base' is no metric to weigh or limit"),
+        (search(weights={"lost": 1.0}), "search: 'lost' is no metric to weigh or limit"),  # of a single walk
         (search(bounds={"damping": [2, 1]}), "search: bounds.damping: expected low < high, got 2, 1"),
         (search(metrics=(OWN,)), "metrics: expected the shipped peak_foot_force among them"),
         (search(method="grid", space="diagonal"), "method: expected at most 4 numbers to search by grid, got 12: pin"),

@@ -9,6 +9,7 @@ import xarray as xr
 
 import mjx_climb as mc
 import tuning
+from mjx_climb.control import Recovering
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.scenario.load import load_hardware, with_hardware
@@ -18,7 +19,7 @@ from tuning.comparisons import compare, judge
 from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble, Worst, draw, worst_mean
 from tuning.problem.evaluation import Problem, pd_of
-from tuning.problem.objectives import Objective, Term, objective
+from tuning.problem.objectives import Limit, Objective, Term, objective
 from tuning.searches import tune
 from tuning.searches.shards import Rows
 
@@ -191,6 +192,38 @@ def test_mean_and_worst_count_by_their_weights():
     metrics = {"force_variation": [[1.0], [3.0]], "travel": [[1.5], [3.5]], "diverged": [[False], [False]]}
     value = goal.score({name: np.array(values) for name, values in metrics.items()}).value[0]
     assert value == pytest.approx((3 * (0.75 + 0.25 * 3 / 4) + (0.75 * (2 - 2.5 / 2) + 0.25 * (2 - 1.5))) / 4)
+
+
+def test_walks_that_lose_a_gripper_count_by_their_number_and_break_no_limit():
+    """Of four walks pd loses three, these gains two; the limit binds in those that hold alone."""
+    terms = (Term("lost", 1.0, 0.75, 0.75, worst=1.0),)
+    limits = (Limit("base_deviation", 0.01, 0.01, 0.0, ""),)
+    goal = Objective(terms, limits, worst=Worst(share=0.25, weight=0.5), holding_limit=15.0)
+    metrics = {"peak_pull_force": [[14.0], [15.5], [3.0], [90.0]], "base_deviation": [[0.0], [1.0], [0.0], [1.0]]}
+    rows = {name: np.array(values) for name, values in metrics.items()} | {"diverged": np.zeros((4, 1), bool)}
+    score = goal.score(rows)
+    assert float(score.value[0]) == pytest.approx(0.5 * 0.5 / 0.75 + 0.5)
+    assert score.feasible.tolist() == [True] and float(score.penalty[0]) == 0.0
+    rows["base_deviation"][2] = 0.02
+    assert goal.score(rows).feasible.tolist() == [False]
+
+
+@pytest.mark.slow
+def test_a_search_over_large_pushes_finds_thresholds_with_which_more_walks_hold():
+    """Under pd's stiff gains, on walks of the search and on others; at their upper bounds thresholds interrupt none."""
+    scenario = mc.load_scenario(config_path("case_2.yaml"), {"duration": 2.5})
+    scenario = with_hardware(scenario, load_hardware("dynamixel_x"))
+    pushes = Ensemble.load(config_path("ensemble_large_pushes.yaml")).pushes.model_copy(update={"start": (0.2, 0.7)})
+    large = Ensemble.load(config_path("ensemble_large_pushes.yaml"), members=16, pushes=pushes)
+    found = tuning.robust(
+        scenario, large, method="cmaes", law=Recovering(), joint_gains=False, starts=12, iterations=4,
+        weights={"lost": 1.0},
+    )  # fmt: skip
+    problem = found.problem
+    points = np.stack([found.theta, problem.space.upper] * 6)  # as many as walked: the same compiled program
+    for parameters in (problem.parameters, draw(scenario, judge.fresh(large))):
+        value = dataclasses.replace(problem, parameters=parameters).evaluate(points).value[:2]
+        assert value[0] < 0.8 * value[1], value
 
 
 @pytest.mark.slow
