@@ -789,7 +789,7 @@ class Scenario(v.Section):
     @property
     def planning_steps(self) -> int:
         """Number of time steps of a planning period: the nearest number that divides the walk."""
-        wanted = max(1.0, self.gait.planning_period / self.time_step)
+        wanted = min(max(1.0, self.gait.planning_period / self.time_step), self.steps)
         low, high = (
             next(n for n in range(start, stop, way) if self.steps % n == 0)
             for start, stop, way in ((math.floor(wanted), 0, -1), (math.ceil(wanted), self.steps + 1, 1))

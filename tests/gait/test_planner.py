@@ -291,6 +291,11 @@ def test_the_choice_is_part_of_the_parameters():
     assert jax.tree.leaves(ClimbLab()) == [0.1]
 
 
+def test_a_walk_shorter_than_a_period_of_the_planner_is_one_period(scenario):
+    short = scenario.with_overrides({"duration": 0.05, "gait.planning_period": 0.1})
+    assert short.planning_steps == short.steps
+
+
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_step_by_step_it_is_the_same_walk(scenario):
