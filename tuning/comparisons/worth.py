@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from mjx_climb.gait.recovery import recovery_of
 from tuning.comparisons import judge, paired
 from tuning.comparisons.side_by_side import VARIATION, Values, differences
 from tuning.problem.evaluation import Problem
@@ -59,6 +60,7 @@ def worth_of(
     place: str = "",
     others: tuple[Sequence[str], Sequence[str]] = ((), ()),
     over: OverWalks | None = None,
+    what: str = "the force sensor",
 ) -> Worth:
     """Return the worth of a force sensor.
 
@@ -72,27 +74,28 @@ def worth_of(
         place: where the gains were searched, if that is not all there is.
         others: what else is worse, and what is better, in words.
         over: how far the change of the first value is known, of several walks.
+        what: what pd retuned lacks, in words.
     """
     own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
     than = f"pd with {own}, which needs none"
     than += "" if rival.feasible else " (and breaks a limit)"
     changes = {name: values[name] / without[name] - 1 for name in values}
     if not all(map(math.isfinite, changes.values())):
-        return Worth(changes, f"the force sensor: not to be compared with {than}: a walk failed")
+        return Worth(changes, f"{what}: not to be compared with {than}: a walk failed")
     first = next(iter(changes.values()))
     if over is not None and over.low <= 0 <= over.high:
-        verdict = f"{over.walks} walks cannot tell what the force sensor is worth{place}"
+        verdict = f"{over.walks} walks cannot tell what {what} is worth{place}"
         if math.isfinite(over.needed):
             verdict += f" ({math.ceil(over.needed):,} would, if the difference is what it seems)"
     elif abs(first) <= ANOTHER_SEED:
         less = f"differences of less than {100 * ANOTHER_SEED:.0f} %"
-        verdict = f"no verdict on the force sensor{place}, since another search may turn {less} round"
+        verdict = f"no verdict on {what}{place}, since another search may turn {less} round"
     elif not (first > 0 if larger else first < 0):
-        verdict = f"the force sensor does not pay{place}"
+        verdict = f"{what} does not pay{place}"
     elif rival.lacks:
-        verdict = f"no verdict on the force sensor, since pd was searched {rival.lacks}"
+        verdict = f"no verdict on {what}, since pd was searched {rival.lacks}"
     else:
-        verdict = "the force sensor pays"
+        verdict = f"{what} pays"
     said, ends = "", "" if over is None else f" (95 % interval {100 * over.low:+.1f} to {100 * over.high:+.1f} %)"
     for name, change in changes.items():  # the objective may be less though one of its terms is more
         link = " and " if (change < 0) == (first < 0) else ", though "
@@ -111,7 +114,9 @@ def between(
     """Return the worth of a force sensor, from the metrics and scores of ours and of pd retuned."""
     (ours, theirs), (values, without) = metrics, scored
     others = differences(ours, theirs, problem.metrics, but=(VARIATION,))
-    return worth_of(values, without, rival, place=place, others=others, over=over)
+    recovers = problem.law is not None and recovery_of(problem.law, None) is not None
+    what = "the force sensor with the recovery" if recovers else "the force sensor"
+    return worth_of(values, without, rival, place=place, others=others, over=over, what=what)
 
 
 def of_front(found: Front) -> str:

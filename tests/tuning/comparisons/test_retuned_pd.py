@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.control import LoadTransfer, Recovering
 from mjx_climb.inputs.time_step import short_enough
 from tuning.background import ignore
 from tuning.comparisons import side_by_side
-from tuning.comparisons.worth import OverWalks, worth_of
+from tuning.comparisons.worth import OverWalks, between, worth_of
+from tuning.problem.evaluation import Problem
 from tuning.searches import retuned_pd
 
 CASE = mc.load_scenario("case_1_2")
@@ -153,6 +155,17 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
     assert worth({"min_tsm": 3.0}, {"min_tsm": 2.0}, RIVAL, larger=True).in_words.startswith("the force sensor pays")
     lost = worth({"force_variation": np.nan}, THEIRS, RIVAL).in_words
     assert "not to be compared" in lost and lost.endswith("a walk failed")
+
+
+@pytest.mark.parametrize(
+    ("law", "what"),
+    [(LoadTransfer(), "the force sensor pays"), (Recovering(), "the force sensor with the recovery pays")],
+)
+def test_what_a_recovery_saves_is_not_put_down_to_the_sensor_alone(law, what):
+    """Of a law that steps to recover pd retuned lacks both."""
+    problem, ours = Problem(CASE, law=law), {"force_variation": 30.0}
+    both = [{name: np.ones(1) for name in mc.METRICS.names}] * 2
+    assert between(both, (ours, {"force_variation": 40.0}), RIVAL, problem).in_words.startswith(f"{what}:")
 
 
 @pytest.mark.parametrize(("kd", "expected"), [(0.2, None), (1.0, 5e-4)])
