@@ -164,7 +164,7 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
 def test_what_a_recovery_saves_is_not_put_down_to_the_sensor_alone(law, what):
     """Of a law that steps to recover pd retuned lacks both."""
     problem, ours = Problem(CASE, law=law), {"force_variation": 30.0}
-    both = [{name: np.ones(1) for name in mc.METRICS.names}] * 2
+    both = [dict.fromkeys(mc.METRICS.names, 1.0)] * 2
     assert between(both, (ours, {"force_variation": 40.0}), RIVAL, problem).in_words.startswith(f"{what}:")
 
 
