@@ -61,7 +61,9 @@ def over_robots(function: Callable[..., _Result], *, regions: bool | None = None
     """
 
     def call(*arguments: PyTree) -> _Result:
-        traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        # XLA's default for float32 on a GPU is TF32, of ten bits
+        with jax.default_matmul_precision("highest"):
+            traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         constants = list(zip(traced.jaxpr.constvars, traced.consts, strict=True))
         # traced values that the program closes over become its first arguments
         outside = [(variable, value) for variable, value in constants if isinstance(value, jax.core.Tracer)]

@@ -284,3 +284,10 @@ def test_a_branch_with_a_loop_is_carried_out_where_a_robot_takes_it():
     np.testing.assert_allclose(
         tangents, jax.jvp(lambda v: plain(numbers, v)[0], (vectors,), (jnp.ones_like(vectors),))[1]
     )
+
+
+def test_products_are_of_whole_single_precision_on_gpus_too():
+    """There XLA's own are of ten bits."""
+    product = over_robots(lambda matrix: matrix @ matrix, regions=False)
+    text = jax.jit(product).lower(np.ones((3, 3), "f4")).as_text()
+    assert text.count("dot_general") == text.count("precision = [HIGHEST, HIGHEST]") == 1
