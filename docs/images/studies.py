@@ -337,14 +337,19 @@ def climb() -> Figure:
     counts: dict[str, dict[str, np.ndarray]] = {}
     for row in table("climb", ground="rock"):
         robot, law, rule = (row[name].replace("_", " ") for name in ("robot", "law", "rule"))
+        if rule.startswith("climblab"):  # none arrives
+            continue
         robot = robot.replace("hubrobo", "HubRobo")
         labels = [f"{robot}, {rule}" + ("" if law == "base admittance" else f", {law}")]
-        if (robot, law, rule) == ("HubRobo", "base admittance", "best margin"):
+        if (robot, law, rule) == ("HubRobo", "base admittance", "least use"):
             labels.insert(0, f"{row['angle']}°" + (f", {of_angle[row['angle']]}" if row["angle"] in of_angle else ""))
         for label in labels:
             own = counts.setdefault(f"{float(row['density']):g} holds a m²", {})
             own[label] = own.get(label, np.zeros(2)) + np.array([int(row["arrived"]), int(row["of"])])
-    order = sorted(dict.fromkeys(label for own in counts.values() for label in own), key=lambda label: "°" not in label)
+    order = sorted(
+        dict.fromkeys(label for own in counts.values() for label in own),
+        key=lambda label: ("°" not in label, label[:3] == "hex"),
+    )
     series = {name: {label: share(*own[label]) for label in order} for name, own in counts.items()}
     return plain(series, "climbs that come 2 m far, %", None, columns=2)
 
