@@ -283,7 +283,7 @@ class CudaWriter(Writer):
         return carried
 
     def _table_of(self, numbers: Sequence[Shared]) -> str:
-        """Return what a loop reads at {0}: an argument, or else an array of a thread's own."""
+        """Return the source of numbers that a loop reads at {0}: an argument, or else an array of a thread's own."""
         rows = [self._rows.get(number.content) if isinstance(number, Value) else None for number in numbers]
         known = [row for row in rows if row is not None]
         if len(known) == len(numbers) and len({of for of, _ in known}) == 1:

@@ -81,7 +81,7 @@ class Writer(Protocol):
         raise Unsupported("a loop")
 
     def branch(self, taken: Shared, before: Sequence[Shared], make: Callable[[], Sequence[Shared]]) -> list[Value]:
-        """Return what `make` gives where `taken`, the same in all lanes of a robot, is true, `before` elsewhere."""
+        """Return the numbers of `make` where `taken`, the same in all lanes of a robot, is true, `before` elsewhere."""
         raise Unsupported("a branch of its own")
 
 
