@@ -235,7 +235,7 @@ class Walks:
 
     def judge(self, targets: Float[np.ndarray, "N time limb joint"], parameters: mc.Parameters) -> Scored:
         """Return the scores of walks under joint targets."""
-        return _scored(self._walked(judged, targets, parameters, 1.0))
+        return _scored(self._walked(judged, targets, parameters, 1.0, kernel=self.dtype == np.float32))
 
     def _in_forward_mode(self, freedom: "Freedom") -> bool:
         if self.dtype != np.float32 or self.asked.structure.planning or freedom.knots.steps % freedom.knots.every:
@@ -248,7 +248,7 @@ class Walks:
         self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
     ) -> tuple[Scored, np.ndarray]:
         targets = freedom.targets(x)
-        found = self._walked(scored, targets.reshape(-1, *targets.shape[2:]), parameters, sharp)
+        found = self._walked(scored, targets.reshape(-1, *targets.shape[2:]), parameters, sharp, kernel=False)
         slopes = found.pop("_slopes").reshape(targets.shape)
         return _scored(found), freedom.slopes(x, slopes)
 
@@ -272,14 +272,20 @@ class Walks:
         return _scored(found), freedom.slopes_of_sets(tangents["_along"].reshape(offsets.shape))
 
     def _walked(
-        self, function: Callable[..., dict[str, Array]], targets: np.ndarray, parameters: mc.Parameters, sharp: float
+        self,
+        function: Callable[..., dict[str, Array]],
+        targets: np.ndarray,
+        parameters: mc.Parameters,
+        sharp: float,
+        *,
+        kernel: bool,
     ) -> dict[str, np.ndarray]:
-        count, at_once = len(targets), _at_once(len(targets))
+        count, at_once = len(targets), _at_once(len(targets), kernel=kernel)
         rows = np.arange(-(-count // at_once) * at_once) % count
         parameters = jax.tree.map(lambda value: value[rows], parameters)
         given, axes = self._given(parameters, sharp)
         batch = execution.Robots((targets[rows].astype(self.dtype), *given), (3, *axes), (len(rows),))
-        found = execution.run(function, self.asked, batch, batch_size=at_once, over_time=True)
+        found = execution.run(function, self.asked, batch, batch_size=at_once, over_time=not kernel)
         return {name: value[:count] for name, value in found.items()}
 
     def _given(self, parameters: mc.Parameters, sharp: float) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
@@ -325,9 +331,9 @@ def walks_of(
     return Walks(asked, numbers, dtype)
 
 
-def _at_once(count: int) -> int:
+def _at_once(count: int, *, kernel: bool) -> int:
     """Return how many robots walk in a call: on a CPU a share for each core, a power of 2 for few programs."""
-    if jax.default_backend() != "cpu" and paths.device_for(count, 0, kernel=False) is None:
+    if jax.default_backend() != "cpu" and paths.device_for(count, 0, kernel=kernel) is None:
         return count
     share = max(-(-count // devices.usable_cores()), _AT_LEAST)
     return min(1 << (share - 1).bit_length(), _AT_ONCE if count > 8 else 2)
