@@ -258,14 +258,14 @@ class Walks:
         offsets, steering = freedom.steering(x, self.dtype)
         given, axes = self._given(parameters, sharp)
         count, one = len(offsets), offsets[0]
-        directions: np.ndarray = np.eye(one.size, dtype=self.dtype).reshape(-1, *one.shape)
+        directions: np.ndarray = np.eye(one.size, dtype=self.dtype).reshape(1, -1, *one.shape)
         # every direction has a copy of the plan that it starts from; calls are of equal size
         calls = math.ceil(count * one.size * steering.base[0].nbytes / _BYTES)
         batch = execution.Robots(
             (offsets, steering, *given),
             (one.ndim, jax.tree.map(lambda value: value.ndim - 1, steering), *axes),
             (count,),
-            np.broadcast_to(directions, (count, *directions.shape)),
+            directions,
         )
         found, tangents = execution.run(steered, self.asked, batch, batch_size=math.ceil(count / calls))
         del found["_along"]
