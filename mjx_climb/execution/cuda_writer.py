@@ -294,7 +294,7 @@ class CudaWriter(Writer):
         return carried
 
     def _table_of(self, numbers: Sequence[Shared]) -> str | _Rows:
-        """Return what a loop reads: rows of an argument at equal distances, or else the name of an own array."""
+        """Return where a loop reads: in rows of an argument at equal distances, or else in an own array, by name."""
         rows = [self._rows.get(number.content) if isinstance(number, Value) else None for number in numbers]
         known = [row for row in rows if row is not None]
         if len(known) == len(numbers) and len({row[:2] for row in known}) == 1:
@@ -309,7 +309,7 @@ class CudaWriter(Writer):
         return name
 
     def _read_at(self, time: str, table: str | _Rows, dtype: np.dtype) -> Value:
-        """Return what a loop reads in a step; a loop within it may read rows of the same argument."""
+        """Return a number that a loop reads in a step; a loop within it may read rows of the same argument."""
         if isinstance(table, str):
             return self._value(dtype, f"{table}[{time}]")
         of, outer, first, stride = table

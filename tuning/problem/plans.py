@@ -297,7 +297,7 @@ class Walks:
 
 
 def _scored(found: dict[str, np.ndarray]) -> Scored:
-    """Return what `_followed` found of walks."""
+    """Return the scores of walks from the results of their function."""
     value, merit, feasible = (found.pop(f"_{name}") for name in ("value", "merit", "feasible"))
     return Scored(value, np.where(np.isfinite(merit), merit, np.inf), feasible, found)
 
