@@ -49,13 +49,18 @@ def metrics_of(structure: Structure, law: Law, parameters: Parameters, scan: Sca
 
 
 def metrics_under(
-    structure: Structure, law: Law, parameters: Parameters, targets: Float[Array, "time limb joint"]
+    structure: Structure,
+    law: Law,
+    parameters: Parameters,
+    targets: Float[Array, "time limb joint"],
+    scan: Scan | None = None,
 ) -> Metrics:
     """Return the metrics of a walk whose joint targets, rad, take the law's place, to be differentiated by them.
 
-    Reverse mode costs as much for one target as for all of them, see `_checkpointed`.
+    Reverse mode costs as much for one target as for all of them, see `_checkpointed`. Another `scan` may change the
+    targets that it reads before the step gets them.
     """
-    return _walked(structure, law, parameters, lambda sample: (), _checkpointed, targets)[0]
+    return _walked(structure, law, parameters, lambda sample: (), scan or _checkpointed, targets)[0]
 
 
 def metrics_of_moved(

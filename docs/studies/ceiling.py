@@ -3,15 +3,13 @@
     python docs/studies/ceiling.py results/ceiling [--only dynamixel_x_1_2] [--iterations 80] [--knots 0.2,0.1,0.05]
 
 Every row has a folder with its page; a row whose page is there is not searched again, so that a stopped study goes on,
-and rows may be searched side by side by several processes. `rows.csv` has the contestants of all rows. Reverse mode has
-no kernel of its own on a GPU, so that up to 1000 walks go to the cores of its host here; the variable MJX_CLIMB_ON_CPU
-sets another limit.
+and rows may be searched side by side by several processes. `rows.csv` has the contestants of all rows. Derivatives
+are in forward mode on a GPU and in reverse mode on a CPU.
 """
 
 import argparse
 import csv
 import json
-import os
 import time
 from pathlib import Path
 
@@ -100,7 +98,6 @@ def main() -> None:
     parser.add_argument("--better", default=Ceiling().better, help="metric of a front")
     parser.add_argument("--against", help="metric that it is traded against")
     asked = parser.parse_args()
-    os.environ.setdefault("MJX_CLIMB_ON_CPU", "1000")
     names = ("iterations", "knots", "delays", "random", "test_members", "better", "against")
     how = {name: getattr(asked, name) for name in names}
     settings = Ceiling(weights=WEIGHTS, **how)

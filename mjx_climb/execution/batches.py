@@ -55,9 +55,8 @@ class Robots(NamedTuple):
     arguments: Sequence[PyTree]  # trees of numpy arrays, whose leading axes broadcast to `shape`
     axes: Sequence[PyTree]  # the same trees; in place of each array the number of axes that the value of one robot has
     shape: tuple[int, ...]  # the batch axes
-    directions: PyTree = (
-        None  # a tree like `arguments[0]` of arrays (*shape, k, ...) along which tangents are asked for
-    )
+    # a tree like `arguments[0]` of arrays (*shape, k, ...) of tangents; with axes of 1 for all robots
+    directions: PyTree = None
 
 
 def run(
@@ -232,8 +231,11 @@ def _carried_out(call: _Call, *trees: PyTree) -> PyTree:
         if not call.tangents:
             return gpu_kernel.over_robots(function, call.batched)(*trees)
         *given, directions = trees
-        batched = call.batched[: -len(jax.tree.leaves(directions))]
-        values, tangents = gpu_kernel.tangents_over_robots(function, batched)(directions, *given)
+        every, (along, tree) = zip(jax.tree.leaves(trees), call.batched, strict=True), jax.tree.flatten(directions)
+        robots, batched = next(len(leaf) for leaf, own in every if own), call.batched[: -len(along)]
+        own = zip(along, call.batched[-len(along) :], strict=True)
+        along = [leaf if own else jnp.broadcast_to(leaf, (robots, *leaf.shape)) for leaf, own in own]
+        values, tangents = gpu_kernel.tangents_over_robots(function, batched)(jax.tree.unflatten(tree, along), *given)
         return values | {_TANGENT + name: value for name, value in tangents.items() if value is not None}
     one = over_robots(function, regions=call.path == "regions")
     if not call.batched:

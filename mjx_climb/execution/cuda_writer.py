@@ -6,6 +6,7 @@ arctangent are written out here: CUDA's own carry code for arguments beyond 1e5,
 
 import re
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jax import lax
@@ -188,6 +189,15 @@ __syncthreads();
 """
 
 
+class _Rows(NamedTuple):
+    """Rows of an argument that a loop reads one after the other."""
+
+    of: str
+    outer: str  # what the loops around it add
+    first: int
+    stride: int
+
+
 class CudaWriter(Writer):
     """Writes a function of one robot down, line by line; `source` is the whole kernel.
 
@@ -201,14 +211,15 @@ class CudaWriter(Writer):
         self._count = 0
         self._table: list[int] = []  # words of constants that differ from lane to lane
         self._read = {"own": 0, "common": 1}
-        self._rows: dict[str, tuple[str, int]] = {}  # names of arguments, and their rows
+        # by the name of an argument's word: the argument, and its row as a sum of what loops add and a place
+        self._rows: dict[str, tuple[str, str, int]] = {}
 
     def read(self, of: str, dtype: DTypeLike) -> Value:
         """Return the next number of the robot's `own`, or of the `common` ones."""
         row = self._read[of]
         self._read[of] += 1
         value = self._value(dtype, _from_word(_word(of, str(row)), dtype))
-        self._rows[value.content] = of, row
+        self._rows[value.content] = of, "", row
         return value
 
     def source(self, results: Sequence[Number]) -> str:
@@ -278,24 +289,33 @@ class CudaWriter(Writer):
         self._count += 1
         time = f"t{self._count}"
         self._lines += ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
-        now = [self._value(row[0].dtype, table.format(time)) for row, table in zip(read, tables, strict=True)]
+        now = [self._read_at(time, table, row[0].dtype) for row, table in zip(read, tables, strict=True)]
         self._assign(carried, step(list(carried), now))
         return carried
 
-    def _table_of(self, numbers: Sequence[Shared]) -> str:
-        """Return the source of numbers that a loop reads at {0}: an argument, or else an array of a thread's own."""
+    def _table_of(self, numbers: Sequence[Shared]) -> str | _Rows:
+        """Return where a loop reads: in rows of an argument at equal distances, or else in an own array, by name."""
         rows = [self._rows.get(number.content) if isinstance(number, Value) else None for number in numbers]
         known = [row for row in rows if row is not None]
-        if len(known) == len(numbers) and len({of for of, _ in known}) == 1:
-            (of, first), places = known[0], np.array([place for _, place in known])
+        if len(known) == len(numbers) and len({row[:2] for row in known}) == 1:
+            (of, outer, first), places = known[0], np.array([place for *_, place in known])
             stride = int(places[1] - first) if len(places) > 1 else 0
             if (np.diff(places) == stride).all():
-                return _from_word(_word(of, f"({first} + {stride} * {{0}})"), numbers[0].dtype)
+                return _Rows(of, outer, first, stride)
         self._count += 1
         name = f"v{self._count}"
         each = ", ".join(map(_text, numbers))
         self._lines.append(f"const {typed(numbers[0].dtype)} {name}[{len(numbers)}] = {{{each}}};")
-        return f"{name}[{{0}}]"
+        return name
+
+    def _read_at(self, time: str, table: str | _Rows, dtype: np.dtype) -> Value:
+        """Return a number that a loop reads in a step; a loop within it may read rows of the same argument."""
+        if isinstance(table, str):
+            return self._value(dtype, f"{table}[{time}]")
+        of, outer, first, stride = table
+        value = self._value(dtype, _from_word(_word(of, f"({outer}{first} + {stride} * {time})"), dtype))
+        self._rows[value.content] = of, f"{outer}{stride} * {time} + ", first
+        return value
 
     def branch(self, taken: Shared, before: Sequence[Shared], make: Callable[[], Sequence[Shared]]) -> list[Value]:
         carried = self._variables(before)

@@ -227,7 +227,7 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
     common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
     body = equation.params["jaxpr"]
     steps, few = equation.params["length"], equation.params["length"] * len(body.jaxpr.eqns) <= MOST_WRITTEN_OUT
-    if len(body.jaxpr.outvars) > carry or _searches(equation) or (read and few):
+    if len(body.jaxpr.outvars) > carry or _searches(equation) or (read and few and not _loops(body)):
         return _written_out(do, equation.params, common, start, read)
     axes = [do.limbs.of(variable) for variable in body.jaxpr.invars[constants:]]
     carry_of = _Shapes([aval_of(variable) for variable in body.jaxpr.outvars], axes[:carry])
@@ -305,9 +305,12 @@ def _branched(do: Operations, equation: core.JaxprEqn, which: Elements, operands
 
 def _is_long(program: core.ClosedJaxpr) -> bool:
     """Return whether a branch is too long to be computed by all robots."""
-    equations = program.jaxpr.eqns
-    loops = any(equation.primitive.name == "scan" and not _searches(equation) for equation in equations)
-    return loops or len(equations) > MOST_OF_BRANCHES
+    return _loops(program) or len(program.jaxpr.eqns) > MOST_OF_BRANCHES
+
+
+def _loops(program: core.ClosedJaxpr) -> bool:
+    """Return whether a program has a loop that is not written out as a search is."""
+    return any(equation.primitive.name == "scan" and not _searches(equation) for equation in program.jaxpr.eqns)
 
 
 def _written_out(

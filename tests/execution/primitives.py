@@ -1,5 +1,7 @@
 """One function for each of many operations of JAX's, each of a vector, a small matrix and a whole number."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +25,11 @@ def _read(carry, given, number):
     for _ in range(150):
         carry = carry * 0.9 + row * own
     return carry - number, None
+
+
+def _row_by_row(carry, given, number, reverse):
+    """Return the next carry of a loop that reads rows of two tables, of which another loop reads the elements."""
+    return lax.scan(lambda carry, each: _read(carry, each, number), carry, given, reverse=reverse)
 
 
 def _draw(vector, matrix, number):
@@ -143,6 +150,11 @@ KNOWN = {
     "a loop that reads": lambda v, m, n: [
         lax.scan(lambda c, row: _read(c, row, n), v, rows, reverse=reverse)[0]
         for rows in ((m, jnp.arange(4)), (v, TABLE[:3]), (jnp.sin(m), m[:, 0] > 0))
+        for reverse in (False, True)
+    ],
+    "a loop in a loop that reads": lambda v, m, n: [
+        lax.scan(functools.partial(_row_by_row, number=n, reverse=reverse), v, (rows, m), reverse=reverse)[0]
+        for rows in (m, jnp.sin(m))
         for reverse in (False, True)
     ],
     "switch": lambda v, m, n: lax.switch(n, [lambda a: a, lambda a: a * a, lambda a: -a], v),

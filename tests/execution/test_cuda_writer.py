@@ -3,6 +3,7 @@
 import ctypes
 import dataclasses
 import functools
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -171,6 +172,20 @@ def test_a_long_branch_is_taken_by_the_threads_of_a_warp_together():
     assert "cosine(" in before
     assert not any(other in inside for other in ("cosine(", "tanhf(", "expf("))
     assert "?" in after[0]
+
+
+def test_a_loop_in_a_loop_reads_rows_of_an_argument_from_memory():
+    """Rows of the outer loop's row: a thread would keep them all in an array of its own."""
+
+    def function(table, number):
+        inner = lambda carry, row: (sum(jnp.sin(carry * k) for k in range(200)) + row[1], None)  # noqa: E731
+        return jax.lax.scan(lambda carry, rows: (jax.lax.scan(inner, carry, rows)[0], None), number, table)[0]
+
+    with jax.enable_x64(False):
+        text = written(body_of(jax.make_jaxpr(function)(np.ones((5, 7, 2), "f4"), np.float32(1))), [True, False])
+    outer, inner = re.findall(r"for \(int (t\d+) = 0; \1 < [57];", text)
+    assert f"own[(14 * {outer} + 1 + 2 * {inner}) * (size_t)robots + robot]" in text
+    assert not re.search(r"const \S+ v\d+\[", text)
 
 
 @pytest.mark.nightly

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.execution import gpu_kernel, paths
+from mjx_climb.execution import batches, gpu_kernel, paths
 from mjx_climb.execution.gpu_kernel import tangents_over_robots
 from tests.execution import primitives
 
@@ -46,6 +46,21 @@ def test_every_operation_has_jaxs_tangent(name, interpreted):
     refused = pytest.raises(NotImplementedError, match=r"operation custom|nextafter")
     with refused if name in NO_SLOPES else contextlib.nullcontext():
         agree(lambda v, m, n: primitives.KNOWN[name](v, m * v[1], n))
+
+
+def squared(_, vector, number):
+    return {"squared": vector**2 + number}
+
+
+def test_robots_share_directions(interpreted):
+    """In a kernel as by XLA's own."""
+    vectors, rates, _, numbers = own()
+    call = batches._Call(squared, None, (True, True, False), tangents=True)
+    kernel, plain = (
+        batches._carried_out(call._replace(path=path), vectors, numbers, rates[0]) for path in ("kernel", "plain")
+    )
+    assert kernel["tangent of squared"].shape == (ROBOTS, DIRECTIONS, 3)
+    jax.tree.map(np.testing.assert_allclose, kernel, plain)
 
 
 def motion(vector, matrix, number):

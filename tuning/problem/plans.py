@@ -6,6 +6,7 @@ it on late as it does a law's. What is searched are offsets at knots, on straigh
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse
-from jax import Array
-from jaxtyping import Bool, Float, Real
+from jax import Array, lax
+from jaxtyping import Bool, Float, PyTree, Real
 
 import mjx_climb as mc
 from mjx_climb import execution
@@ -26,11 +27,12 @@ from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.walk.metrics import peak
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.structure import Structure, structure
-from mjx_climb.walks import metrics_under
+from mjx_climb.walks import Scan, metrics_under
 from tuning.problem.objectives import Limit, Objective, Term
 
 # robots of a call on one core: four take hardly longer than one, and more than 16 are done no sooner together
 _AT_LEAST, _AT_ONCE = 4, 16
+_BYTES = 4e9  # at most, of the plans of a call in forward mode
 
 
 # --- metrics that limit a plan: without them it could leave its feet where they are, or jerk
@@ -113,13 +115,21 @@ class Numbers(NamedTuple):
     sharp: np.ndarray  # () 0: derivatives of the smooth companions; 1: of the true metrics
 
 
+class Steering(NamedTuple):
+    """What offsets at knots are added to, of one walk."""
+
+    base: np.ndarray  # (time, limb, joint) rad
+    begins: np.ndarray  # (set,) int32, the step from which a set of offsets counts
+    lower: np.ndarray  # (limb, joint) rad, of joint targets
+    upper: np.ndarray
+
+
 class Scored(NamedTuple):
     """What is known about walks under plans, (N,) each."""
 
     value: np.ndarray
     merit: np.ndarray  # value plus penalty, infinite where the walk diverged
     feasible: np.ndarray
-    slopes: np.ndarray | None  # (N, time, limb, joint) derivatives by the joint targets, where asked for
     metrics: dict[str, np.ndarray]
 
 
@@ -129,17 +139,63 @@ def judged(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, paramete
 
 
 def scored(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, parameters: mc.Parameters) -> dict[str, Array]:
-    """Return the score of one walk under joint targets, and its derivatives by them."""
+    """Return the score of one walk under joint targets, and its derivatives by them, in reverse mode."""
     followed = functools.partial(_followed, asked, numbers, law, parameters)
     along, pull_back, found = jax.vjp(followed, targets, has_aux=True)
     return found | {"_slopes": pull_back(jnp.ones_like(along))[0]}
 
 
+def steered(
+    asked: Asked, offsets: Array, steering: Steering, numbers: Numbers, law: mc.Law, parameters: mc.Parameters
+) -> dict[str, Array]:
+    """Return the score of one walk under offsets (set, knot, limb, joint) rad, in forward mode: of `_along` alone.
+
+    There is a whole number of steps between knots.
+    """
+    scan = functools.partial(_between_knots, offsets, steering)
+    along, found = _followed(asked, numbers, law, parameters, jnp.asarray(steering.base), scan)
+    return {"_along": along} | lax.stop_gradient(found)
+
+
+def _between_knots(
+    offsets: Array, steering: Steering, step: Callable[..., PyTree], begun: PyTree, base: Array, *, length: int
+) -> tuple[PyTree, tuple[()]]:
+    """Scan steps under offset joint targets, in a loop over the intervals between knots and one over their steps.
+
+    Nothing is read at a place that is known only in the walk, and no joint target is stored.
+    """
+    knots = jnp.moveaxis(offsets, 1, 0)
+    every = length // (len(knots) - 1)
+
+    def walk_step(carried: tuple[PyTree, Array], base: Array, ends: tuple[Array, Array]) -> tuple[Any, tuple[()]]:
+        carry, number = carried
+        share = lax.rem(number, jnp.int32(every)).astype(base.dtype) / every
+        added = jnp.where((number >= steering.begins)[:, None, None], (1 - share) * ends[0] + share * ends[1], 0.0)
+        whole = base + added.sum(0)
+        # at a limit the offset still counts, as in `Freedom.slopes`
+        below, above = whole < steering.lower, whole > steering.upper
+        targets = jnp.where(below, steering.lower, jnp.where(above, steering.upper, whole))
+        return (step(carry, targets)[0], number + 1), ()
+
+    def walk_interval(carried: tuple[PyTree, Array], given: Any) -> tuple[Any, tuple[()]]:
+        base, *ends = given
+        return lax.scan(functools.partial(walk_step, ends=ends), carried, base)
+
+    parts = base.reshape(-1, every, *base.shape[1:])
+    (last, _), _ = lax.scan(walk_interval, (begun, jnp.int32(0)), (parts, knots[:-1], knots[1:]))
+    return last, ()
+
+
 def _followed(
-    asked: Asked, numbers: Numbers, law: mc.Law, parameters: mc.Parameters, targets: Array
+    asked: Asked,
+    numbers: Numbers,
+    law: mc.Law,
+    parameters: mc.Parameters,
+    targets: Array,
+    scan: Scan | None = None,
 ) -> tuple[Array, dict[str, Array]]:
     """Return the derivatives that follow of one walk, and its metrics and score."""
-    metrics = metrics_under(asked.structure, law, parameters, targets)
+    metrics = metrics_under(asked.structure, law, parameters, targets, scan)
     terms = [
         Term(name, weight, value, smooth, larger)
         for (name, larger), (weight, value, smooth) in zip(asked.terms, numbers.terms, strict=True)
@@ -164,35 +220,86 @@ class Walks:
     dtype: type
 
     def evaluate(
-        self, targets: Float[np.ndarray, "N time limb joint"], parameters: mc.Parameters, *, sharp: float = 0.0
-    ) -> Scored:
-        """Walk robots with parameters (N, ...), of `rows`, under joint targets, and return their scores.
+        self, freedom: "Freedom", x: Float[np.ndarray, "problem variable"], parameters: mc.Parameters, *, sharp: float
+    ) -> tuple[Scored, Float[np.ndarray, "problem variable"]]:
+        """Walk robots with parameters (N, ...), of `rows`, and return their scores and the derivatives of problems.
+
+        In forward mode by the kernel of a GPU, else in reverse mode.
 
         Arguments:
             sharp: 0 for derivatives of the objective with smooth companions of the extremes, 1 for those of the true
                 metrics, or a share between.
         """
-        return self._walked(scored, targets, parameters, sharp)
+        derived = self._forward if self._in_forward_mode(freedom) else self._reverse
+        return derived(freedom, x, parameters, sharp)
 
     def judge(self, targets: Float[np.ndarray, "N time limb joint"], parameters: mc.Parameters) -> Scored:
-        """Return the scores that `evaluate` returns, without derivatives."""
-        return self._walked(judged, targets, parameters, 1.0)
+        """Return the scores of walks under joint targets."""
+        return _scored(self._walked(judged, targets, parameters, 1.0, kernel=self.dtype == np.float32))
+
+    def _in_forward_mode(self, freedom: "Freedom") -> bool:
+        if self.dtype != np.float32 or self.asked.structure.planning or freedom.knots.steps % freedom.knots.every:
+            return False
+        count, directions = math.prod(freedom.base.shape[:2]), freedom.directions
+        on = paths.device_for(count, directions, kernel=True)
+        return on is None and paths.path_for(on, kernel=True) == "kernel"
+
+    def _reverse(
+        self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
+    ) -> tuple[Scored, np.ndarray]:
+        targets = freedom.targets(x)
+        found = self._walked(scored, targets.reshape(-1, *targets.shape[2:]), parameters, sharp, kernel=False)
+        slopes = found.pop("_slopes").reshape(targets.shape)
+        return _scored(found), freedom.slopes(x, slopes)
+
+    def _forward(
+        self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
+    ) -> tuple[Scored, np.ndarray]:
+        offsets, steering = freedom.steering(x, self.dtype)
+        given, axes = self._given(parameters, sharp)
+        count, one = len(offsets), offsets[0]
+        directions: np.ndarray = np.eye(one.size, dtype=self.dtype).reshape(1, -1, *one.shape)
+        # every direction has a copy of the plan that it starts from; calls are of equal size
+        calls = math.ceil(count * one.size * steering.base[0].nbytes / _BYTES)
+        batch = execution.Robots(
+            (offsets, steering, *given),
+            (one.ndim, jax.tree.map(lambda value: value.ndim - 1, steering), *axes),
+            (count,),
+            directions,
+        )
+        found, tangents = execution.run(steered, self.asked, batch, batch_size=math.ceil(count / calls))
+        del found["_along"]
+        return _scored(found), freedom.slopes_of_sets(tangents["_along"].reshape(offsets.shape))
 
     def _walked(
-        self, function: Callable[..., dict[str, Array]], targets: np.ndarray, parameters: mc.Parameters, sharp: float
-    ) -> Scored:
-        count, at_once = len(targets), _at_once(len(targets))
+        self,
+        function: Callable[..., dict[str, Array]],
+        targets: np.ndarray,
+        parameters: mc.Parameters,
+        sharp: float,
+        *,
+        kernel: bool,
+    ) -> dict[str, np.ndarray]:
+        count, at_once = len(targets), _at_once(len(targets), kernel=kernel)
         rows = np.arange(-(-count // at_once) * at_once) % count
+        parameters = jax.tree.map(lambda value: value[rows], parameters)
+        given, axes = self._given(parameters, sharp)
+        batch = execution.Robots((targets[rows].astype(self.dtype), *given), (3, *axes), (len(rows),))
+        found = execution.run(function, self.asked, batch, batch_size=at_once, over_time=not kernel)
+        return {name: value[:count] for name, value in found.items()}
+
+    def _given(self, parameters: mc.Parameters, sharp: float) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """Return the last arguments of a walk, in its precision, and how many axes each of their values has."""
         cast = functools.partial(np.asarray, dtype=self.dtype)
-        numbers = jax.tree.map(cast, self.numbers._replace(sharp=np.asarray(sharp)))
-        robots, law = jax.tree.map(lambda value: cast(value)[rows], parameters), PD()
-        axes = (3, jax.tree.map(np.ndim, numbers), own_axes(law), own_axes(robots))
-        batch = execution.Robots((cast(targets)[rows], numbers, law, robots), axes, (len(rows),))
-        found = execution.run(function, self.asked, batch, batch_size=at_once, over_time=True)
-        found = {name: value[:count] for name, value in found.items()}
-        value, merit, feasible = (found.pop(f"_{name}") for name in ("value", "merit", "feasible"))
-        slopes = found.pop("_slopes", None)
-        return Scored(value, np.where(np.isfinite(merit), merit, np.inf), feasible, slopes, found)
+        numbers, law = self.numbers._replace(sharp=np.asarray(sharp)), PD()
+        axes = jax.tree.map(np.ndim, numbers), own_axes(law), own_axes(parameters)
+        return jax.tree.map(cast, (numbers, law, parameters)), axes
+
+
+def _scored(found: dict[str, np.ndarray]) -> Scored:
+    """Return the scores of walks from the results of their function."""
+    value, merit, feasible = (found.pop(f"_{name}") for name in ("value", "merit", "feasible"))
+    return Scored(value, np.where(np.isfinite(merit), merit, np.inf), feasible, found)
 
 
 def walks_of(
@@ -224,9 +331,9 @@ def walks_of(
     return Walks(asked, numbers, dtype)
 
 
-def _at_once(count: int) -> int:
+def _at_once(count: int, *, kernel: bool) -> int:
     """Return how many robots walk in a call: on a CPU a share for each core, a power of 2 for few programs."""
-    if jax.default_backend() != "cpu" and paths.device_for(count, 0, kernel=False) is None:
+    if jax.default_backend() != "cpu" and paths.device_for(count, 0, kernel=kernel) is None:
         return count
     share = max(-(-count // devices.usable_cores()), _AT_LEAST)
     return min(1 << (share - 1).bit_length(), _AT_ONCE if count > 8 else 2)
@@ -296,6 +403,11 @@ class Freedom:
         return starts, self.common + (0 if self.since is None else members), self.knots.count, *joints
 
     @property
+    def directions(self) -> int:
+        """How many offsets the walk of a member depends on."""
+        return (self.common + (self.since is not None)) * math.prod(self._parts[2:])
+
+    @property
     def _own(self) -> Bool[np.ndarray, "member time 1 1"]:
         """Where members have offsets of their own."""
         assert self.since is not None
@@ -330,10 +442,39 @@ class Freedom:
         """Return derivatives of each problem's mean over its members, from those of each walk by its targets."""
         whole, (low, high) = self._unclipped(x), self._bounds
         moving = np.where((whole < low) | (whole > high), 0.0, of_targets)
-        sets = [moving.mean(1, keepdims=True)] if self.common else []
+        sets = [moving] * self.common + ([] if self.since is None else [self._own * moving])
+        return self.knots.at_knots(self._of_sets(sets)).reshape(self.none.shape)
+
+    def steering(self, x: Float[np.ndarray, "problem variable"], dtype: type) -> tuple[np.ndarray, Steering]:
+        """Return the offsets of each walk, (walk, set, knot, limb, joint), and what they are added to, (walk, ...)."""
+        starts, members, steps = self.base.shape[:3]
+        offsets = x.reshape(self._parts)
+        sets = [np.broadcast_to(offsets[:, :1], (starts, members, *offsets.shape[2:]))] * self.common
+        begins = [np.zeros(members)] * self.common
         if self.since is not None:
-            sets.append(self._own * moving / (moving.shape[1] if self.common else 1))
-        return self.knots.at_knots(np.concatenate(sets, 1)).reshape(self.none.shape)
+            sets.append(offsets[:, self.common :])
+            begins.append(np.minimum(np.ceil(self.since), steps))
+
+        def of_walks(value: np.ndarray, dtype: type = dtype) -> np.ndarray:
+            each = np.broadcast_to(value, (starts, members, *value.shape[2:]))
+            return each.reshape(-1, *value.shape[2:]).astype(dtype)
+
+        lower, upper = (of_walks(bound[:, :, 0]) for bound in self._bounds)
+        steering = Steering(of_walks(self.base), of_walks(np.stack(begins, 1)[None], np.int32), lower, upper)
+        return of_walks(np.stack(sets, 2)), steering
+
+    def slopes_of_sets(
+        self, of_offsets: Float[np.ndarray, "walk set knot limb joint"]
+    ) -> Float[np.ndarray, "problem variable"]:
+        """Return derivatives of each problem's mean over its members, from those of each walk by its offsets."""
+        each = of_offsets.reshape(*self.base.shape[:2], *of_offsets.shape[1:]).astype(float)
+        return self._of_sets([*np.moveaxis(each, 2, 0)]).reshape(self.none.shape)
+
+    def _of_sets(self, sets: list[np.ndarray]) -> np.ndarray:
+        """Return derivatives by sets of offsets, (start, set, ...), from those of each walk, (start, member, ...)."""
+        common = [each.mean(1, keepdims=True) for each in sets[: self.common]]
+        own = [each / (each.shape[1] if self.common else 1) for each in sets[self.common :]]
+        return np.concatenate([*common, *own], 1)
 
     def of_problems(self, of_walks: Float[np.ndarray, " walk"]) -> Float[np.ndarray, " problem"]:
         """Return the value of each problem, from those of its walks, start by start."""

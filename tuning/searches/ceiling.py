@@ -342,10 +342,8 @@ def _search(
 
         def evaluate(x: np.ndarray, sharp: float, of: Freedom = freedom, walked: mc.Parameters = walked) -> Evaluated:
             nonlocal evaluations
-            found = walks.evaluate(_flat(of.targets(x)), walked, sharp=sharp)
+            found, slopes = walks.evaluate(of, x, walked, sharp=sharp)
             contest.progress(name, evaluations := evaluations + 1, in_all)
-            assert found.slopes is not None
-            slopes = of.slopes(x, found.slopes.reshape(of.base.shape))
             return Evaluated(of.of_problems(found.merit), slopes)
 
         step = contest.step * math.sqrt(spacing / asked.knots[0])
@@ -363,13 +361,9 @@ def _search(
         targets, names = freedom.targets(found.x)[best, every][None], names[best, every][None]
         parameters = jax.tree.map(lambda value, pick=best * members + every: value[pick], parameters)
         known = found.merit.reshape(-1, 1 if common else members).min(0)
-    plan = Start(name, targets[0], parameters)
-    return Ended(plan, walks.evaluate(plan.targets, parameters), records)
-
-
-def _flat(targets: np.ndarray) -> np.ndarray:
-    """Return the walks (start, member, ...) in one axis."""
-    return targets.reshape(-1, *targets.shape[2:])
+    ended = Freedom(targets, *free)
+    scored, _ = walks.evaluate(ended, ended.none, parameters, sharp=0.0)
+    return Ended(Start(name, targets[0], parameters), scored, records)
 
 
 def _knots(scenario: mc.Scenario, spacing: float) -> Knots:

@@ -1,5 +1,7 @@
 """Walks under joint targets: the same as under the law that gave them, with exact derivatives, and the least forces."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -82,9 +84,9 @@ def test_derivatives_by_a_knot_are_central_differences():
     x = 1e-3 * rng.normal(size=freedom.none.shape)
 
     def at(x):
-        return walks.evaluate(freedom.targets(x)[0], parameters, sharp=1.0)
+        return walks.evaluate(freedom, x, parameters, sharp=1.0)
 
-    slopes = freedom.slopes(x, at(x).slopes[None])[0]
+    slopes = at(x)[1][0]
     shape = (freedom.knots.count, 4, 3)
     directions = np.zeros((4, x.size))
     for number, place in enumerate([(0, 0, 1), (2, 1, 2), (3, 3, 0)]):
@@ -92,8 +94,30 @@ def test_derivatives_by_a_knot_are_central_differences():
     directions[3] = rng.normal(size=x.size)
     for along in directions:
         off = 1e-7 * along[None]
-        difference = (at(x + off).merit - at(x - off).merit)[0] / 2e-7
+        difference = (at(x + off)[0].merit - at(x - off)[0].merit)[0] / 2e-7
         np.testing.assert_allclose(slopes @ along, difference, rtol=1e-5, atol=1e-7 * abs(slopes).max())
+
+
+@pytest.mark.slow
+def test_forward_and_reverse_mode_agree():
+    """In double precision, two members from two starts, with offsets for all and own ones; one joint at its limit."""
+    scenario = under_pd(mc.load_scenario("case_1_2")).with_overrides(SHORT)
+    parameters = rows(scenario, PD(), None, mc.parameters(scenario), 2)
+    parameters = jax.tree.map(lambda value: np.concatenate([value, value]), parameters)
+    parameters = dataclasses.replace(parameters, cargo_mass=np.array([1.0, 0.5, 1.0, 0.5]))
+    walks = walks_of(scenario, GOAL, parameters, metrics=TABLE, dtype=np.float64)
+    walk = mc.Simulation(scenario, PD(), smooth=True).rollout({}, row(parameters, 0))
+    rng = np.random.default_rng(0)
+    base = np.asarray(walk.joint_targets) + 1e-3 * rng.normal(size=(2, 2, 1, 4, 3))
+    upper = np.full((4, 3), np.pi)
+    upper[1, 2] = base[..., 1, 2].max()
+    freedom = Freedom(base, Knots(100, 25), True, np.array([30.5, 60.0]), -upper - 9, upper)
+    x = 1e-3 * rng.normal(size=freedom.none.shape)
+    assert 0 < (freedom.targets(x) == upper)[..., 1, 2].mean() < 0.9
+    (there, forward), (found, reverse) = (how(freedom, x, parameters, 0.3) for how in (walks._forward, walks._reverse))
+    np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-9 * abs(reverse).max())
+    assert (reverse == 0).any() and np.isfinite(reverse).all() and (reverse != 0).mean() > 0.7
+    np.testing.assert_allclose(there.merit, found.merit, rtol=1e-12)
 
 
 LATE = peak("late_force", "N", "largest foot force late", lambda sample, _: jax.numpy.where(
@@ -138,8 +162,8 @@ def test_a_static_load_on_four_feet_is_shared_as_a_convex_program_shares_it():
         freedom = Freedom(base, Knots(400, every), True, None, -np.full((4, 3), np.pi), np.full((4, 3), np.pi))
 
         def evaluate(x, sharp, freedom=freedom):
-            found = walks.evaluate(freedom.targets(x)[0], parameters, sharp=sharp)
-            return Evaluated(found.merit, freedom.slopes(x, found.slopes[None]))
+            found, slopes = walks.evaluate(freedom, x, parameters, sharp=sharp)
+            return Evaluated(found.merit, slopes)
 
         found = descend(evaluate, freedom.none, 120, step=1e-3, known=known)
         base, known = freedom.targets(found.x), found.merit
@@ -151,4 +175,4 @@ def test_a_static_load_on_four_feet_is_shared_as_a_convex_program_shares_it():
 @pytest.mark.parametrize(("cores", "walks", "share"), [(2, 48, 16), (2, 16, 8), (16, 48, 4), (16, 16, 4), (16, 3, 2)])
 def test_a_call_of_many_walks_holds_four_at_least(monkeypatch, cores, walks, share):
     monkeypatch.setattr(plans.devices, "usable_cores", lambda: cores)
-    assert plans._at_once(walks) == share
+    assert plans._at_once(walks, kernel=False) == share
