@@ -32,7 +32,7 @@ from tuning.problem.objectives import Limit, Objective, Term
 
 # robots of a call on one core: four take hardly longer than one, and more than 16 are done no sooner together
 _AT_LEAST, _AT_ONCE = 4, 16
-_BYTES = 4e9  # at most, of the plans of a call in forward mode
+_BYTES = 2e9  # at most, of the plans of a call in forward mode
 
 
 # --- metrics that limit a plan: without them it could leave its feet where they are, or jerk
