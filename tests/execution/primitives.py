@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-TABLE = np.linspace(-1.0, 2.0, 5)
+TABLE, MANY = np.linspace(-1.0, 2.0, 5), np.linspace(-1.0, 2.0, 100)
 FRAME = np.array([[1.0, 0.0, -1.0], [0.0, 0.5, 1.0], [2.0, 0.0, 1.0]])
 
 
@@ -19,10 +19,10 @@ def _backwards(vector, matrix, number):
     return lax.scan(lambda carry, row: (carry * 0.5 + row, carry), vector, matrix, reverse=True)
 
 
-def _read(carry, given, number):
+def _read(carry, given, number, times=120):
     """Return the next carry of a loop that is too long to be written out."""
     row, own = given
-    for _ in range(150):
+    for _ in range(times):
         carry = carry * 0.9 + row * own
     return carry - number, None
 
@@ -148,14 +148,12 @@ KNOWN = {
         for which in (v[0] > 0, v[0] <= 0)
     ],
     "a loop that reads": lambda v, m, n: [
-        lax.scan(lambda c, row: _read(c, row, n), v, rows, reverse=reverse)[0]
-        for rows in ((m, jnp.arange(4)), (v, TABLE[:3]), (jnp.sin(m), m[:, 0] > 0))
-        for reverse in (False, True)
+        lax.scan(lambda c, row: _read(c, row, n), v, (v, TABLE[:3]), reverse=True)[0],
+        lax.scan(lambda c, row: _read(c, row, n, 4), v, (v[0] * MANY, MANY > 1))[0],
     ],
     "a loop in a loop that reads": lambda v, m, n: [
         lax.scan(functools.partial(_row_by_row, number=n, reverse=reverse), v, (rows, m), reverse=reverse)[0]
-        for rows in (m, jnp.sin(m))
-        for reverse in (False, True)
+        for rows, reverse in ((m, False), (jnp.sin(m), True))
     ],
     "switch": lambda v, m, n: lax.switch(n, [lambda a: a, lambda a: a * a, lambda a: -a], v),
     "checkpoint": lambda v, m, n: jax.checkpoint(jnp.sin)(v),
