@@ -17,7 +17,7 @@ from climb import BETWEEN, LUNAR, MICRO, WAY, scenario_of
 import mjx_climb as mc
 from mjx_climb.viz.rendering.film import pictures
 
-SIZE, FRAMES_A_SECOND, TIMES_FASTER, QUALITY, TRACE = (400, 320), 8, 10, 24, 0.2
+SIZE, FRAMES_A_SECOND, TIMES_FASTER, QUALITY, TRACE = (400, 320), 8, 10, 10, 0.2
 RAILS = {"rails": 2, "pitch": 0.05, "corner": [-0.4, -BETWEEN["hubrobo"] / 2], "size": [3.0, BETWEEN["hubrobo"]]}
 # of each film: robot, rule, and what else is changed, by the words on a clip
 CLIPS = {
@@ -45,7 +45,7 @@ def main(path: str) -> None:
         way = walk.base_position[-1] - walk.base_position[0]
         print(f"{name}: {way[0]:.2f} m ahead, {int(walk.torn_off.sum())} grips torn off")
     first, *rest = (Image.fromarray(np.concatenate(both, axis=1)) for both in zip(*films, strict=True))
-    how = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0, "quality": QUALITY, "method": 4}
+    how = {"duration": 1000 // FRAMES_A_SECOND, "loop": 0, "quality": QUALITY, "method": 6}
     first.save(path, save_all=True, append_images=rest, **how)
 
 

@@ -74,9 +74,9 @@ class Writer(Protocol):
         read: Sequence[Sequence[Shared]],
         step: Callable[[list[Value], list[Value]], Sequence[Shared]],
     ) -> list[Value]:
-        """Return the last carry of a loop; `step` maps a carry, and what is read in a step, to the next.
+        """Return the last carry of a loop; `step` maps a carry and the numbers that it reads to the next carry.
 
-        Of each number that is read, `read` has one for each step.
+        `read` has the values of each such number at all steps.
         """
         raise Unsupported("a loop")
 

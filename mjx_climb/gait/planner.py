@@ -32,7 +32,7 @@ from mjx_climb.gait.schedule import (
     settled_phase,
 )
 from mjx_climb.gait.swing import rest_to_rest
-from mjx_climb.ground import Holds, pull_of
+from mjx_climb.ground import Holds, pull_within
 from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics
 from mjx_climb.physics.kinematics import UP, Surface
 from mjx_climb.physics.spatial import norm
@@ -201,8 +201,7 @@ def pulls_of_feet(progress: Progress, now: Schedule, surface: Surface | None, ho
 
 def pulls_of_holds(held: Held, holding_force: Array) -> Array:
     """Return the pulls that grips on holds bear, (limb, 3) N, each times the hold's normal; `holding_force` () N."""
-    down = -(held.rows * held.normal[:, None]).sum(2)
-    most = jnp.where(down > 0, held.bound / jnp.where(down > 0, down, 1.0), jnp.inf).min(1, initial=jnp.inf)
+    most = pull_within(-(held.rows * held.normal[:, None]).sum(2), held.bound)
     return pull_of_grip(most, holding_force)[:, None] * held.normal
 
 
@@ -532,8 +531,8 @@ class Candidates(NamedTuple):
         """One of them as rules see it, with the limbs' feet at (limb, 3) m, for grips that bear () N; 0: any."""
         if self.holds is None:
             return Candidate(position, holding_force, jnp.array(UP, position.dtype))
-        normal, *limits = self.holds
-        return Candidate(position, pull_of_grip(pull_of(*limits), holding_force), normal)
+        normal, matrix, bound = self.holds
+        return Candidate(position, pull_of_grip(pull_within(-matrix[..., 2], bound), holding_force), normal)
 
 
 def _best(

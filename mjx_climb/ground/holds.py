@@ -36,7 +36,7 @@ class Holds(Component):
 
     def pulls(self) -> AnyArray:
         """The largest pull along the normal alone that each hold bears, (n,) N; infinite where it bears any."""
-        return pull_of(self.limit_matrix, self.limit_bound)
+        return pull_within(-self.limit_matrix[..., 2], self.limit_bound)
 
     def shown(self) -> Shown:
         """The holds without the padding, for pictures."""
@@ -44,10 +44,10 @@ class Holds(Component):
         return Shown(*(np.asarray(each)[there] for each in (self.position, self.normal, self.pulls())))
 
 
-def pull_of(matrix: AnyArray, bound: AnyArray) -> AnyArray:
-    """Return the largest pull along the normal alone, (...) N, within limits (..., m, 3) and (..., m) N."""
-    xp, down = namespace(bound, matrix), -matrix[..., 2]
-    most = xp.where(down > 0, bound / xp.where(down > 0, down, 1.0), np.inf)
+def pull_within(used: AnyArray, bound: AnyArray) -> AnyArray:
+    """Return the largest pull, (...) N, of which a newton uses up (..., m) N of limits (..., m) N; infinite: any."""
+    xp = namespace(bound, used)
+    most = xp.where(used > 0, bound / xp.where(used > 0, used, 1.0), np.inf)
     return most.min(-1, initial=np.inf)
 
 

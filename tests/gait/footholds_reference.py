@@ -113,7 +113,7 @@ def resting_forces(feet, com, weight):
 
 
 def springs_of_a_base(feet, force, points):
-    """Return what springs at points (m, 3) would bear if feet on equal springs bear forces (n, 3) N.
+    """Return the forces (m, 3) N of springs at points (m, 3) m of a base whose feet on equal springs bear (n, 3) N.
 
     The springs' ends move with the base: its rigid motion is fitted to the forces.
     """
@@ -127,7 +127,7 @@ def springs_of_a_base(feet, force, points):
 
 
 def least_use(position, normals, pulls, allowed, feet, planned, stands, com, weight, distance_weight=1.4):
-    """Return the point (limb,) of the smallest pull over what its grip bears, and of distance from the planned one.
+    """Return the number of the point that each limb takes, (limb,): by use of the grip and distance from the plan.
 
     The pull is that of a spring at the point on a base which hangs on the standing feet, at least three.
     """

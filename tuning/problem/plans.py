@@ -446,7 +446,7 @@ class Freedom:
         return self.knots.at_knots(self._of_sets(sets)).reshape(self.none.shape)
 
     def steering(self, x: Float[np.ndarray, "problem variable"], dtype: type) -> tuple[np.ndarray, Steering]:
-        """Return the offsets of each walk, (walk, set, knot, limb, joint), and what they are added to, (walk, ...)."""
+        """Return the offsets of each walk, (walk, set, knot, limb, joint) rad, and its steering, (walk, ...)."""
         starts, members, steps = self.base.shape[:3]
         offsets = x.reshape(self._parts)
         sets = [np.broadcast_to(offsets[:, :1], (starts, members, *offsets.shape[2:]))] * self.common
