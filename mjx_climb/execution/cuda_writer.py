@@ -174,14 +174,17 @@ _WARP = "0xffffffffu"  # all threads of a warp
 _NAMES = re.compile(r"\bv\d+\b")
 _MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
 
-# Arguments are words of 32 bits: `own` (rows, robots) of each robot, `common` of all, the first of which is the number
-# of robots, and what is written, `made` (rows, robots).
+# Arguments are words of 32 bits: `common` of all, the first of which are the numbers of robots and of directions of
+# each; `own` (rows, robots); `along` (rows, walks), of which a robot has one for each direction. Those that nothing is
+# read of are not there. `made` (rows, walks) is written.
+READ = ("common", "own", "along")
 _HEAD = """
 extern "C" __global__ void __launch_bounds__({threads})
-{name}(const int *__restrict__ own, const int *__restrict__ common, int *__restrict__ made) {{
-const int robots = common[0], thread = blockIdx.x * {threads} + threadIdx.x, lane = thread % {width};
-const bool mine = thread / {width} < robots && lane == 0;
-const int robot = mine || thread / {width} < robots ? thread / {width} : robots - 1;
+{name}({arguments}, int *__restrict__ made) {{
+const int robots = common[0], directions = common[1], walks = robots * directions;
+const int thread = blockIdx.x * {threads} + threadIdx.x, lane = thread % {width};
+const bool there = thread / {width} < walks, mine = there && lane == 0;
+const int walk = there ? thread / {width} : walks - 1, robot = walk / directions;
 """
 _TABLE = """__shared__ int table[{size}];
 for (int place = threadIdx.x; place < {size}; place += blockDim.x) table[place] = constants[place];
@@ -210,12 +213,12 @@ class CudaWriter(Writer):
         self._lines: list[str] = []
         self._count = 0
         self._table: list[int] = []  # words of constants that differ from lane to lane
-        self._read = {"own": 0, "common": 1}
+        self._read = dict.fromkeys(READ, 0) | {"common": 2}
         # by the name of an argument's word: the argument, and its row as a sum of what loops add and a place
         self._rows: dict[str, tuple[str, str, int]] = {}
 
     def read(self, of: str, dtype: DTypeLike) -> Value:
-        """Return the next number of the robot's `own`, or of the `common` ones."""
+        """Return the next number of one of `READ`."""
         row = self._read[of]
         self._read[of] += 1
         value = self._value(dtype, _from_word(_word(of, str(row)), dtype))
@@ -227,7 +230,7 @@ class CudaWriter(Writer):
         rows = []
         for row, number in enumerate(results):
             word = f"__float_as_int({_text(number)})" if typed(number.dtype) == "float" else f"(int){_text(number)}"
-            rows.append(f"if (mine) made[{row} * (size_t)robots + robot] = {word};")
+            rows.append(f"if (mine) made[{row} * (size_t)walks + walk] = {word};")
         # without values that nothing is made of: NVIDIA's compiler would leave them out, but not exchanges of lanes
         read, lines = set(_NAMES.findall("".join(rows))), rows[::-1]
         for line in reversed(self._lines):
@@ -237,7 +240,8 @@ class CudaWriter(Writer):
                 read.update(_NAMES.findall(line))
         size = len(self._table)
         constants = f"__constant__ int constants[{size}] = {{{', '.join(map(str, self._table))}}};\n" if size else ""
-        head = _HEAD.format(threads=THREADS, name=NAME, width=self.width)
+        arguments = ", ".join(f"const int *__restrict__ {of}" for of in READ if self._read[of])
+        head = _HEAD.format(threads=THREADS, name=NAME, width=self.width, arguments=arguments)
         table = _TABLE.format(size=size) if size else ""
         return "\n".join([FUNCTIONS + constants + head + table, *lines[::-1], "}\n"])
 
@@ -354,7 +358,8 @@ def _text(number: Number) -> str:
 
 def _word(of: str, row: str) -> str:
     """Return a word of the arguments."""
-    return f"own[{row} * (size_t)robots + robot]" if of == "own" else f"common[{row}]"
+    own, along = f"own[{row} * (size_t)robots + robot]", f"along[{row} * (size_t)walks + walk]"
+    return {"common": f"common[{row}]", "own": own, "along": along}[of]
 
 
 def _from_word(word: str, dtype: DTypeLike) -> str:

@@ -11,6 +11,7 @@ import functools
 import importlib.metadata
 import importlib.util
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -21,7 +22,7 @@ import numpy as np
 from jax import Array, lax
 from jax.extend import core
 
-from mjx_climb.execution.cuda_writer import NAME, THREADS, CudaWriter
+from mjx_climb.execution.cuda_writer import NAME, READ, THREADS, CudaWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import results
 from mjx_climb.execution.elements import Elements, Shared, Unsupported, Writer, as_array
@@ -82,23 +83,14 @@ def tangents_over_robots(
 
     def mapped(directions: PyTree, *arguments: PyTree) -> tuple[_Result, PyTree]:
         program, shape = _of_one(function, arguments, batched)
-        along = [jnp.asarray(direction) for direction in jax.tree.leaves(directions)]
-        robots, count = along[0].shape[:2]
-        values, own = [*map(jnp.asarray, jax.tree.leaves(arguments))], [*batched]
-        for place, axis in enumerate(batched[: len(along)]):
-            if not axis:  # what moves is the robot's own, as its directions are
-                values[place], own[place] = jnp.broadcast_to(values[place], (robots, *values[place].shape)), True
-        # every direction has threads of its own, and values for itself
-        values = [jnp.repeat(value, count, 0) if axis else value for value, axis in zip(values, own, strict=True)]
-        both, moved = tangents_of(program, [place < len(along) for place in range(len(values))])
-        along = [direction.reshape(robots * count, *direction.shape[2:]) for direction in along]
-        found = _launched(body_of(both), [*values, *along], [*own, *[True] * len(along)])
-        every = [array.reshape(robots, count, *array.shape[1:]) for array in found]
-        results: _Result = jax.tree.unflatten(shape, [array[:, 0] for array in every[: len(moved)]])
-        of_moving = iter(every[len(moved) :])
+        along = jax.tree.leaves(directions)
+        both, moved = tangents_of(program, [place < len(along) for place in range(len(batched))])
+        found = _launched(body_of(both), [*jax.tree.leaves(arguments), *along], [*batched, *[2] * len(along)])
+        results: _Result = jax.tree.unflatten(shape, [array[:, 0] for array in found[: len(moved)]])
+        of_moving = iter(found[len(moved) :])
         tangents = [
             next(of_moving) if moves else jnp.zeros_like(array) if jnp.issubdtype(array.dtype, jnp.floating) else None
-            for array, moves in zip(every, moved, strict=False)
+            for array, moves in zip(found, moved, strict=False)
         ]
         return results, jax.tree.unflatten(shape, tangents)
 
@@ -121,34 +113,39 @@ def body_of(program: core.ClosedJaxpr) -> Body:
     return Body(whole, LimbAxes(whole))
 
 
-def written(body: Body, batched: Sequence[bool]) -> str:
-    """Return the kernel of a body, whose `batched` inputs are the robot's own, in CUDA C."""
+def written(body: Body, axes: Sequence[int]) -> str:
+    """Return the kernel of a body in CUDA C; `axes` as of `_launched`."""
     writer, given = CudaWriter(body.limbs.count), []
-    for aval, axis in zip(body.program.in_avals, batched, strict=True):
-        of = "own" if axis else "common"
-        given.append(as_array((writer.read(of, aval.dtype) for _ in range(aval.size)), aval.shape))
+    for aval, count in zip(body.program.in_avals, axes, strict=True):
+        given.append(as_array((writer.read(READ[count], aval.dtype) for _ in range(aval.size)), aval.shape))
     return writer.source([number for result in body.results(writer, given) for number in result])
 
 
-def _launched(body: Body, arrays: Sequence[Array], batched: Sequence[bool]) -> list[Array]:
-    robots = next(len(array) for array, own in zip(arrays, batched, strict=True) if own)
-    words: dict[bool, list[Array]] = {True: [], False: [jnp.full(1, robots, np.int32)]}  # of each robot, of all
-    for array, own in zip(map(jnp.asarray, arrays), batched, strict=True):
+def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[Array]:
+    """Return the results of a body, with all batch axes that there are.
+
+    Arguments:
+        axes: how many batch axes each array has: none, the robots, or these and the directions of each.
+    """
+    arrays = [*map(jnp.asarray, arrays)]
+    batch = next(array.shape[:count] for array, count in zip(arrays, axes, strict=True) if count == max(axes))
+    words: list[list[Array]] = [[jnp.array([*batch, 1][:2], np.int32)[:, None]], [], []]
+    for array, count in zip(arrays, axes, strict=True):
         if array.dtype.kind != "b" and (array.dtype.itemsize != 4 or array.dtype.kind not in "fiu"):
             raise Unsupported(f"a function of {array.dtype}")
         whole = array.astype(np.int32) if array.dtype.kind == "b" else lax.bitcast_convert_type(array, np.int32)
-        words[own].append(whole.reshape(robots, -1).T if own else whole.reshape(-1))
-    source = ptx(written(body, batched))
-    threads, outputs = robots * CudaWriter(body.limbs.count).width, body.program.out_avals
-    shape = jax.ShapeDtypeStruct((sum(aval.size for aval in outputs), robots), np.int32)
-    given = jnp.concatenate(words[True]), jnp.concatenate(words[False])
-    made = launched(source, NAME, -(-threads // THREADS), THREADS, shape, *given)
+        words[count].append(whole.reshape(math.prod(batch[:count]), -1).T)
+    source = ptx(written(body, axes))
+    walks, outputs = math.prod(batch), body.program.out_avals
+    shape = jax.ShapeDtypeStruct((sum(aval.size for aval in outputs), walks), np.int32)
+    blocks = -(-walks * CudaWriter(body.limbs.count).width // THREADS)
+    made = launched(source, NAME, blocks, THREADS, shape, *(jnp.concatenate(each) for each in words if each))
     parts, found = jnp.split(made, list(itertools.accumulate(aval.size for aval in outputs))[:-1]), []
     for part, aval in zip(parts, outputs, strict=True):
         if aval.dtype.kind != "b" and aval.dtype.itemsize != 4:
             raise Unsupported(f"a function to {aval.dtype}")
         values = part != 0 if aval.dtype.kind == "b" else lax.bitcast_convert_type(part, aval.dtype)
-        found.append(values.T.reshape(robots, *aval.shape))
+        found.append(values.T.reshape(*batch, *aval.shape))
     return found
 
 

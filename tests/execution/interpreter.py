@@ -1,5 +1,7 @@
 """Kernels carried out by XLA's own operations, on any device and in any precision, in place of CUDA C."""
 
+import math
+
 import jax.numpy as jnp
 from jax import lax
 
@@ -40,16 +42,20 @@ class Interpreter(ArrayWriter):
         return self.rows(mine, (1, *self.batch))[0]
 
 
-def launched(body, arrays, batched):
+def launched(body, arrays, axes):
     """Return the results of a body for a batch, as `gpu_kernel` does on a GPU."""
-    robots = next(len(array) for array, own in zip(arrays, batched, strict=True) if own)
-    writer = Interpreter(body.limbs.count, (robots,))
+    arrays = [*map(jnp.asarray, arrays)]
+    batch = next(array.shape[:count] for array, count in zip(arrays, axes, strict=True) if count == max(axes))
+    walks = math.prod(batch)
+    writer = Interpreter(body.limbs.count, (walks,))
     given = []
-    for array, leaf, own in zip(map(jnp.asarray, arrays), body.program.in_avals, batched, strict=True):
-        rows = array.reshape(robots, -1).T if own else array.reshape(-1, 1)
+    for array, leaf, count in zip(arrays, body.program.in_avals, axes, strict=True):
+        rows = array.reshape(math.prod(batch[:count]), -1).T
+        rows = jnp.repeat(rows, walks // rows.shape[1], 1) if count else rows
         given.append(as_array((writer.value(row[None]) for row in rows), leaf.shape))
     made = []
     for numbers, leaf in zip(body.results(writer, given), body.program.out_avals, strict=True):
         columns = [writer.column(number) for number in numbers]
-        made.append(jnp.stack(columns, 1).reshape(robots, *leaf.shape) if columns else jnp.zeros((robots, *leaf.shape)))
+        whole = jnp.stack(columns, 1) if columns else jnp.zeros(walks)
+        made.append(whole.reshape(*batch, *leaf.shape))
     return made

@@ -1,4 +1,4 @@
-// What a kernel of `mjx_climb.execution.cuda_writer` needs to run on a CPU: a thread for each lane of one robot, which
+// What a kernel of `mjx_climb.execution.cuda_writer` needs to run on a CPU: a thread for each lane of few robots, which
 // wait for each other where lanes change values.
 #include <barrier>
 #include <cmath>
@@ -52,14 +52,12 @@ static bool __any_sync(unsigned, bool v) {
   return any;
 }
 
-typedef void Kernel(const int *, const int *, int *);
-
-static void run(Kernel kernel, int threads, const int *own, const int *common, int *made) {
+template <class Kernel, class... Arguments> static void run(Kernel kernel, int threads, Arguments... given) {
   std::barrier<> meeting(threads);
   blockDim.x = threads;
   all = &meeting;
   std::vector<std::thread> lanes;
   for (int lane = 0; lane < threads; ++lane)
-    lanes.emplace_back([=] { threadIdx.x = lane; kernel(own, common, made); });
+    lanes.emplace_back([=] { threadIdx.x = lane; kernel(given...); });
   for (auto &lane : lanes) lane.join();
 }

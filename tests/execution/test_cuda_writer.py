@@ -3,6 +3,7 @@
 import ctypes
 import dataclasses
 import functools
+import math
 import re
 import shutil
 import subprocess
@@ -28,33 +29,37 @@ from tests.execution import primitives
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
 STEPS = 120
+ONE_WALK = np.ones(2, np.int32)  # of a robot in a direction
 
 
 @pytest.fixture
 def carried_out(tmp_path):
-    """Give a function that builds kernels of one robot into a library, runs each, and returns its results by name.
+    """Give a function that builds kernels into a library, runs each, and returns its results by name.
 
-    A kernel is its text, the threads, the values of the robot's own and of all, and the results' shapes and types.
+    A kernel is its text, the threads, the values that its arguments are made of, rows of each first, the batch axes,
+    and the results' shapes and types of one robot.
     """
 
     def carry_out(kernels):
         parts = [f'#include "{HERE / "on_cpu.hpp"}"']
-        for name, (text, threads, *_) in kernels.items():
+        for name, (text, threads, given, *_) in kernels.items():
+            names = [f"argument_{place}" for place in range(len(given))]
+            parameters = ", ".join(f"const int *{each}" for each in names)
             parts += [f"namespace in_{name} {{", text.replace('extern "C" ', ""), "}"]
-            parts += [f'extern "C" void run_{name}(const int *own, const int *common, int *made)']
-            parts += [f"{{ run(in_{name}::walk, {threads}, own, common, made); }}"]
+            parts += [f'extern "C" void run_{name}({parameters}, int *made)']
+            parts += [f"{{ run(in_{name}::walk, {threads}, {', '.join(names)}, made); }}"]
         (tmp_path / "kernels.cpp").write_text("\n".join(parts))
         command = ["c++", "-std=c++20", "-O1", "-w", "-shared", "-fPIC", "-pthread", "-o", "kernels.so", "kernels.cpp"]
         subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
         library, results = ctypes.CDLL(str(tmp_path / "kernels.so")), {}
-        for name, (_, _, own, common, avals) in kernels.items():
+        for name, (_, _, arguments, batch, avals) in kernels.items():
             ends = np.cumsum([aval.size for aval in avals])
-            made = np.zeros(ends[-1], np.int32)
-            words = ([np.asarray(value).reshape(-1).view(np.int32) for value in values] for values in (own, common))
+            made = np.zeros((ends[-1], math.prod(batch)), np.int32)
+            words = ([np.ascontiguousarray(value).reshape(-1).view(np.int32) for value in each] for each in arguments)
             given = [*map(np.concatenate, words), made]
             getattr(library, f"run_{name}")(*(array.ctypes.data_as(ctypes.c_void_p) for array in given))
             results[name] = [
-                (part != 0 if aval.dtype == bool else part.view(aval.dtype)).reshape(aval.shape)
+                (part != 0 if aval.dtype == bool else part.view(aval.dtype)).T.reshape((*batch, *aval.shape))
                 for part, aval in zip(np.split(made, ends[:-1]), avals, strict=True)
             ]
         return results
@@ -78,7 +83,8 @@ def test_every_operation_in_cuda_c(carried_out):
                 continue
             name = name.replace(" ", "_")
             programs[name] = program
-            kernels[name] = text, 1, [vector, number], [np.int32(1), matrix], program.out_avals
+            given = [ONE_WALK, matrix], [vector, number]
+            kernels[name] = text, 1, given, (), program.out_avals
         assert len(kernels) >= len(primitives.KNOWN) - 1
         for name, found in carried_out(kernels).items():
             expected = jax.jit(jax.extend.core.jaxpr_as_fun(programs[name]))(vector, matrix, number)
@@ -188,6 +194,35 @@ def test_a_loop_in_a_loop_reads_rows_of_an_argument_from_memory():
     assert not re.search(r"const \S+ v\d+\[", text)
 
 
+@pytest.mark.slow
+def test_directions_share_what_is_of_their_robot(carried_out):
+    """Values of all, of each robot and of each direction meet in the tangents, in four lanes and two loops."""
+    rng, robots, directions = np.random.default_rng(2), 2, 3
+    limbs, table = rng.normal(size=(robots, 4, 1)).astype("f4"), rng.normal(size=(robots, 5, 1)).astype("f4")
+    along, scale = rng.normal(size=(robots, directions, 4, 1)).astype("f4"), np.float32(0.7)
+
+    def function(limbs, table, scale):
+        def step(limbs, row):
+            return of_limbs(Limbs(jnp.sin(limbs * scale) + row * limbs[::-1] + limbs.sum())).values, None
+
+        return jax.lax.scan(step, of_limbs(Limbs(limbs)).values, table)[0]
+
+    with jax.enable_x64(False):
+        program = jax.make_jaxpr(function)(limbs[0], table[0], scale)
+        both, _ = tangents_of(program, [True, False, False])
+        text, batch = written(body_of(both), [1, 1, 0, 2]), (robots, directions)
+        columns = [
+            each.reshape(math.prod(each.shape[:count]), -1).T for each, count in ((limbs, 1), (table, 1), (along, 2))
+        ]
+        given = [np.array(batch, np.int32), scale], columns[:2], columns[2:]
+        values, tangents = carried_out({"kernel": (text, 4 * 6, given, batch, both.out_avals)})["kernel"]
+        one = lambda limbs, table, rate: jax.jvp(lambda v: function(v, table, scale), (limbs,), (rate,))  # noqa: E731
+        expected = jax.vmap(jax.vmap(one, (None, None, 0)))(limbs, table, along)
+    assert text.count("const int *__restrict__") == 3
+    for mine, xlas in zip((values, tangents), expected, strict=True):
+        np.testing.assert_allclose(mine, xlas, rtol=1e-4, atol=1e-5)
+
+
 @pytest.mark.nightly
 def test_a_walk_in_cuda_c(carried_out, case):
     """Metrics of a walk in single precision, by a thread for each limb, agree with XLA's in float64 to 1e-4."""
@@ -211,8 +246,7 @@ def of_one(carried_out, function, given, moving=0):
         leaves += leaves[:moving]
     body = body_of(program)
     kernel = written(body, [False] * len(leaves)), CudaWriter(4).width
-    common = [np.zeros(0, np.int32)], [np.int32(1), *leaves]
-    found = carried_out({"kernel": (*kernel, *common, program.out_avals)})["kernel"]
+    found = carried_out({"kernel": (*kernel, [[ONE_WALK, *leaves]], (), program.out_avals)})["kernel"]
     return (found, moved) if moving else found
 
 

@@ -32,7 +32,6 @@ from tuning.problem.objectives import Limit, Objective, Term
 
 # robots of a call on one core: four take hardly longer than one, and more than 16 are done no sooner together
 _AT_LEAST, _AT_ONCE = 4, 16
-_BYTES = 2e9  # at most, of the plans of a call in forward mode
 
 
 # --- metrics that limit a plan: without them it could leave its feet where they are, or jerk
@@ -259,15 +258,13 @@ class Walks:
         given, axes = self._given(parameters, sharp)
         count, one = len(offsets), offsets[0]
         directions: np.ndarray = np.eye(one.size, dtype=self.dtype).reshape(1, -1, *one.shape)
-        # every direction has a copy of the plan that it starts from; calls are of equal size
-        calls = math.ceil(count * one.size * steering.base[0].nbytes / _BYTES)
         batch = execution.Robots(
             (offsets, steering, *given),
             (one.ndim, jax.tree.map(lambda value: value.ndim - 1, steering), *axes),
             (count,),
             directions,
         )
-        found, tangents = execution.run(steered, self.asked, batch, batch_size=math.ceil(count / calls))
+        found, tangents = execution.run(steered, self.asked, batch)
         del found["_along"]
         return _scored(found), freedom.slopes_of_sets(tangents["_along"].reshape(offsets.shape))
 
@@ -425,7 +422,7 @@ class Freedom:
         found: np.ndarray = np.clip(self._unclipped(x), *self._bounds)
         return found
 
-    @property
+    @functools.cached_property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint limits, further where the plans given go further."""
         lowest, highest = self.base.min(2, keepdims=True), self.base.max(2, keepdims=True)
