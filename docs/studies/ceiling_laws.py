@@ -54,7 +54,6 @@ LAWS = {"pd": PD, "transfer": LoadTransfer, "even": EvenTransfer, "base": Virtua
         "end_effector": EndEffectorAdmittance, "internal": InternalForce}  # fmt: skip
 SHIPPED = {"pd": "_pd", "transfer": "_best", "even": "_best", "base": ""}  # ends of the names of gains files
 ADDED = {"feet": PlannedFeet, "network": Network, "blind": TimedFeet, "clairvoyant": TimedFeet}
-FLOATS = {"metrics": TABLE, "engine": "limb", "dtype": np.float32}
 UNSEEN, MOST, WAY, STAGES, LATE = 512, 1500, 0.02, 4, 45.0
 # the penalty of a pull begins so far below the holding limit; a mean may be so much above pd's, and its penalty begins
 # so far below
@@ -64,10 +63,9 @@ KEPT = (*study.WEIGHTS, "peak_pull_force", "base_deviation", "swing_deviation", 
 
 def goals_on(scenario, weights, *draws):
     """Return the objective of `tuning.ceiling` over the walks of each draw, with the way that pd goes held."""
-    drawn = [bounds._drawn(scenario, draw)[0] for draw in draws]
+    drawn = [bounds._draws(scenario, draw, 0, {}).parameters for draw in draws]
     together = jax.tree.map(lambda *each: np.concatenate(each), *drawn)
-    count = sum(draw.members for draw in draws)
-    pd = bounds._contestant(under_pd(scenario), None, {}, together, count, FLOATS).metrics
+    pd = mc.Simulation(under_pd(scenario), metrics=TABLE, smooth=True).metrics({}, together, unsteady=True)
     goals, first = [], 0
     for draw in draws:
         own = {name: value[first : first + draw.members] for name, value in pd.items()}
@@ -261,7 +259,9 @@ def main():
                 earlier = asked.out / f"{hardware}_{case}_blind.npz"
                 theta = np.load(earlier)["theta"] if earlier.exists() else theta
                 theta = np.repeat(theta, asked.members, 0)
-                problem = dataclasses.replace(problem, parameters=bounds._drawn(changed, draw)[0], members=1)
+                problem = dataclasses.replace(
+                    problem, parameters=bounds._draws(changed, draw, 0, {}).parameters, members=1
+                )
             theta, merit = descended(problem, theta, until, log)
             gains = space.to_gains(theta[0])
             np.savez_compressed(stem.with_suffix(".npz"), theta=theta.astype(np.float32), merit=merit)

@@ -221,12 +221,18 @@ def _identity(call: _Call, *trees: PyTree) -> str | None:
         return None
 
 
+@functools.lru_cache(64)
+def _of_structure(function: Function, structure: Hashable) -> Function:
+    """Return a function of one robot's arguments, the same each time: JAX knows what it has traced by it."""
+    return functools.partial(function, structure)
+
+
 def _carried_out(call: _Call, *trees: PyTree) -> PyTree:
     """Return the results of a batch, and tangents (B, k, ...) by their names after `_TANGENT`.
 
     The directions of tangents are the last tree.
     """
-    function = functools.partial(call.function, call.structure)
+    function = _of_structure(call.function, call.structure)
     if call.path == "kernel":
         if not call.tangents:
             return gpu_kernel.over_robots(function, call.batched)(*trees)

@@ -84,7 +84,7 @@ def tangents_over_robots(
     def mapped(directions: PyTree, *arguments: PyTree) -> tuple[_Result, PyTree]:
         program, shape = _of_one(function, arguments, batched)
         along = jax.tree.leaves(directions)
-        both, moved = tangents_of(program, [place < len(along) for place in range(len(batched))])
+        both, moved = _moved(program, len(along))
         found = _launched(body_of(both), [*jax.tree.leaves(arguments), *along], [*batched, *[2] * len(along)])
         results: _Result = jax.tree.unflatten(shape, [array[:, 0] for array in found[: len(moved)]])
         of_moving = iter(found[len(moved) :])
@@ -107,13 +107,26 @@ def _of_one(
     return program, jax.tree.structure(shape)
 
 
+# What is made of a program is kept: batches of other sizes have the same, and it takes seconds.
+_KEPT = 8  # programs
+
+
+@functools.lru_cache(_KEPT)
+def _moved(program: core.ClosedJaxpr, moving: int) -> tuple[core.ClosedJaxpr, tuple[bool, ...]]:
+    """Return a program with tangents by its first inputs, so many, and which of its results have some."""
+    both, moved = tangents_of(program, [place < moving for place in range(len(program.in_avals))])
+    return both, tuple(moved)
+
+
+@functools.lru_cache(_KEPT)
 def body_of(program: core.ClosedJaxpr) -> Body:
     """Return the body of the kernel of a program of one robot."""
     whole = flat(program)
     return Body(whole, LimbAxes(whole))
 
 
-def written(body: Body, axes: Sequence[int]) -> str:
+@functools.lru_cache(_KEPT)
+def written(body: Body, axes: tuple[int, ...]) -> str:
     """Return the kernel of a body in CUDA C; `axes` as of `_launched`."""
     writer, given = CudaWriter(body.limbs.count), []
     for aval, count in zip(body.program.in_avals, axes, strict=True):
@@ -135,7 +148,7 @@ def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[
             raise Unsupported(f"a function of {array.dtype}")
         whole = array.astype(np.int32) if array.dtype.kind == "b" else lax.bitcast_convert_type(array, np.int32)
         words[count].append(whole.reshape(math.prod(batch[:count]), -1).T)
-    source = ptx(written(body, axes))
+    source = ptx(written(body, tuple(axes)))
     walks, outputs = math.prod(batch), body.program.out_avals
     shape = jax.ShapeDtypeStruct((sum(aval.size for aval in outputs), walks), np.int32)
     blocks = -(-walks * CudaWriter(body.limbs.count).width // THREADS)
@@ -156,7 +169,7 @@ def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[
 OPTIONS = ("--fmad=true", "--ftz=true", "--prec-div=false", "--prec-sqrt=false", "--std=c++17")
 
 
-@functools.lru_cache(maxsize=32)
+@functools.lru_cache(_KEPT)
 def ptx(source: str) -> str:
     """Return a kernel in PTX, for the first GPU.
 

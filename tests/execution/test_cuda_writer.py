@@ -77,7 +77,7 @@ def test_every_operation_in_cuda_c(carried_out):
         for name, operation in primitives.KNOWN.items():
             program = jax.make_jaxpr(lambda v, m, n, f=operation: f(v, m * v[1], n))(vector, matrix, number)
             try:
-                text = written(body_of(program), [True, False, True])
+                text = written(body_of(program), (True, False, True))
             except Unsupported as error:
                 assert "int8" in str(error)
                 continue
@@ -128,7 +128,7 @@ def exchanges(step, size=1):
 
     with jax.enable_x64(False):
         program = jax.make_jaxpr(function)(np.ones((4, size), "f4"), np.ones(4, "f4"))
-    text = written(body_of(program), [False, False])
+    text = written(body_of(program), (False, False))
     return text.split("#pragma unroll 1")[1].count("__shfl_")
 
 
@@ -171,7 +171,7 @@ def test_a_long_branch_is_taken_by_the_threads_of_a_warp_together():
         return jax.lax.cond(number > 0, long, jnp.cos, number), jax.lax.cond(number > 0, jnp.tanh, jnp.exp, number)
 
     with jax.enable_x64(False):
-        text = written(body_of(jax.make_jaxpr(function)(np.float32(1))), [True])
+        text = written(body_of(jax.make_jaxpr(function)(np.float32(1))), (True,))
     before, inside = text[text.index("extern") :].split("if (__any_sync(")
     inside, after = inside.split("\n}\n")[0], inside.split("\n}\n")[1:]
     assert "sine(" in inside
@@ -188,7 +188,7 @@ def test_a_loop_in_a_loop_reads_rows_of_an_argument_from_memory():
         return jax.lax.scan(lambda carry, rows: (jax.lax.scan(inner, carry, rows)[0], None), number, table)[0]
 
     with jax.enable_x64(False):
-        text = written(body_of(jax.make_jaxpr(function)(np.ones((5, 7, 2), "f4"), np.float32(1))), [True, False])
+        text = written(body_of(jax.make_jaxpr(function)(np.ones((5, 7, 2), "f4"), np.float32(1))), (True, False))
     outer, inner = re.findall(r"for \(int (t\d+) = 0; \1 < [57];", text)
     assert f"own[(14 * {outer} + 1 + 2 * {inner}) * (size_t)robots + robot]" in text
     assert not re.search(r"const \S+ v\d+\[", text)
@@ -210,7 +210,7 @@ def test_directions_share_what_is_of_their_robot(carried_out):
     with jax.enable_x64(False):
         program = jax.make_jaxpr(function)(limbs[0], table[0], scale)
         both, _ = tangents_of(program, [True, False, False])
-        text, batch = written(body_of(both), [1, 1, 0, 2]), (robots, directions)
+        text, batch = written(body_of(both), (1, 1, 0, 2)), (robots, directions)
         columns = [
             each.reshape(math.prod(each.shape[:count]), -1).T for each, count in ((limbs, 1), (table, 1), (along, 2))
         ]
@@ -245,7 +245,7 @@ def of_one(carried_out, function, given, moving=0):
         program, moved = tangents_of(program, [place < moving for place in range(len(leaves))])
         leaves += leaves[:moving]
     body = body_of(program)
-    kernel = written(body, [False] * len(leaves)), CudaWriter(4).width
+    kernel = written(body, (False,) * len(leaves)), CudaWriter(4).width
     found = carried_out({"kernel": (*kernel, [[ONE_WALK, *leaves]], (), program.out_avals)})["kernel"]
     return (found, moved) if moving else found
 

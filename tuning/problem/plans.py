@@ -23,11 +23,13 @@ from mjx_climb.control import PD
 from mjx_climb.execution import devices, paths
 from mjx_climb.execution.batch_axes import own_axes
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
+from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.physics.spatial import norm
 from mjx_climb.walk.metrics import peak
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.structure import Structure, structure
-from mjx_climb.walks import Scan, metrics_under
+from mjx_climb.walks import Scan, metrics_under, samples_of
 from tuning.problem.objectives import Limit, Objective, Term
 
 # robots of a call on one core: four take hardly longer than one, and more than 16 are done no sooner together
@@ -208,6 +210,47 @@ def _followed(
     merit = value + penalty
     along = (1 - numbers.sharp) * descent + numbers.sharp * merit
     return along, metrics | {"_value": value, "_merit": merit, "_feasible": feasible}
+
+
+class OverTime(NamedTuple):
+    """What is kept of each step of walks, (N, time, ...)."""
+
+    joint_targets: np.ndarray  # (N, time, limb, joint) rad
+    foot_force: np.ndarray  # (N, time) N, of the foot with the largest
+    base_offset: np.ndarray  # (N, time, 3) m, from its reference
+
+
+def over_time(
+    scenario: mc.Scenario,
+    law: mc.Law,
+    gains: AnyGains | None,
+    parameters: mc.Parameters,
+    targets: Float[np.ndarray, "N time limb joint"] | None = None,
+    *,
+    metrics: mc.MetricTable,
+    engine: str,
+    dtype: type,
+) -> OverTime:
+    """Walk robots with parameters (N, ...) under a law, or under joint targets in its place; nothing is torn off.
+
+    Raises:
+        ConfigError: a time step too long for a robot.
+    """
+    resolved = resolve_in(scenario, law, gains, parameters, dtype)
+    check_time_step(scenario, parameters=resolved.walked)
+    shape = structure(scenario, engine, resolved.walked, law=resolved.law, metrics=metrics, smooth=True)
+    under: tuple[np.ndarray, ...] = () if targets is None else (np.asarray(targets, dtype),)
+    given, axes = (resolved.law, resolved.parameters, *under), (*resolved.axes, *(3 for _ in under))
+    found = execution.run(_over_time, shape, execution.Robots(given, axes, resolved.shape), over_time=True)
+    return OverTime(**found)
+
+
+def _over_time(
+    structure: Structure, law: mc.Law, parameters: mc.Parameters, targets: Array | None = None
+) -> dict[str, Array]:
+    samples = samples_of(structure, law, parameters, targets)
+    forces, offset = norm(samples.foot_force).max(-1), samples.base_position - samples.base_reference
+    return {"joint_targets": samples.joint_targets, "foot_force": forces, "base_offset": offset}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,6 +7,7 @@ a finer spacing of the knots. What is found is an upper bound of the least: long
 """
 
 import dataclasses
+import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,6 +29,7 @@ from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
+from tuning.background import Work, background, ignore
 from tuning.gains import gains_file
 from tuning.gains.gains_file import Whole, by_name
 from tuning.methods.many_variables import Evaluated, descend
@@ -37,7 +39,20 @@ from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Objective
-from tuning.problem.plans import RATE, SWING, Freedom, Knots, Scored, Walks, commanded, row, rows, walks_of
+from tuning.problem.plans import (
+    RATE,
+    SWING,
+    Freedom,
+    Knots,
+    OverTime,
+    Scored,
+    Walks,
+    commanded,
+    over_time,
+    row,
+    rows,
+    walks_of,
+)
 from tuning.problem.search import Search, check_metrics
 from tuning.results.ceiling import BLIND, CLAIRVOYANT, FIRST, PD, RETUNED, Bounded
 from tuning.searches import retuned_pd
@@ -48,7 +63,25 @@ SHAKEN = 0.01  # rad, standard deviation of the offsets of a random start
 LIMIT_MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
 INSTANTS = 800  # at most, of the histories that are kept
 _WIDENED = ("base_deviation", SWING.name, "peak_joint_torque", RATE.name)  # limits that no contestant breaks
+Laws = Mapping[str, AnyGains | Whole | str | os.PathLike[str]]  # gains, by the names of who has them
 Progress = Callable[[str, int, int], None]  # called with what is searched, evaluations done, and in all
+
+
+class Draws(NamedTuple):
+    """The walks of all contestants: those of the search, and fresh ones."""
+
+    members: int
+    fresh: int
+    parameters: mc.Parameters  # (member and fresh, ...)
+    how: Mapping[str, Any]  # metrics, engine and precision
+
+    def members_of(self, each: Any) -> Any:
+        """Return the first rows of a tree of arrays."""
+        return jax.tree.map(lambda value: value[: self.members], each)
+
+    def fresh_of(self, each: Any) -> Any:
+        """Return the other rows of a tree of arrays."""
+        return jax.tree.map(lambda value: value[self.members :], each)
 
 
 class Contestant(NamedTuple):
@@ -59,6 +92,9 @@ class Contestant(NamedTuple):
     gains: AnyGains
     parameters: mc.Parameters  # (member, ...), see `tuning.problem.plans.rows`
     metrics: Mapping[str, np.ndarray]  # (member,)
+    over_time: OverTime  # (member, time, ...)
+    fresh_parameters: mc.Parameters  # (fresh, ...)
+    fresh_metrics: Mapping[str, np.ndarray]
 
 
 class Start(NamedTuple):
@@ -75,7 +111,7 @@ class Contest(NamedTuple):
     scenario: mc.Scenario
     asked: Ceiling
     walks: Walks
-    members: int
+    draws: Draws
     step: float  # rad, of the first offsets
     progress: Progress
 
@@ -90,7 +126,7 @@ class Ended(NamedTuple):
 
 def ceiling(
     scenario: mc.Scenario,
-    laws: Mapping[str, AnyGains | Whole | str | os.PathLike[str]] | None = None,
+    laws: Laws | None = None,
     settings: Ceiling | None = None,
     *,
     ensemble: Ensemble | None = None,
@@ -118,45 +154,63 @@ def ceiling(
         ConfigError: settings that make no sense for the scenario, or pd diverges.
     """
     asked = (settings or Ceiling()).changed(changes)
-    table = mc.MetricTable((*metrics, SWING, RATE))
-    parameters, members = _drawn(scenario, ensemble)
-    walks: dict[str, Any] = {"metrics": table, "engine": engine, "dtype": np.dtype(asked.precision).type}
-    pd = _contestant(under_pd(scenario), None, {}, parameters, members, walks)
-    wanted = _objective(scenario, asked, pd.metrics, table)
-    found = {PD: pd}
-    if RETUNED not in (laws or {}):
-        laws = {RETUNED: _retuned(scenario, asked, wanted, parameters, table, engine), **(laws or {})}
-    for name, own in (laws or {}).items():
-        found[name] = _contestant(*_walker(scenario, name, own), parameters, members, walks)
+    how: dict[str, Any] = {
+        "metrics": mc.MetricTable((*metrics, SWING, RATE)),
+        "engine": engine,
+        "dtype": np.dtype(asked.precision).type,
+    }
+    draws = _draws(scenario, ensemble, asked.test_members, how)
+    found, wanted = _contestants(scenario, laws or {}, asked, draws)
     goal = _widened(wanted, asked, [each.metrics for each in found.values()], scenario.gait.stride)
 
-    starts = [_start(name, each, members, walks) for name, each in found.items()]
+    starts = [_start(name, each) for name, each in found.items()]
     starts += _random(scenario, asked, starts[0])
     every = jax.tree.map(lambda *each: np.concatenate(each), *(start.parameters for start in starts))
-    under = walks_of(scenario, goal, every, **walks)
-    step = asked.step * float(pd.metrics["peak_joint_torque"].mean()) / scenario.control.kp
-    contest = Contest(scenario, asked, under, members, step, progress or (lambda *_: None))
-    ended, hidden = _plans(contest, starts, parameters)
-    front = None if asked.against is None else _front(contest, goal, pd.metrics, ended[-1].plan, table, walks)
-    tested = {} if ensemble is None or not asked.test_members else _tested(contest, found, ended, ensemble, walks)
-    return _bounded(contest, goal, found, ended, front, hidden, tested, ensemble, table, engine)
+    under = walks_of(scenario, goal, every, **how)
+    step = asked.step * float(found[PD].metrics["peak_joint_torque"].mean()) / scenario.control.kp
+    contest = Contest(scenario, asked, under, draws, step, progress or (lambda *_: None))
+    ended, hidden = _plans(contest, starts)
+    front = None if asked.against is None else _front(contest, goal, found[PD].metrics, ended[-1].plan)
+    tested = _tested(contest, found, ended) if draws.fresh else {}
+    return _bounded(contest, goal, found, ended, front, hidden, tested, ensemble)
 
 
 # --- who takes part
 
 
-def _drawn(scenario: mc.Scenario, ensemble: Ensemble | None) -> tuple[mc.Parameters, int]:
-    """Return the parameters of all members, (member, ...), and how many there are."""
-    drawn = own_parameters(scenario) if ensemble is None else ensembles.draw(scenario, ensemble)
-    members = 1 if ensemble is None else ensemble.members
+def _draws(scenario: mc.Scenario, ensemble: Ensemble | None, fresh: int, how: Mapping[str, Any]) -> Draws:
+    """Return all walks: of the ensemble and of a fresh draw of it, or the scenario's own."""
+    drawn = [(1, own_parameters(scenario))]
+    if ensemble is not None:
+        both = ensemble, ensembles.fresh(ensemble.model_copy(update={"members": fresh}))
+        drawn = [(each.members, ensembles.draw(scenario, each)) for each in both if each.members]
 
-    def flat(value: Any, own: int) -> np.ndarray:
+    def flat(members: int, value: Any, own: int) -> np.ndarray:
         value = np.asarray(value)
         each = value[:, 0] if value.ndim > own else value
         return np.broadcast_to(each, (members, *value.shape[value.ndim - own :]))
 
-    found: mc.Parameters = jax.tree.map(flat, drawn, own_axes(drawn))
-    return found, members
+    rows = [jax.tree.map(functools.partial(flat, count), each, own_axes(each)) for count, each in drawn]
+    parameters: mc.Parameters = jax.tree.map(lambda *each: np.concatenate(each), *rows)
+    return Draws(drawn[0][0], sum(count for count, _ in drawn[1:]), parameters, how)
+
+
+def _contestants(
+    scenario: mc.Scenario, laws: Laws, asked: Ceiling, draws: Draws
+) -> tuple[dict[str, Contestant], Objective]:
+    """Return who takes part, pd first, and the objective: programs of several laws are compiled side by side."""
+    with background() as begin:
+
+        def walk(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> Work[Contestant]:
+            return begin(lambda _: _contestant(scenario, law, gains, draws))
+
+        works = {PD: walk(under_pd(scenario), None, {})}
+        works |= {name: walk(*_walker(scenario, name, own)) for name, own in laws.items()}
+        goal = _objective(scenario, asked, works[PD](ignore).metrics, draws.how["metrics"])
+        if RETUNED not in laws:
+            own = _retuned(scenario, asked, goal, draws)
+            works = {PD: works.pop(PD), RETUNED: walk(*_walker(scenario, RETUNED, own)), **works}
+        return {name: work(ignore) for name, work in works.items()}, goal
 
 
 def _walker(
@@ -170,45 +224,29 @@ def _walker(
     return (under_pd(scenario) if name == RETUNED else scenario), None, own
 
 
-def _contestant(
-    scenario: mc.Scenario,
-    law: mc.Law | None,
-    gains: AnyGains,
-    parameters: mc.Parameters,
-    members: int,
-    walks: Mapping[str, Any],
-) -> Contestant:
+def _contestant(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains, draws: Draws) -> Contestant:
     """Return a contestant with its walks, in which nothing is torn off."""
     own = law or law_of(scenario)
-    simulation = mc.Simulation(scenario, own, walks["metrics"], walks["engine"], smooth=True)
-    found = simulation.metrics(gains, parameters, dtype=walks["dtype"], unsteady=True)
-    return Contestant(scenario, own, gains, rows(scenario, own, gains, parameters, members), found)
+    simulation = mc.Simulation(scenario, own, draws.how["metrics"], draws.how["engine"], smooth=True)
+    found = simulation.metrics(gains, draws.parameters, dtype=draws.how["dtype"], unsteady=True)
+    every = rows(scenario, own, gains, draws.parameters, draws.members + draws.fresh)
+    kept = over_time(scenario, own, gains, draws.members_of(draws.parameters), **draws.how)
+    members = draws.members_of(every), draws.members_of(found)
+    return Contestant(scenario, own, gains, *members, kept, draws.fresh_of(every), draws.fresh_of(found))
 
 
-def _retuned(
-    scenario: mc.Scenario,
-    asked: Ceiling,
-    goal: Objective,
-    parameters: mc.Parameters,
-    metrics: mc.MetricTable,
-    engine: str,
-) -> dict[str, float]:
+def _retuned(scenario: mc.Scenario, asked: Ceiling, goal: Objective, draws: Draws) -> dict[str, float]:
     """Return kp and kd of pd, searched for the same objective on the same walks."""
-    each = jax.tree.map(lambda value: value[:, None], parameters)
-    walks: dict[str, Any] = {"parameters": each, "metrics": metrics, "engine": engine}
+    each = jax.tree.map(lambda value: value[:, None], draws.members_of(draws.parameters))
+    walks: dict[str, Any] = {"parameters": each, "metrics": draws.how["metrics"], "engine": draws.how["engine"]}
     how: dict[str, Any] = {"space": "isotropic", "joint_gains": True, "precision": asked.precision}
     return retuned_pd.joint_of(tune(under_pd(scenario), objective=goal, **walks, **how))
 
 
-def _start(name: str, of: Contestant, members: int, walks: Mapping[str, Any]) -> Start:
+def _start(name: str, of: Contestant) -> Start:
     """Return the plans under which members walk as a contestant does, unless it changes the joint loop's gains."""
-    simulation = mc.Simulation(of.scenario, of.law, walks["metrics"], walks["engine"], smooth=True)
-    own = {key: value for key, value in by_name(of.gains).items() if key in of.law.GAINS}
-    targets = []
-    for member in range(members):  # with joint gains and gait among its parameters
-        parameters = row(of.parameters, member)
-        walk = simulation.rollout(own, parameters, dtype=walks["dtype"])
-        targets.append(commanded(np.asarray(walk.joint_targets), parameters, of.scenario))
+    walked = enumerate(of.over_time.joint_targets)
+    targets = [commanded(each, row(of.parameters, member), of.scenario) for member, each in walked]
     return Start(name, np.stack(targets), of.parameters)
 
 
@@ -269,7 +307,7 @@ def _widened(goal: Objective, asked: Ceiling, walked: Sequence[Mapping[str, np.n
 # --- the search
 
 
-def _plans(contest: Contest, starts: Sequence[Start], parameters: mc.Parameters) -> tuple[list[Ended], bool]:
+def _plans(contest: Contest, starts: Sequence[Start]) -> tuple[list[Ended], bool]:
     """Search all plans, from the blind one to the clairvoyant, and return whether the blind one was kept from knowing.
 
     A first search of the blind plan, from all starts, is where the second search of every plan begins, the blind one's
@@ -280,7 +318,7 @@ def _plans(contest: Contest, starts: Sequence[Start], parameters: mc.Parameters)
     blind one is then searched without disturbances, and the others begin where its second search has ended.
     """
     asked, step = contest.asked, contest.scenario.time_step
-    onset = _onset(parameters, contest.scenario.duration) / step
+    onset = _onset(contest.draws.members_of(contest.draws.parameters), contest.scenario.duration) / step
     felt = np.isfinite(onset)
     hidden = bool(felt.all() and np.ptp(onset) == 0)
     shared = [
@@ -296,7 +334,7 @@ def _plans(contest: Contest, starts: Sequence[Start], parameters: mc.Parameters)
         since = onset + math.ceil(delay / step - 1e-6)
         own = _search(contest, f"causal {1e3 * delay:g} ms", [begun], common=not hidden, since=since)
         ended.append(_no_worse(own, ended[-1], alone=hidden))
-    own = _search(contest, CLAIRVOYANT, [begun, *starts], common=False, since=np.zeros(contest.members))
+    own = _search(contest, CLAIRVOYANT, [begun, *starts], common=False, since=np.zeros(contest.draws.members))
     return [*ended, _no_worse(own, ended[-1], alone=True)], hidden
 
 
@@ -330,7 +368,7 @@ def _search(
         common, since: as of `tuning.problem.plans.Freedom`.
         undisturbed: the walks of the search have no disturbances.
     """
-    asked, walks, members, records = contest.asked, contest.walks, contest.members, []
+    asked, walks, members, records = contest.asked, contest.walks, contest.draws.members, []
     robot = load_robot(contest.scenario.robot)
     targets = np.stack([start.targets for start in starts])
     parameters = jax.tree.map(lambda *each: np.concatenate(each), *(start.parameters for start in starts))
@@ -406,20 +444,13 @@ class Front(NamedTuple):
     ended: list[Ended]
 
 
-def _front(
-    contest: Contest,
-    goal: Objective,
-    pd: Mapping[str, np.ndarray],
-    start: Start,
-    table: mc.MetricTable,
-    walks: Mapping[str, Any],
-) -> Front:
+def _front(contest: Contest, goal: Objective, pd: Mapping[str, np.ndarray], start: Start) -> Front:
     """Search clairvoyant plans for two metrics by turns of their weights, each from the one before it."""
-    asked, scenario = contest.asked, contest.scenario
+    asked, scenario, how = contest.asked, contest.scenario, contest.draws.how
     assert asked.against is not None
     names = asked.better, asked.against
-    terms = _objective(scenario, asked.changed({"weights": dict.fromkeys(names, 1.0)}), pd, table).terms
-    under = walks_of(scenario, dataclasses.replace(goal, terms=terms), start.parameters, **walks)
+    terms = _objective(scenario, asked.changed({"weights": dict.fromkeys(names, 1.0)}), pd, how["metrics"]).terms
+    under = walks_of(scenario, dataclasses.replace(goal, terms=terms), start.parameters, **how)
     shares, ended = np.linspace(0.0, 1.0, asked.points), list[Ended]()
     for share in shares:
         weighted = np.array(under.numbers.terms)
@@ -427,7 +458,9 @@ def _front(
         own = dataclasses.replace(under, numbers=under.numbers._replace(terms=weighted))
         starts = [start, *(each.plan for each in ended[-1:])]
         name = f"front, {share:.0%} {asked.against}"
-        ended.append(_search(contest._replace(walks=own), name, starts, common=False, since=np.zeros(contest.members)))
+        ended.append(
+            _search(contest._replace(walks=own), name, starts, common=False, since=np.zeros(contest.draws.members))
+        )
     metrics = np.array([[each.scored.metrics[name] for name in names] for each in ended])
     ratios = [np.asarray(goal.ratios(jnp.asarray(metrics[:, place]), term)[0]) for place, term in enumerate(terms)]
     # a plan may be better for its neighbours' weights than their own
@@ -441,27 +474,19 @@ def _front(
 
 
 def _tested(
-    contest: Contest,
-    found: Mapping[str, Contestant],
-    ended: Sequence[Ended],
-    ensemble: Ensemble,
-    walks: Mapping[str, Any],
+    contest: Contest, found: Mapping[str, Contestant], ended: Sequence[Ended]
 ) -> dict[str, Mapping[str, np.ndarray]]:
     """Return the metrics of the blind plan and of the contestants in walks of a fresh draw, (fresh,) each, by name."""
-    members, pd = contest.asked.test_members, found[PD]
-    unseen = ensembles.fresh(ensemble.model_copy(update={"members": members}))
-    drawn = _drawn(contest.scenario, unseen)[0]
-    fresh = {name: _contestant(own.scenario, own.law, own.gains, drawn, members, walks) for name, own in found.items()}
-    plan = next(each.plan for each in ended if each.plan.name == BLIND)
+    plan, pd, count = next(each.plan for each in ended if each.plan.name == BLIND), found[PD], contest.draws.fresh
 
     def of_plan(pds: np.ndarray, own: np.ndarray, unseen: np.ndarray) -> np.ndarray:
         # joint gains and gait of the plan's start differ from pd's, alike in all members; all else is the member's
         return np.where(own[:1] == pds[:1], unseen, own[:1])
 
-    parameters = jax.tree.map(of_plan, pd.parameters, plan.parameters, fresh[PD].parameters)
-    targets = np.broadcast_to(plan.targets[:1], (members, *plan.targets.shape[1:]))
+    parameters = jax.tree.map(of_plan, pd.parameters, plan.parameters, pd.fresh_parameters)
+    targets = np.broadcast_to(plan.targets[:1], (count, *plan.targets.shape[1:]))
     blind = contest.walks.judge(targets, parameters)
-    return {BLIND: blind.metrics, **{name: fresh[name].metrics for name in reversed([*fresh])}}
+    return {BLIND: blind.metrics, **{name: found[name].fresh_metrics for name in reversed([*found])}}
 
 
 # --- the result
@@ -476,11 +501,10 @@ def _bounded(
     hidden: bool,
     tested: Mapping[str, Mapping[str, np.ndarray]],
     ensemble: Ensemble | None,
-    table: mc.MetricTable,
-    engine: str,
 ) -> Bounded:
     """Return the contestants beside each other, the clairvoyant plan first and pd last."""
-    scenario, asked, members = contest.scenario, contest.asked, contest.members
+    scenario, asked, members = contest.scenario, contest.asked, contest.draws.members
+    table, engine = contest.draws.how["metrics"], contest.draws.how["engine"]
     plans = {each.plan.name: each.plan for each in reversed(ended[1:])}
     walked = {each.plan.name: each.scored.metrics for each in reversed(ended[1:])}
     walked |= {name: each.metrics for name, each in reversed([*found.items()])}
@@ -498,7 +522,7 @@ def _bounded(
     if front is not None:
         data["front"] = (("point", "axis_of_front", "member"), front.metrics)
         data["front_share"] = ("point", front.shares, {"units": "1", "long_name": f"weight of {asked.against}"})
-    data |= _histories(scenario, plans, found, table, engine)
+    data |= _histories(contest, plans, found)
     robot = load_robot(scenario.robot)
     attrs: dict[str, Any] = {"title": "bounds of control laws", **dataset.provenance(scenario)}
     attrs |= {"ceiling": asked.to_yaml(), "hidden": int(hidden)}
@@ -529,26 +553,19 @@ def _scores(
     return data
 
 
-def _histories(
-    scenario: mc.Scenario,
-    plans: Mapping[str, Start],
-    found: Mapping[str, Contestant],
-    table: mc.MetricTable,
-    engine: str,
-) -> dict[str, Any]:
+def _histories(contest: Contest, plans: Mapping[str, Start], found: Mapping[str, Contestant]) -> dict[str, Any]:
     """Return histories of the first member's walk: (contestant, instant), of plans first."""
-    walks = []
-    for plan in plans.values():
-        simulation = mc.Simulation(scenario, PDLaw(), table, engine, smooth=True)
-        walks.append(simulation.rollout({}, row(plan.parameters, 0), targets=plan.targets[0]))
-    for each in reversed([*found.values()]):
-        simulation = mc.Simulation(each.scenario, each.law, table, engine, smooth=True)
-        own = {key: value for key, value in by_name(each.gains).items() if key in each.law.GAINS}
-        walks.append(simulation.rollout(own, row(each.parameters, 0)))
+    scenario = contest.scenario
+    firsts = [(plan.parameters, plan.targets) for plan in plans.values()]
+    parameters, targets = jax.tree.map(lambda *each: np.stack([value[0] for value in each]), *firsts)
+    planned = over_time(under_pd(scenario), PDLaw(), None, parameters, targets, **contest.draws.how)
+    laws = [each.over_time for each in reversed([*found.values()])]
+    forces = [*planned.foot_force, *(each.foot_force[0] for each in laws)]
+    offsets = [*planned.base_offset, *(each.base_offset[0] for each in laws)]
     stretch = -(-scenario.steps // INSTANTS)
     first = np.arange(0, scenario.steps, stretch)
-    forces = [np.maximum.reduceat(np.linalg.norm(walk.foot_force, axis=-1).max(1), first) for walk in walks]
-    offsets = [(walk.base_position - walk.base_reference)[first] for walk in walks]
+    forces = [np.maximum.reduceat(each, first) for each in forces]
+    offsets = [each[first] for each in offsets]
     force, offset = ({"units": unit, "long_name": text} for unit, text in
                      (("N", "largest foot force"), ("m", "base off its reference")))  # fmt: skip
     return {
