@@ -275,6 +275,16 @@ class Walks:
         derived = self._forward if self._in_forward_mode(freedom) else self._reverse
         return derived(freedom, x, parameters, sharp)
 
+    def prepare(self, freedom: "Freedom", parameters: mc.Parameters) -> None:
+        """Compile the program of gradients for so many plans, by walks of no account, in one call of it."""
+        if self._in_forward_mode(freedom):
+            self._forward(freedom, freedom.none, parameters, 0.0)
+            return
+        targets = freedom.base.reshape(-1, *freedom.base.shape[2:])
+        at_once = _at_once(len(targets), kernel=False)
+        first = np.arange(at_once) % len(targets)
+        self._walked(scored, targets[first], row(parameters, first), 0.0, kernel=False, at_once=at_once)
+
     def judge(self, targets: Float[np.ndarray, "N time limb joint"], parameters: mc.Parameters) -> Scored:
         """Return the scores of walks under joint targets."""
         return _scored(self._walked(judged, targets, parameters, 1.0, kernel=self.dtype == np.float32))
@@ -319,8 +329,9 @@ class Walks:
         sharp: float,
         *,
         kernel: bool,
+        at_once: int | None = None,
     ) -> dict[str, np.ndarray]:
-        count, at_once = len(targets), _at_once(len(targets), kernel=kernel)
+        count, at_once = len(targets), at_once or _at_once(len(targets), kernel=kernel)
         rows = np.arange(-(-count // at_once) * at_once) % count
         parameters = jax.tree.map(lambda value: value[rows], parameters)
         given, axes = self._given(parameters, sharp)
@@ -393,8 +404,8 @@ def rows(
     return found
 
 
-def row(parameters: mc.Parameters, index: int) -> mc.Parameters:
-    """Return those of one robot."""
+def row(parameters: mc.Parameters, index: int | np.ndarray) -> mc.Parameters:
+    """Return those of one robot, or of some."""
     found: mc.Parameters = jax.tree.map(lambda value: value[index], parameters)
     return found
 

@@ -92,7 +92,6 @@ class Contestant(NamedTuple):
     gains: AnyGains
     parameters: mc.Parameters  # (member, ...), see `tuning.problem.plans.rows`
     metrics: Mapping[str, np.ndarray]  # (member,)
-    over_time: OverTime  # (member, time, ...)
     fresh_parameters: mc.Parameters  # (fresh, ...)
     fresh_metrics: Mapping[str, np.ndarray]
 
@@ -163,16 +162,24 @@ def ceiling(
     found, wanted = _contestants(scenario, laws or {}, asked, draws)
     goal = _widened(wanted, asked, [each.metrics for each in found.values()], scenario.gait.stride)
 
-    starts = [_start(name, each) for name, each in found.items()]
-    starts += _random(scenario, asked, starts[0])
-    every = jax.tree.map(lambda *each: np.concatenate(each), *(start.parameters for start in starts))
+    robot, begun = load_robot(scenario.robot), [each.parameters for each in found.values()]
+    begun += [found[PD].parameters] * asked.random
+    every = jax.tree.map(lambda *each: np.concatenate(each), *begun)
     under = walks_of(scenario, goal, every, **how)
+    with background() as begin:  # programs of laws, and that of the search, are compiled side by side
+        still = np.zeros((len(begun), draws.members, scenario.steps, *robot.joint_lower.shape))
+        freedom = Freedom(still, _knots(scenario, asked.knots[0]), True, None, robot.joint_lower, robot.joint_upper)
+        begin(lambda _: under.prepare(freedom, every))
+        works = {name: begin(functools.partial(_over_time, each, draws)) for name, each in found.items()}
+        kept = {name: work(ignore) for name, work in works.items()}
+    starts = [_start(name, each, kept[name]) for name, each in found.items()]
+    starts += _random(scenario, asked, starts[0])
     step = asked.step * float(found[PD].metrics["peak_joint_torque"].mean()) / scenario.control.kp
     contest = Contest(scenario, asked, under, draws, step, progress or (lambda *_: None))
     ended, hidden = _plans(contest, starts)
     front = None if asked.against is None else _front(contest, goal, found[PD].metrics, ended[-1].plan)
     tested = _tested(contest, found, ended) if draws.fresh else {}
-    return _bounded(contest, goal, found, ended, front, hidden, tested, ensemble)
+    return _bounded(contest, goal, found, kept, ended, front, hidden, tested, ensemble)
 
 
 # --- who takes part
@@ -230,9 +237,8 @@ def _contestant(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains, draw
     simulation = mc.Simulation(scenario, own, draws.how["metrics"], draws.how["engine"], smooth=True)
     found = simulation.metrics(gains, draws.parameters, dtype=draws.how["dtype"], unsteady=True)
     every = rows(scenario, own, gains, draws.parameters, draws.members + draws.fresh)
-    kept = over_time(scenario, own, gains, draws.members_of(draws.parameters), **draws.how)
     members = draws.members_of(every), draws.members_of(found)
-    return Contestant(scenario, own, gains, *members, kept, draws.fresh_of(every), draws.fresh_of(found))
+    return Contestant(scenario, own, gains, *members, draws.fresh_of(every), draws.fresh_of(found))
 
 
 def _retuned(scenario: mc.Scenario, asked: Ceiling, goal: Objective, draws: Draws) -> dict[str, float]:
@@ -243,9 +249,14 @@ def _retuned(scenario: mc.Scenario, asked: Ceiling, goal: Objective, draws: Draw
     return retuned_pd.joint_of(tune(under_pd(scenario), objective=goal, **walks, **how))
 
 
-def _start(name: str, of: Contestant) -> Start:
+def _over_time(of: Contestant, draws: Draws, _: Progress) -> OverTime:
+    """Return what is kept of each step of a contestant's walks."""
+    return over_time(of.scenario, of.law, of.gains, draws.members_of(draws.parameters), **draws.how)
+
+
+def _start(name: str, of: Contestant, kept: OverTime) -> Start:
     """Return the plans under which members walk as a contestant does, unless it changes the joint loop's gains."""
-    walked = enumerate(of.over_time.joint_targets)
+    walked = enumerate(kept.joint_targets)
     targets = [commanded(each, row(of.parameters, member), of.scenario) for member, each in walked]
     return Start(name, np.stack(targets), of.parameters)
 
@@ -496,6 +507,7 @@ def _bounded(
     contest: Contest,
     goal: Objective,
     found: Mapping[str, Contestant],
+    kept: Mapping[str, OverTime],
     ended: Sequence[Ended],
     front: Front | None,
     hidden: bool,
@@ -522,7 +534,7 @@ def _bounded(
     if front is not None:
         data["front"] = (("point", "axis_of_front", "member"), front.metrics)
         data["front_share"] = ("point", front.shares, {"units": "1", "long_name": f"weight of {asked.against}"})
-    data |= _histories(contest, plans, found)
+    data |= _histories(contest, plans, kept)
     robot = load_robot(scenario.robot)
     attrs: dict[str, Any] = {"title": "bounds of control laws", **dataset.provenance(scenario)}
     attrs |= {"ceiling": asked.to_yaml(), "hidden": int(hidden)}
@@ -553,13 +565,13 @@ def _scores(
     return data
 
 
-def _histories(contest: Contest, plans: Mapping[str, Start], found: Mapping[str, Contestant]) -> dict[str, Any]:
+def _histories(contest: Contest, plans: Mapping[str, Start], kept: Mapping[str, OverTime]) -> dict[str, Any]:
     """Return histories of the first member's walk: (contestant, instant), of plans first."""
     scenario = contest.scenario
     firsts = [(plan.parameters, plan.targets) for plan in plans.values()]
     parameters, targets = jax.tree.map(lambda *each: np.stack([value[0] for value in each]), *firsts)
     planned = over_time(under_pd(scenario), PDLaw(), None, parameters, targets, **contest.draws.how)
-    laws = [each.over_time for each in reversed([*found.values()])]
+    laws = [*reversed([*kept.values()])]
     forces = [*planned.foot_force, *(each.foot_force[0] for each in laws)]
     offsets = [*planned.base_offset, *(each.base_offset[0] for each in laws)]
     stretch = -(-scenario.steps // INSTANTS)
