@@ -63,6 +63,18 @@ def test_robots_share_directions(interpreted):
     jax.tree.map(np.testing.assert_allclose, kernel, plain)
 
 
+def test_a_batch_of_another_size_has_the_same_kernel(without_nvrtc):
+    """It is written once."""
+    known = [made.cache_info().misses for made in (gpu_kernel._moved, gpu_kernel.written)]
+    call = batches._Call(squared, None, (True, True, False), "kernel", tangents=True)
+    with jax.enable_x64(False):
+        for robots in (3, 5):
+            given = np.ones((robots, 3), "f4"), np.ones(robots, "i4"), np.ones((2, 3), "f4")
+            jax.jit(batches._carried_out, static_argnums=0).trace(call, *given).lower(lowering_platforms=("cuda",))
+    assert [made.cache_info().misses for made in (gpu_kernel._moved, gpu_kernel.written)] == [n + 1 for n in known]
+    assert len(without_nvrtc) == 2 and len(set(without_nvrtc)) == 1
+
+
 def motion(vector, matrix, number):
     """Return the end of a motion of limbs that pull at each other: chained, chosen, clipped, some of them equal."""
 

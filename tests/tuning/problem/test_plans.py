@@ -59,15 +59,49 @@ def test_what_the_joints_got_is_sent_so_that_they_get_it_again(hardware):
 
 
 @pytest.mark.slow
-def test_a_plan_walks_as_the_law_did_that_it_was_taken_from():
+def test_plans_walk_as_the_law_did_that_they_were_taken_from():
+    """In a batch of two whose cargo differs, of which the first walks as alone."""
     hardware = {"hardware.control_period": 0.005, "hardware.command_delay": 0.004}
     scenario = mc.load_scenario("case_1_2").with_overrides({**SHORT, **hardware})
-    law, parameters = law_of(scenario), own_row(scenario, law_of(scenario))
-    walk = mc.Simulation(scenario, law, smooth=True).rollout({}, row(parameters, 0))
-    plan = commanded(np.asarray(walk.joint_targets), row(parameters, 0), scenario)
-    again = mc.Simulation(scenario, PD(), smooth=True).rollout({}, row(parameters, 0), targets=plan)
-    np.testing.assert_allclose(again.foot_force, walk.foot_force, atol=1e-9)
-    np.testing.assert_allclose(again.joint_targets, walk.joint_targets, atol=1e-12)
+    law, own = law_of(scenario), mc.parameters(scenario)
+    parameters = rows(scenario, law, None, dataclasses.replace(own, cargo_mass=np.array([1.0, 0.5])), 2)
+    how = {"metrics": TABLE, "engine": "limb", "dtype": np.float64}
+    walked = plans.over_time(scenario, law, None, parameters, **how)
+    sent = [commanded(each, row(parameters, place), scenario) for place, each in enumerate(walked.joint_targets)]
+    again = plans.over_time(under_pd(scenario), PD(), None, parameters, np.stack(sent), **how)
+    for name, atol in (("foot_force", 1e-9), ("joint_targets", 1e-12), ("base_offset", 1e-12)):
+        np.testing.assert_allclose(getattr(again, name), getattr(walked, name), atol=atol, err_msg=name)
+    alone = mc.Simulation(scenario, law, smooth=True).rollout({}, row(parameters, 0))
+    np.testing.assert_allclose(walked.joint_targets[0], alone.joint_targets, atol=1e-12)
+    np.testing.assert_allclose(walked.foot_force[0], np.linalg.norm(alone.foot_force, axis=-1).max(-1), atol=1e-9)
+    np.testing.assert_allclose(walked.base_offset[0], alone.base_position - alone.base_reference, atol=1e-12)
+    assert abs(walked.foot_force[1] - walked.foot_force[0]).max() > 0.1
+
+
+def test_the_program_of_gradients_is_prepared_by_one_call_of_it(monkeypatch):
+    """Of as many robots as a call of the search has, whose arguments have the same shapes."""
+    asked = []
+
+    class AskedError(Exception):
+        """What is asked for is known: nothing needs to be compiled."""
+
+    def run(function, structure, robots, *, batch_size, **_):
+        asked.append(
+            (function, structure, batch_size, robots.shape[0], [*map(np.ndim, jax.tree.leaves(robots.arguments))])
+        )
+        raise AskedError
+
+    monkeypatch.setattr(plans.execution, "run", run)
+    monkeypatch.setattr(plans.devices, "usable_cores", lambda: 2)
+    scenario = under_pd(mc.load_scenario("case_1_2")).with_overrides(SHORT)
+    parameters = rows(scenario, PD(), None, mc.parameters(scenario), 80)
+    walks = walks_of(scenario, GOAL, parameters, metrics=TABLE)
+    freedom = Freedom(np.zeros((5, 16, 100, 4, 3)), Knots(100, 50), True, None, -np.ones((4, 3)), np.ones((4, 3)))
+    for begin in (walks.prepare, lambda *given: walks.evaluate(given[0], freedom.none, given[1], sharp=0.0)):
+        with pytest.raises(AskedError):
+            begin(freedom, parameters)
+    (*prepared, some, shapes), (*needed, every, of_all) = asked
+    assert prepared == needed and some == prepared[2] == 16 and every == 80 and shapes == of_all
 
 
 @pytest.mark.nightly

@@ -33,7 +33,13 @@ def test_who_knows_more_is_no_worse_and_no_law_is_better():
     assert value["pd"].mean() == pytest.approx(1.0, rel=1e-5)
     assert found.data["feasible"].sel(contestant="clairvoyant").all()
 
-    assert list(found.tested) == ["blind", "mine", "retuned_pd", "pd"]
+    of_first = found.data.isel(member=0)  # each step of it is kept
+    forces, offsets = of_first["foot_force_history"].max("instant"), abs(of_first["base_offset_history"])
+    np.testing.assert_allclose(forces, of_first["peak_foot_force"], rtol=1e-4)
+    lengths = np.sqrt((offsets**2).sum("axis")).max("instant")
+    np.testing.assert_allclose(lengths, of_first["base_deviation"], rtol=1e-3)
+
+    assert list(found.tested) == ["blind", "retuned_pd", "mine", "pd"]
     assert found.tested["pd"].shape == (3,) and found.tested["pd"].mean() == pytest.approx(1.0, rel=1e-5)
     assert found.tested["blind"].mean() < 0.99  # of walks that no search has seen
     cargo = found.data["unseen_peak_foot_force"].sel(tested="blind").values
