@@ -21,6 +21,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.control import PD as PDLaw
 from mjx_climb.control import law_of
+from mjx_climb.execution import devices
 from mjx_climb.execution.batch_axes import own_axes
 from mjx_climb.files import dataset
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -162,21 +163,20 @@ def ceiling(
     found, wanted = _contestants(scenario, laws or {}, asked, draws)
     goal = _widened(wanted, asked, [each.metrics for each in found.values()], scenario.gait.stride)
 
-    robot, begun = load_robot(scenario.robot), [each.parameters for each in found.values()]
+    begun = [each.parameters for each in found.values()]
     begun += [found[PD].parameters] * asked.random
     every = jax.tree.map(lambda *each: np.concatenate(each), *begun)
     under = walks_of(scenario, goal, every, **how)
-    with background() as begin:  # programs of laws, and that of the search, are compiled side by side
-        still = np.zeros((len(begun), draws.members, scenario.steps, *robot.joint_lower.shape))
-        freedom = Freedom(still, _knots(scenario, asked.knots[0]), True, None, robot.joint_lower, robot.joint_upper)
-        begin(lambda _: under.prepare(freedom, every))
-        works = {name: begin(functools.partial(_over_time, each, draws)) for name, each in found.items()}
-        kept = {name: work(ignore) for name, work in works.items()}
-    starts = [_start(name, each, kept[name]) for name, each in found.items()]
-    starts += _random(scenario, asked, starts[0])
     step = asked.step * float(found[PD].metrics["peak_joint_torque"].mean()) / scenario.control.kp
     contest = Contest(scenario, asked, under, draws, step, progress or (lambda *_: None))
-    ended, hidden = _plans(contest, starts)
+    with background() as begin:  # programs are compiled beside each other, and beside the first search
+        for work in _prepared(contest, every):
+            begin(work)
+        works = {name: begin(functools.partial(_over_time, each, draws)) for name, each in found.items()}
+        kept = {name: work(ignore) for name, work in works.items()}
+        starts = [_start(name, each, kept[name]) for name, each in found.items()]
+        starts += _random(scenario, asked, starts[0])
+        ended, hidden = _plans(contest, starts)
     front = None if asked.against is None else _front(contest, goal, found[PD].metrics, ended[-1].plan)
     tested = _tested(contest, found, ended) if draws.fresh else {}
     return _bounded(contest, goal, found, kept, ended, front, hidden, tested, ensemble)
@@ -316,6 +316,21 @@ def _widened(goal: Objective, asked: Ceiling, walked: Sequence[Mapping[str, np.n
 
 
 # --- the search
+
+
+def _prepared(contest: Contest, every: mc.Parameters) -> list[Work[None]]:
+    """Return works that compile the programs of the first search, from all starts, and of later ones, from one."""
+    scenario, members = contest.scenario, contest.draws.members
+    robot, knots = load_robot(scenario.robot), _knots(scenario, contest.asked.knots[0])
+
+    def prepared(starts: int, since: np.ndarray | None) -> Work[None]:
+        still = np.zeros((starts, members, scenario.steps, *robot.joint_lower.shape))
+        freedom = Freedom(still, knots, True, since, robot.joint_lower, robot.joint_upper)
+        walked = row(every, np.arange(starts * members))
+        return lambda _: contest.walks.prepare(freedom, walked)
+
+    later = np.zeros(members) if contest.asked.delays else None
+    return [prepared(len(every.kp) // members, None), prepared(1, later)]
 
 
 def _plans(contest: Contest, starts: Sequence[Start]) -> tuple[list[Ended], bool]:
@@ -553,15 +568,18 @@ def _scores(
     goal: Objective, walked: Mapping[str, Mapping[str, np.ndarray]], table: mc.MetricTable, over: tuple[str, str]
 ) -> dict[str, Any]:
     """Return objective, whether limits are kept, and metrics of contestants, along them and their walks."""
-    scores = [goal.score({name: jnp.asarray(value) for name, value in each.items()}) for each in walked.values()]
+    metrics = {
+        name: np.stack([np.asarray(each[name]) for each in walked.values()]) for name in next(iter(walked.values()))
+    }
+    with devices.on_host():
+        score = goal.score({name: jnp.asarray(value) for name, value in metrics.items()})
     about, kept = ({"units": "1", "long_name": text} for text in ("objective", "every limit is kept"))
     data: dict[str, Any] = {
-        "value": (over, np.stack([np.asarray(score.value) for score in scores]), about),
-        "feasible": (over, np.stack([np.asarray(score.feasible) for score in scores]), kept),
+        "value": (over, np.asarray(score.value), about),
+        "feasible": (over, np.asarray(score.feasible), kept),
     }
     for metric in table:
-        values = np.stack([np.asarray(each[metric.name]) for each in walked.values()])
-        data[metric.name] = (over, values, dataset.metric_attributes(metric))
+        data[metric.name] = (over, metrics[metric.name], dataset.metric_attributes(metric))
     return data
 
 
