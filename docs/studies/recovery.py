@@ -111,7 +111,7 @@ def best_of(simulation: mc.Simulation, gains: object, seconds: float, count: int
     """Return for each of `KINDS` the thresholds with which most walks of draws of their own survive."""
     settings = [dict(zip(THRESHOLDS, each, strict=True)) for each in itertools.product(*THRESHOLDS.values())]
     columns = {name: np.array([each[name] for each in settings]).reshape(-1, 1, 1, 1, 1) for name in THRESHOLDS}
-    alive = survived(simulation, gains, drawn(count, seconds, 1), IMPULSES[1:6], Recovery(**columns))
+    alive = survived(simulation, gains, drawn(count, seconds, 1), IMPULSES[1:6], Recovery(**columns, take_over=1.0))
     score = alive.mean((3, 4)).reshape(len(settings), -1)
     for number, kind in enumerate(KINDS):
         order = np.argsort(-score[:, number], kind="stable")[:3]
@@ -127,7 +127,7 @@ def walk_row(out: Path, hardware: str, law: str, draws: int, seconds: float) -> 
     columns = {name: np.array([each[name] for each in chosen]).reshape(sizes) for name in THRESHOLDS}
     alive = {
         name: survived(simulation, gains, pushes, IMPULSES, recovery).astype(int).tolist()
-        for name, recovery in (("none", None), ("recovery", Recovery(**columns)))
+        for name, recovery in (("none", None), ("recovery", Recovery(**columns, take_over=1.0)))
     }
     row = {"hardware": hardware, "law": law, "chosen": chosen, "alive": alive}
     (out / f"{hardware}-{law}.json").write_text(json.dumps(row) + "\n")

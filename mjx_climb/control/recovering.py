@@ -19,12 +19,12 @@ class Recovering(Law):
     recovery_utilization: Array = gain(
         "1", length=1, bounds=(1e-1, 1e1), default=0.6, long_name="use of a grip that interrupts"
     )
-    recovery_landing_time: Array = gain("s", length=1, bounds=(3e-2, 5e-1), default=0.15, long_name="time of a landing")
+    recovery_landing_time: Array = gain("s", length=1, bounds=(3e-2, 5e-1), default=0.25, long_name="time of a landing")
     recovery_rest_time: Array = gain(
-        "s", length=1, bounds=(2e-2, 2.0), default=0.3, long_name="time at rest after a landing"
+        "s", length=1, bounds=(2e-2, 2.0), default=1.2, long_name="time at rest after a landing"
     )
     recovery_take_over: Array = gain(
-        "1", length=1, bounds=(1e-2, 1.0), default=1.0, long_name="share of a shift that is taken over"
+        "1", length=1, bounds=(1e-2, 1.0), default=0.3, long_name="share of a shift that is taken over"
     )
     recovery_return_time: Array = gain(
         "s", length=1, bounds=(1e-1, 1e1), default=1.0, long_name="time of the base's return", searched=False

@@ -326,9 +326,9 @@ class Recovery(v.Section):
     utilization: v.PositiveOrNull = setting(None, "predicted pull of a grip, over its holding limit, that does, 1")
     margin: v.PositiveOrNull = setting(None, "GIA margin below which the gait is interrupted, m/s^2")
     lead_time: v.NonNegative = setting(0.02, "time ahead for which the pull of a grip is predicted, s")
-    landing_time: v.Positive = setting(0.15, "time in which a limb in the air comes down, s")
-    rest_time: v.NonNegative = setting(0.3, "time for which the gait then stands still, s")
-    take_over: v.Part = setting(1.0, "share of the base's shift that its reference takes over, 1")
+    landing_time: v.Positive = setting(0.25, "time in which a limb in the air comes down, s")
+    rest_time: v.NonNegative = setting(1.2, "time for which the gait then stands still, s")
+    take_over: v.Part = setting(0.3, "share of the base's shift that its reference takes over, 1")
     return_time: v.Positive = setting(1.0, "time in which the base reference goes back to its path, s")
     reach: v.NonNegative = setting(0.03, "how far beside itself a foot may land on ground that is all held, m")
 

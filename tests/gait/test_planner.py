@@ -87,7 +87,8 @@ def test_a_planner_that_has_nothing_to_do_changes_no_walk(scenario, planned):
 @pytest.mark.slow
 def test_a_push_interrupts_the_gait(scenario, planned):
     """The base reference moves to the base, and the limb in the air is on the ground sooner than planned."""
-    law = Recovering(recovery_shift=THRESHOLD, recovery_utilization=1e3, recovery_landing_time=0.05)
+    own = {"shift": THRESHOLD, "utilization": 1e3, "landing_time": 0.05, "rest_time": 0.3, "take_over": 1.0}
+    law = Recovering(**{f"recovery_{name}": value for name, value in own.items()})
     pushed = mc.rollout(scenario.with_overrides({"disturbance.pushes": [PUSH]}), law=law)
     moved = np.linalg.norm(pushed.base_reference - planned.base_reference, axis=1)
     at = int((moved > 1e-9).argmax())
