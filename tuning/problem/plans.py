@@ -213,7 +213,7 @@ def _followed(
 
 
 class OverTime(NamedTuple):
-    """What is kept of each step of walks, (N, time, ...)."""
+    """Histories of walks, (N, time, ...)."""
 
     joint_targets: np.ndarray  # (N, time, limb, joint) rad
     foot_force: np.ndarray  # (N, time) N, of the foot with the largest

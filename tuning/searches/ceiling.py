@@ -250,7 +250,7 @@ def _retuned(scenario: mc.Scenario, asked: Ceiling, goal: Objective, draws: Draw
 
 
 def _over_time(of: Contestant, draws: Draws, _: Progress) -> OverTime:
-    """Return what is kept of each step of a contestant's walks."""
+    """Return the histories of a contestant's walks."""
     return over_time(of.scenario, of.law, of.gains, draws.members_of(draws.parameters), **draws.how)
 
 
