@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 DRAWN = sorted(IMAGES.glob("*.svg"))
-FILMS = ("climbs.webp", "climbs_others.webp", "walks.webp")  # move
+FILMS = ("climbs.webp", "climbs_others.webp", "plans.webp", "walks.webp")  # move
 LARGEST = 60_000  # bytes
 
 

@@ -1,10 +1,13 @@
 """The result of `tuning.ceiling`: how far control laws are from the best joint targets that were found."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+import mjx_climb as mc
+from mjx_climb.inputs.resolve import AnyGains
 from tuning.problem.ceiling import Ceiling
 from tuning.results.result import Result
 
@@ -19,6 +22,21 @@ class Worth(NamedTuple):
     mean: float
     low: float
     high: float
+
+
+class Walked(NamedTuple):
+    """Under what the first member walks: a law with its gains, or a plan in its place."""
+
+    scenario: mc.Scenario
+    law: mc.Law
+    gains: AnyGains
+    parameters: mc.Parameters
+    targets: np.ndarray | None  # (time, limb, joint) rad
+
+    def trajectory(self) -> mc.Trajectory:
+        """Walk it; nothing is torn off."""
+        simulation = mc.Simulation(self.scenario, self.law, smooth=True)
+        return simulation.rollout(self.gains, self.parameters, targets=self.targets)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +58,9 @@ class Bounded(Result):
     KIND = "ceiling"
 
     asked: Ceiling = dataclasses.field(default_factory=Ceiling)
+    first: Mapping[str, Walked] = dataclasses.field(
+        default_factory=dict
+    )  # by contestant; none of a result that is read
 
     @property
     def contestants(self) -> list[str]:

@@ -55,7 +55,7 @@ from tuning.problem.plans import (
     walks_of,
 )
 from tuning.problem.search import Search, check_metrics
-from tuning.results.ceiling import BLIND, CLAIRVOYANT, FIRST, PD, RETUNED, Bounded
+from tuning.results.ceiling import BLIND, CLAIRVOYANT, FIRST, PD, RETUNED, Bounded, Walked
 from tuning.searches import retuned_pd
 from tuning.searches.tune import tune
 
@@ -561,7 +561,13 @@ def _bounded(
     }  # fmt: skip
     own = mc.MetricTable(metric for metric in table if metric not in (SWING, RATE))
     problem = Problem(scenario, objective=goal, members=members, engine=engine, metrics=own, ensemble=ensemble)
-    return Bounded(xr.Dataset(data, coordinates, attrs), problem, ensemble=ensemble, asked=asked)
+    first = {
+        name: Walked(under_pd(scenario), PDLaw(), {}, row(plan.parameters, 0), plan.targets[0])
+        for name, plan in plans.items()
+    }
+    of_first = row(contest.draws.parameters, 0)
+    first |= {name: Walked(each.scenario, each.law, each.gains, of_first, None) for name, each in found.items()}
+    return Bounded(xr.Dataset(data, coordinates, attrs), problem, ensemble=ensemble, asked=asked, first=first)
 
 
 def _scores(

@@ -38,6 +38,10 @@ def test_who_knows_more_is_no_worse_and_no_law_is_better():
     np.testing.assert_allclose(forces, of_first["peak_foot_force"], rtol=1e-4)
     lengths = np.sqrt((offsets**2).sum("axis")).max("instant")
     np.testing.assert_allclose(lengths, of_first["base_deviation"], rtol=1e-3)
+    for name in ("clairvoyant", "mine"):
+        walk = found.first[name].trajectory()
+        peak = np.linalg.norm(walk.foot_force, axis=-1).max()
+        assert peak == pytest.approx(float(of_first["peak_foot_force"].sel(contestant=name)), rel=1e-3)
 
     assert list(found.tested) == ["blind", "retuned_pd", "mine", "pd"]
     assert found.tested["pd"].shape == (3,) and found.tested["pd"].mean() == pytest.approx(1.0, rel=1e-5)
