@@ -245,6 +245,21 @@ def over_time(
     return OverTime(**found)
 
 
+class Walked(NamedTuple):
+    """Under what a robot walks: a law with its gains, or a plan in its place."""
+
+    scenario: mc.Scenario
+    law: mc.Law
+    gains: AnyGains
+    parameters: mc.Parameters
+    targets: np.ndarray | None  # (time, limb, joint) rad
+
+    def trajectory(self) -> mc.Trajectory:
+        """Walk it; nothing is torn off."""
+        simulation = mc.Simulation(self.scenario, self.law, smooth=True)
+        return simulation.rollout(self.gains, self.parameters, targets=self.targets)
+
+
 def _over_time(
     structure: Structure, law: mc.Law, parameters: mc.Parameters, targets: Array | None = None
 ) -> dict[str, Array]:

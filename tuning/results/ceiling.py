@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-import mjx_climb as mc
-from mjx_climb.inputs.resolve import AnyGains
 from tuning.problem.ceiling import Ceiling
+from tuning.problem.plans import Walked
 from tuning.results.result import Result
 
 FIRST = "blind, first"  # the search of the blind plan from all starts
@@ -22,21 +21,6 @@ class Worth(NamedTuple):
     mean: float
     low: float
     high: float
-
-
-class Walked(NamedTuple):
-    """Under what the first member walks: a law with its gains, or a plan in its place."""
-
-    scenario: mc.Scenario
-    law: mc.Law
-    gains: AnyGains
-    parameters: mc.Parameters
-    targets: np.ndarray | None  # (time, limb, joint) rad
-
-    def trajectory(self) -> mc.Trajectory:
-        """Walk it; nothing is torn off."""
-        simulation = mc.Simulation(self.scenario, self.law, smooth=True)
-        return simulation.rollout(self.gains, self.parameters, targets=self.targets)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -47,6 +47,7 @@ from tuning.problem.plans import (
     Knots,
     OverTime,
     Scored,
+    Walked,
     Walks,
     commanded,
     over_time,
@@ -55,7 +56,7 @@ from tuning.problem.plans import (
     walks_of,
 )
 from tuning.problem.search import Search, check_metrics
-from tuning.results.ceiling import BLIND, CLAIRVOYANT, FIRST, PD, RETUNED, Bounded, Walked
+from tuning.results.ceiling import BLIND, CLAIRVOYANT, FIRST, PD, RETUNED, Bounded
 from tuning.searches import retuned_pd
 from tuning.searches.tune import tune
 
