@@ -245,6 +245,14 @@ def over_time(
     return OverTime(**found)
 
 
+def _over_time(
+    structure: Structure, law: mc.Law, parameters: mc.Parameters, targets: Array | None = None
+) -> dict[str, Array]:
+    samples = samples_of(structure, law, parameters, targets)
+    forces, offset = norm(samples.foot_force).max(-1), samples.base_position - samples.base_reference
+    return {"joint_targets": samples.joint_targets, "foot_force": forces, "base_offset": offset}
+
+
 class Walked(NamedTuple):
     """Under what a robot walks: a law with its gains, or a plan in its place."""
 
@@ -253,19 +261,12 @@ class Walked(NamedTuple):
     gains: AnyGains
     parameters: mc.Parameters
     targets: np.ndarray | None  # (time, limb, joint) rad
+    engine: str
 
     def trajectory(self) -> mc.Trajectory:
-        """Walk it; nothing is torn off."""
-        simulation = mc.Simulation(self.scenario, self.law, smooth=True)
+        """Return the walk, in double precision; nothing is torn off."""
+        simulation = mc.Simulation(self.scenario, self.law, engine=self.engine, smooth=True)
         return simulation.rollout(self.gains, self.parameters, targets=self.targets)
-
-
-def _over_time(
-    structure: Structure, law: mc.Law, parameters: mc.Parameters, targets: Array | None = None
-) -> dict[str, Array]:
-    samples = samples_of(structure, law, parameters, targets)
-    forces, offset = norm(samples.foot_force).max(-1), samples.base_position - samples.base_reference
-    return {"joint_targets": samples.joint_targets, "foot_force": forces, "base_offset": offset}
 
 
 @dataclasses.dataclass(frozen=True)

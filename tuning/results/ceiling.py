@@ -36,15 +36,16 @@ class Bounded(Result):
     a fresh draw: `unseen_value`, relative to pd in these, `unseen_feasible` and `unseen_` before each metric. With a
     front along `point` the weight of the second metric, `front_share`, and both metrics of the clairvoyant plans that
     weigh these two alone, `front` (point, 2, member).
+
+    `first` says under what the first member walks as each contestant, by name, to look at it; a result that is read
+    has none.
     """
 
     FILE = "ceiling.nc"
     KIND = "ceiling"
 
     asked: Ceiling = dataclasses.field(default_factory=Ceiling)
-    first: Mapping[str, Walked] = dataclasses.field(
-        default_factory=dict
-    )  # by contestant; none of a result that is read
+    first: Mapping[str, Walked] = dataclasses.field(default_factory=dict)
 
     @property
     def contestants(self) -> list[str]:

@@ -30,7 +30,7 @@ from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
-from tuning.background import Work, background, ignore
+from tuning.background import Callback, Work, background, ignore
 from tuning.gains import gains_file
 from tuning.gains.gains_file import Whole, by_name
 from tuning.methods.many_variables import Evaluated, descend
@@ -250,7 +250,7 @@ def _retuned(scenario: mc.Scenario, asked: Ceiling, goal: Objective, draws: Draw
     return retuned_pd.joint_of(tune(under_pd(scenario), objective=goal, **walks, **how))
 
 
-def _over_time(of: Contestant, draws: Draws, _: Progress) -> OverTime:
+def _over_time(of: Contestant, draws: Draws, _: Callback) -> OverTime:
     """Return the histories of a contestant's walks."""
     return over_time(of.scenario, of.law, of.gains, draws.members_of(draws.parameters), **draws.how)
 
@@ -563,11 +563,11 @@ def _bounded(
     own = mc.MetricTable(metric for metric in table if metric not in (SWING, RATE))
     problem = Problem(scenario, objective=goal, members=members, engine=engine, metrics=own, ensemble=ensemble)
     first = {
-        name: Walked(under_pd(scenario), PDLaw(), {}, row(plan.parameters, 0), plan.targets[0])
+        name: Walked(under_pd(scenario), PDLaw(), {}, row(plan.parameters, 0), plan.targets[0], engine)
         for name, plan in plans.items()
     }
     of_first = row(contest.draws.parameters, 0)
-    first |= {name: Walked(each.scenario, each.law, each.gains, of_first, None) for name, each in found.items()}
+    first |= {name: Walked(each.scenario, each.law, each.gains, of_first, None, engine) for name, each in found.items()}
     return Bounded(xr.Dataset(data, coordinates, attrs), problem, ensemble=ensemble, asked=asked, first=first)
 
 
