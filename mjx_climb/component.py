@@ -8,9 +8,10 @@ class Magnet(mjx_climb.Contact):
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, TypeVar, dataclass_transform
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,16 @@ from numpy.typing import ArrayLike
 from mjx_climb.arrays import AnyArray
 
 _NUMBERS = {3: "three", 6: "six"}
+_LEAST, _MOST = math.ulp(0.0), sys.float_info.max
+BELOW_ONE = math.nextafter(1.0, 0.0)
+# bounds, both of which a value may have
+FINITE = (-_MOST, _MOST)
+NONNEGATIVE = (0.0, _MOST)
+POSITIVE = (_LEAST, _MOST)
+UNLIMITED = (0.0, math.inf)  # infinite: no limit
+POSITIVE_OR_INFINITE = (_LEAST, math.inf)
+SHARE = (0.0, BELOW_ONE)
+PART = (_LEAST, 1.0)
 
 
 class ValueField(NamedTuple):
@@ -31,6 +42,7 @@ class ValueField(NamedTuple):
     rotation_bounds: tuple[float, float] | None = None  # of a search, where rotations have their own
     long_name: str = ""
     searched: bool = True  # whether searches move it without being asked
+    in_steps: bool = False  # a time that is counted in whole time steps
 
     @property
     def lengths(self) -> tuple[int, ...]:
@@ -50,6 +62,7 @@ def parameter(
     bounds: tuple[float, float],
     default: object = dataclasses.MISSING,
     long_name: str = "",
+    in_steps: bool = False,
 ) -> Any:
     """Return the field of a contact, an actuator or a disturbance that is one of its values.
 
@@ -60,11 +73,12 @@ def parameter(
             finite, unless `high` is infinite.
         default: the value of a component that is made without one.
         long_name: for axes and tables; the field's own name where empty.
+        in_steps: a time that a walk rounds to whole time steps, in double precision.
 
     Raises:
         ValueError: bounds that are not in order.
     """
-    return value_field(ValueField(unit, tuple(shape), bounds, None, long_name), default)
+    return value_field(ValueField(unit, tuple(shape), bounds, None, long_name, in_steps=in_steps), default)
 
 
 def value_field(field: ValueField, default: object) -> Any:
@@ -106,7 +120,20 @@ class Component:
         jax.tree_util.register_dataclass(cls, data_fields=[*values, *trees], meta_fields=others)
 
 
+    def compiled_for(self, moving: Collection[str] = ()) -> Self:
+        """This component with the options that its values ask of a compiled walk; of a batch, those of any robot.
+
+        Values that `moving` names are differentiated by: they need what any value of theirs would.
+        """
+        return self
+
+
 AnyComponent = TypeVar("AnyComponent", bound=Component)
+
+
+def given(value: ArrayLike) -> bool:
+    """Return whether any number of an array is not zero."""
+    return bool(np.any(np.asarray(value) != 0))
 
 
 def with_values(

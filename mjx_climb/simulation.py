@@ -31,9 +31,10 @@ from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, 
 from mjx_climb.execution.batches import Progress
 from mjx_climb.gait.base_path import check_base
 from mjx_climb.hardware.actuator import Actuator
-from mjx_climb.hardware.stages import Stages, given, stages_of
+from mjx_climb.component import given
+from mjx_climb.hardware.stages import Stages, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.gait_values import GAIT, TIMES, gait_of, scenario_with_gait
+from mjx_climb.inputs.gait_values import TIMES, gait_of, scenario_with_gait
 from mjx_climb.inputs.resolve import (
     AnyGains,
     WalkInputs,
@@ -46,7 +47,7 @@ from mjx_climb.inputs.resolve import (
     resolved_directions,
 )
 from mjx_climb.inputs.time_step import check_time_step
-from mjx_climb.parameter_types import Parameters
+from mjx_climb.parameter_types import Parameters, path_of_gain
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE, checked_engine
 from mjx_climb.physics.state import State
@@ -171,8 +172,6 @@ class Simulation:
     def _given(self, parameters: Parameters | None) -> Parameters:
         """Return parameters, the scenario's where None, with the simulation's own contact, drive and disturbances."""
         given = own_parameters(self.scenario) if parameters is None else parameters
-        if self.contact is None and self.drive is None and not self.disturbances:
-            return given
         contact = given.contact if self.contact is None else self.contact
         drive = given.drive if self.drive is None else self.drive
         disturbances = given.disturbances + self.disturbances
@@ -313,15 +312,15 @@ class Simulation:
             ValueError: weights of another shape.
         """
         resolved, run = self._prepared(gains, parameters, over_time=True, **how)
-        batch, dtype = resolved.shape, resolved.parameters.kp.dtype
+        batch, dtype = resolved.shape, resolved.parameters.gravity.dtype
         summed = {name: np.asarray(value, dtype) for name, value in weights.items()}
         counts = {len(value) for value in summed.values() if value.ndim and value.shape[1:] == batch}
         if len(counts) != 1 or any(value.shape != (*counts, *batch) for value in summed.values()):
             got = ", ".join(f"{name} {value.shape}" for name, value in summed.items())
             raise ValueError(f"weights: expected shapes (k, {', '.join(map(str, batch))}), got {got or 'none'}")
-        places = {name: GAIT.get(name, name) for name in by_name(gains) if name not in TIMES}
-        known = [*resolved.law.GAINS, *resolved.parameters.numbers]
-        robots, shape = self._moving(resolved, [place for place in places.values() if place in known])
+        names = [name for name in by_name(gains) if name not in TIMES]
+        known = {*resolved.law.GAINS, *(name for name in names if path_of_gain(name) in resolved.called)}
+        robots, shape = self._moving(resolved, [name for name in names if name in known])
         moving, *others = robots.arguments
         robots = robots._replace(
             arguments=(moving, {name: np.moveaxis(value, 0, -1) for name, value in summed.items()}, *others),
@@ -330,7 +329,7 @@ class Simulation:
         found = {name: np.moveaxis(value, len(batch), 0) for name, value in run(gradients_of, shape, robots).items()}
         nothing = np.zeros((*counts, 1), dtype)
         return {
-            name: summed_to(found.get(places.get(name, ""), nothing), np.shape(value))
+            name: summed_to(found.get(name, nothing), np.shape(value))
             for name, value in by_name(gains).items()
         }
 
@@ -370,10 +369,12 @@ class Simulation:
     def _moving(self, resolved: WalkInputs, names: Iterable[str]) -> tuple[execution.Robots, Structure]:
         """Return the arguments of `metrics_of_moved` for derivatives by some gains, and what that is compiled for."""
         law, own = resolved[:2]
-        moving = {name: np.asarray(getattr(law if name in law.GAINS else own, name)) for name in names}
+        values = own.values
+        moving = {n: np.asarray(getattr(law, n) if n in law.GAINS else values[path_of_gain(n)]) for n in names}
         of_moving = {name: law.AXES.get(name, 0) for name in moving}
         shape = self._structure(resolved.walked, resolved.called)
-        shape = shape._replace(stages=stages_of(self.scenario, resolved.walked, load_robot(shape.robot), tuple(moving)))
+        paths = [path_of_gain(name) for name in moving if name not in law.GAINS]
+        shape = shape._replace(stages=stages_of(resolved.walked, shape.time_step, load_robot(shape.robot), paths))
         return execution.Robots((moving, law, own), (of_moving, *resolved.axes), resolved.shape), shape
 
     def simulate(self, gains: AnyGains | None = None, parameters: Parameters | None = None) -> Metrics:
@@ -461,7 +462,7 @@ class Simulation:
         Raises:
             ValueError: an action of another shape.
         """
-        action = checked_action(action, load_robot(self.scenario.robot), state.parameters.kp.dtype)
+        action = checked_action(action, load_robot(self.scenario.robot), state.parameters.gravity.dtype)
         after: tuple[SimulationState, Sample] = _carried_out(_step, self._structure_of(state))(state, action)
         return after
 
@@ -483,11 +484,11 @@ class Simulation:
         if gait := gait_of(by_name(gains)):
             raise ValueError(f"gains.{next(iter(gait))}: expected none, a robot that walks keeps its gait")
         shape = state.step.shape
-        resolved = resolve(self.scenario, state.law, gains, state.parameters, state.parameters.kp.dtype)
+        resolved = resolve(self.scenario, state.law, gains, state.parameters, state.parameters.gravity.dtype)
         if resolved.shape != shape:
             raise ValueError(f"gains: expected batch axes that broadcast to the state's {shape}, got {resolved.shape}")
-        structure, ki = self._structure_of(state), resolved.walked.ki
-        if "ki" in resolved.called and not structure.stages.integral and (is_traced(ki) or given(ki)):
+        structure, ki = self._structure_of(state), resolved.walked.joint_loop.ki
+        if "control.ki" in resolved.called and not structure.stages.integral and (is_traced(ki) or given(ki)):
             raise ValueError("gains.ki: expected 0, as the robot began without an integral gain, got another value")
         change, axes = functools.partial(_with_law, structure), (axes_behind(state, shape), *resolved.axes)
         changed: SimulationState = over_batch(change, (state, *resolved[:2]), axes, shape)

@@ -17,7 +17,7 @@ from jaxtyping import Float, PyTree
 
 from mjx_climb.arrays import AnyArray
 from mjx_climb.control import Law
-from mjx_climb.parameter_types import Parameters
+from mjx_climb.parameter_types import Parameters, path_of_gain
 from mjx_climb.physics.spatial import norm
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
@@ -68,8 +68,8 @@ def metrics_of_moved(
 ) -> Metrics:
     """Return the metrics of a walk with some gains, by name, in place of those of the law and of the joint loop."""
     moved = dataclasses.replace(law, **{n: v for n, v in gains.items() if n in law.GAINS})
-    of_joints = {name: value for name, value in gains.items() if name not in law.GAINS}
-    return metrics_of(structure, moved, dataclasses.replace(parameters, **of_joints), scan)
+    of_joints = {path_of_gain(name): value for name, value in gains.items() if name not in law.GAINS}
+    return metrics_of(structure, moved, parameters.replace(of_joints), scan)
 
 
 def gradients_of(
@@ -148,7 +148,7 @@ def _walked(
         walked, sample = advance(walk, walked, running.steps, None if angles is None else JointTargets(angles))
         return (walked, accumulate(table, running, sample, context)), record(sample)
 
-    begun = (begin(walk), start(table, parameters.kp.dtype))
+    begun = (begin(walk), start(table, parameters.gravity.dtype))
     (_, running), records = _over_steps(walk, step, begun, targets, scan)
     return finish(table, running, context), records
 
@@ -193,7 +193,7 @@ def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Cont
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")
     scaled = {name: getattr(robot, name) * parameters.mass_scale for name in names}
     heavy = dataclasses.replace(robot, **scaled)
-    return Context(heavy, parameters.gravity, parameters.heading, structure.time_step)
+    return Context(heavy, parameters.gravity, parameters.gait.heading, structure.time_step)
 
 
 # --- histories

@@ -1,6 +1,7 @@
 """The seam of disturbances: wrenches and masses from outside."""
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -13,11 +14,12 @@ from mjx_climb.robot.constants import Robot
 
 
 class External(NamedTuple):
-    """What acts on the robot from outside, as the equations of motion take it."""
+    """What acts on the robot from outside, as the equations of motion take it; None: nothing of the kind."""
 
-    base_wrench: Array  # (6,) N, N m: the whole force, and its moment about the base's centre of mass, world axes
-    joint_torque: Array  # (limb, joint) N m, N of sliding joints
-    cargo_mass: Array  # () kg, at the base's centre of mass
+    # (6,) N, N m: the whole force, and its moment about the base's centre of mass, world axes
+    base_wrench: Any = None
+    joint_torque: Any = None  # (limb, joint) N m, N of sliding joints
+    cargo_mass: Any = None  # () kg, at the base's centre of mass
 
 
 class Body(NamedTuple):
@@ -61,11 +63,27 @@ def _from_foot_inwards(values: Array) -> Array:
     return jnp.stack(sums[::-1], axis=1)
 
 
+def sum_of(all_of_them: Iterable[External]) -> External:
+    """Return the sum of disturbances."""
+    total = External()
+    for each in all_of_them:
+        pairs = zip(total, each, strict=True)
+        total = External(*(more if one is None else one if more is None else one + more for one, more in pairs))
+    return total
+
+
 class Disturbance(Component):
     """Base of disturbances: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `parameter` are its values. `act` is written for one robot.
     """
+
+    GROUP: ClassVar[str] = "others"  # key in the section `disturbance` of a config
+    LISTED: ClassVar[bool] = True  # whether that key has a list of them
+
+    def begins(self) -> Array:
+        """The instant at which it begins, () s: what a robot cannot know before; 0: it acts from the start."""
+        return jnp.zeros(())
 
     def act(self, time: Array, body: Body) -> External:
         """What acts in a step.

@@ -26,6 +26,10 @@ class LinkWrench(Disturbance):
     stop: Array = parameter("s", bounds=(0.0, np.inf), default=np.inf)
     frame: str = "world"
 
+    def begins(self) -> Array:
+        """The first instant."""
+        return self.start
+
     def act(self, time: Array, body: Body) -> External:
         """The wrench of the window, by the Jacobian of the point where it acts."""
         limbs, links = body.frames.position.shape[:2]

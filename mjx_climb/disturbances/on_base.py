@@ -1,29 +1,49 @@
 """Cargo and pushes on the base, each in its window of time."""
 
-from typing import NamedTuple
+from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-from mjx_climb.parameter_types import Parameters, whole_steps
+from mjx_climb.component import FINITE, NONNEGATIVE, UNLIMITED, parameter
+from mjx_climb.disturbances.disturbance import Body, Disturbance, External
 
 
-class Windows(NamedTuple):
-    """The steps in which disturbances act: from the first one on, until before the second."""
+class Cargo(Disturbance):
+    """A point mass at the base's centre of mass, from `start` until before `stop`."""
 
-    cargo: tuple[Array, Array]  # () each
-    pushes: tuple[Array, Array]  # (push,)
+    GROUP: ClassVar[str] = "cargo"
+    LISTED: ClassVar[bool] = False
+
+    mass: Array = parameter("kg", bounds=NONNEGATIVE, default=0.0, long_name="mass of the cargo")
+    start: Array = parameter("s", bounds=NONNEGATIVE, default=2.0, long_name="loading of the cargo", in_steps=True)
+    stop: Array = parameter("s", bounds=UNLIMITED, default=np.inf, long_name="unloading of the cargo", in_steps=True)
+
+    def begins(self) -> Array:
+        """The instant of loading."""
+        return self.start
+
+    def act(self, time: Array, body: Body) -> External:
+        """The mass, while it is there."""
+        return External(cargo_mass=jnp.where((time >= self.start) & (time < self.stop), self.mass, 0.0))
 
 
-def windows(parameters: Parameters, time_step: float) -> Windows:
-    """Return the windows of a walk in time steps of `time_step` s."""
-    cargo, pushes = (parameters.cargo_start, parameters.cargo_stop), (parameters.push_start, parameters.push_stop)
-    return Windows(*(tuple(whole_steps(time, time_step) for time in times) for times in (cargo, pushes)))
+class Push(Disturbance):
+    """A constant force and moment on the base, world axes, from `start` until before `stop`."""
 
+    GROUP: ClassVar[str] = "pushes"
 
-def acting(parameters: Parameters, windows: Windows, step: Array) -> tuple[Array, Array]:
-    """Return the cargo at the base's centre of mass, () kg, and force and moment there, (6,) N and N m, world axes."""
-    loaded, pushed = ((step >= start) & (step < stop) for start, stop in windows)
-    wrenches = jnp.concatenate([parameters.push_force, parameters.push_moment], axis=1)
-    cargo = jnp.where(loaded, parameters.cargo_mass, 0.0)
-    return cargo, jnp.where(pushed[:, None], wrenches, 0.0).sum(0)
+    force: Array = parameter("N", shape=(3,), bounds=FINITE, default=0.0, long_name="force of the push")
+    moment: Array = parameter("N m", shape=(3,), bounds=FINITE, default=0.0, long_name="moment of the push")
+    start: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="start of the push", in_steps=True)
+    stop: Array = parameter("s", bounds=UNLIMITED, default=np.inf, long_name="end of the push", in_steps=True)
+
+    def begins(self) -> Array:
+        """The first instant."""
+        return self.start
+
+    def act(self, time: Array, body: Body) -> External:
+        """The wrench, while it lasts."""
+        wrench = jnp.concatenate([jnp.asarray(self.force), jnp.asarray(self.moment)])
+        return External(base_wrench=jnp.where((time >= self.start) & (time < self.stop), wrench, 0.0))

@@ -17,13 +17,13 @@ import jax
 import numpy as np
 import xarray as xr
 
+from mjx_climb.disturbances.on_base import Push
 from mjx_climb.files.writing import OutputError as OutputError
 from mjx_climb.files.writing import check_folder as check_folder
 from mjx_climb.files.writing import write_bytes_atomically as write_bytes_atomically
 from mjx_climb.files.writing import write_text_atomically as write_text_atomically
 from mjx_climb.inputs.from_scenario import parameters
-from mjx_climb.parameter_types import COORDINATES as COORDINATES
-from mjx_climb.parameter_types import Gains, Parameters
+from mjx_climb.parameter_types import GAIN_UNITS, Gains, Parameters
 from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -96,7 +96,8 @@ def sweep_dataset(
 
     Arguments:
         metrics: arrays of metrics, with one axis per coordinate, in their order.
-        coordinates: the values along each axis: names of `COORDINATES`, or others with a DataArray that has units.
+        coordinates: the values along each axis: names of gains or paths of the scenario's parameters, or others with a
+            DataArray that has units.
         scenario: what all the walks have in common.
         table: the metrics themselves.
 
@@ -106,9 +107,10 @@ def sweep_dataset(
     coords, shape = {}, []
     for name, values in coordinates.items():
         if not isinstance(values, xr.DataArray) or "units" not in values.attrs:
-            if name not in COORDINATES:
-                raise ValueError(f"coordinate {name}: expected one of {', '.join(COORDINATES)}, or units of its own")
-            units, text = COORDINATES[name]
+            known = GAIN_UNITS if name in GAIN_UNITS else parameters(scenario).units
+            if name not in known:
+                raise ValueError(f"coordinate {name}: expected a gain or a path of the scenario, or units of its own")
+            units, text = known[name]
             values = xr.DataArray(np.asarray(values), dims=name, attrs={"units": units, "long_name": text})
         if values.ndim != 1:
             raise ValueError(f"coordinate {name}: expected one axis, got {values.ndim}")
@@ -183,7 +185,7 @@ def _revision(package: Path) -> str:
 
 def fields_as_json(values: Gains | Parameters | Mapping[str, Any]) -> str:
     """Return numbers by name as JSON, arrays as lists."""
-    by_name = values if isinstance(values, Mapping) else getattr(values, "numbers", vars(values))
+    by_name = values if isinstance(values, Mapping) else getattr(values, "values", None) or vars(values)
     return json.dumps({n: None if v is None else np.asarray(v).tolist() for n, v in by_name.items()})
 
 
@@ -269,11 +271,14 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     with jax.enable_x64(dtype == np.float64):
         # to read a walk runs no file
         bare = scenario_of(dataset).with_own(contact=None, drive=None, disturbances=[], footholds=None)
-        own = {name: np.asarray(value) for name, value in parameters(bare, dtype).numbers.items()}
-    numbers = own | _from_json(dataset.attrs["parameters"], dtype)
-    # lists without pushes have lost their second axis
-    pushes = {name: numbers[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
+        own: Parameters = jax.tree.map(np.asarray, parameters(bare, dtype))
+    numbers = _from_json(dataset.attrs["parameters"], dtype)
+    if "contact_stiffness" in numbers:
+        raise ConfigError(f"{os.fspath(path)}: expected a walk of release 2, got an older one: walk its config again")
+    pushes = {name.split(".")[2] for name in numbers if name.startswith("disturbance.pushes.")}
+    own = dataclasses.replace(own, disturbances=(*own.disturbances[:1], *(Push() for _ in pushes)))
+    shaped = {n: v.reshape(np.shape(own.at(n))) if not v.size else v for n, v in numbers.items() if n in own.paths}
+    given = own.replace(shaped)
     limbs = tuple(str(limb) for limb in dataset["limb"].values)
-    given = Parameters(**numbers | pushes)
     law = dataset.attrs.get("law", "")
     return Trajectory(scenario=scenario_of(dataset), gains=gains, parameters=given, limbs=limbs, law=law, **arrays)

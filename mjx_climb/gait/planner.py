@@ -182,12 +182,6 @@ def share_of_limits(held: Held, now: Schedule, foot_force: Array) -> Array:
     return jnp.where(now.swing_phase >= 1, share, 0.0)
 
 
-def overloaded(held: Held, now: Schedule, foot_force: Array) -> Array:
-    """Return which holds bear less than forces of the ground on the feet, (limb, 3) N, (limb,) bool."""
-    used = (held.rows * foot_force[:, None]).sum(2)
-    return (now.swing_phase >= 1) & (used > held.bound).any(1)
-
-
 def pulls_of_feet(progress: Progress, now: Schedule, surface: Surface | None, holding_force: Array) -> Array:
     """Return the pulls that margins may count on, () N; on holds (limb, 3) N, each foot's times its hold's normal.
 

@@ -57,29 +57,30 @@ def plan(
     `lift_off` has the limbs' names, each with the share of the cycle at which it lifts off. `stages` say whether the
     base has a height of its own or sways, and whether feet land with a speed.
     """
-    zero = jnp.zeros_like(parameters.heading)
-    heading = quaternion_from_rotation_vector(jnp.stack([zero, zero, parameters.heading]))
-    turned, step_height = quaternion_to_matrix(heading), jnp.asarray(parameters.step_height)
-    cycle_steps = whole_steps(parameters.cycle, time_step)
+    values = parameters.gait
+    zero = jnp.zeros_like(values.heading)
+    heading = quaternion_from_rotation_vector(jnp.stack([zero, zero, values.heading]))
+    turned, step_height = quaternion_to_matrix(heading), jnp.asarray(values.step_height)
+    cycle_steps = whole_steps(values.cycle, time_step)
     lifts = [dict(lift_off)[limb] for limb in robot.limbs]
     shares, start = jnp.asarray(lifts, cycle_steps.dtype), jnp.asarray(robot.stance_position)
-    swing_steps = cycle_steps - stance_steps(parameters.duty, cycle_steps)
+    swing_steps = cycle_steps - stance_steps(values.duty, cycle_steps)
     sway = landing = None
     if stages.sway:
-        sway = sway_of((stance_feet - start) @ turned.T, lifts, parameters.duty, parameters.sway)
+        sway = sway_of((stance_feet - start) @ turned.T, lifts, values.duty, values.sway)
     if stages.landing_speed:
-        landing = parameters.landing_speed * (1 - parameters.settling) * swing_steps * time_step
+        landing = values.landing_speed * (1 - values.settling) * swing_steps * time_step
     if stages.height:
-        start = start * jnp.stack([zero + 1, zero + 1, parameters.height])
+        start = start * jnp.stack([zero + 1, zero + 1, values.height])
     return Plan(
         base_start=turned @ start,
         base_orientation=quaternion_multiply(heading, jnp.asarray(robot.stance_orientation)),
         footholds=stance_feet @ turned.T,
-        advance=turned @ jnp.stack([parameters.stride, zero, zero]),
-        heights=jnp.asarray(parameters.foothold_height),
+        advance=turned @ jnp.stack([values.stride, zero, zero]),
+        heights=jnp.asarray(parameters.ground.foothold_height),
         step_height=step_height,
-        swing_path=step_height * (turned @ parameters.swing_path),
-        settling=jnp.asarray(parameters.settling),
+        swing_path=step_height * (turned @ values.swing_path),
+        settling=jnp.asarray(values.settling),
         cycle_steps=cycle_steps,
         swing_steps=swing_steps,
         swing_offset=whole_steps(shares * cycle_steps, 1),

@@ -5,7 +5,16 @@ from typing import NamedTuple
 from jax import Array
 from jaxtyping import PyTree
 
-from mjx_climb.component import Component
+from mjx_climb.component import NONNEGATIVE, POSITIVE, Component, parameter
+
+
+class JointLoop(Component):
+    """Gains of the joint loop, those of all joints alike."""
+
+    kp: Array = parameter("N m/rad", bounds=POSITIVE, default=50.0, long_name="joint gain kp")
+    kd: Array = parameter("N m s/rad", bounds=NONNEGATIVE, default=0.2, long_name="joint gain kd")
+    ki: Array = parameter("N m/(rad s)", bounds=NONNEGATIVE, default=0.0, long_name="joint gain ki")
+    safe_kp: Array = parameter("N m/rad", bounds=POSITIVE, default=50.0, long_name="joint gain kp without a sensor")
 
 
 class ActuatorGains(NamedTuple):
@@ -29,7 +38,7 @@ class Drive(NamedTuple):
 
     motor_torque: Array  # (limb, joint) N m
     joint_torque: Array  # (limb, joint) N m, less friction
-    armature: Array | None = None  # (limb, joint) kg m^2, what sticking joints have more of it in this step
+    armature: Array | None = None  # (limb, joint) kg m^2, inertia of the motors at the joints, in this step
 
 
 class JointSpring(NamedTuple):

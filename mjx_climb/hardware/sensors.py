@@ -3,8 +3,10 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
+from mjx_climb.component import FINITE, NONNEGATIVE, POSITIVE_OR_INFINITE, UNLIMITED, Component, parameter
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.parameter_types import whole_steps
@@ -13,6 +15,30 @@ from mjx_climb.physics.spatial import quaternion_normalize
 from mjx_climb.physics.state import State
 
 BASE_CHANNELS = 1000  # of the noise of the base estimate, the first; the force sensors have those before
+
+
+class ForceSensors(Component):
+    """The force sensors of the feet; `filtered_by` the "sensor" every time step, or the "law" what it samples."""
+
+    delay: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="delay of the force sensors")
+    noise: Array = parameter("N", bounds=NONNEGATIVE, default=0.0, long_name="noise of the force sensors")
+    bias: Array = parameter("N", bounds=FINITE, default=0.0, long_name="offset of the force sensors")
+    resolution: Array = parameter("N", bounds=NONNEGATIVE, default=0.0, long_name="resolution of the force sensors")
+    # infinite: none
+    filter: Array = parameter("Hz", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="cut-off of the force filter")
+    # (limb,) from when on a sensor reads 0; infinite: never
+    dead: Array = parameter(
+        "s", shape=(None,), bounds=UNLIMITED, default=np.full(1, np.inf), long_name="end of a force sensor", in_steps=True
+    )
+    filtered_by: str = "sensor"
+
+
+class BaseEstimate(Component):
+    """What the law knows of the base's pose and rates."""
+
+    delay: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="delay of the base estimate")
+    position_noise: Array = parameter("m", bounds=NONNEGATIVE, default=0.0, long_name="noise of the base's position")
+    velocity_noise: Array = parameter("m/s", bounds=NONNEGATIVE, default=0.0, long_name="noise of the base's velocity")
 
 
 class ForceSensor(NamedTuple):
@@ -28,21 +54,22 @@ def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Har
     The order is that of a real sensor's chain: delay, bias, noise, resolution, filter; one that is dead reads 0.
     """
     buffer, filtered = sensor
-    parameters, stages, share = hardware.parameters, hardware.stages, hardware.pace.filter_share
+    own, stages, share = hardware.parameters.force_sensor, hardware.stages, hardware.pace.filter_share
     if stages.force_delay:
         buffer, force = signals.delayed(buffer, force, hardware.pace.force)
     if stages.force_bias:
-        force = force + parameters.force_bias
+        force = force + own.bias
     if stages.force_noise:
         limbs = len(force)
         channels = jnp.arange(limbs)[:, None] + limbs * jnp.arange(3)
-        force = force + parameters.force_noise * normal(jnp.asarray(parameters.seed), step, channels, force.dtype)
+        seed = jnp.asarray(hardware.parameters.bus.seed)
+        force = force + own.noise * normal(seed, step, channels, force.dtype)
     if stages.force_resolution:
-        force = signals.rounded(force, jnp.asarray(parameters.force_resolution))
+        force = signals.rounded(force, jnp.asarray(own.resolution))
     if stages.force_filter and filtered is not None and share is not None:
         force = filtered = filtered + share * (force - filtered)
     if stages.force_dead:
-        dead = step >= whole_steps(jnp.asarray(parameters.force_dead), hardware.time_step)
+        dead = step >= whole_steps(jnp.asarray(own.dead), hardware.time_step)
         force = jnp.where(dead[:, None], 0.0, force)
     return ForceSensor(buffer, filtered), force
 
@@ -65,15 +92,15 @@ def estimated_base(
     buffers: tuple[signals.Buffer, ...], base: Base, step: Array, hardware: Hardware
 ) -> tuple[tuple[signals.Buffer, ...], Base]:
     """Return the buffers after this step and the estimate; orientation and turning rate are late but not noisy."""
-    parameters, stages = hardware.parameters, hardware.stages
+    own, stages = hardware.parameters.base_estimate, hardware.stages
     if stages.base_delay:
         late = [signals.delayed(buffer, value, hardware.pace.base) for buffer, value in zip(buffers, base, strict=True)]
         buffers, values = zip(*late, strict=True)
         base = Base(*values)._replace(orientation=quaternion_normalize(values[1]))
     if stages.base_noise:
-        noise = normal(jnp.asarray(parameters.seed), step, BASE_CHANNELS + jnp.arange(6), base.position.dtype)
+        noise = normal(jnp.asarray(hardware.parameters.bus.seed), step, BASE_CHANNELS + jnp.arange(6), base.position.dtype)
         base = base._replace(
-            position=base.position + parameters.position_noise * noise[:3],
-            linear_velocity=base.linear_velocity + parameters.velocity_noise * noise[3:],
+            position=base.position + own.position_noise * noise[:3],
+            linear_velocity=base.linear_velocity + own.velocity_noise * noise[3:],
         )
     return buffers, base

@@ -19,13 +19,14 @@ import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.arrays import AnyArray
+from mjx_climb.component import NONNEGATIVE, PART, POSITIVE, POSITIVE_OR_INFINITE, parameter
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.actuator import Actuator, ActuatorGains, Drive, Joints
 from mjx_climb.hardware.stages import Hardware, Stages
-from mjx_climb.parameter_types import Parameters
 
 RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m
 
@@ -51,29 +52,82 @@ class Servo(NamedTuple):
 
 def gains_of(hardware: Hardware) -> ActuatorGains:
     """Return the gains of the joint loop that the hardware's parameters have."""
-    return ActuatorGains(*(jnp.asarray(getattr(hardware.parameters, name)) for name in ActuatorGains._fields))
+    loop = hardware.parameters.joint_loop
+    return ActuatorGains(*(jnp.asarray(getattr(loop, name)) for name in ActuatorGains._fields))
 
 
 class Servos(Actuator):
-    """The servos that a config's hardware section describes, all alike."""
+    """The joints' motors and gears, all alike; `drive`: the joint loop asks for a "torque", or a share of the "voltage".
 
-    hardware: Hardware = dataclasses.field(metadata={"tree": True})
+    A limit, a speed, a rate or a voltage that is infinite is none.
+    """
+
+    torque_limit: Array = parameter("N m", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="torque limit")
+    no_load_speed: Array = parameter("rad/s", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="speed without load")
+    # beside what the robot's file says
+    armature: Array = parameter("kg m^2", bounds=NONNEGATIVE, default=0.0, long_name="armature")
+    coulomb_friction: Array = parameter("N m", bounds=NONNEGATIVE, default=0.0, long_name="dry friction")
+    presliding: Array = parameter(
+        "rad", bounds=POSITIVE, default=5e-4, long_name="bend before dry friction slips"
+    )
+    viscous_friction: Array = parameter("N m s/rad", bounds=NONNEGATIVE, default=0.0, long_name="viscous friction")
+    load_friction: Array = parameter("1", bounds=NONNEGATIVE, default=0.0, long_name="friction under load")
+    external_load_friction: Array = parameter(
+        "1", bounds=NONNEGATIVE, default=0.0, long_name="friction under external load"
+    )
+    stribeck_friction: Array = parameter("N m", bounds=NONNEGATIVE, default=0.0, long_name="friction of standstill")
+    stribeck_load_friction: Array = parameter(
+        "1", bounds=NONNEGATIVE, default=0.0, long_name="load friction of standstill"
+    )
+    stribeck_external_load_friction: Array = parameter(
+        "1", bounds=NONNEGATIVE, default=0.0, long_name="external load friction of standstill"
+    )
+    quadratic_load_friction: Array = parameter(
+        "1/(N m)", bounds=NONNEGATIVE, default=0.0, long_name="quadratic load friction"
+    )
+    quadratic_external_load_friction: Array = parameter(
+        "1/(N m)", bounds=NONNEGATIVE, default=0.0, long_name="quadratic external load friction"
+    )
+    stribeck_velocity: Array = parameter("rad/s", bounds=POSITIVE, default=0.1, long_name="Stribeck velocity")
+    stribeck_exponent: Array = parameter("1", bounds=POSITIVE, default=1.0, long_name="Stribeck exponent")
+    rate: Array = parameter("Hz", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="rate of the servos' loop")
+    profile_velocity: Array = parameter("rad/s", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="velocity of goals")
+    profile_acceleration: Array = parameter(
+        "rad/s^2", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="acceleration of goals"
+    )
+    pwm_limit: Array = parameter("1", bounds=PART, default=1.0, long_name="limit of PWM")
+    current_limit: Array = parameter(
+        "N m", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="torque at the current limit"
+    )
+    rated_voltage: Array = parameter("V", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="rated voltage")
+    supply_voltage: Array = parameter("V", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="supply voltage")
+    backlash: Array = parameter("rad", bounds=NONNEGATIVE, default=0.0, long_name="backlash")
+    delay: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="delay of the servos")
+    drive: str = "torque"
+    # what a walk is set up for
+    hardware: Hardware | None = dataclasses.field(default=None, metadata={"tree": True})
 
     @property
     def feels_load(self) -> bool:
         """Whether the servos' friction depends on the load."""
-        return self.hardware.stages.load_torque
+        return self._set_up.stages.load_torque
 
     def init(self, angles: Array) -> Servo:
         """The memory of servos that have always rested at joint angles (limb, joint) rad, under no torque."""
-        return begin(angles, self.hardware.stages)
+        return begin(angles, self._set_up.stages)
 
     def step(
         self, memory: Servo, targets: Array, gains: ActuatorGains, joints: Joints, period: float
     ) -> tuple[Servo, Drive]:
         """The servos after a step, and what they do in it: see `joint_loop`."""
         memory = memory if joints.load is None else memory._replace(load=joints.load)
-        return joint_loop(memory, targets, joints, gains, self.hardware)
+        return joint_loop(memory, targets, joints, gains, self._set_up)
+
+    @property
+    def _set_up(self) -> Hardware:
+        if self.hardware is None:
+            raise ValueError("Servos: expected servos that a walk has set up")
+        return self.hardware
 
 
 def begin(angles: Array, stages: Stages) -> Servo:
@@ -109,14 +163,14 @@ def joint_loop(
 
 def pid(loop: Loop, targets: Array, joints: Joints, gains: ActuatorGains, hardware: Hardware) -> tuple[Loop, Array]:
     """Return the loop once evaluated, and what it asks for, (limb, joint) N m, whatever the motor can give."""
-    stages, parameters, period = hardware.stages, hardware.parameters, hardware.servo_period
+    stages, servos, period = hardware.stages, hardware.parameters.drive, hardware.servo_period
     if loop.goal is not None and loop.goal_rate is not None:
-        fastest = jnp.asarray(parameters.profile_velocity), jnp.asarray(parameters.profile_acceleration)
+        fastest = jnp.asarray(servos.profile_velocity), jnp.asarray(servos.profile_acceleration)
         targets, goal_rate = profiled(loop.goal, loop.goal_rate, targets, *fastest, period)
         loop = loop._replace(goal=targets, goal_rate=goal_rate)
     error = targets - joints.angles
     if stages.backlash:  # the motor rests at its target; the link is free to move by half the play either way
-        play = parameters.backlash / 2
+        play = servos.backlash / 2
         error = error - jnp.clip(error, -play, play)
     asked = jnp.asarray(gains.kp * error - gains.kd * joints.rates)
     if loop.integral is None:
@@ -131,11 +185,11 @@ def pid(loop: Loop, targets: Array, joints: Joints, gains: ActuatorGains, hardwa
 
 def largest_output(hardware: Hardware) -> Array:
     """Return where the loop's output is cut, () or (limb, joint) N m: by PWM, or by current and torque limit."""
-    parameters = hardware.parameters
-    limit = jnp.asarray(parameters.torque_limit)
+    servos = hardware.parameters.drive
+    limit = jnp.asarray(servos.torque_limit)
     if hardware.stages.voltage:
-        return limit * parameters.pwm_limit
-    return jnp.minimum(limit, parameters.current_limit)
+        return limit * servos.pwm_limit
+    return jnp.minimum(limit, servos.current_limit)
 
 
 def profiled(
@@ -158,35 +212,36 @@ def profiled(
 def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tuple[Servo, Drive]:
     """Return the servos after this step and what they do in it, asked for `torque` (limb, joint) N m."""
     buffer, bristle = servo.buffer, servo.bristle
-    parameters, stages, time_step = hardware.parameters, hardware.stages, hardware.time_step
+    servos, stages, time_step = hardware.parameters.drive, hardware.stages, hardware.time_step
     if stages.servo_delay:
         buffer, torque = signals.delayed(buffer, torque, hardware.pace.servo)
     if stages.voltage:
-        torque = voltage_driven(torque, rates, parameters)
+        torque = voltage_driven(torque, rates, servos)
     elif stages.torque_limit:
-        torque = limited(torque, rates, jnp.asarray(parameters.torque_limit), jnp.asarray(parameters.no_load_speed))
+        torque = limited(torque, rates, jnp.asarray(servos.torque_limit), jnp.asarray(servos.no_load_speed))
     if stages.current_limit:
-        torque = jnp.clip(torque, -parameters.current_limit, parameters.current_limit)
+        torque = jnp.clip(torque, -servos.current_limit, servos.current_limit)
     joint_torque = torque
-    armature = None
+    armature = jnp.broadcast_to(servos.armature, torque.shape) if stages.armature else None
     if bristle is not None and stages.dry_friction:
         # the gears rub under the torque that the motor gives, not under the one that it is asked for
         most = friction_bound(torque, servo.load, rates, hardware)
-        bristle, lost, armature = dry_friction(bristle, rates, most, jnp.asarray(parameters.presliding), time_step)
+        bristle, lost, stuck = dry_friction(bristle, rates, most, jnp.asarray(servos.presliding), time_step)
+        armature = stuck if armature is None else armature + stuck
         joint_torque = joint_torque + lost
     if stages.viscous_friction:
-        joint_torque = joint_torque - parameters.viscous_friction * rates
+        joint_torque = joint_torque - servos.viscous_friction * rates
     return servo._replace(buffer=buffer, bristle=bristle), Drive(torque, joint_torque, armature)
 
 
-def voltage_driven(asked: Array, rate: Array, parameters: Parameters) -> Array:
+def voltage_driven(asked: Array, rate: Array, servos: Servos) -> Array:
     """Return the torque, N m, of motors on a share of the supply voltage: the torque asked for over that at stall.
 
     `kt / R V - kt^2 / R phidot`, with the stall torque `kt V / R` and the speed without load `V / kt`; no inductance.
     """
-    stall = jnp.asarray(parameters.torque_limit)
-    most = stall * parameters.pwm_limit
-    return jnp.clip(asked, -most, most) - stall / parameters.no_load_speed * rate
+    stall = jnp.asarray(servos.torque_limit)
+    most = stall * servos.pwm_limit
+    return jnp.clip(asked, -most, most) - stall / servos.no_load_speed * rate
 
 
 def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Array) -> Array:
@@ -208,7 +263,7 @@ def friction_bound(torque: Array, load: Array | None, rate: Array, hardware: Har
     The gears carry `|k_e load - k_m torque|` of the two, which have opposite signs where one holds the other; what
     there is at standstill alone falls as `exp(-|rate / velocity|^exponent)` (M1 to M6 of Duclusaud et al.).
     """
-    stages, p = hardware.stages, hardware.parameters
+    stages, p = hardware.stages, hardware.parameters.drive
 
     def geared(of_motor: AnyArray, of_load: AnyArray) -> Array:
         return of_motor * jnp.abs(torque) if load is None else jnp.abs(of_load * load - of_motor * torque)

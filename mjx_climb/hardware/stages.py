@@ -8,14 +8,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
+from mjx_climb.component import given
 from mjx_climb.hardware.bus import Buffer, buffer_length, period_steps, weights
-from mjx_climb.parameter_types import Parameters
+from mjx_climb.parameter_types import SECTIONS, Parameters
 from mjx_climb.robot.constants import Robot
-from mjx_climb.scenario.model import Scenario
 
-DELAYED = ("force", "base", "command", "servo")
+_SERVO = SECTIONS["drive"]
+# by the names of buffers: the path of their delay
+DELAYED = {
+    "force": "hardware.force_sensor.delay",
+    "base": "hardware.base_estimate.delay",
+    "command": "hardware.command_delay",
+    "servo": f"{_SERVO}.delay",
+}
+_JOINT_GAINS = ("kp", "kd", "ki", "safe_kp")
 _QUADRATIC = ("quadratic_load_friction", "quadratic_external_load_friction")
 _STRIBECK = ("stribeck_friction", "stribeck_load_friction", "stribeck_external_load_friction", *_QUADRATIC)
 _OF_LOAD = ("external_load_friction", "stribeck_external_load_friction", *_QUADRATIC)
@@ -50,8 +57,6 @@ class Stages(NamedTuple):
     load_torque: bool = False  # the servos' friction depends on the torque of the load
     viscous_friction: bool = False
     backlash: bool = False
-    capture: bool = False
-    rotational: bool = False  # grips transmit moments
     height: bool = False  # the base stands higher or lower than in the rest stance
     sway: bool = False
     landing_speed: bool = False
@@ -72,74 +77,82 @@ IDEAL = Stages()
 
 
 def stages_of(
-    scenario: Scenario, parameters: Parameters, robot: Robot | None = None, moving: Collection[str] = ()
+    parameters: Parameters, time_step: float, robot: Robot | None = None, moving: Collection[str] = ()
 ) -> Stages:
     """Return the stages that some robot of a batch needs; buffers are as long as the longest delay needs.
 
-    The parameters named in `moving` have their stages whatever their values, as derivatives along them need.
+    The values at the paths `moving` have their stages whatever they are, as derivatives along them need.
 
     Raises:
         ValueError: motors on a voltage without a torque at standstill or a speed without load.
         TypeError: parameters that JAX traces, by which nothing can be decided: see `stages_under_trace`.
     """
-    for name, value in parameters.numbers.items():
+    values = parameters.values
+    for path, value in values.items():
         if isinstance(value, jax.core.Tracer):
-            raise TypeError(f"parameters.{name}: expected an array, got one that JAX traces")
-    step, voltage = scenario.time_step, scenario.hardware.servo.drive == "voltage"
-    for name in ("torque_limit", "no_load_speed") if voltage else ():
-        if not np.isfinite(np.asarray(getattr(parameters, name))).all():
-            raise ValueError(f"parameters.{name}: expected finite numbers with drive: voltage, got inf")
+            raise TypeError(f"parameters.{path}: expected an array, got one that JAX traces")
+    voltage = getattr(parameters.drive, "drive", "torque") == "voltage"
+    for path in (f"{_SERVO}.torque_limit", f"{_SERVO}.no_load_speed") if voltage else ():
+        if not np.isfinite(np.asarray(values[path])).all():
+            raise ValueError(f"parameters.{path}: expected finite numbers with drive: voltage, got inf")
+    servos = f"{_SERVO}.torque_limit" in values  # joints that something else drives have no servos' stages
     limited, dry, viscous = (
-        robot is not None and getattr(robot, name) is not None for name in ("torque_limit", "friction", "damping")
+        servos and robot is not None and getattr(robot, name) is not None
+        for name in ("torque_limit", "friction", "damping")
     )
 
-    def some(*names: str) -> bool:
-        """Return whether a parameter of these is not zero for some robot."""
-        return any(name in moving or given(getattr(parameters, name)) for name in names)
+    def some(*paths: str) -> bool:
+        """Return whether a value is not zero for some robot."""
+        return any(path in moving or given(values.get(path, 0.0)) for path in paths)
 
-    def finite(name: str) -> bool:
-        return name in moving or bool(np.any(np.isfinite(np.asarray(getattr(parameters, name)))))
+    def finite(path: str) -> bool:
+        return path in moving or bool(np.any(np.isfinite(np.asarray(values.get(path, np.inf)))))
 
-    def length(name: str) -> int:
-        return buffer_length(np.maximum(getattr(parameters, name), step if name in moving else 0.0), step)
+    def length(path: str) -> int:
+        delay = np.asarray(values.get(path, 0.0))
+        return buffer_length(np.maximum(delay, time_step if path in moving else 0.0), time_step)
 
-    filtered, by_law = finite("force_filter"), scenario.hardware.force_sensor.filtered_by == "law"
-    simple = "force_noise force_bias force_resolution control_period armature backlash sway landing_speed".split()
-    found = {name: some(name) for name in simple}
-    found |= {name: finite(name) for name in ("force_dead", "servo_rate", "supply_voltage")}
+    def of_servo(*names: str) -> list[str]:
+        return [f"{_SERVO}.{name}" for name in names]
+
+    force, period = "hardware.force_sensor", some("hardware.control_period")
+    filtered, by_law = finite(f"{force}.filter"), parameters.force_sensor.filtered_by == "law"
     return Stages(
-        **found,
-        force_delay=length("force_delay"),
-        base_delay=length("base_delay"),
-        command_delay=length("command_delay"),
-        servo_delay=length("servo_delay"),
+        force_delay=length(f"{force}.delay"),
+        force_noise=some(f"{force}.noise"),
+        force_bias=some(f"{force}.bias"),
+        force_resolution=some(f"{force}.resolution"),
         force_filter=filtered and not by_law,
+        force_dead=finite(f"{force}.dead"),
         sampled_filter=filtered and by_law,
-        base_noise=some("position_noise", "velocity_noise"),
-        linear=found["control_period"] and scenario.hardware.interpolation == "linear",
-        profile=finite("profile_velocity"),
-        integral=some("ki"),
+        base_delay=length("hardware.base_estimate.delay"),
+        base_noise=some("hardware.base_estimate.position_noise", "hardware.base_estimate.velocity_noise"),
+        control_period=period,
+        linear=period and parameters.bus.interpolation == "linear",
+        command_delay=length("hardware.command_delay"),
+        servo_delay=length(f"{_SERVO}.delay"),
+        servo_rate=finite(f"{_SERVO}.rate"),
+        profile=finite(f"{_SERVO}.profile_velocity"),
+        integral=some("control.ki"),
         voltage=voltage,
-        torque_limit=limited or finite("torque_limit"),
-        current_limit=(voltage and limited) or finite("current_limit"),
-        dry_friction=dry or some("coulomb_friction", "load_friction", *_OF_LOAD, *_STRIBECK),
-        stribeck=some(*_STRIBECK),
-        load_torque=some(*_OF_LOAD),
-        viscous_friction=viscous or some("viscous_friction"),
-        capture=finite("capture_distance"),
-        rotational=some("rotational_stiffness"),
-        height="height" in moving or given(np.asarray(parameters.height) - 1),
+        supply_voltage=finite(f"{_SERVO}.supply_voltage"),
+        torque_limit=limited or finite(f"{_SERVO}.torque_limit"),
+        current_limit=(voltage and limited) or finite(f"{_SERVO}.current_limit"),
+        armature=servos and some(f"{_SERVO}.armature"),
+        dry_friction=dry or some(*of_servo("coulomb_friction", "load_friction", *_OF_LOAD, *_STRIBECK)),
+        stribeck=some(*of_servo(*_STRIBECK)),
+        load_torque=some(*of_servo(*_OF_LOAD)),
+        viscous_friction=viscous or some(f"{_SERVO}.viscous_friction"),
+        backlash=some(f"{_SERVO}.backlash"),
+        height="gait.height" in moving or given(np.asarray(parameters.gait.height) - 1),
+        sway=some("gait.sway"),
+        landing_speed=some("gait.landing_speed"),
     )
 
 
 def lacking(stages: Stages, asked: Stages) -> bool:
     """Return whether a stage that is asked for is missing."""
     return any(wanted and not there for there, wanted in zip(stages, asked, strict=True))
-
-
-def given(value: ArrayLike) -> bool:
-    """Return whether any number of an array is not zero."""
-    return bool(np.any(np.asarray(value) != 0))
 
 
 class Pace(NamedTuple):
@@ -182,30 +195,31 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
     """
     period = share = servo_period = None
     if stages.control_period:
-        period = period_steps(jnp.asarray(parameters.control_period), time_step)
+        period = period_steps(jnp.asarray(parameters.bus.control_period), time_step)
     if stages.force_filter or stages.sampled_filter:
         sampled = time_step if period is None or not stages.sampled_filter else time_step * period
         # what a first-order filter takes in of an input held over a period: 1 - exp(-2 pi f h)
-        share = -jnp.expm1(-2 * jnp.pi * sampled * parameters.force_filter)
+        share = -jnp.expm1(-2 * jnp.pi * sampled * parameters.force_sensor.filter)
     late: dict[str, Buffer] = {}
-    for part in DELAYED:
-        length, seconds = getattr(stages, f"{part}_delay"), getattr(parameters, f"{part}_delay")
-        late[part] = weights(jnp.asarray(seconds) / time_step, length) if length else ()
+    for part, path in DELAYED.items():
+        length = getattr(stages, f"{part}_delay")
+        late[part] = weights(jnp.asarray(parameters.at(path)) / time_step, length) if length else ()
     if stages.servo_rate:
-        servo_period = period_steps(1 / jnp.asarray(parameters.servo_rate), time_step)
+        servo_period = period_steps(1 / jnp.asarray(parameters.drive.rate), time_step)
     pace = Pace(**late, filter_share=share, period=period, servo_period=servo_period)
     parameters = _at_supply_voltage(parameters, stages)
+    known, changed = parameters.values, {}
     # under a voltage the torque limit is the motor's own, at standstill
     limit, stall = ("current_limit", "torque_limit") if stages.voltage else ("torque_limit", "")
-    for name, own, combined in (
-        ("kp", "driven", jnp.multiply), ("kd", "driven", jnp.multiply), ("ki", "driven", jnp.multiply),
-        ("safe_kp", "driven", jnp.multiply), (stall, "driven", jnp.multiply), (limit, "torque_limit", jnp.minimum),
-        ("coulomb_friction", "friction", jnp.add), ("viscous_friction", "damping", jnp.add),
+    loop = SECTIONS["joint_loop"]
+    for path, own, combined in (
+        *((f"{loop}.{gain}", "driven", jnp.multiply) for gain in _JOINT_GAINS),
+        (f"{_SERVO}.{stall}", "driven", jnp.multiply), (f"{_SERVO}.{limit}", "torque_limit", jnp.minimum),
+        (f"{_SERVO}.coulomb_friction", "friction", jnp.add), (f"{_SERVO}.viscous_friction", "damping", jnp.add),
     ):  # fmt: skip
-        if name and robot is not None and getattr(robot, own) is not None:
-            changed = combined(getattr(parameters, name), getattr(robot, own))
-            parameters = dataclasses.replace(parameters, **{name: changed})
-    return Hardware(parameters, pace, stages, time_step)
+        if path in known and robot is not None and getattr(robot, own) is not None:
+            changed[path] = combined(changed.get(path, known[path]), getattr(robot, own))
+    return Hardware(parameters.replace(changed), pace, stages, time_step)
 
 
 def _at_supply_voltage(parameters: Parameters, stages: Stages) -> Parameters:
@@ -215,8 +229,9 @@ def _at_supply_voltage(parameters: Parameters, stages: Stages) -> Parameters:
     """
     if not stages.supply_voltage:
         return parameters
-    known = jnp.isfinite(parameters.supply_voltage) & jnp.isfinite(parameters.rated_voltage)
-    supply, rated = (jnp.where(known, getattr(parameters, f"{name}_voltage"), 1.0) for name in ("supply", "rated"))
-    names = ("torque_limit", "no_load_speed", *(("kp", "kd", "ki", "safe_kp") if stages.voltage else ()))
-    scaled = {name: getattr(parameters, name) * (supply / rated) for name in names}
-    return dataclasses.replace(parameters, **scaled)
+    servos = parameters.drive
+    known = jnp.isfinite(servos.supply_voltage) & jnp.isfinite(servos.rated_voltage)
+    supply, rated = (jnp.where(known, volts, 1.0) for volts in (servos.supply_voltage, servos.rated_voltage))
+    paths = [f"{_SERVO}.torque_limit", f"{_SERVO}.no_load_speed"]
+    paths += [f"{SECTIONS['joint_loop']}.{gain}" for gain in _JOINT_GAINS] if stages.voltage else []
+    return parameters.replace({path: parameters.at(path) * (supply / rated) for path in paths})

@@ -1,62 +1,96 @@
 """The values of a scenario as a pytree: what may differ from one robot of a batch to the next."""
 
 import dataclasses
-import functools
 import math
-from collections.abc import Callable
-from typing import Annotated, Any, get_args, get_origin
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import concrete_or_error
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BaseModel
 
-from mjx_climb.component import with_values
+from mjx_climb.component import AnyComponent, Component, checked_value, with_values
+from mjx_climb.disturbances.on_base import Cargo, Push
 from mjx_climb.execution import check_process
 from mjx_climb.gait.footholds import SHIPPED
 from mjx_climb.gait.footholds.footholds import Footholds
+from mjx_climb.gait.periodic import PeriodicGait
 from mjx_climb.gait.published_swing import published_path
 from mjx_climb.gait.recovery import Recovery
-from mjx_climb.gait.swing import swing_path
+from mjx_climb.gait.swing import COUNT, swing_path
 from mjx_climb.ground import holds_of
+from mjx_climb.ground.ground import Ground
+from mjx_climb.hardware.actuator import JointLoop
+from mjx_climb.hardware.bus import Bus
+from mjx_climb.hardware.sensors import BaseEstimate, ForceSensors
+from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import DELAYED, Stages, lacking, stages_of
 from mjx_climb.inputs.own_objects import components_of
-from mjx_climb.parameter_types import KEYS, Gains, Parameters
+from mjx_climb.parameter_types import Gains, Parameters, is_tracer
+from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.scenario.messages import section
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.scenario.values import Limit, Number, Positive
+from mjx_climb.shapes import check_shape
 from mjx_climb.terrain import foothold_heights
-
-_PUSHES = {"push_force": -2, "push_moment": -2, "push_start": -1, "push_stop": -1}  # which axis they are along
 
 
 def parameters(scenario: Scenario, dtype: jnp.dtype | None = None) -> Parameters:
-    """Return the parameters of a scenario, to be replaced one by one or by batches with `dataclasses.replace`."""
+    """Return the parameters of a scenario, to be replaced one by one or by batches with `Parameters.replace`."""
     with jax.ensure_compile_time_eval():  # values under `jit` too: they say which hardware a walk is compiled for
         own, kind = own_parameters(scenario), dtype or jnp.result_type(float)
         made: Parameters = jax.tree.map(lambda value: jnp.asarray(value, kind), own)
         return made
 
 
+def paths(scenario: Scenario) -> dict[str, dict[str, Any]]:
+    """Return the declaration of each value of a scenario's walk by its path: unit, bounds, shape, meaning and value."""
+    own = own_parameters(scenario)
+    return {
+        path: {"unit": field.unit, "bounds": field.bounds, "shape": np.shape(own.at(path)), "meaning": field.long_name,
+               "value": own.at(path)}
+        for path, field in own.paths.items()
+    }  # fmt: skip
+
+
 def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     """Return the parameters of a scenario in double precision, as arrays of NumPy; files of its section own are run."""
     check_process()
-    values = {name: _value(scenario, *key.split(".")) for name, key in KEYS.items()}
-    values |= {"foothold_height": foothold_heights(scenario), "swing_path": _swing_path(scenario), "mass_scale": 1.0}
-    control, dead = scenario.control, scenario.hardware.force_sensor.dead
-    values["safe_kp"] = control.kp if control.safe_kp is None else control.safe_kp
+    control, hardware, happens = scenario.control, scenario.hardware, scenario.disturbance
+    dead = hardware.force_sensor.dead
     instants = dict(dead.items()) if dead is not None else {}
-    values["force_dead"] = [instants.get(limb, math.inf) for limb in load_robot(scenario.robot).limbs]
-    arrays = {name: np.asarray(value, float) for name, value in values.items()}
-    pushes = {name: arrays[name].reshape(-1, 3) for name in ("push_force", "push_moment")}
-    numbers = Parameters(**arrays | pushes)
-    own: dict[str, Any] = {"footholds": _footholds(scenario), "recovery": _recovery(scenario)}
-    own["holds"] = holds_of(scenario.ground)
-    own |= {place: each for place, each in components_of(scenario, numbers, source).items() if each is not None}
+    limbs = load_robot(scenario.robot).limbs
+    numbers = Parameters(
+        gravity=np.asarray(scenario.gravity, float),
+        mass_scale=np.asarray(1.0),
+        contact=_of_section(Gripper, scenario.contact).compiled_for(),
+        drive=_of_section(Servos, hardware.servo),
+        joint_loop=_of_section(JointLoop, control, safe_kp=control.kp if control.safe_kp is None else control.safe_kp),
+        force_sensor=_of_section(
+            ForceSensors, hardware.force_sensor, dead=[instants.get(limb, math.inf) for limb in limbs]
+        ),
+        base_estimate=_of_section(BaseEstimate, hardware.base_estimate),
+        bus=_of_section(Bus, hardware),
+        gait=_of_section(PeriodicGait, scenario.gait, swing_path=_swing_path(scenario)),
+        ground=Ground(foothold_height=foothold_heights(scenario), holds=holds_of(scenario.ground)),
+        disturbances=(_of_section(Cargo, happens.cargo), *(_of_section(Push, push) for push in happens.pushes)),
+        footholds=_footholds(scenario),
+        recovery=_recovery(scenario),
+    )
+    own = {place: each for place, each in components_of(scenario, numbers, source).items() if each is not None}
+    own["disturbances"] = numbers.disturbances + own.get("disturbances", ())
     return dataclasses.replace(numbers, **own)
+
+
+def _of_section(kind: type[AnyComponent], section: BaseModel, **given: object) -> AnyComponent:
+    """Return a component with the values and options of a section of the scenario; null is infinite."""
+    names = [field.name for field in dataclasses.fields(kind) if field.name in type(section).model_fields]  # type: ignore[arg-type]
+    values = {name: getattr(section, name) for name in names} | given
+    for name in kind.VALUES:
+        values[name] = np.asarray(math.inf if values[name] is None else values[name], float)
+    return with_values(kind(**values), {})
 
 
 def _footholds(scenario: Scenario) -> Footholds | None:
@@ -70,9 +104,7 @@ def _recovery(scenario: Scenario) -> Recovery | None:
     given = scenario.control.recovery
     if not given.interrupts:
         return None
-    values = {name: _value(given, name) for name in Recovery.VALUES}
-    values["margin"] = given.margin or 0.0
-    return with_values(Recovery(), {name: np.asarray(value, float) for name, value in values.items()}, name="recovery")
+    return _of_section(Recovery, given, margin=given.margin or 0.0)
 
 
 def _swing_path(scenario: Scenario) -> np.ndarray:
@@ -83,63 +115,79 @@ def _swing_path(scenario: Scenario) -> np.ndarray:
     return published_path(gait.swing_file, gait, len(gait.lift_off))
 
 
-def _value(section: object, *names: str) -> object:
-    """Return the value at a key of a section, of each section in a list of them; null is infinite."""
-    if not names:
-        return math.inf if section is None else section
-    if isinstance(section, tuple):
-        return [_value(each, *names) for each in section]
-    return _value(getattr(section, names[0]), *names[1:])
-
-
 def gains(scenario: Scenario) -> Gains:
     """Return the admittance gains that the scenario's own control section gives."""
     control = scenario.control
     return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
 
 
-def check_ranges(parameters: Parameters) -> None:
-    """Refuse parameters that no scenario could have, as far as their values are known.
+def check_parameters(parameters: Parameters, limbs: tuple[str, ...]) -> None:
+    """Refuse parameters that no walk could have, as far as their values are known.
 
     Raises:
-        ValueError: in one line, which one, what was expected and the first value that is wrong.
+        ValueError: in one line, the path of the first value that is wrong, what was expected and what was got.
     """
-    for name, value in parameters.numbers.items():
-        if isinstance(value, jax.core.Tracer):
-            continue
-        values = np.asarray(value)
-        if values.dtype.kind in "cOSU":
-            raise ValueError(f"parameters.{name}: expected real numbers, got {values.dtype}")
-        kind, validator = _type(name)
-        for end in map(float, (values.min(), values.max()) if values.size else ()):  # of NaN among them both are
-            given: object = end
-            if end == math.inf and type(None) in get_args(kind):
-                given = None
-            elif get_origin(kind) is tuple:
-                given = (end,) * len(get_args(kind))
-            elif kind is int and end.is_integer():
-                given = int(end)
-            try:
-                validator.validate_python(given)
-            except ValidationError as invalid:
-                expected = invalid.errors()[0]["ctx"]["expected"].replace("or null", "or infinite")
-                raise ValueError(f"parameters.{name}: expected {expected}, got {end:g}") from None
-    pushes = {name: np.shape(getattr(parameters, name))[axis:][:1] for name, axis in _PUSHES.items()}
-    if len(set(pushes.values())) > 1:
-        counts = ", ".join(f"{count[0] if count else 'none'} of {name}" for name, count in pushes.items())
-        raise ValueError(f"parameters.push_start: expected as many of each for the pushes, got {counts}")
+    values = parameters.values
+    for path, field in parameters.paths.items():
+        checked_value(f"parameters.{path}", values[path], field.shape, *field.bounds)
+    sizes: Mapping[str, int | range] = {"limbs": len(limbs), "K": range(COUNT + 1)}
+    for path, dims in _OF_LIMBS.items():
+        check_shape(f"parameters.{path}", np.shape(values[path]), dims, sizes)
 
 
-@functools.cache
-def _type(name: str) -> tuple[object, TypeAdapter[object]]:
-    """Return the type of the key that a parameter comes from, and what validates its values."""
-    if name not in KEYS:
-        kind: Any = {"mass_scale": Positive, "force_dead": Limit}.get(name, Number)
-        return float | None if kind is Limit else float, TypeAdapter(kind)
-    *place, key = KEYS[name].split(".")
-    field = section(Scenario, place).model_fields[key]
-    kind = Annotated[field.annotation, *field.metadata]
-    return field.annotation, TypeAdapter(kind)
+_OF_LIMBS = {
+    "ground.foothold_height": "... limbs N",
+    "gait.swing_path": "... limbs 3 K",
+    "hardware.force_sensor.dead": "... limbs",
+}
+
+
+class _Known:
+    """Parameters of which JAX may trace some, with values in place of those that it traces.
+
+    A value that a derivative alone traces is known; what `jit` or `vmap` traces counts as the scenario's own.
+    """
+
+    def __init__(self, scenario: Scenario, parameters: Parameters) -> None:
+        found: dict[str, Any] = {}
+        self.traced: dict[str, bool] = {}  # by path: whether the value is known
+        for path, value in parameters.values.items():
+            if is_tracer(value):
+                try:
+                    found[path], self.traced[path] = np.asarray(concrete_or_error(None, value)), True
+                except jax.errors.ConcretizationTypeError:
+                    own = own_parameters(scenario).values
+                    found[path], self.traced[path] = own.get(path, np.zeros(())), False
+        self.parameters = parameters.replace(found)
+
+
+def compiled_for(
+    scenario: Scenario, parameters: Parameters, called: Mapping[str, str] | None = None
+) -> Parameters:
+    """Return parameters whose components have the options that their values ask of a compiled walk.
+
+    Raises:
+        ValueError: a value that is traced and decides about an option that is not there.
+    """
+    known, names = _Known(scenario, parameters), called or {}
+    components = known.parameters.components
+
+    def change(place: str, each: Component) -> Component:
+        found = components[place].compiled_for()
+        for path in known.traced:
+            section, _, name = path.rpartition(".")
+            if section == place and _options(components[place].compiled_for((name,))) != _options(found):
+                raise ValueError(_undecided(names.get(path, f"parameters.{path}"), ", or a scenario that has such a stage"))
+        return dataclasses.replace(each, **_options(found))  # type: ignore[type-var]
+
+    return parameters.with_components(change)
+
+
+def _options(component: Component) -> dict[str, object]:
+    """Return the fields of a component that a walk is compiled for."""
+    fields = dataclasses.fields(component)  # type: ignore[arg-type]
+    names = [field.name for field in fields if field.name not in component.VALUES and "tree" not in field.metadata]
+    return {name: getattr(component, name) for name in names}
 
 
 def stages_under_trace(
@@ -150,28 +198,23 @@ def stages_under_trace(
 ) -> Stages:
     """Return the stages that parameters need, of which JAX may trace some.
 
-    What a derivative alone traces is known; what `jit` or `vmap` traces counts as the scenario's own.
-
     Arguments:
-        called: how a parameter, by its name, is called where it is refused.
+        called: how a value, by its path, is called where it is refused.
 
     Raises:
-        ValueError: a parameter that is traced and decides about a stage which is not there, or a delay that is traced,
+        ValueError: a value that is traced and decides about a stage which is not there, or a delay that is traced,
             whose buffer has a length.
     """
-    values, traced = dict(vars(parameters)), {}
-    for name, value in parameters.numbers.items():
-        if isinstance(value, jax.core.Tracer):
-            try:
-                values[name], traced[name] = np.asarray(concrete_or_error(None, value)), True
-            except jax.errors.ConcretizationTypeError:
-                values[name], traced[name] = getattr(own_parameters(scenario), name), False
-    known = Parameters(**values)
-    stages = stages_of(scenario, known, robot)
-    for name, is_known in traced.items():
-        late = name.removesuffix("_delay") in DELAYED and not is_known
-        if late or lacking(stages, stages_of(scenario, known, robot, (name,))):
-            known_one = "a value that is known where the walk is compiled"
-            expected = known_one if late else f"{known_one}, or a scenario that has such a stage"
-            raise ValueError(f"{called(name)}: expected {expected}, got one that JAX traces: trace only what varies")
+    known = _Known(scenario, parameters)
+    stages = stages_of(known.parameters, scenario.time_step, robot)
+    for path, is_known in known.traced.items():
+        late = path in DELAYED.values() and not is_known
+        if late or lacking(stages, stages_of(known.parameters, scenario.time_step, robot, (path,))):
+            raise ValueError(_undecided(called(path), "" if late else ", or a scenario that has such a stage"))
     return stages
+
+
+def _undecided(name: str, otherwise: str) -> str:
+    """Return the refusal of a traced value that decides what a walk is compiled for."""
+    known = f"a value that is known where the walk is compiled{otherwise}"
+    return f"{name}: expected {known}, got one that JAX traces: trace only what varies"

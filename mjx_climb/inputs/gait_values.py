@@ -1,21 +1,19 @@
 """Values of the gait among the gains, by the keys of a scenario: a law and the gait under it are tuned together."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from typing import TypeVar
 
-import jax
 import numpy as np
 
 from mjx_climb.arrays import AnyArray
 from mjx_climb.execution.batch_axes import batch_shape
 from mjx_climb.gait.base_path import check_base
-from mjx_climb.parameter_types import KEYS, Parameters, whole_steps
+from mjx_climb.gait.periodic import PeriodicGait
+from mjx_climb.parameter_types import Parameters, is_tracer, whole_steps
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 
-# by key: the parameter whose value it is
-GAIT = {key: name for name, key in KEYS.items() if key.startswith("gait.") and name != "heading"}
+GAIT = tuple(f"gait.{name}" for name in PeriodicGait.VALUES if name not in ("heading", "swing_path"))
 TIMES = ("gait.cycle", "gait.duty")  # counted in whole time steps: no metric has a derivative along them
 Value = TypeVar("Value")
 _WAY = ("gait.cycle", "gait.stride")
@@ -48,16 +46,16 @@ def with_gait(scenario: Scenario, own: Parameters, values: Mapping[str, AnyArray
     """
     if not values:
         return own
-    changed = {GAIT[key]: value for key, value in values.items()}
-    if "cycle" in changed:  # whole steps, so that the speed is that of the cycle that is walked
-        changed["cycle"] = whole_steps(changed["cycle"], scenario.time_step) * scenario.time_step
-        changed.setdefault("stride", own.stride / own.cycle * changed["cycle"])
+    changed = dict(values)
+    if "gait.cycle" in changed:  # whole steps, so that the speed is that of the cycle that is walked
+        changed["gait.cycle"] = whole_steps(changed["gait.cycle"], scenario.time_step) * scenario.time_step
+        changed.setdefault("gait.stride", own.gait.stride / own.gait.cycle * changed["gait.cycle"])
     if why := why_fixed(scenario, values):
         raise ValueError(f"gains.{why}")
-    walked = replace(own, **changed)
+    walked = own.replace(changed)
     batch_shape(walked)
-    each = [getattr(walked, name) for name in GAIT.values()]
-    if not any(isinstance(value, jax.core.Tracer) for value in each):
+    each = [walked.at(path) for path in GAIT]
+    if not any(map(is_tracer, each)):
         _check(scenario, dict(zip(GAIT, np.broadcast_arrays(*map(np.asarray, each)), strict=True)))
     return walked
 

@@ -23,7 +23,6 @@ from mjx_climb.inputs.file_contents import digest
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics import contact
 from mjx_climb.physics.contact.contact import Contact
-from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import OwnComponent, OwnObject, Scenario
 
@@ -89,7 +88,7 @@ def components_of(scenario: Scenario, numbers: Parameters, source: str = "scenar
     """Return contact, drive and disturbances that a scenario names, as fields of `Parameters`; files are run.
 
     Arguments:
-        numbers: parameters of the scenario: a contact around a gripper is made with that of the contact section.
+        numbers: parameters of the scenario: a component takes the keys of its section that it has too.
 
     Raises:
         ConfigError: in one line, a file that is gone or has changed, no such thing in it, or values that it has not.
@@ -121,12 +120,12 @@ def _made(named: OwnComponent, place: str, numbers: Parameters, source: str) -> 
     try:
         if not issubclass(found if isinstance(found, type) else type(found), kind):
             raise ValueError(f"expected a {what} that inherits from mjx_climb.{kind.__name__}, got {found!r}")
-        return _with(found, values, options, numbers)
+        return _with(found, values, options, getattr(numbers, section, None) if section != "disturbances" else None)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{source}: own.{place}: {str(error).splitlines()[0]}") from None
 
 
-def _with(found: Any, values: dict[str, Any], options: dict[str, Any], numbers: Parameters) -> Component:
+def _with(found: Any, values: dict[str, Any], options: dict[str, Any], instead: Component | None) -> Component:
     """Return an instance with some values and options; TypeError, ValueError: it has none of these names or shapes."""
     made: type[Component] = found if isinstance(found, type) else type(found)
     fields = {field.name: field for field in dataclasses.fields(made)}  # type: ignore[arg-type]  # of every component
@@ -139,19 +138,18 @@ def _with(found: Any, values: dict[str, Any], options: dict[str, Any], numbers: 
             raise ValueError(f"options.{name}: expected one like {before!r}, got {value!r}")
     arrays = {name: np.asarray(value, float) for name, value in values.items()}
     if isinstance(found, type):
-        inner: dict[str, Any] = {}
-        if "tree" in getattr(fields.get("gripper"), "metadata", ()):
-            reach, turns = np.isfinite(numbers.capture_distance), numbers.rotational_stiffness > 0
-            inner["gripper"] = Gripper.of(numbers, limited_reach=bool(reach), rotational=bool(turns))
+        # the keys of the section that the component has too
+        section = {name: getattr(instead, name) for name in made.VALUES if instead is not None and name in instead.VALUES}
+        arrays = section | arrays
         if lacking := [
-            name for name in made.VALUES if name not in values and fields[name].default is dataclasses.MISSING
+            name for name in made.VALUES if name not in arrays and fields[name].default is dataclasses.MISSING
         ]:
             raise ValueError(f"values.{lacking[0]}: expected a value, got none")
-        component: Component = found(**inner, **arrays, **options)
+        component: Component = found(**arrays, **options)
     else:
         component = dataclasses.replace(found, **arrays, **options)
     component = with_values(component, {}, name="values")
     for name, field in made.VALUES.items():
         if np.ndim(getattr(component, name)) > len(field.shape):
-            raise ValueError(f"values.{name}: expected that of one robot, got shape {np.shape(arrays[name])}")
+            raise ValueError(f"values.{name}: expected that of one robot, got shape {np.shape(getattr(component, name))}")
     return component

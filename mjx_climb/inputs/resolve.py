@@ -16,13 +16,12 @@ from mjx_climb.component import AnyComponent, checked_value, with_values
 from mjx_climb.control import PD, Law
 from mjx_climb.execution.batch_axes import batch_shape, own_axes
 from mjx_climb.gait.recovery import recovery_of
-from mjx_climb.gait.swing import COUNT
-from mjx_climb.inputs.from_scenario import check_ranges, own_parameters
+from mjx_climb.inputs.from_scenario import check_parameters, compiled_for, own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, with_gait
-from mjx_climb.parameter_types import Gains, Parameters, with_whole_steps
+from mjx_climb.parameter_types import Gains, Parameters, path_of_gain, with_whole_steps
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.shapes import broadcasts, check_fields
+from mjx_climb.shapes import broadcasts
 
 AnyGains = Gains | Law | Mapping[str, AnyArray]  # values by name
 
@@ -66,29 +65,28 @@ def resolve(
     """
     array = functools.partial(xp.asarray, dtype=checked_dtype(dtype))
     own = own_parameters(scenario) if parameters is None else parameters
-    check_ranges(own)
-    check_fields("parameters", own, {"limbs": len(load_robot(scenario.robot).limbs), "K": range(COUNT + 1)})
+    check_parameters(own, load_robot(scenario.robot).limbs)
     values = _values_by_name(law, gains)
-    called = {GAIT.get(name, name): f"gains.{name}" for name in values if name in (*GAIT, *_JOINT_LOOP)}
+    called = {path_of_gain(name): f"gains.{name}" for name in values if name in (*GAIT, *_JOINT_LOOP)}
     own = with_gait(
         scenario, own, {key: checked_value(f"gains.{key}", values.pop(key), (), 0.0) for key in GAIT if key in values}
     )
     joint = {
-        name: checked_value(f"gains.{name}", values.pop(name), (), zero=name in _MAY_BE_ZERO)
+        path_of_gain(name): checked_value(f"gains.{name}", values.pop(name), (), zero=name in _MAY_BE_ZERO)
         for name in _JOINT_LOOP
         if name in values
     }
     law = with_values(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
     own = dataclasses.replace(own, recovery=recovery_of(law, own.recovery))
-    own = own.with_components(lambda place, each: with_values(each, {}, array, place))
-    walked = dataclasses.replace(with_whole_steps(own, scenario.time_step), **joint)
+    own = own.with_components(lambda place, each: with_values(each, {}, np.asarray, place))
+    walked = compiled_for(scenario, with_whole_steps(own, scenario.time_step).replace(joint), called)
     parameters = jax.tree.map(array, walked)
     # gains of a law without any still say how many robots there are
     others = {name: jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS}
     shape = batch_shape(law, parameters, others=others)
     check_robots(shape)
     if others and shape != batch_shape(law, parameters):
-        parameters = dataclasses.replace(parameters, kp=xp.broadcast_to(parameters.kp, shape))
+        parameters = dataclasses.replace(parameters, mass_scale=xp.broadcast_to(parameters.mass_scale, shape))
     return WalkInputs(law, parameters, shape, own, walked, called)
 
 
@@ -134,12 +132,12 @@ def recorded(scenario: Scenario, gains: AnyGains | None, resolved: WalkInputs) -
     A law of translations leaves the rotations as they were given, or as the scenario has them.
     """
     law, parameters = resolved.law, resolved.parameters
-    joint = {name: getattr(parameters, name) for name in _JOINT_LOOP if name in _values_by_name(law, gains)}
+    joint = {name: getattr(parameters.joint_loop, name) for name in _JOINT_LOOP if name in _values_by_name(law, gains)}
     if not has_gains_of_the_paper(law):
         return {name: getattr(law, name) for name in law.GAINS} | joint
     place, six = gains if isinstance(gains, Gains) else scenario.control, {}
     for name in Gains.AXES:
-        six[name] = np.array(np.broadcast_to(np.asarray(getattr(place, name), parameters.kp.dtype), 6))
+        six[name] = np.array(np.broadcast_to(np.asarray(getattr(place, name), parameters.gravity.dtype), 6))
         own = getattr(law, name, six[name])
         six[name][: own.size] = own
     return Gains(**six, **joint)
@@ -204,12 +202,12 @@ def resolved_directions(resolved: WalkInputs, gains: AnyGains | None, directions
             if (getattr(gains, name) is None) != (rates is None):
                 so = f"rates of change, as gains.{name} is given" if rates is None else f"None, as gains.{name} is"
                 raise ValueError(f"directions.{name}: expected {so}, got {'None' if rates is None else 'rates'}")
-    law, shape, dtype, found = resolved.law, resolved.shape, resolved.parameters.kp.dtype, {}
-    given = {GAIT.get(name, name): rates for name, rates in _values_by_name(law, directions).items()}
+    law, shape, dtype, found = resolved.law, resolved.shape, resolved.parameters.gravity.dtype, {}
+    given = {name: rates for name, rates in _values_by_name(law, directions).items()}
     for key in TIMES:
-        if np.any(given.pop(GAIT[key], 0.0)):
+        if np.any(given.pop(key, 0.0)):
             raise ValueError(f"directions.{key}: expected none, as it is counted in whole time steps")
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys([*_JOINT_LOOP, *GAIT.values()], ())
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys([*_JOINT_LOOP, *GAIT], ())
     shapes |= {name: field.lengths for name, field in law.GAINS.items()}
     count = max([np.shape(rates)[0] for rates in given.values() if np.ndim(rates)], default=1)
     for name in (name for name in given if name in shapes):

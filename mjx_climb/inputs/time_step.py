@@ -23,12 +23,13 @@ from mjx_climb.execution.batch_axes import is_traced
 from mjx_climb.gait.base_path import planned_feet
 from mjx_climb.gait.planner import within_reach
 from mjx_climb.hardware.actuator import Actuator, JointSpring
-from mjx_climb.hardware.servo import RELAXATION
+from mjx_climb.hardware.servo import RELAXATION, Servos
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import GAIT
 from mjx_climb.mujoco_import import mujoco
-from mjx_climb.parameter_types import KEYS, Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.contact.contact import Contact, Springs
+from mjx_climb.physics.contact.gripper import SpringGrip
 from mjx_climb.physics.inverse_kinematics import limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.postures import MET, limb_joints
@@ -39,10 +40,10 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Gait, RobotFile, Scenario
 
 _ROUNDING = 1e-7  # a free motion is twice the eigenvalue 1: rounding parts the two by its square root, 1e-8
-# parameters that shorten the time step as they grow: stiffness and damping are linear in each
+# values that shorten the time step as they grow: stiffness and damping are linear in each
 _STIFFENING = (
-    "kp", "kd", "contact_stiffness", "contact_damping", "rotational_stiffness", "rotational_damping",
-    "viscous_friction",
+    "control.kp", "control.kd", "contact.stiffness", "contact.damping", "contact.rotational_stiffness",
+    "contact.rotational_damping", "hardware.servo.viscous_friction",
 )  # fmt: skip
 # a walk sags and overshoots: it may ring 1 % short of the limit of its planned postures
 _LONGER = 1.01  # time steps
@@ -144,9 +145,9 @@ def _unstable(scenario: Scenario, parameters: Parameters | None, own: Own) -> tu
 def _own_springs(parameters: Parameters, scenario: Scenario) -> list[Own]:
     """Return the springs of contact and actuator: the largest values of a batch first, then those of each robot."""
     gait, h = _shared_gait(parameters, scenario.gait), scenario.time_step
-    contact = None if parameters.contact is None else parameters.contact.springs() or Springs(0.0, 0.0)
-    drive = None if parameters.drive is None else parameters.drive.spring(h) or JointSpring(0.0, 0.0)
-    chooses = parameters.holds is not None and not (parameters.footholds is parameters.recovery is None)
+    contact = None if isinstance(parameters.contact, SpringGrip) else parameters.contact.springs() or Springs(0.0, 0.0)
+    drive = None if isinstance(parameters.drive, Servos) else parameters.drive.spring(h) or JointSpring(0.0, 0.0)
+    chooses = parameters.ground.holds is not None and not (parameters.footholds is parameters.recovery is None)
     leaves, tree = jax.tree.flatten((contact, drive))
     if not leaves:
         return [Own(gait=gait, chooses=chooses)]
@@ -159,7 +160,7 @@ def _own_springs(parameters: Parameters, scenario: Scenario) -> list[Own]:
 
 def _shared_gait(parameters: Parameters, own: Gait) -> Gait:
     """Return the gait with the values that all robots have in place of its own."""
-    given = {key.removeprefix("gait."): getattr(parameters, name) for key, name in GAIT.items()}
+    given = {path.removeprefix("gait."): parameters.at(path) for path in GAIT}
     known = {key: np.unique(np.asarray(value, float)) for key, value in given.items() if not is_traced(value)}
     return own.model_copy(update={key: float(values[0]) for key, values in known.items() if len(values) == 1})
 
@@ -193,12 +194,13 @@ def _stiffest(scenario: Scenario, parameters: Parameters, springs: Own) -> Scena
     Where the step is short enough for the largest value of each parameter it is for all robots: a disturbance does not
     grow while 4 M - 2 h D - h^2 K is positive definite, of which the three are symmetric.
     """
-    known = {n: np.asarray(v, float) for n in _STIFFENING if not is_traced(v := getattr(parameters, n))}
-    own = {name: float(operator.attrgetter(KEYS[name])(scenario)) for name in known}
+    values = parameters.values
+    known = {n: np.asarray(values[n], float) for n in _STIFFENING if n in values and not is_traced(values[n])}
+    own = {path: float(operator.attrgetter(path)(scenario)) for path in known}
     largest = {name: float(values.max()) for name, values in known.items()}
 
     def of(values: Mapping[str, float]) -> Scenario:
-        others = {KEYS[n]: value for n, value in values.items() if not math.isclose(value, own[n], rel_tol=1e-6)}
+        others = {n: value for n, value in values.items() if not math.isclose(value, own[n], rel_tol=1e-6)}
         return scenario.with_overrides(others) if others else scenario
 
     stiffest = of(largest)

@@ -216,7 +216,7 @@ def _joint_gains(
     factors = {name: each for name, each in sent.items() if name != "kp_rise"}
     gains = gains._replace(**{name: getattr(gains, name) * each[:, None] for name, each in factors.items()})
     if "kp_rise" in sent:
-        safe = jnp.asarray(hardware.parameters.safe_kp)
+        safe = jnp.asarray(hardware.parameters.joint_loop.safe_kp)
         gains = gains._replace(kp=sensor_watch.raised_kp(gains.kp, safe, sent["kp_rise"]))
     return buffers, gains
 

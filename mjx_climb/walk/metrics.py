@@ -303,6 +303,7 @@ METRICS = MetricTable(
             init=lambda zero: (zero, zero), update=_more_variation, finish=lambda running, _: running[0],
         ),
         peak("peak_pull_force", "N", "peak pull force", _pull_forces),
+        peak("peak_utilization", "1", "peak utilization of a grip's limit", lambda sample, _: sample.utilization),
         peak("peak_joint_torque", "N m", "peak joint torque", lambda sample, _: jnp.abs(sample.joint_torque)),
         Metric(
             "cost_of_transport", "1", "cost of transport", larger_is_better=False,

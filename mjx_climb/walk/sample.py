@@ -72,6 +72,7 @@ class Quantities(Generic[_Array]):
     detached: Bool[_Array, "*batch limb"] = quantity("1", "the gripper was torn off before")
     torn_off: Bool[_Array, "*batch limb"] = quantity("1", "the gripper is torn off in this step")
     missed: Bool[_Array, "*batch limb"] = quantity("1", "the gripper shuts out of reach in this step")
+    utilization: Float[_Array, "*batch limb"] = quantity("1", "share of its limit that a grip uses")
     reachable: Bool[_Array, "*batch limb"] = quantity("1", "the foot target is within reach")
     sensor_lost: Bool[_Array, "*batch limb"] = quantity("1", "the law does without the foot's force sensor")
     base_reference: Float[_Array, "*batch 3"] = quantity("m", "base position that the gait asks for")

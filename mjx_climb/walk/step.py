@@ -2,7 +2,7 @@
 
 `prepare` computes what stays the same, `begin` gives the start, `advance` makes one step:
 
-    kinematics -> grips -> gait -> control loop -> cargo and pushes -> accelerations -> integration
+    kinematics -> grips -> gait -> control loop -> disturbances -> accelerations -> integration
 
 Where footholds are chosen or the robot recovers, `look_ahead` decides every planning period, before a step.
 
@@ -21,8 +21,7 @@ from mjx_climb import execution
 from mjx_climb.arrays import AnyArray, Tree
 from mjx_climb.control import Law
 from mjx_climb.control.law import Reference, constants, measurement_at
-from mjx_climb.disturbances import on_base
-from mjx_climb.disturbances.disturbance import Body, External
+from mjx_climb.disturbances.disturbance import Body, External, sum_of
 from mjx_climb.gait import planner as planning
 from mjx_climb.gait import schedule as gait
 from mjx_climb.gait.recovery import Body as Whole
@@ -32,7 +31,6 @@ from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import Hardware, hardware_of
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.contact.contact import Contact
-from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.physics.inverse_dynamics import load_torque
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
@@ -61,7 +59,6 @@ class Setup(NamedTuple):
     parameters: Parameters
     hardware: Hardware
     plan: gait.Plan
-    windows: on_base.Windows
 
 
 class Walk(NamedTuple):
@@ -70,7 +67,6 @@ class Walk(NamedTuple):
     robot: Robot  # as its file says: `mass_scale` is none of it
     parameters: Parameters
     plan: gait.Plan
-    windows: on_base.Windows
     contact: Contact
     holding_force: Array  # () N, the pull that margins may count on, in a smooth walk too
     controller: control_loop.Controller
@@ -89,8 +85,8 @@ class Carry(NamedTuple):
 
 
 def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
-    """Return hardware, gait plan and windows of a walk, for a law whose gains have their full length."""
-    robot = _in_precision(load_robot(structure.robot), parameters.kp.dtype)
+    """Return hardware and gait plan of a walk, for a law whose gains have their full length."""
+    robot = _in_precision(load_robot(structure.robot), parameters.gravity.dtype)
     base_rotation = quaternion_to_matrix(robot.stance_orientation)
     feet = robot.stance_position + limb_frames(robot, base_rotation, robot.stance_joints).foot
     return Setup(
@@ -98,21 +94,18 @@ def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
         parameters=parameters,
         hardware=hardware_of(parameters, structure.stages, structure.time_step, robot),
         plan=gait.plan(robot, feet, parameters, structure.lift_off, structure.time_step, structure.stages),
-        windows=on_base.windows(parameters, structure.time_step),
     )
 
 
 def walk_of(structure: Structure, setup: Setup) -> Walk:
     """Return the walk of what has been set up, beside all that every robot of this structure shares."""
     robot = load_robot(structure.robot)
-    geometry = limb_geometry(robot, structure.stages.rotational)
-    robot, geometry = _in_precision((robot, geometry), setup.parameters.kp.dtype)
+    geometry = limb_geometry(robot, setup.parameters.contact.transmits_moments)
+    robot, geometry = _in_precision((robot, geometry), setup.parameters.gravity.dtype)
     robot = execution.of_limbs(robot)  # from here on execution knows which arrays have the limbs first
-    parameters, stages = setup.parameters, structure.stages
-    contact = parameters.contact
-    if contact is None:
-        contact = Gripper.of(parameters, limited_reach=stages.capture, rotational=stages.rotational)
-    actuator = Servos(setup.hardware) if parameters.drive is None else parameters.drive
+    parameters, contact, actuator = setup.parameters, setup.parameters.contact, setup.parameters.drive
+    if isinstance(actuator, Servos):
+        actuator = dataclasses.replace(actuator, hardware=setup.hardware)
     controller = control_loop.Controller(setup.law, geometry, setup.hardware, actuator)
     # asked before the limit is taken away: without one, margins are those of bare feet
     holding_force = jnp.asarray(contact.holding_force())
@@ -122,11 +115,11 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
         moves = len({share for _, share in structure.lift_off})
         moves = len(structure.lift_off) if structure.free else moves
         plans = planning.Planner(
-            robot, geometry, setup.plan, parameters.footholds, parameters.holds,
+            robot, geometry, setup.plan, parameters.footholds, parameters.ground.holds,
             recovery_of(setup.law, parameters.recovery),
             structure.planning, moves, structure.time_step, structure.free, structure.way_points,
         )  # fmt: skip
-    return Walk(robot, parameters, setup.plan, setup.windows, contact, holding_force, controller, structure, plans)
+    return Walk(robot, parameters, setup.plan, contact, holding_force, controller, structure, plans)
 
 
 def _in_precision(tree: Tree, dtype: jnp.dtype) -> Tree:
@@ -222,7 +215,7 @@ def look_ahead(walk: Walk, carry: Carry, step: Array) -> Carry:
     if walk.structure.base_reference != "actual":
         start = gait.planned_start(walk.plan, now.cycle)
     reference = _reference(walk, carry, now, step, start, actual.grip.grip_point)
-    cargo, _ = on_base.acting(parameters, walk.windows, step)
+    cargo = _external(walk, Body(walk.robot, frames, state), step).cargo_mass
     mass = cargo + parameters.mass_scale * walk.robot.total_mass
     body = Whole(
         mass=mass, center_of_mass=center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale),
@@ -267,26 +260,26 @@ def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.S
     turning = foot_turning(walk.robot, frames, carry.state) if walk.contact.transmits_moments else None
     contact, held = walk.contact.step(carry.contact, feet, turning, now.closed, ground)
     hold = None if carry.progress is None else carry.progress.held
-    if hold is not None and hold.bound.shape[1] and not walk.structure.smooth:
-        torn = held.support & planning.overloaded(hold, now, held.foot_force)
-        contact, held = walk.contact.tear_off(contact, held, torn)
+    if hold is not None and hold.bound.shape[1]:
+        share = jnp.where(held.support, planning.share_of_limits(hold, now, held.foot_force), 0.0)
+        held = held._replace(utilization=jnp.maximum(held.utilization, share))
+        if not walk.structure.smooth:
+            contact, held = walk.contact.tear_off(contact, held, share > 1)
     wrench = base_wrench_of_foot_force(feet.lever, held.foot_force, held.foot_moment)
     return control_loop.Actual(carry.state, feet, turning, contact, held, wrench)
 
 
 def _external(walk: Walk, body: Body, step: Array) -> External:
-    """Return the sum of all disturbances in a step: cargo and pushes on the base, and the others."""
-    cargo, push = on_base.acting(walk.parameters, walk.windows, step)
-    external = body.untouched()._replace(base_wrench=push, cargo_mass=cargo)
-    middle = (step + 0.5) * jnp.asarray(walk.structure.time_step, push.dtype)
-    for disturbance in walk.parameters.disturbances:
-        external = External(*(one + more for one, more in zip(external, disturbance.act(middle, body), strict=True)))
-    return external
+    """Return the sum of all disturbances in a step."""
+    middle = (step + 0.5) * jnp.asarray(walk.structure.time_step, body.state.base_position.dtype)
+    found, nothing = sum_of(each.act(middle, body) for each in walk.parameters.disturbances), body.untouched()
+    wrench = nothing.base_wrench if found.base_wrench is None else found.base_wrench
+    return External(wrench, found.joint_torque, nothing.cargo_mass if found.cargo_mass is None else found.cargo_mass)
 
 
 def _accelerations(walk: Walk, actual: control_loop.Actual, drive: Drive, external: External) -> Acceleration:
     """Return the accelerations by the equations of motion, paper Eq. 1."""
-    robot, torque = driven_robot(walk.robot, drive, actual.state.joint_angles, walk.controller.hardware)
+    robot, torque = driven_robot(walk.robot, drive, actual.state.joint_angles, walk.parameters.mass_scale)
     loads = _loads(walk, actual, torque, external)
     return ENGINES[walk.structure.engine](robot)(actual.state, *loads)
 
@@ -298,8 +291,7 @@ def _loads(walk: Walk, actual: control_loop.Actual, torque: Array, external: Ext
     robot as its file says, and forces, armature and cargo over s.
     """
     parameters, state, held, share = walk.parameters, actual.state, actual.grip, 1 / walk.parameters.mass_scale
-    # cargo and pushes put no torque on joints
-    if walk.parameters.disturbances:
+    if external.joint_torque is not None:
         torque = torque + external.joint_torque
     if actual.turning is not None:
         torque = torque + jnp.vecmat(held.foot_moment, actual.turning.jacobian)
@@ -308,14 +300,13 @@ def _loads(walk: Walk, actual: control_loop.Actual, torque: Array, external: Ext
     return Loads(torque * share, held.foot_force * share, wrench * share, external.cargo_mass * share, gravity)
 
 
-def driven_robot(robot: Robot, drive: Drive, joint_angles: Array, hardware: Hardware) -> tuple[Robot, Array]:
+def driven_robot(robot: Robot, drive: Drive, joint_angles: Array, mass_scale: AnyArray) -> tuple[Robot, Array]:
     """Return the robot with the armature of its drives, over `mass_scale`, and the torques (limb, joint) N m on it."""
-    parameters, torque, own = hardware.parameters, drive.joint_torque, robot.armature
-    if hardware.stages.armature or drive.armature is not None or own is not None:
+    torque, own = drive.joint_torque, robot.armature
+    if drive.armature is not None or own is not None:
         armature: AnyArray = jnp.zeros_like(robot.joint_lower) if own is None else own
         armature = armature if drive.armature is None else armature + drive.armature
-        armature = (armature + jnp.asarray(parameters.armature)) / parameters.mass_scale
-        robot = dataclasses.replace(robot, armature=armature)
+        robot = dataclasses.replace(robot, armature=armature / mass_scale)
     if robot.spring is not None and robot.spring_rest is not None:
         torque = torque - robot.spring * (joint_angles - robot.spring_rest)
     return robot, torque

@@ -60,7 +60,7 @@ def structure(
         ConfigError: footholds to be chosen where there are no holds, or what goes with chosen ones alone.
         ValueError: two metrics of one name, or parameters that JAX traces and that decide about a stage.
     """
-    if parameters.footholds is not None and parameters.holds is None:
+    if parameters.footholds is not None and parameters.ground.holds is None:
         raise ConfigError("gait.footholds: expected planned, as the ground has no holds to choose among")
     if parameters.footholds is None and scenario.gait.order == "free":
         raise ConfigError("gait.order: expected periodic with planned footholds, got free")

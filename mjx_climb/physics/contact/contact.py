@@ -23,6 +23,7 @@ class Grip(NamedTuple):
     detached: Array  # (limb,) bool: the gripper was torn off before this step, for good
     torn_off: Array  # (limb,) bool: the gripper is torn off in this step, and lets go from the next one on
     missed: Array  # (limb,) bool: the gripper shut out of reach in this step
+    utilization: Array  # (limb,) 1, share of its limit that a grip uses; 0 without a grip, above 1 it cannot hold
 
 
 def along_normal(vector: Array, feet: Feet) -> Array:
@@ -98,5 +99,8 @@ class Contact(Component):
         return None
 
     def unbreakable(self: AnyContact) -> AnyContact:
-        """A contact that never lets go, for searches that need smooth walks; this one where it cannot break."""
+        """A contact that never lets go and reports the same utilization, for searches that need smooth walks.
+
+        This one where it cannot break.
+        """
         return self

@@ -4,20 +4,20 @@
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Collection
+from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.component import parameter
-from mjx_climb.parameter_types import Parameters
+from mjx_climb.component import NONNEGATIVE, POSITIVE, UNLIMITED, given, parameter
 from mjx_climb.physics.contact.contact import Contact, Grip, Springs, along_normal, clearance
 from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
 
+_TINY = 1e-30  # N, of a limit of zero
 _NORMAL = np.array([False, False, True])  # of the ground, among the axes of the world
-_OF_PARAMETERS = {"stiffness": "contact_stiffness", "damping": "contact_damping"}  # values of other names there
 
 
 class Reach(NamedTuple):
@@ -44,33 +44,34 @@ class GripperMemory(NamedTuple):
     attitude: Attitude | None = None  # where grips transmit moments
 
 
-class Gripper(Contact):
-    """A gripper that holds its foot to the grip point both ways, up to a holding limit.
+class SpringGrip(Contact):
+    """A gripper that holds its foot to the grip point both ways; what tears it off is a subclass's.
 
-    The grip point is below the foot, on the ground, where the gripper shuts or the foot first touches. A
-    supporting limb lets go, from the next step on, when the ground pulls its foot down and the whole force is larger
-    than the holding limit (ClimbLab's rule).
-
-    With a finite capture distance a gripper that shuts further off the ground holds nothing and stays open until its
-    next swing, and the ground only pushes a foot whose gripper is open, along its normal. A grip with a rotational
-    stiffness also keeps its foot from turning, by the sine of the angle from the attitude in which it shut (the
-    gradient of a potential of 1 - cos) and by the rate; it lets go by its force alone.
+    The grip point is below the foot, on the ground, where the gripper shuts or the foot first touches. With a finite
+    capture distance a gripper that shuts further off the ground holds nothing and stays open until its next swing, and
+    the ground only pushes a foot whose gripper is open, along its normal. A grip with a rotational stiffness also keeps
+    its foot from turning, by the sine of the angle from the attitude in which it shut (the gradient of a potential of
+    1 - cos) and by the rate; it lets go by its force alone.
     """
 
-    stiffness: Array = parameter("N/m", bounds=(1.0, 1e6), default=1e4, long_name="contact stiffness")
-    damping: Array = parameter("N s/m", bounds=(0.0, 1e4), default=20.0, long_name="contact damping")
-    rotational_stiffness: Array = parameter("N m/rad", bounds=(0.0, 1e4), default=0.0)
-    rotational_damping: Array = parameter("N m s/rad", bounds=(0.0, 1e3), default=0.0)
-    holding_limit: Array = parameter("N", bounds=(0.0, np.inf), default=15.0, long_name="holding limit of a gripper")
-    capture_distance: Array = parameter("m", bounds=(0.0, np.inf), default=np.inf, long_name="reach of a gripper")
+    stiffness: Array = parameter("N/m", bounds=POSITIVE, default=1e4, long_name="contact stiffness")
+    damping: Array = parameter("N s/m", bounds=NONNEGATIVE, default=20.0, long_name="contact damping")
+    rotational_stiffness: Array = parameter(
+        "N m/rad", bounds=NONNEGATIVE, default=0.0, long_name="turning stiffness of a grip"
+    )
+    rotational_damping: Array = parameter(
+        "N m s/rad", bounds=NONNEGATIVE, default=0.0, long_name="turning damping of a grip"
+    )
+    capture_distance: Array = parameter("m", bounds=UNLIMITED, default=np.inf, long_name="reach of a gripper")
     limited_reach: bool = False  # some gripper has a capture distance
     rotational: bool = False  # grips transmit moments
+    breaks: bool = True  # grips are torn off
 
-    @classmethod
-    def of(cls, parameters: Parameters, *, limited_reach: bool, rotational: bool) -> "Gripper":
-        """The grippers that a scenario's contact section describes."""
-        values = {name: getattr(parameters, _OF_PARAMETERS.get(name, name)) for name in cls.VALUES}
-        return cls(**values, limited_reach=limited_reach, rotational=rotational)
+    def compiled_for(self, moving: Collection[str] = ()) -> Self:
+        """Grippers with a reach, and with moments, where some robot has them."""
+        reach = "capture_distance" in moving or bool(np.isfinite(np.asarray(self.capture_distance)).any())
+        turns = "rotational_stiffness" in moving or given(self.rotational_stiffness)
+        return dataclasses.replace(self, limited_reach=reach, rotational=turns)
 
     @property
     def transmits_moments(self) -> bool:
@@ -86,7 +87,7 @@ class Gripper(Contact):
     def step(
         self, memory: GripperMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
     ) -> tuple[GripperMemory, Grip]:
-        """The memory after a step, and the contacts in it."""
+        """The memory after a step, and the contacts in it, none of which is torn off."""
         off, below = clearance(feet, ground)
         support, missed, caught = closed & ~memory.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
         reach, attitude = memory.reach, memory.attitude
@@ -110,31 +111,22 @@ class Gripper(Contact):
             if feet.surface is not None:
                 push = jnp.maximum(along_normal(force, feet), 0.0)[:, None] * feet.surface.normal
             force = jnp.where((support | ~limited)[:, None], force, push)
-        torn_off = support & self.overloaded(force, along_normal(force, feet))
         moment = jnp.zeros_like(force)
         if attitude is not None and turning is not None:
             moment, attitude = self._held_attitude(attitude, turning, support)
-        after = GripperMemory(grip_point, touching, memory.detached | torn_off, reach, attitude)
-        grip = Grip(force, moment, grip_point, support, touching, memory.detached, torn_off, missed)
+        after = GripperMemory(grip_point, touching, memory.detached, reach, attitude)
+        none = jnp.zeros_like(support)
+        grip = Grip(force, moment, grip_point, support, touching, memory.detached, none, missed, force[:, 2] * 0)
         return after, grip
+
+    def used(self, memory: GripperMemory, grip: Grip, utilization: Array) -> tuple[GripperMemory, Grip]:
+        """Memory and contacts in which grips use shares (limb,) of their limits, and those above 1 are torn off."""
+        grip = grip._replace(utilization=jnp.where(grip.support, utilization, 0.0))
+        return self.tear_off(memory, grip, grip.utilization > 1) if self.breaks else (memory, grip)
 
     def tear_off(self, memory: GripperMemory, grip: Grip, torn: Array) -> tuple[GripperMemory, Grip]:
         """Memory and contacts with some grips torn off in this step."""
         return memory._replace(detached=memory.detached | torn), grip._replace(torn_off=grip.torn_off | torn)
-
-    def overloaded(self, force: Array, normal: Array) -> Array:
-        """Whether forces of the ground on the feet are more than a grip holds, (limb,) bool.
-
-        Arguments:
-            force: (limb, 3) N.
-            normal: (limb,) N, their parts along the ground's normal.
-        """
-        # ClimbLab's rule with the 15 N of the paper (docs/explanation/departures.md, 11)
-        return jnp.asarray((normal < 0) & (norm(force) > self.holding_limit))
-
-    def holding_force(self) -> Array:
-        """The holding limit, () N; 0 where grippers are never torn off: margins are then those of bare feet."""
-        return jnp.where(jnp.isfinite(self.holding_limit), self.holding_limit, 0.0)
 
     def springs(self) -> Springs:
         """Those of Eq. 5, and of grips that transmit moments."""
@@ -142,9 +134,9 @@ class Gripper(Contact):
             return Springs(self.stiffness, self.damping)
         return Springs(self.stiffness, self.damping, self.rotational_stiffness, self.rotational_damping)
 
-    def unbreakable(self) -> "Gripper":
-        """Grippers without a holding limit."""
-        return dataclasses.replace(self, holding_limit=jnp.full_like(self.holding_limit, jnp.inf))
+    def unbreakable(self) -> Self:
+        """Grips that never let go."""
+        return dataclasses.replace(self, breaks=False)
 
     def _held_attitude(self, attitude: Attitude, turning: Turning, support: Array) -> tuple[Array, Attitude]:
         """The moments that keep feet from turning, (limb, 3) N m, and the attitudes that they hold."""
@@ -153,3 +145,38 @@ class Gripper(Contact):
         moment = self.rotational_stiffness * turn_between(turning.rotation, rotation)
         moment = jnp.where(support[:, None], moment - self.rotational_damping * turning.velocity, 0.0)
         return moment, Attitude(rotation, support)
+
+
+class Gripper(SpringGrip):
+    """A grip with one limit (ClimbLab's rule).
+
+    A supporting limb lets go, from the next step on, when the ground pulls its foot down and the whole force is larger
+    than the holding limit.
+    """
+
+    holding_limit: Array = parameter("N", bounds=UNLIMITED, default=15.0, long_name="holding limit of a gripper")
+
+    def step(
+        self, memory: GripperMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
+    ) -> tuple[GripperMemory, Grip]:
+        """The memory after a step, and the contacts in it."""
+        after, grip = super().step(memory, feet, turning, closed, ground)
+        return self.used(after, grip, self.utilization(grip.foot_force, along_normal(grip.foot_force, feet)))
+
+    def utilization(self, force: Array, normal: Array) -> Array:
+        """The share of the holding limit that forces of the ground on the feet use, (limb,) 1.
+
+        Arguments:
+            force: (limb, 3) N.
+            normal: (limb,) N, their parts along the ground's normal.
+        """
+        # ClimbLab's rule with the 15 N of the paper (docs/explanation/departures.md, 11)
+        return jnp.where(normal < 0, norm(force) / jnp.maximum(self.holding_limit, _TINY), 0.0)
+
+    def overloaded(self, force: Array, normal: Array) -> Array:
+        """Whether such forces are more than a grip holds, (limb,) bool."""
+        return self.utilization(force, normal) > 1
+
+    def holding_force(self) -> Array:
+        """The holding limit, () N; 0 where grippers are never torn off: margins are then those of bare feet."""
+        return jnp.where(jnp.isfinite(self.holding_limit), self.holding_limit, 0.0)

@@ -4,16 +4,15 @@ A grip has axes of its own: z along the ground's normal, x in the ground from th
 shut. It holds forces f of the ground on the foot, in these axes, with `A f <= b`: a pull has f_z < 0.
 """
 
-import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.component import parameter
-from mjx_climb.physics.contact.contact import Contact, Grip, Springs, along_normal
-from mjx_climb.physics.contact.gripper import Gripper, GripperMemory
+from mjx_climb.component import FINITE, UNLIMITED, parameter
+from mjx_climb.physics.contact.contact import Grip, along_normal
+from mjx_climb.physics.contact.gripper import GripperMemory, SpringGrip
 from mjx_climb.physics.kinematics import Feet, Surface, Turning
 from mjx_climb.physics.spatial import norm
 
@@ -27,42 +26,36 @@ class PolyhedralMemory(NamedTuple):
     outward: Array  # (limb, 3) 1, direction in the ground from the base to the foot, when the gripper shut
 
 
-class PolyhedralGripper(Contact):
-    """Grippers as `Gripper`, which hold the forces of a polyhedron in place of those below one limit."""
+class PolyhedralGripper(SpringGrip):
+    """Grippers that hold the forces of a polyhedron."""
 
-    normals: Array = parameter("1", shape=(None, 3), bounds=(-np.inf, np.inf))  # rows of A
-    limits: Array = parameter("N", shape=(None,), bounds=(0.0, np.inf))  # b
-    gripper: Gripper = dataclasses.field(default=Gripper(), metadata={"tree": True})
+    normals: Array = parameter(
+        "1", shape=(None, 3), bounds=FINITE, default=np.array([[0.0, 0.0, -1.0]]), long_name="rows of A"
+    )
+    limits: Array = parameter("N", shape=(None,), bounds=UNLIMITED, default=np.array([15.0]), long_name="b")
     only_pulled: bool = False  # a foot that is pushed holds whatever its force, as in ClimbLab's rule
-
-    @property
-    def transmits_moments(self) -> bool:
-        """Whether grips have a rotational stiffness."""
-        return self.gripper.transmits_moments
 
     def init(self, grip_point: Array, rotation: Array) -> PolyhedralMemory:
         """The memory of grippers that are shut around their middle and rest."""
         lever = grip_point - grip_point.mean(0)
-        return PolyhedralMemory(self.gripper.init(grip_point, rotation), _outward(lever, None))
+        return PolyhedralMemory(super().init(grip_point, rotation), _outward(lever, None))
 
     def step(
         self, memory: PolyhedralMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
     ) -> tuple[PolyhedralMemory, Grip]:
-        """The memory after a step, and the contacts in it: those of `Gripper`, but for what tears a grip off."""
-        before = memory.gripper
-        after, grip = self.gripper.unbreakable().step(before, feet, turning, closed, ground)
+        """The memory after a step, and the contacts in it."""
+        before, surface = memory.gripper, feet.surface
+        after, grip = super().step(before, feet, turning, closed, ground)
         shuts = (grip.contact & ~before.touching)[:, None]
-        surface = feet.surface
         outward = jnp.where(shuts, _outward(feet.lever, surface), memory.outward)
-        torn_off = grip.support & (self.utilization(in_grip(grip.foot_force, outward, surface)) > 1)
+        used = self.utilization(in_grip(grip.foot_force, outward, surface))
         if self.only_pulled:
-            torn_off = torn_off & (along_normal(grip.foot_force, feet) < 0)
-        after = after._replace(detached=after.detached | torn_off)
-        return PolyhedralMemory(after, outward), grip._replace(torn_off=torn_off)
+            used = jnp.where(along_normal(grip.foot_force, feet) < 0, used, 0.0)
+        return self.used(PolyhedralMemory(after, outward), grip, used)
 
     def tear_off(self, memory: PolyhedralMemory, grip: Grip, torn: Array) -> tuple[PolyhedralMemory, Grip]:
         """Memory and contacts with some grips torn off in this step."""
-        gripper, grip = self.gripper.tear_off(memory.gripper, grip, torn)
+        gripper, grip = super().tear_off(memory.gripper, grip, torn)
         return memory._replace(gripper=gripper), grip
 
     def utilization(self, force: Array) -> Array:
@@ -75,14 +68,6 @@ class PolyhedralGripper(Contact):
             jnp.where(self.normals[:, 2] < 0, self.limits / jnp.maximum(-self.normals[:, 2], _TINY), jnp.inf)
         )
         return jnp.where(jnp.isfinite(most), most, 0.0)
-
-    def springs(self) -> Springs:
-        """Those of the gripper."""
-        return self.gripper.springs()
-
-    def unbreakable(self) -> "PolyhedralGripper":
-        """Grippers that hold any force."""
-        return dataclasses.replace(self, limits=jnp.full_like(self.limits, jnp.inf))
 
 
 def in_grip(force: Array, outward: Array, surface: Surface | None = None) -> Array:

@@ -5,13 +5,13 @@ times; then it stays open until its next swing.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.component import parameter
-from mjx_climb.physics.contact.contact import Contact, Grip, Springs
+from mjx_climb.physics.contact.contact import Grip
 from mjx_climb.physics.contact.gripper import Gripper, GripperMemory
 from mjx_climb.physics.kinematics import Feet, Turning
 from mjx_climb.physics.noise import normal
@@ -29,7 +29,7 @@ class UncertainMemory(NamedTuple):
     draws: Array  # (limb,) number of tries since the start
 
 
-class UncertainGripper(Contact):
+class UncertainGripper(Gripper):
     """Grippers as `Gripper`, each grip of which has a limit of its own and is tested by a pull when it shuts.
 
     The limit of a grip is the gripper's times a normal number of mean 1, drawn by seed, limb and number of the try.
@@ -42,19 +42,13 @@ class UncertainGripper(Contact):
     retry_steps: Array = parameter("1", bounds=(0.0, 1e6), default=200.0, long_name="time steps until another try")
     tries: Array = parameter("1", bounds=(1.0, 100.0), default=3.0, long_name="tries of a grip")
     seed: Array = parameter("1", bounds=(0.0, 2.0**24), default=0.0)
-    gripper: Gripper = dataclasses.field(default=Gripper(), metadata={"tree": True})
-
-    @property
-    def transmits_moments(self) -> bool:
-        """Whether grips have a rotational stiffness."""
-        return self.gripper.transmits_moments
 
     def init(self, grip_point: Array, rotation: Array) -> UncertainMemory:
         """The memory of grippers that are shut, have passed their test and rest."""
         none = jnp.zeros_like(grip_point[:, 0])
         shut = jnp.ones(len(grip_point), bool)
         limit = self._drawn(none)
-        return UncertainMemory(self.gripper.init(grip_point, rotation), shut, limit, ~shut, none, none, none)
+        return UncertainMemory(super().init(grip_point, rotation), shut, limit, ~shut, none, none, none)
 
     def step(
         self, memory: UncertainMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
@@ -67,7 +61,9 @@ class UncertainGripper(Contact):
         limit = jnp.where(tried, self._drawn(draws), memory.limit)
         failed = closed & jnp.where(tried, limit < self.tested_pull, memory.failed)
         wait = jnp.where(tried, self.retry_steps, memory.wait - 1)
-        holds = dataclasses.replace(self.gripper, holding_limit=jnp.maximum(limit, 0.0))
+        fields = dataclasses.fields(Gripper)  # type: ignore[arg-type]  # a component is a dataclass
+        own = {field.name: getattr(self, field.name) for field in fields}
+        holds = Gripper(**{**own, "holding_limit": jnp.maximum(limit, 0.0)})
         # a gripper that opens may grip anew
         before = memory.gripper._replace(detached=memory.gripper.detached & closed)
         after, grip = holds.step(before, feet, turning, closed & ~failed, ground)
@@ -77,23 +73,14 @@ class UncertainGripper(Contact):
 
     def tear_off(self, memory: UncertainMemory, grip: Grip, torn: Array) -> tuple[UncertainMemory, Grip]:
         """Memory and contacts with some grips torn off in this step."""
-        gripper, grip = self.gripper.tear_off(memory.gripper, grip, torn)
+        gripper, grip = super().tear_off(memory.gripper, grip, torn)
         return memory._replace(gripper=gripper), grip
 
-    def holding_force(self) -> Array:
-        """The gripper's, without its spread."""
-        return self.gripper.holding_force()
-
-    def springs(self) -> Springs:
-        """Those of the gripper."""
-        return self.gripper.springs()
-
-    def unbreakable(self) -> "UncertainGripper":
-        """Grippers without a holding limit, all of which pass their tests."""
-        none = jnp.zeros_like(self.seed)
-        return dataclasses.replace(self, gripper=self.gripper.unbreakable(), tested_pull=none, spread=none)
+    def unbreakable(self) -> Self:
+        """Grippers that never let go, all of which pass their tests."""
+        return dataclasses.replace(self, breaks=False, tested_pull=jnp.zeros_like(self.tested_pull))
 
     def _drawn(self, draws: Array) -> Array:
         """Holding limits (limb,) N by the number of the try, (limb,)."""
         noise = normal(self.seed, draws, jnp.arange(len(draws)), draws.dtype)
-        return self.gripper.holding_limit * (1 + self.spread * noise)
+        return self.holding_limit * (1 + self.spread * noise)
