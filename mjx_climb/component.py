@@ -119,7 +119,6 @@ class Component:
         others = [field.name for field in fields if field.name not in (*values, *trees)]
         jax.tree_util.register_dataclass(cls, data_fields=[*values, *trees], meta_fields=others)
 
-
     def compiled_for(self, moving: Collection[str] = ()) -> Self:
         """This component with the options that its values ask of a compiled walk; of a batch, those of any robot.
 

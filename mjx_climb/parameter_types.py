@@ -98,13 +98,17 @@ class Parameters:
     @property
     def paths(self) -> dict[str, ValueField]:
         """The declaration of each value, by its path."""
-        own = {f"{place}.{name}": field for place, each in self.components.items() for name, field in each.VALUES.items()}
+        own = {
+            f"{place}.{name}": field for place, each in self.components.items() for name, field in each.VALUES.items()
+        }
         return {**self.VALUES, **own}
 
     @property
     def values(self) -> dict[str, AnyArray]:
         """The values by their paths."""
-        own = {f"{place}.{name}": getattr(each, name) for place, each in self.components.items() for name in each.VALUES}
+        own = {
+            f"{place}.{name}": getattr(each, name) for place, each in self.components.items() for name in each.VALUES
+        }
         return {**{name: getattr(self, name) for name in self.VALUES}, **own}
 
     @property
@@ -129,7 +133,8 @@ class Parameters:
         Raises:
             ValueError: no such path.
         """
-        known, changes = self.paths, {}
+        known = self.paths
+        changes: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
             if path not in known:
                 raise ValueError(_unknown(path, known))

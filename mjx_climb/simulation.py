@@ -25,13 +25,13 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike, DTypeLike
 
 from mjx_climb import execution
+from mjx_climb.component import given
 from mjx_climb.control import Law, law_of
 from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, over_batch
 from mjx_climb.execution.batches import Progress
 from mjx_climb.gait.base_path import check_base
 from mjx_climb.hardware.actuator import Actuator
-from mjx_climb.component import given
 from mjx_climb.hardware.stages import Stages, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import TIMES, gait_of, scenario_with_gait
@@ -328,10 +328,7 @@ class Simulation:
         )
         found = {name: np.moveaxis(value, len(batch), 0) for name, value in run(gradients_of, shape, robots).items()}
         nothing = np.zeros((*counts, 1), dtype)
-        return {
-            name: summed_to(found.get(name, nothing), np.shape(value))
-            for name, value in by_name(gains).items()
-        }
+        return {name: summed_to(found.get(name, nothing), np.shape(value)) for name, value in by_name(gains).items()}
 
     def _run(
         self,

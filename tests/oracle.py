@@ -56,7 +56,7 @@ class Gait:
             gait.landing_speed,
         )
         self.moves = (1 - gait.settling) * self.swing * scenario.time_step  # s, a foot in a swing
-        self.path = gait.step_height * turn.apply(np.moveaxis(walk.parameters.swing_path, 1, 2))
+        self.path = gait.step_height * turn.apply(np.moveaxis(walk.parameters.gait.swing_path, 1, 2))
 
     def swaying(self, gait, limbs, feet):
         """Return the sway over the phase of a cycle: a spline at rest in the middle of each swing, as on the docs."""
@@ -116,7 +116,7 @@ class Grips:
     def act(self, feet, velocity, turned, spin, shut, ground, walked):
         own, before = self.contact, self.detached.copy()
         support, shuts = shut & ~self.detached, np.zeros_like(shut)
-        missed, reach = shuts, number(own.capture_distance)
+        missed, reach = shuts, number(own.contact.capture_distance)
         if np.isfinite(reach):
             shuts = support & ~self.shut
             missed = shuts & (feet[:, 2] - ground > reach)
@@ -133,14 +133,14 @@ class Grips:
         if np.isfinite(reach):
             force[~support] = np.maximum(force[~support] @ Z, 0)[:, None] * Z
         moment = np.zeros_like(force)
-        for limb in np.flatnonzero(support) if own.rotational_stiffness else ():
+        for limb in np.flatnonzero(support) if own.contact.rotational_stiffness else ():
             if not self.held[limb]:
                 self.attitude[limb] = turned[limb]
             twist = self.attitude[limb] @ turned[limb].T
             sine = np.array([twist[2, 1] - twist[1, 2], twist[0, 2] - twist[2, 0], twist[1, 0] - twist[0, 1]]) / 2
-            moment[limb] = own.rotational_stiffness * sine - own.rotational_damping * spin[limb]
+            moment[limb] = own.contact.rotational_stiffness * sine - own.contact.rotational_damping * spin[limb]
         self.held = support
-        torn = support & (force[:, 2] < 0) & (np.linalg.norm(force, axis=1) > number(own.holding_limit))
+        torn = support & (force[:, 2] < 0) & (np.linalg.norm(force, axis=1) > number(own.contact.holding_limit))
         self.detached = self.detached | torn
         return {
             "grip_point": self.point.copy(), "support": support, "contact": touching, "detached": before,

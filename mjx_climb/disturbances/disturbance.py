@@ -81,9 +81,9 @@ class Disturbance(Component):
     GROUP: ClassVar[str] = "others"  # key in the section `disturbance` of a config
     LISTED: ClassVar[bool] = True  # whether that key has a list of them
 
-    def begins(self) -> Array:
-        """The instant at which it begins, () s: what a robot cannot know before; 0: it acts from the start."""
-        return jnp.zeros(())
+    def begins(self) -> Array | None:
+        """The instant at which it begins to act, () s: nothing can know of it before; infinite: never. None: not told."""
+        return None
 
     def act(self, time: Array, body: Body) -> External:
         """What acts in a step.

@@ -27,8 +27,9 @@ class LinkWrench(Disturbance):
     frame: str = "world"
 
     def begins(self) -> Array:
-        """The first instant."""
-        return self.start
+        """The first instant; infinite without a wrench or a time."""
+        some = (jnp.asarray(self.force) != 0).any() | (jnp.asarray(self.moment) != 0).any()
+        return jnp.where(some & (self.stop > self.start), self.start, jnp.inf)
 
     def act(self, time: Array, body: Body) -> External:
         """The wrench of the window, by the Jacobian of the point where it acts."""

@@ -21,8 +21,8 @@ class Cargo(Disturbance):
     stop: Array = parameter("s", bounds=UNLIMITED, default=np.inf, long_name="unloading of the cargo", in_steps=True)
 
     def begins(self) -> Array:
-        """The instant of loading."""
-        return self.start
+        """The instant of loading; infinite without a mass or a time."""
+        return jnp.where((jnp.asarray(self.mass) > 0) & (self.stop > self.start), self.start, jnp.inf)
 
     def act(self, time: Array, body: Body) -> External:
         """The mass, while it is there."""
@@ -40,8 +40,9 @@ class Push(Disturbance):
     stop: Array = parameter("s", bounds=UNLIMITED, default=np.inf, long_name="end of the push", in_steps=True)
 
     def begins(self) -> Array:
-        """The first instant."""
-        return self.start
+        """The first instant; infinite without a wrench or a time."""
+        some = (jnp.asarray(self.force) != 0).any() | (jnp.asarray(self.moment) != 0).any()
+        return jnp.where(some & (self.stop > self.start), self.start, jnp.inf)
 
     def act(self, time: Array, body: Body) -> External:
         """The wrench, while it lasts."""

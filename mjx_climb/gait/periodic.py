@@ -17,9 +17,7 @@ class PeriodicGait(Component):
     step_height: Array = parameter("m", bounds=(POSITIVE[0], _MOST), default=0.03, long_name="step height")
     cycle: Array = parameter("s", bounds=POSITIVE, default=4.0, long_name="gait cycle", in_steps=True)
     duty: Array = parameter("1", bounds=(POSITIVE[0], BELOW_ONE), default=0.75, long_name="duty")
-    settling: Array = parameter(
-        "1", bounds=SHARE, default=0.0, long_name="share of a swing in which the foot waits"
-    )
+    settling: Array = parameter("1", bounds=SHARE, default=0.0, long_name="share of a swing in which the foot waits")
     height: Array = parameter(
         "1", bounds=(POSITIVE[0], _MOST), default=1.0,
         long_name="height of the base as a share of the rest stance's",

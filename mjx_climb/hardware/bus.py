@@ -24,9 +24,7 @@ class Bus(Component):
     `interpolation` of joint targets between two control periods: "hold", or "linear".
     """
 
-    control_period: Array = parameter(
-        "s", bounds=NONNEGATIVE, default=0.0, long_name="control period", in_steps=True
-    )
+    control_period: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="control period", in_steps=True)
     command_delay: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="delay of commands")
     # below 2^24 single precision holds every whole number
     seed: Array = parameter("1", bounds=(0.0, 2.0**24 - 1), default=0.0, long_name="seed of all noise")

@@ -25,10 +25,17 @@ class ForceSensors(Component):
     bias: Array = parameter("N", bounds=FINITE, default=0.0, long_name="offset of the force sensors")
     resolution: Array = parameter("N", bounds=NONNEGATIVE, default=0.0, long_name="resolution of the force sensors")
     # infinite: none
-    filter: Array = parameter("Hz", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="cut-off of the force filter")
+    filter: Array = parameter(
+        "Hz", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="cut-off of the force filter"
+    )
     # (limb,) from when on a sensor reads 0; infinite: never
     dead: Array = parameter(
-        "s", shape=(None,), bounds=UNLIMITED, default=np.full(1, np.inf), long_name="end of a force sensor", in_steps=True
+        "s",
+        shape=(None,),
+        bounds=UNLIMITED,
+        default=np.full(1, np.inf),
+        long_name="end of a force sensor",
+        in_steps=True,
     )
     filtered_by: str = "sensor"
 
@@ -98,7 +105,9 @@ def estimated_base(
         buffers, values = zip(*late, strict=True)
         base = Base(*values)._replace(orientation=quaternion_normalize(values[1]))
     if stages.base_noise:
-        noise = normal(jnp.asarray(hardware.parameters.bus.seed), step, BASE_CHANNELS + jnp.arange(6), base.position.dtype)
+        noise = normal(
+            jnp.asarray(hardware.parameters.bus.seed), step, BASE_CHANNELS + jnp.arange(6), base.position.dtype
+        )
         base = base._replace(
             position=base.position + own.position_noise * noise[:3],
             linear_velocity=base.linear_velocity + own.velocity_noise * noise[3:],

@@ -63,13 +63,13 @@ class Servos(Actuator):
     """
 
     torque_limit: Array = parameter("N m", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="torque limit")
-    no_load_speed: Array = parameter("rad/s", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="speed without load")
+    no_load_speed: Array = parameter(
+        "rad/s", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="speed without load"
+    )
     # beside what the robot's file says
     armature: Array = parameter("kg m^2", bounds=NONNEGATIVE, default=0.0, long_name="armature")
     coulomb_friction: Array = parameter("N m", bounds=NONNEGATIVE, default=0.0, long_name="dry friction")
-    presliding: Array = parameter(
-        "rad", bounds=POSITIVE, default=5e-4, long_name="bend before dry friction slips"
-    )
+    presliding: Array = parameter("rad", bounds=POSITIVE, default=5e-4, long_name="bend before dry friction slips")
     viscous_friction: Array = parameter("N m s/rad", bounds=NONNEGATIVE, default=0.0, long_name="viscous friction")
     load_friction: Array = parameter("1", bounds=NONNEGATIVE, default=0.0, long_name="friction under load")
     external_load_friction: Array = parameter(
@@ -91,7 +91,9 @@ class Servos(Actuator):
     stribeck_velocity: Array = parameter("rad/s", bounds=POSITIVE, default=0.1, long_name="Stribeck velocity")
     stribeck_exponent: Array = parameter("1", bounds=POSITIVE, default=1.0, long_name="Stribeck exponent")
     rate: Array = parameter("Hz", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="rate of the servos' loop")
-    profile_velocity: Array = parameter("rad/s", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="velocity of goals")
+    profile_velocity: Array = parameter(
+        "rad/s", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="velocity of goals"
+    )
     profile_acceleration: Array = parameter(
         "rad/s^2", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="acceleration of goals"
     )
@@ -188,7 +190,7 @@ def largest_output(hardware: Hardware) -> Array:
     servos = hardware.parameters.drive
     limit = jnp.asarray(servos.torque_limit)
     if hardware.stages.voltage:
-        return limit * servos.pwm_limit
+        return jnp.asarray(limit * servos.pwm_limit)
     return jnp.minimum(limit, servos.current_limit)
 
 
@@ -278,7 +280,8 @@ def friction_bound(torque: Array, load: Array | None, rate: Array, hardware: Har
         still = still + jnp.where(load * torque < 0, square, 0.0)
     slowness = jnp.abs(rate) / p.stribeck_velocity
     moves = slowness > 0  # a power has no derivative at zero
-    return most + still * jnp.exp(-jnp.where(moves, jnp.where(moves, slowness, 1.0) ** p.stribeck_exponent, 0.0))
+    fallen = jnp.exp(-jnp.where(moves, jnp.where(moves, slowness, 1.0) ** p.stribeck_exponent, 0.0))
+    return jnp.asarray(most + still * fallen)
 
 
 def dry_friction(

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -208,7 +208,8 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
         servo_period = period_steps(1 / jnp.asarray(parameters.drive.rate), time_step)
     pace = Pace(**late, filter_share=share, period=period, servo_period=servo_period)
     parameters = _at_supply_voltage(parameters, stages)
-    known, changed = parameters.values, {}
+    known: dict[str, Any] = parameters.values
+    changed: dict[str, Any] = {}
     # under a voltage the torque limit is the motor's own, at standstill
     limit, stall = ("current_limit", "torque_limit") if stages.voltage else ("torque_limit", "")
     loop = SECTIONS["joint_loop"]

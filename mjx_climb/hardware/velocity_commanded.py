@@ -34,11 +34,14 @@ class VelocityCommanded(Actuator):
     manager_period: Array = parameter("s", bounds=(0.0, 1.0), default=1e-3, long_name="period of the manager")
     velocity_gain: Array = parameter("N m s/rad", bounds=(1e-3, 1e3), default=5.0, long_name="gain of the motor's loop")
     largest_rate: Array = parameter("rad/s", bounds=(1e-3, np.inf), default=np.inf, long_name="largest commanded rate")
+    armature: Array = parameter("kg m^2", bounds=(0.0, 10.0), default=0.0, long_name="armature")
     torque_limit: Array = parameter("N m", bounds=(1e-3, np.inf), default=np.inf, long_name="torque limit")
 
     def spring(self, period: float) -> JointSpring:
         """The manager's rate times the gain of the motor's loop, whose damping is taken after the step."""
-        return JointSpring(self.velocity_gain * self.p, self.velocity_gain * (1 + self.d), self.velocity_gain * period)
+        return JointSpring(
+            self.velocity_gain * self.p, self.velocity_gain * (1 + self.d), self.velocity_gain * period + self.armature
+        )
 
     def init(self, angles: Array) -> Commanded:
         """The memory of joints at rest."""
@@ -57,6 +60,6 @@ class VelocityCommanded(Actuator):
         age = jnp.where(age < steps - 0.5, age, 0.0)
         asked = self.velocity_gain * (rate - joints.rates)
         torque = jnp.clip(asked, -self.torque_limit, self.torque_limit)
-        armature = jnp.where(jnp.abs(asked) < self.torque_limit, self.velocity_gain * period, 0.0)
+        armature = self.armature + jnp.where(jnp.abs(asked) < self.torque_limit, self.velocity_gain * period, 0.0)
         memory = Commanded(rate, jnp.where(now, error, memory.error), age)
         return memory, Drive(torque, torque, armature)

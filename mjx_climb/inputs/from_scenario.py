@@ -62,6 +62,7 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     dead = hardware.force_sensor.dead
     instants = dict(dead.items()) if dead is not None else {}
     limbs = load_robot(scenario.robot).limbs
+    ground: dict[str, Any] = {"foothold_height": foothold_heights(scenario), "holds": holds_of(scenario.ground)}
     numbers = Parameters(
         gravity=np.asarray(scenario.gravity, float),
         mass_scale=np.asarray(1.0),
@@ -74,7 +75,7 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         base_estimate=_of_section(BaseEstimate, hardware.base_estimate),
         bus=_of_section(Bus, hardware),
         gait=_of_section(PeriodicGait, scenario.gait, swing_path=_swing_path(scenario)),
-        ground=Ground(foothold_height=foothold_heights(scenario), holds=holds_of(scenario.ground)),
+        ground=Ground(**ground),
         disturbances=(_of_section(Cargo, happens.cargo), *(_of_section(Push, push) for push in happens.pushes)),
         footholds=_footholds(scenario),
         recovery=_recovery(scenario),
@@ -161,9 +162,7 @@ class _Known:
         self.parameters = parameters.replace(found)
 
 
-def compiled_for(
-    scenario: Scenario, parameters: Parameters, called: Mapping[str, str] | None = None
-) -> Parameters:
+def compiled_for(scenario: Scenario, parameters: Parameters, called: Mapping[str, str] | None = None) -> Parameters:
     """Return parameters whose components have the options that their values ask of a compiled walk.
 
     Raises:
@@ -177,10 +176,22 @@ def compiled_for(
         for path in known.traced:
             section, _, name = path.rpartition(".")
             if section == place and _options(components[place].compiled_for((name,))) != _options(found):
-                raise ValueError(_undecided(names.get(path, f"parameters.{path}"), ", or a scenario that has such a stage"))
-        return dataclasses.replace(each, **_options(found))  # type: ignore[type-var]
+                raise ValueError(
+                    _undecided(names.get(path, f"parameters.{path}"), ", or a scenario that has such a stage")
+                )
+        return _with_options(each, found)
 
     return parameters.with_components(change)
+
+
+def with_options_of(parameters: Parameters, like: Parameters) -> Parameters:
+    """Return parameters whose components have the options that the values of others ask of a compiled walk."""
+    others = like.components
+    return parameters.with_components(lambda place, each: _with_options(each, others[place].compiled_for()))
+
+
+def _with_options(component: Component, like: Component) -> Component:
+    return dataclasses.replace(component, **_options(like))  # type: ignore[type-var]
 
 
 def _options(component: Component) -> dict[str, object]:

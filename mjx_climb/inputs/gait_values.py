@@ -24,6 +24,11 @@ def gait_of(gains: Mapping[str, Value]) -> dict[str, Value]:
     return {name: value for name, value in gains.items() if name in GAIT}
 
 
+def own_gait(scenario: Scenario) -> dict[str, float]:
+    """Return the values of a scenario's gait that may be among gains, by their keys."""
+    return {key: getattr(scenario.gait, key.removeprefix("gait.")) for key in GAIT}
+
+
 def why_fixed(scenario: Scenario, keys: Iterable[str]) -> str:
     """Return why a key cannot be a gain in a scenario, "" where all can."""
     low, read = scenario.gait.swing == "low_reaction", scenario.gait.swing_file is not None

@@ -139,8 +139,8 @@ def _with(found: Any, values: dict[str, Any], options: dict[str, Any], instead: 
     arrays = {name: np.asarray(value, float) for name, value in values.items()}
     if isinstance(found, type):
         # the keys of the section that the component has too
-        section = {name: getattr(instead, name) for name in made.VALUES if instead is not None and name in instead.VALUES}
-        arrays = section | arrays
+        there = [name for name in made.VALUES if instead is not None and name in instead.VALUES]
+        arrays = {name: np.asarray(getattr(instead, name)) for name in there} | arrays
         if lacking := [
             name for name in made.VALUES if name not in arrays and fields[name].default is dataclasses.MISSING
         ]:
@@ -151,5 +151,7 @@ def _with(found: Any, values: dict[str, Any], options: dict[str, Any], instead: 
     component = with_values(component, {}, name="values")
     for name, field in made.VALUES.items():
         if np.ndim(getattr(component, name)) > len(field.shape):
-            raise ValueError(f"values.{name}: expected that of one robot, got shape {np.shape(getattr(component, name))}")
+            raise ValueError(
+                f"values.{name}: expected that of one robot, got shape {np.shape(getattr(component, name))}"
+            )
     return component

@@ -1,6 +1,5 @@
 """The GPU kernel of a walk, carried out on the CPU, against the same walk by XLA; and its compilation for GPUs."""
 
-import dataclasses
 import functools
 import types
 
@@ -40,8 +39,8 @@ def walk_of(case, law, steps, dtype):
     rng = np.random.default_rng(7)
     spread = lambda *shape: 10.0 ** rng.uniform(-0.2, 0.2, (ROBOTS, *shape))  # noqa: E731
     gains = Gains(10 * spread(6), 1e3 * spread(6), np.full(6, 1e4))
-    parameters = dataclasses.replace(
-        mc.parameters(scenario), gravity=np.array([0, 0, -1.0]) * spread(1), mass_scale=spread()
+    parameters = mc.parameters(scenario).replace(
+        {"gravity": np.array([0, 0, -1.0]) * spread(1), "mass_scale": spread()}
     )
     found = resolve_in(scenario, law_of(scenario), gains, parameters, dtype)
     arguments = found.law, found.parameters

@@ -64,7 +64,7 @@ def test_every_array_of_a_walk_is_a_variable_with_units_found_by_label(trajector
 def test_walk_survives_a_file(trajectory, tmp_path, kp, dtype):
     arrays = {name: getattr(trajectory, name) for name in ds.VARIABLES}
     arrays = {name: array.astype(dtype) for name, array in arrays.items() if array.dtype == np.float64}
-    gains = jax.tree.map(dtype, dataclasses.replace(trajectory.gains, kp=kp and np.asarray(kp)))
+    gains = jax.tree.map(dtype, trajectory.gains.replace({"control.kp": kp and np.asarray(kp)}))
     walk = dataclasses.replace(trajectory, gains=gains, **arrays)
     path = ds.save(ds.to_dataset(walk), tmp_path / "new" / "walk.nc")
     loaded = ds.load_trajectory(path)

@@ -89,7 +89,9 @@ def test_a_foot_follows_the_published_curve_scaled_to_the_gait(name, write, tmp_
 def test_the_swing_is_that_of_the_parameters_and_no_gain_of_the_gait_is_searched(tmp_path):
     bezier(tmp_path / "ramp.txt")
     walk = scenario(tmp_path / "ramp.txt")
-    np.testing.assert_array_equal(own_parameters(walk).swing_path, published_path(walk.gait.swing_file, walk.gait, 4))
+    np.testing.assert_array_equal(
+        own_parameters(walk).gait.swing_path, published_path(walk.gait.swing_file, walk.gait, 4)
+    )
     with pytest.raises(ValueError, match=r"gait.stride: expected none, as gait.swing_file is computed"):
         mc.Simulation(walk).metrics(gains={"gait.stride": 0.03})
 

@@ -76,7 +76,7 @@ def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
     stages = stages_of(scenario, own_parameters(scenario))._replace(control_period=True)
 
     def resolved(parameters):
-        return resolve(scenario, law_of(scenario), None, parameters, parameters.kp.dtype).parameters
+        return resolve(scenario, law_of(scenario), None, parameters, parameters.joint_loop.kp.dtype).parameters
 
     def steps_of_one(one):
         windows, period = disturbance.windows(one, STEP), hardware_of(one, stages, STEP).pace.period
@@ -98,13 +98,13 @@ def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
     """Towards longer delays: their derivative moves weight from the sample to the next older one."""
     scenario, number = mc.Scenario(), np.arange(1, 200)
     for dtype in (np.float32, np.float64):
-        own = dataclasses.replace(own_parameters(scenario), command_delay=dtype(number * STEP))
+        own = own_parameters(scenario).replace({"hardware.command_delay": dtype(number * STEP)})
         stages = stages_of(scenario, own)
 
         def weights(delay, own=own, stages=stages):
-            return jnp.stack(hardware_of(dataclasses.replace(own, command_delay=delay), stages, STEP).pace.command)
+            return jnp.stack(hardware_of(own.replace({"hardware.command_delay": delay}), stages, STEP).pace.command)
 
-        found, rate = jax.jvp(weights, (own.command_delay,), (jnp.ones(len(number), dtype),))
+        found, rate = jax.jvp(weights, (own.bus.command_delay,), (jnp.ones(len(number), dtype),))
         np.testing.assert_allclose(found, np.arange(len(found))[:, None] == number, atol=5e-5)
         np.testing.assert_array_equal(np.argmin(rate, axis=0), number)
         np.testing.assert_array_equal(np.argmax(rate, axis=0), number + 1)

@@ -55,7 +55,7 @@ def walked(numbers):
             if gains in names:
                 own = numbers(scenarios[case], **changes(entry))
                 for seed in range(SEEDS if "noise" in entry else 1):
-                    seeded = dataclasses.replace(own, seed=np.asarray(float(seed)))
+                    seeded = own.replace({"hardware.seed": np.asarray(float(seed))})
                     rows.append(((case, entry, gains), gains_of(scenarios[case], gains), seeded))
         batch = mc.Gains(*(np.stack([row[1][i] for row in rows]) for i in range(3)))
         of_rows = jax.tree.map(lambda *values: np.stack(values), *(row[2] for row in rows))

@@ -1,6 +1,5 @@
 """Servos as they are: the loop of a Dynamixel, its motor on a voltage, and friction of BAM's models M1 to M6."""
 
-import dataclasses
 import re
 
 import jax
@@ -89,7 +88,7 @@ def test_registers_take_the_place_of_the_gains_until_one_is_set():
     found = registers.LoopGains(850 * 6e-3 * 8.0, 40 * 0.01 * 8.0, 0.0)
     assert (scenario.control.kp, scenario.control.ki, scenario.control.kd) == pytest.approx(tuple(found))
     assert mc.Scenario.from_yaml(scenario.to_yaml()) == scenario
-    assert float(own_parameters(scenario).ki) == pytest.approx(found.ki)
+    assert float(own_parameters(scenario).joint_loop.ki) == pytest.approx(found.ki)
     stronger = scenario.with_overrides({"hardware.servo.torque_limit": 16.0})
     assert stronger.control.kp == pytest.approx(2 * found.kp, rel=1e-14)
     other = scenario.with_overrides({"control.kd": 0.1})
@@ -206,7 +205,11 @@ def test_a_supply_voltage_moves_the_torque_speed_line_and_leaves_a_loop_of_torqu
     own = hardware(
         {"torque_limit": 8.0, "no_load_speed": 6.0, "rated_voltage": 12.0, "supply_voltage": 15.0}
     ).parameters
-    assert (float(own.torque_limit), float(own.no_load_speed), float(own.kp)) == (10.0, 7.5, 50.0)
+    assert (float(own.drive.torque_limit), float(own.drive.no_load_speed), float(own.joint_loop.kp)) == (
+        10.0,
+        7.5,
+        50.0,
+    )
 
 
 def test_the_time_step_counts_back_emf_as_damping_and_the_supply_as_stiffness():
@@ -363,7 +366,7 @@ def test_bad_servos_are_refused_in_one_line(override):
 
 def test_a_voltage_without_a_stall_torque_is_refused_in_a_batch_too():
     scenario = mc.Scenario().with_overrides({"hardware.servo": MOTOR})
-    endless = dataclasses.replace(own_parameters(scenario), torque_limit=np.array([8.0, np.inf]))
+    endless = own_parameters(scenario).replace({"hardware.servo.torque_limit": np.array([8.0, np.inf])})
     with pytest.raises(ValueError, match=r"^parameters.torque_limit: expected finite numbers with drive: voltage, got"):
         stages_of(scenario, endless)
 
@@ -409,7 +412,7 @@ def test_robots_of_a_batch_walk_with_servos_as_they_do_alone():
     scenario = mc.Scenario().with_overrides(SERVOS)
     own, rng = own_parameters(scenario), np.random.default_rng(0)
     varied = {name: getattr(own, name) * rng.uniform(0.7, 1.0, 6) for name in MOVED}
-    parameters = dataclasses.replace(own, **varied, servo_rate=np.array([500.0, np.inf, 250.0, 500.0, 200.0, 1000.0]))
+    parameters = own.replace({**varied, "hardware.servo.rate": np.array([500.0, np.inf, 250.0, 500.0, 200.0, 1000.0])})
     together = mc.rollout_metrics(scenario, parameters=parameters, dtype=np.float64)
     alone = mc.rollout_metrics(scenario, parameters=parameters, dtype=np.float64, batch_size=1)
     for name, values in together.items():

@@ -197,10 +197,10 @@ def test_what_a_robots_file_says_of_its_joints_comes_beside_the_scenario():
     servos = {"coulomb_friction": 0.1, "viscous_friction": 0.2, "torque_limit": 3.0}
     parameters = mc.parameters(mc.Scenario().with_overrides({"hardware.servo": servos}))
     own = hardware_of(parameters, IDEAL, STEP, robot).parameters
-    np.testing.assert_allclose(own.coulomb_friction, 0.1 + 0.01 * each)
-    np.testing.assert_allclose(own.viscous_friction, 0.2 + 0.02 * each)
-    np.testing.assert_allclose(own.torque_limit, np.minimum(3.0, 1 + each))
-    np.testing.assert_allclose(own.kp, 50.0 * np.array([1, 1, 0]) * np.ones((4, 1)))
+    np.testing.assert_allclose(own.drive.coulomb_friction, 0.1 + 0.01 * each)
+    np.testing.assert_allclose(own.drive.viscous_friction, 0.2 + 0.02 * each)
+    np.testing.assert_allclose(own.drive.torque_limit, np.minimum(3.0, 1 + each))
+    np.testing.assert_allclose(own.joint_loop.kp, 50.0 * np.array([1, 1, 0]) * np.ones((4, 1)))
     wanted = IDEAL._replace(torque_limit=True, dry_friction=True, viscous_friction=True)
     assert stages_of(mc.Scenario(), mc.parameters(mc.Scenario()), robot) == wanted
 

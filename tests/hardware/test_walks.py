@@ -133,7 +133,9 @@ def test_a_walk_does_not_depend_on_the_longest_delay_of_its_batch():
     short = mc.load_scenario("case_1_2", {"duration": 0.05, "control.damping": 150.0, "control.stiffness": 3e3})
 
     def varied(force, command):
-        changed = dataclasses.replace(mc.parameters(short), force_delay=force * 1e-3, command_delay=command * 1e-3)
+        changed = mc.parameters(short).replace(
+            {"hardware.force_sensor.delay": force * 1e-3, "hardware.command_delay": command * 1e-3}
+        )
         return mc.rollout_metrics(short, parameters=changed, dtype=np.float64)["force_variation"]
 
     force, command = np.array([6.5, 6.9, 0.0, 0.0, 9.0]), np.array([0.0, 0.0, 6.5, 6.9, 9.0])

@@ -14,12 +14,13 @@ from mjx_climb.physics.contact.uncertain import UncertainGripper
 from mjx_climb.physics.kinematics import Feet, Surface, Turning
 
 OPEN = jnp.zeros(4, bool)
-PARAMETERS = dataclasses.replace(
-    mc.parameters(mc.Scenario()),
-    capture_distance=jnp.asarray(0.005),
-    holding_limit=jnp.asarray(jnp.inf),
-    rotational_stiffness=jnp.asarray(5.0),
-    rotational_damping=jnp.asarray(0.1),
+PARAMETERS = mc.parameters(mc.Scenario()).replace(
+    {
+        "contact.capture_distance": jnp.asarray(0.005),
+        "contact.holding_limit": jnp.asarray(jnp.inf),
+        "contact.rotational_stiffness": jnp.asarray(5.0),
+        "contact.rotational_damping": jnp.asarray(0.1),
+    }
 )
 AWAY = GripperMemory(jnp.zeros((4, 3)), OPEN, OPEN, Reach(OPEN, OPEN))
 

@@ -3,8 +3,6 @@
 `HYPOTHESIS_PROFILE=thorough` tries many more.
 """
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -149,7 +147,7 @@ levels = arrays(float, 4, elements=st.floats(-0.05, 0.05, allow_subnormal=False)
 def test_contact(contact, position, velocity, closed, ground, limit):
     """Who is held, who is pushed, and that the damper takes energy out, whatever a foot does."""
     feet = Feet(position, velocity, position)
-    parameters = dataclasses.replace(PARAMETERS, holding_limit=np.asarray(limit))
+    parameters = PARAMETERS.replace({"contact.holding_limit": np.asarray(limit)})
     after, held = jax.tree.map(np.asarray, gripped(contact, feet, closed, ground, parameters))
     at_ground = position[:, 2] <= ground
     np.testing.assert_array_equal(held.support, closed & ~contact.detached)
@@ -161,9 +159,9 @@ def test_contact(contact, position, velocity, closed, ground, limit):
     np.testing.assert_array_equal(after.grip_point[fresh, :2], position[fresh, :2])
     np.testing.assert_array_equal(after.grip_point[fresh, 2], ground[fresh])
     # power: what the spring stores comes back, what is left goes into the damper
-    spring = -float(PARAMETERS.contact_stiffness) * (position - after.grip_point)
+    spring = -float(PARAMETERS.contact.stiffness) * (position - after.grip_point)
     damped = np.sum((held.foot_force - spring) * velocity, axis=1)[after.touching]
-    lost = float(PARAMETERS.contact_damping) * np.sum(velocity**2, axis=1)[after.touching]
+    lost = float(PARAMETERS.contact.damping) * np.sum(velocity**2, axis=1)[after.touching]
     assert (damped <= 1e-9).all()
     np.testing.assert_allclose(damped, -lost, atol=1e-9)
     # grippers: torn off by a pull beyond the limit alone, and for good

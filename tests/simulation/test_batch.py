@@ -25,12 +25,13 @@ def batch(scenario):
     rng = np.random.default_rng(0)
     scale = lambda *shape: 10.0 ** rng.uniform(-1, 1, shape)  # noqa: E731
     gains = mc.Gains(scale(COUNT, 6), 1e3 * scale(COUNT, 6), 1e4 * scale(COUNT, 6))
-    parameters = dataclasses.replace(
-        own_parameters(scenario),
-        gravity=np.array([0, 0, -1.0]) * scale(COUNT, 1),
-        contact_stiffness=1e4 * rng.uniform(0.5, 1.5, COUNT),
-        holding_limit=np.full(COUNT, 100.0),
-        cargo_mass=rng.uniform(0, 1, COUNT),
+    parameters = own_parameters(scenario).replace(
+        {
+            "gravity": np.array([0, 0, -1.0]) * scale(COUNT, 1),
+            "contact.stiffness": 1e4 * rng.uniform(0.5, 1.5, COUNT),
+            "contact.holding_limit": np.full(COUNT, 100.0),
+            "disturbance.cargo.mass": rng.uniform(0, 1, COUNT),
+        }
     )
     return gains, parameters
 
@@ -54,9 +55,9 @@ def test_a_batch_of_64_gives_each_what_it_has_alone(scenario, batch, together):
 def test_bad_neighbours_change_nothing(scenario, batch, together):
     """One environment tears off and one diverges: both say so, and the other 62 stay the same to the last bit."""
     gains, parameters = batch
-    limit, stiffness = parameters.holding_limit.copy(), parameters.contact_stiffness.copy()
+    limit, stiffness = parameters.contact.holding_limit.copy(), parameters.contact.stiffness.copy()
     limit[LOST], stiffness[BLOWN_UP] = 1e-3, 1e9
-    worse = dataclasses.replace(parameters, holding_limit=limit, contact_stiffness=stiffness)
+    worse = parameters.replace({"contact.holding_limit": limit, "contact.stiffness": stiffness})
     result = mc.rollout_metrics(scenario, gains, worse, dtype=np.float64, unsteady=True)
     others = np.delete(np.arange(COUNT), [LOST, BLOWN_UP])
     for name, values in together.items():
@@ -131,7 +132,7 @@ def test_directions_have_the_gains_that_the_gains_have(short, of_gains, of_direc
 
 def test_batches_that_do_not_broadcast_are_named():
     scenario = mc.load_scenario("case_1_2")
-    parameters = dataclasses.replace(own_parameters(scenario), cargo_mass=np.full((8, 1), 0.1))
+    parameters = own_parameters(scenario).replace({"disturbance.cargo.mass": np.full((8, 1), 0.1)})
     expected = "batch axes of gains and parameters: expected some that broadcast, got damping (4, 1), cargo_mass (8, 1)"
     with pytest.raises(ValueError, match=f"^{re.escape(expected)}$"):
         mc.rollout_metrics(
@@ -148,7 +149,7 @@ def test_tangents_of_a_batch_agree_with_central_differences(short):
     gains = mc.Gains(np.ones(six), damping, stiffness, np.full(ROBOTS, 50.0), np.full(ROBOTS, 0.2))
     rates = jax.tree.map(lambda g, size: size * rng.normal(size=(DIRECTIONS, *g.shape)), gains, own)
     rates = dataclasses.replace(rates, inertia=np.zeros((DIRECTIONS, 6)), kd=np.zeros(DIRECTIONS))
-    parameters = dataclasses.replace(own_parameters(short), cargo_mass=rng.uniform(0, 1, (MEMBERS, 1)))
+    parameters = own_parameters(short).replace({"disturbance.cargo.mass": rng.uniform(0, 1, (MEMBERS, 1))})
     walk = {"dtype": np.float64, "smooth": True}
     metrics, tangents = mc.rollout_jvp(short, gains, rates, parameters, **walk)
     same = mc.rollout_metrics(short, gains, parameters, **walk)

@@ -175,7 +175,7 @@ def test_gains_change_in_mid_walk(env, walked):
     np.testing.assert_allclose(env.step(after)[1].joint_torque, expected.joint_torque[1], rtol=1e-12, atol=1e-13)
     assert np.abs(walked(state)[1].joint_torque[0] - sample.joint_torque).max() > 1e-3
     np.testing.assert_array_equal(after.law.damping, [50.0] * 6)
-    assert after.law.stiffness[0] == 1e3 and after.parameters.kp == 60.0
+    assert after.law.stiffness[0] == 1e3 and after.parameters.joint_loop.kp == 60.0
     with pytest.raises(ValueError, match=r"^gains: expected batch axes that broadcast to the state's \(\), got \(2,\)"):
         env.step(state, gains={"kp": np.ones(2)})
 

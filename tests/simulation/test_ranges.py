@@ -107,7 +107,7 @@ def test_what_the_scenario_allows_is_allowed(numbers):
     ends = {"holding_limit": np.array([0.0, np.inf]), "kd": 0.0, "duty": np.nextafter(1, 0), "seed": 2.0**24 - 1}
     check_ranges(dataclasses.replace(numbers, **{name: np.asarray(value) for name, value in ends.items()}))
     assert set(KEYS) | {"mass_scale", "foothold_height", "swing_path", "force_dead"} == set(numbers.numbers)
-    jax.eval_shape(lambda kp: check_ranges(dataclasses.replace(numbers, kp=kp)), -1.0)
+    jax.eval_shape(lambda kp: check_ranges(numbers.replace({"control.kp": kp})), -1.0)
 
 
 SIX = mc.Gains(*[np.ones((1, 6))] * 3)
@@ -158,7 +158,7 @@ BAD = [  # a call of a scenario and of bad parameters, and what is said
 def test_bad_arguments_have_one_line_each(scenario, numbers, number):
     call, said = BAD[number]
     with pytest.raises(ValueError) as error:
-        call(scenario, dataclasses.replace(numbers, torque_limit=np.asarray(-1.0)))
+        call(scenario, numbers.replace({"hardware.servo.torque_limit": np.asarray(-1.0)}))
     assert str(error.value) == said
 
 

@@ -15,7 +15,6 @@ import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import PD, Reference, Start, law_of
 from mjx_climb.control.law import beginning
-from mjx_climb.hardware.stages import given
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
@@ -28,9 +27,10 @@ from tuning.gains.own_section import load_law, without
 from tuning.methods import Method, grid, method_of, parts
 from tuning.methods.rounds import Callback
 from tuning.problem import spaces
-from tuning.problem.ensemble import FRICTION, Ensemble
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import OWN_METHOD, Search
+from tuning.problem.variations import Factor, changed, scalable
 from tuning.results.judged import Comparison
 from tuning.results.tuned import Tuned
 from tuning.searches import tune
@@ -41,10 +41,11 @@ FEW, MANY = (16, 60), (256, 100)  # points a round, and rounds at most; where a 
 PATIENCE = 10  # rounds of so many points in which a search finds nothing better when it has converged
 SEEDS, SEEDS_OF_MANY = 3, 8  # searches of each law; where a GPU's kernel walks
 CONTROLLERS = ("base_admittance", "end_effector_admittance")
-HARDWARE = {  # what retuned pd walks with besides: parameters and their factor
-    "half the delay": (("force_delay", "command_delay"), 0.5),
-    "half the friction": (FRICTION, 0.5),
-    "twice the rate": (("control_period",), 0.5),
+_PERIOD = "hardware.control_period"
+HARDWARE = {  # what retuned pd walks with at half the value besides: sections, and the ends of the paths in them
+    "half the delay": (("hardware.force_sensor.delay", "hardware.command_delay"), "delay"),
+    "half the friction": (("hardware.servo",), "_friction"),
+    "twice the rate": ((_PERIOD,), "period"),
 }
 _KEYS = ("also", "bounds", "pins", "frozen")  # settings that name gains
 
@@ -309,13 +310,15 @@ def on_better_hardware(scenario: mc.Scenario, drawn: mc.Parameters) -> dict[str,
     Control periods stay whole time steps, one at least.
     """
     found = {}
-    for words, (names, factor) in HARDWARE.items():
-        changes = {name: factor * np.asarray(getattr(drawn, name), float) for name in names}
-        if "control_period" in changes:
-            period, step = changes["control_period"], scenario.time_step
-            changes["control_period"] = np.where(period > 0, np.maximum(np.round(period / step), 1) * step, 0.0)
-        if any(given(values) for values in changes.values()):
-            found[words] = dataclasses.replace(drawn, **changes)
+    for words, (sections, end) in HARDWARE.items():
+        paths = [path for path in drawn.paths if path.startswith(sections) and path.endswith(end)]
+        if not (there := scalable(drawn, paths)):
+            continue
+        found[words] = changed(drawn, dict.fromkeys(there, Factor(0.5)))
+        if _PERIOD in there:
+            period, step = np.asarray(found[words].at(_PERIOD), float), scenario.time_step
+            whole = np.where(period > 0, np.maximum(np.round(period / step), 1) * step, 0.0)
+            found[words] = found[words].replace({_PERIOD: whole})
     return found
 
 

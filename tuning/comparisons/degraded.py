@@ -11,43 +11,42 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.execution.batch_axes import own_axes
-from mjx_climb.hardware.stages import given
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
-from mjx_climb.parameter_types import KEYS
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.comparisons import judge as judging
 from tuning.comparisons import paired
 from tuning.gains.gains_file import Whole
-from tuning.problem.ensemble import FRICTION, Ensemble
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
+from tuning.problem.variations import Change, Factor, changed, scalable
 from tuning.results.degraded import Degraded
 from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Counted, Rows
 from tuning.searches.sweep import default_batch_size
 
 AS_DRAWN = "as drawn"
-SCALED = {  # what a factor is on: parameters by the name of the quantity
-    "delay": ("force_delay", "base_delay", "command_delay"),
-    "period": ("control_period",),
-    "friction": FRICTION,
-    "backlash": ("backlash",),
-    "noise": ("force_noise", "position_noise", "velocity_noise"),
-    "bias": ("force_bias",),
-    "armature": ("armature",),
+SCALED = {  # what a word scales: sections, and the ends of the paths in them
+    "delay": (("hardware.force_sensor", "hardware.base_estimate", "hardware.command_delay"), "delay"),
+    "period": (("hardware.control_period",), "period"),
+    "friction": (("hardware.servo",), "friction"),
+    "backlash": (("hardware.servo",), "backlash"),
+    "noise": (("hardware",), "noise"),
+    "bias": (("hardware",), "bias"),
+    "armature": (("hardware.servo",), "armature"),
 }
 METRICS = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
 SECTION = "hardware."
-_KEYS = {**KEYS, "force_dead": "hardware.force_sensor.dead"}
+_PERIOD = "hardware.control_period"
 
 
 class Setting(NamedTuple):
     """What is made worse."""
 
     name: str  # as it was typed
-    factors: Mapping[str, float]  # by the names of `SCALED`
+    factors: Mapping[str, float]  # by words of `SCALED`, or paths
     keys: Mapping[str, Any]  # of a scenario, with the values that take the place of the config's and the draw's
 
 
@@ -63,8 +62,9 @@ def setting(text: str) -> Setting:
     for part in text.split(","):
         key, equals, value = (each.strip() for each in part.partition("="))
         if not equals:
-            raise ValueError(f"expected {'|'.join(SCALED)}=xFACTOR or a key of the section hardware, got {part!r}")
-        if key in SCALED:
+            words = "|".join(SCALED)
+            raise ValueError(f"expected {words}=xFACTOR, PATH=xFACTOR or a key of the section hardware, got {part!r}")
+        if key in SCALED or value.startswith("x"):
             try:
                 factors[key] = float(value.removeprefix("x"))
             except ValueError:
@@ -82,23 +82,33 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
     Raises:
         ConfigError: a key that the scenario does not have, or nothing there to scale.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, Change] = {}
     if worse.keys:
-        changed = own_parameters(scenario.with_overrides(dict(worse.keys)))
-        for name, key in _KEYS.items():
-            if any(typed == key or typed.startswith(f"{key}.") for typed in worse.keys):
-                found[name] = getattr(changed, name)
+        other = own_parameters(scenario.with_overrides(dict(worse.keys)))
+        typed = tuple(worse.keys)
+        found = {p: v for p, v in other.values.items() if any(key == p or key.startswith(f"{p}.") for key in typed)}
         if not found:
-            raise ConfigError(f"worse: expected a number of the hardware, got {', '.join(worse.keys)}")
+            raise ConfigError(f"worse: expected a number of the hardware, got {', '.join(typed)}")
     for quantity, factor in worse.factors.items():
-        there = [name for name in SCALED[quantity] if given(getattr(drawn, name))]
-        if not there:
-            raise ConfigError(f"worse: expected {quantity} in the config or the draw to scale, got none")
-        found |= {name: np.asarray(getattr(drawn, name), float) * factor for name in there}
-    if "control_period" in found:  # of whole time steps
-        steps = np.maximum(np.round(np.asarray(found["control_period"], float) / scenario.time_step), 1)
-        found["control_period"] = steps * scenario.time_step
-    return dataclasses.replace(drawn, **found)
+        if not (there := scalable(drawn, _paths(drawn, quantity))):
+            drive = type(drawn.drive).__name__
+            raise ConfigError(
+                f"worse: expected {quantity} in the config or the draw to scale, got none (drive: {drive})"
+            )
+        found |= dict.fromkeys(there, Factor(factor))
+    worsened = changed(drawn, found)
+    if _PERIOD in found:  # of whole time steps
+        steps = np.maximum(np.round(np.asarray(worsened.at(_PERIOD), float) / scenario.time_step), 1)
+        worsened = worsened.replace({_PERIOD: steps * scenario.time_step})
+    return worsened
+
+
+def _paths(parameters: mc.Parameters, quantity: str) -> list[str]:
+    """Return the paths that a word of `SCALED` stands for, or the one path that it is."""
+    if quantity not in SCALED:
+        return [quantity]
+    sections, end = SCALED[quantity]
+    return [path for path in parameters.paths if path.startswith(sections) and path.endswith(end)]
 
 
 def _together(draws: Sequence[mc.Parameters], members: int) -> mc.Parameters:

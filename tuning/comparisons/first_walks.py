@@ -3,8 +3,8 @@
 All of them are the walks of one compiled program, `WALKS` side by side, which differ by their parameters alone.
 """
 
-import dataclasses
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
 from tuning.problem.evaluation import RIGID
 
+_LIMIT = "contact.holding_limit"
 WALKS = 16
 SLOWER = ((1.0,), (2.0, 4.0, 4.0))  # times the cycle, walked together; the third with grips that never let go
 ROUNDS = 3  # grids of kp and kd, each about the best of the one before and half as wide
@@ -36,15 +37,18 @@ class FirstWalk(NamedTuple):
     peak_foot_force: float  # N
 
 
-def _walked(scenario: Scenario, *, rigid: bool = False, **values: np.ndarray | float) -> dict[str, np.ndarray]:
-    """Return the metrics of walks with some parameters replaced, (N,) each and N up to `WALKS`, and which stay upright.
+def _walked(
+    scenario: Scenario, values: Mapping[str, np.ndarray | float], *, rigid: bool = False
+) -> dict[str, np.ndarray]:
+    """Return the metrics of walks with other values at some paths, (N,) each, N up to `WALKS`, and which stay upright.
 
     With `rigid` under pd, whatever the scenario's gains.
     """
     own, control, robot = own_parameters(scenario), scenario.control, load_robot(scenario.robot)
     count = max(map(np.size, values.values()))
-    varied = {name: getattr(own, name) for name in ("kp", "kd", "cycle", "holding_limit")} | values
-    padded = {name: np.resize(value, WALKS) for name, value in varied.items() if name != "gravity"}
+    paths = ("control.kp", "control.kd", "gait.cycle", *([_LIMIT] if _LIMIT in own.paths else []))
+    varied = {path: own.at(path) for path in paths} | dict(values)
+    padded = {path: np.resize(value, WALKS) for path, value in varied.items() if path != "gravity"}
     padded["gravity"] = np.broadcast_to(values.get("gravity", own.gravity), (WALKS, 3))
     inertia, damping, stiffness = (
         np.broadcast_to(np.asarray(gain, float), (WALKS, 6))
@@ -53,7 +57,7 @@ def _walked(scenario: Scenario, *, rigid: bool = False, **values: np.ndarray | f
     walked = rollout_metrics(
         scenario,
         Gains(inertia, damping, stiffness),
-        dataclasses.replace(own, **padded),
+        own.replace(padded),
         dtype=np.float64,
         unsteady=True,  # gains that the time step cannot follow lose the comparison
     )
@@ -74,7 +78,7 @@ def with_joint_gains(scenario: Scenario) -> tuple[Scenario, str]:
     for number in range(ROUNDS):
         points = best + half * offsets
         kp, kd = np.exp(points).T
-        walked = _walked(scenario, rigid=True, kp=kp, kd=kd, holding_limit=math.inf)
+        walked = _walked(scenario, {"control.kp": kp, "control.kd": kd, _LIMIT: math.inf}, rigid=True)
         if number == 0 and walked["upright"][middle]:
             first = float(walked["force_variation"][middle])
             allowed = max(allowed, float(walked["base_deviation"][middle]))
@@ -105,8 +109,8 @@ def slow_enough(scenario: Scenario) -> FirstWalk:
     for times in SLOWER:
         cycles, endless = cycle * np.array(times), np.arange(len(times)) == 2
         span = 2 * float(cycles[0])
-        limits = np.where(endless, math.inf, own.holding_limit)
-        walked = _walked(scenario.with_overrides({"duration": span}), cycle=cycles, holding_limit=limits)
+        limits = np.where(endless, math.inf, own.contact.holding_limit)
+        walked = _walked(scenario.with_overrides({"duration": span}), {"gait.cycle": cycles, _LIMIT: limits})
         held = walked["upright"] & (walked["detached_limb"] < 0) & ~endless
         if held.any():
             found = float(cycles[np.argmax(held)])
@@ -134,7 +138,7 @@ def on_ceiling(scenario: Scenario) -> tuple[bool, str]:
     """
     strength, own = float(np.linalg.norm(scenario.gravity)), scenario.contact.holding_limit
     limit, gravity = math.inf if own is None else own, np.array([0.0, 0.0, strength])
-    walked = _walked(scenario, gravity=gravity, holding_limit=np.array([limit, math.inf]))
+    walked = _walked(scenario, {"gravity": gravity, _LIMIT: np.array([limit, math.inf])})
     pull = float(walked["peak_pull_force"][1])
     robot = load_robot(scenario.robot)
     # it hangs away from the ground: what counts is how far the limbs hold the base

@@ -15,12 +15,14 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
+from mjx_climb.disturbances.on_base import Push
 from mjx_climb.execution.batch_axes import own_axes
 from mjx_climb.execution.contents import identity
 from mjx_climb.files import dataset
 from mjx_climb.inputs.from_scenario import gains as gains_of
 from mjx_climb.inputs.gait_values import GAIT, gait_of
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
+from mjx_climb.parameter_types import path_of_gain
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -43,21 +45,6 @@ MEMBERS = Judge().members
 WORST_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
 PD = "pd"
 LOST_SENSORS = "lost_sensors"  # of a dataset: in words, which laws did without a force sensor
-DRAWN = {  # said of each member: unit and words
-    "cargo_mass": ("kg", "mass of the cargo"),
-    "contact_stiffness": ("N/m", "contact stiffness"),
-    "mass_scale": ("1", "scale of the robot's masses and inertias"),
-    "gravity": ("m/s^2", "gravity"),
-    "largest_push": ("N", "largest push"),
-}
-OF_HARDWARE = {
-    "force_delay": ("s", "delay of the force sensors"),
-    "command_delay": ("s", "delay of the commands"),
-    "control_period": ("s", "control period"),
-    "force_noise": ("N", "noise of the force sensors"),
-    "coulomb_friction": ("N m", "dry friction"),
-    "armature": ("kg m^2", "armature"),
-}
 
 
 def evaluate(
@@ -74,7 +61,7 @@ def evaluate(
 ) -> Judged:
     """Simulate several gains with members that no search over the ensemble has seen, beside the scenario's own and pd.
 
-    Nothing is torn off, so that every walk counts to its end; one whose peak pulling force passes the holding limit, or
+    Nothing is torn off, so that every walk counts to its end; one in which a grip uses more than its limit, or
     that diverges, has failed, see `summary`. `tuning.write(tuning.evaluate(scenario, gains, ensemble), folder)` is
     `mjx-climb evaluate`.
 
@@ -156,9 +143,9 @@ class Draw:
         for place, whose, gains in walkers:
             one = resolve_in(place, whose or law_of(place), gains, None, np.float64)
             batch = {name: getattr(one.law, name)[None] for name in one.law.GAINS}  # of one
-            batch |= {name: getattr(one.parameters, name)[None] for name in joint}
+            batch |= {name: one.parameters.at(path_of_gain(name))[None] for name in joint}
             if gait_of(by_name(gains)):
-                batch |= {key: getattr(one.own, name)[None] for key, name in GAIT.items()}
+                batch |= {key: one.own.at(key)[None] for key in GAIT}
             table = self.problem.metrics + SENSORS
             how = {**self.problem.walks, "law": whose, "metrics": table, "dtype": np.float32}
             how |= {"smooth": True, "unsteady": True}
@@ -176,17 +163,14 @@ class Draw:
         data: dict[str, Any] = {}
         for metric in problem.metrics:
             data[metric.name] = (("gains", "member"), arrays[metric.name].T, dataset.metric_attributes(metric))
-        values = {**vars(drawn), "gravity": np.linalg.norm(drawn.gravity, axis=-1)}
-        values["largest_push"] = np.linalg.norm(drawn.push_force, axis=-1).max(-1, initial=0.0)
-        for name, (units, text) in (DRAWN if ensemble.hardware is None else DRAWN | OF_HARDWARE).items():
-            each = np.broadcast_to(np.reshape(values[name], -1), members)
-            data[name] = ("member", each, {"units": units, "long_name": text})
-        holding = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
-        each_lost = lost(arrays, holding).T.astype(bool)
+        units = drawn.units
+        for path, each in _of_members(drawn, members).items():
+            unit, text = units.get(path, ("N", "largest push"))
+            data[path] = ("member", each, {"units": unit, "long_name": text})
+        each_lost = lost(arrays).T.astype(bool)
         data[LOST] = (("gains", "member"), each_lost, {"long_name": "walk loses a gripper or diverges"})
         attrs: dict[str, Any] = {"title": "gains on the walks of an ensemble", **dataset.provenance(scenario)}
         attrs["ensemble"] = ensemble.to_yaml()
-        attrs["holding_limit"] = holding
         names, limbs = [*self.gains, *self.pd, PD], load_robot(scenario.robot).limbs
         sensors = {name: _lost(arrays, number, limbs) for number, name in enumerate(names)}
         attrs[LOST_SENSORS] = "; ".join(f"{name} {text}" for name, text in sensors.items() if text)
@@ -244,6 +228,18 @@ def through(
     drawn, members = ensembles.draw(problem.scenario, ensemble), ensemble.members
     walked = dataclasses.replace(problem, parameters=drawn, members=members, ensemble=ensemble)
     return Draw(walked, gains, pd, asked, members, default_batch_size(members, problem.scenario.steps))
+
+
+def _of_members(drawn: mc.Parameters, members: int) -> dict[str, np.ndarray]:
+    """Return what differs among the members of a draw, (members,) each by its path, and their largest push, N."""
+    found, paths = {}, drawn.paths
+    for path, value in drawn.values.items():
+        if paths[path].shape == () and np.ndim(value) and not path.startswith("disturbance.pushes."):
+            found[path] = np.broadcast_to(np.reshape(value, -1), members)
+    found["gravity"] = np.broadcast_to(np.linalg.norm(drawn.gravity, axis=-1).reshape(-1), members)
+    pushes = [np.linalg.norm(each.force, axis=-1).reshape(-1) for each in drawn.disturbances if isinstance(each, Push)]
+    found["largest_push"] = np.broadcast_to(np.max([np.zeros(1), *pushes], axis=0), members)
+    return found
 
 
 def _lost(arrays: Mapping[str, np.ndarray], number: int, limbs: tuple[str, ...]) -> str:
@@ -324,7 +320,7 @@ def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
 
 def failed(walks: xr.Dataset) -> xr.DataArray:
     """Return which walks lose a gripper or diverge, dimensions as of the walks."""
-    found: xr.DataArray = (walks["peak_pull_force"] > walks.attrs["holding_limit"]) | walks["diverged"].astype(bool)
+    found: xr.DataArray = (walks["peak_utilization"] > 1) | walks["diverged"].astype(bool)
     return found
 
 

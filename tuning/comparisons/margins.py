@@ -8,7 +8,7 @@ then another one, between the last walks that were good and the first that were 
 import dataclasses
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -17,6 +17,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.parameter_types import path_of_gain
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.gains.gains_file import by_name
@@ -34,16 +35,16 @@ class Quantity(NamedTuple):
     """What is made worse."""
 
     title: str
-    parameters: tuple[str, ...]  # of `mjx_climb.Parameters`, which all have its value
+    paths: tuple[str, ...]  # of the values that all are it
     scales: bool = False  # a share of the scenario's own values, the worse the smaller
 
 
 QUANTITIES: Mapping[str, Quantity] = {
     # what the law reads of the base is as old as the forces
-    "force_delay": Quantity("force delay", ("force_delay", "base_delay")),
-    "command_delay": Quantity("command delay", ("command_delay",)),
-    "control_period": Quantity("control period", ("control_period",)),
-    "joint_gains": Quantity("share of the joint gains", _JOINT, scales=True),
+    "force_delay": Quantity("force delay", ("hardware.force_sensor.delay", "hardware.base_estimate.delay")),
+    "command_delay": Quantity("command delay", ("hardware.command_delay",)),
+    "control_period": Quantity("control period", ("hardware.control_period",)),
+    "joint_gains": Quantity("share of the joint gains", tuple(map(path_of_gain, _JOINT)), scales=True),
 }
 
 
@@ -139,12 +140,12 @@ def on_the_grid(
     own, joint = own_parameters(scenario), joint_gains(scenario, walker.gains)
     each = [changes(own, name, row, joint) for name, row in zip(QUANTITIES, values, strict=True)]
     batch = {
-        name: np.stack([np.broadcast_to(getattr(changed, name), values.shape[1]) for changed in each])
+        path: np.stack([np.broadcast_to(changed.at(path), values.shape[1]) for changed in each])
         for quantity in QUANTITIES.values()
-        for name in quantity.parameters
+        for path in quantity.paths
     }
     found = mc.rollout_metrics(
-        scenario, without_joint(walker.gains), dataclasses.replace(own, **batch), law=walker.law, metrics=_METRICS,
+        scenario, without_joint(walker.gains), own.replace(batch), law=walker.law, metrics=_METRICS,
         engine=engine, progress=progress,
     )  # fmt: skip
     dims = ("quantity", "point")
@@ -242,10 +243,9 @@ def without_joint(gains: AnyGains) -> AnyGains:
 
 def changes(own: mc.Parameters, quantity: str, values: np.ndarray, joint: Mapping[str, float]) -> mc.Parameters:
     """Return parameters with one quantity changed to values (N,), on joints with the gains `joint`."""
-    changed: dict[str, Any] = {name: np.asarray(value) for name, value in joint.items()}
-    for name in QUANTITIES[quantity].parameters:
-        changed[name] = values * joint[name] if QUANTITIES[quantity].scales else values
-    return dataclasses.replace(own, **changed)
+    gains = {path_of_gain(name): np.asarray(value) for name, value in joint.items()}
+    paths, scales = QUANTITIES[quantity].paths, QUANTITIES[quantity].scales
+    return own.replace(gains | {path: values * gains[path] if scales else values for path in paths})
 
 
 def count_good(good: np.ndarray) -> int:

@@ -10,7 +10,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import PD
-from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.inputs.gait_values import GAIT, own_gait
 from tuning.background import Begin, Callback, Stage, Work, background, ignore, silent
 from tuning.comparisons import maps, margins, verification
 from tuning.comparisons.side_by_side import VARIATION, Compared, Values, beside_retuned, gains_of, one_walk, retuned
@@ -136,9 +136,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
 def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:
     """Return the gains of a walk, joint loop and searched gait last; None where its controller has none."""
     gains, control = gains_of(walk), walk.scenario.control
-    gait = (
-        {key: getattr(walk.scenario.gait, name) for key, name in GAIT.items()} if searches_gait(problem.space) else {}
-    )
+    gait = own_gait(walk.scenario) if searches_gait(problem.space) else {}
     if gains is None and gait:
         gains = {}
     joint = {name: getattr(control, name) for name in (*JOINT, *((INTEGRAL,) if control.ki else ()))}

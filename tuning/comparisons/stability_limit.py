@@ -40,12 +40,16 @@ from threadpoolctl import threadpool_limits
 
 import mjx_climb as mc
 from mjx_climb import execution
+from mjx_climb.component import given
 from mjx_climb.control import Law, law_of
+from mjx_climb.disturbances.on_base import Cargo
 from mjx_climb.execution.jax_types import PyTree
 from mjx_climb.gait import schedule as gait
 from mjx_climb.hardware import bus
+from mjx_climb.hardware.stages import DELAYED
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
+from mjx_climb.parameter_types import path_of_gain
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics
 from mjx_climb.physics.kinematics import foot_kinematics, foot_turning, limb_frames
@@ -66,13 +70,16 @@ _FINEST = 16  # values along an axis of a map
 _FINEST_WITH_MEMORY = 8  # the same where delays make the matrices large
 _CLEAR = 2  # steps from where a foot is lifted off or set down: it is off the ground there
 _NOT_LINEAR = ("force_noise", "force_bias", "force_resolution", "force_dead", "base_noise", "torque_limit",
-               "current_limit", "dry_friction", "stribeck", "load_torque", "profile", "servo_rate", "backlash",
-               "capture")  # fmt: skip
+               "current_limit", "dry_friction", "stribeck", "load_torque", "profile", "servo_rate",
+               "backlash")  # fmt: skip
 _LATE = ("base", "command", "force")  # the signals whose delays are put around the compiled program
 _REST = "rest"  # of the states, by name behind the signals
 _ONE_STEP = 2  # samples of a buffer whose signal is one time step late: the newest, and the one before
-HARDWARE = (*(f"{part}_delay" for part in _LATE), "control_period")  # what a loop may have whatever its values
-_OWN_OF_EACH = ("kp", "kd", "ki", "cargo_mass", *HARDWARE)  # by robot in every call, so that all share a program
+_PERIOD, _CARGO = "hardware.control_period", "disturbance.cargo.mass"
+HARDWARE = (*(DELAYED[part] for part in _LATE), _PERIOD)  # what a loop may have whatever its values
+# by robot in every call, so that all share a program
+_OWN_OF_EACH = (*map(path_of_gain, ("kp", "kd", "ki")), _CARGO, *HARDWARE)
+_REACH = "contact.capture_distance"
 _UNBOUNDED = {"control.deadband": 0.0, "control.max_offset": None, "control.max_velocity": None}
 _Robots = tuple[Law, mc.Parameters]  # of one batch axis: every gain has it, and parameters of one's own
 
@@ -122,21 +129,26 @@ def by_stance(
     if law is None:
         law = law_of(scenario.with_overrides(_UNBOUNDED))
     calm = own_parameters(scenario) if parameters is None else jax.tree.map(np.asarray, parameters)
-    none = {name: getattr(calm, name) * 0 for name in ("gravity", "push_force", "push_moment")}
-    calm = dataclasses.replace(calm, **none, cargo_start=np.zeros(()), cargo_stop=np.full((), np.inf))
+    cargo = [each for each in calm.disturbances if isinstance(each, Cargo)][:1]
+    calm = dataclasses.replace(calm, gravity=calm.gravity * 0, disturbances=tuple(cargo))
+    always = {"disturbance.cargo.start": np.zeros(()), "disturbance.cargo.stop": np.full((), np.inf)}
+    always |= {_REACH: np.full((), np.inf)} if _REACH in calm.paths else {}
+    calm = calm.replace(always)
     found = resolve_in(scenario, law, gains, calm, np.float64)
     walk = structure(scenario, engine, found.parameters, law=law, smooth=True)
     stages = walk.stages._replace(**dict.fromkeys(_NOT_LINEAR, False))
-    stages = stages._replace(control_period=stages.control_period or "control_period" in hardware)
+    stages = stages._replace(control_period=stages.control_period or _PERIOD in hardware)
     linear = stages.control_period and scenario.hardware.interpolation == "linear"
-    late = [part for part in _LATE if getattr(stages, f"{part}_delay") or f"{part}_delay" in hardware]
+    late = [part for part in _LATE if getattr(stages, f"{part}_delay") or DELAYED[part] in hardware]
     buffers: dict[str, Any] = {f"{part}_delay": _ONE_STEP for part in late}
     walk = walk._replace(stages=stages._replace(linear=linear, **buffers))
     periods = np.ones(found.shape, int)
     if walk.stages.control_period:
-        periods[...] = np.asarray(bus.period_steps(jnp.asarray(found.parameters.control_period), scenario.time_step))
-    stances = linearised_at(scenario, periods.ravel(), uneven=bool(calm.foothold_height.size))
-    loads = 2 if calm.cargo_mass.any() else 1
+        periods[...] = np.asarray(
+            bus.period_steps(jnp.asarray(found.parameters.bus.control_period), scenario.time_step)
+        )
+    stances = linearised_at(scenario, periods.ravel(), uneven=bool(calm.ground.foothold_height.size))
+    loads = 2 if given(calm.at(_CARGO)) else 1
     which = np.arange(loads * stances.shape[1]) if only is None else np.array([only])
     rows, places = (each.ravel() for each in np.indices((periods.size, which.size)))
     loaded, stance = np.divmod(which[places], stances.shape[1])
@@ -151,11 +163,11 @@ def by_stance(
 
     law = jax.tree.map(of_rows, found.law, found.axes[0])
     parameters = jax.tree.map(if_varied, found.parameters, found.axes[1])  # each that is one a robot costs time to pass
-    each = {name: of_rows(getattr(found.parameters, name), 0) for name in _OWN_OF_EACH}
-    delays = {part: each[f"{part}_delay"] / scenario.time_step for part in late}
-    each |= {f"{part}_delay": np.full(rows.size, scenario.time_step) for part in late}
-    each["cargo_mass"] = each["cargo_mass"] * loaded
-    robots = law, dataclasses.replace(parameters, **each)
+    each = {path: of_rows(found.parameters.at(path), 0) for path in _OWN_OF_EACH}
+    delays = {part: each[DELAYED[part]] / scenario.time_step for part in late}
+    each |= {DELAYED[part]: np.full(rows.size, scenario.time_step) for part in late}
+    each[_CARGO] = each[_CARGO] * loaded
+    robots = law, parameters.replace(each)
     radii = _radii_of(walk, robots, found.axes, delays, periods.ravel()[rows], stances[rows, stance])
     return np.asarray(radii.reshape(*found.shape, which.size))
 

@@ -16,7 +16,7 @@ import mjx_climb as mc
 from mjx_climb.component import with_values
 from mjx_climb.control import LAWS, PD, SHIPPED, is_shipped, law_of
 from mjx_climb.files.dataset import write_text_atomically
-from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
+from mjx_climb.inputs.gait_values import GAIT, gait_of, own_gait, scenario_with_gait
 from mjx_climb.inputs.resolve import AnyGains, with_gains
 from mjx_climb.inputs.resolve import by_name as by_name
 from mjx_climb.scenario import registers
@@ -218,8 +218,7 @@ def completed(scenario: mc.Scenario, gains: AnyGains) -> AnyGains:
     """Return gains with all of the gait, where they have some of it, as it is walked in a scenario."""
     if not gait_of(values := by_name(gains)):
         return gains
-    gait = scenario_with_gait(scenario, values).gait
-    return values | {key: getattr(gait, name) for key, name in GAIT.items()}
+    return values | own_gait(scenario_with_gait(scenario, values))
 
 
 def apart(scenario: mc.Scenario, gains: AnyGains) -> tuple[mc.Scenario, AnyGains]:

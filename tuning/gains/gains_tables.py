@@ -11,13 +11,16 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance
-from mjx_climb.files.dataset import COORDINATES, SIX
+from mjx_climb.files.dataset import SIX
+from mjx_climb.gait.periodic import PeriodicGait
 from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.parameter_types import GAIN_UNITS
 from tuning.gains.interfaces import INTERFACES
 from tuning.gains.ros2_control import six
 
 AXES = {3: "three", 6: "six"}  # the dimension of a gain of so many axes
-JOINT_UNITS = {name: COORDINATES[name][0] for name in ("kp", "kd", "ki")}
+_OF_GAIT = {f"gait.{name}": (field.unit, field.long_name) for name, field in PeriodicGait.VALUES.items()}
+JOINT_UNITS = {name: GAIN_UNITS[name][0] for name in ("kp", "kd", "ki")}
 
 
 Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]  # dimensions, values and attributes, as xarray takes them
@@ -26,8 +29,8 @@ Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]  # dimensions, val
 def labels(law: mc.Law | None = None) -> dict[str, tuple[str, str]]:
     """Return unit and long name of every gain; where rotations have another unit, it follows after a comma."""
     own = {} if law is None else law.GAINS
-    known = {name: COORDINATES[name] for name in (*mc.Gains.AXES, *JOINT_UNITS)}
-    known |= {key: COORDINATES[name] for key, name in GAIT.items()}
+    known = {name: GAIN_UNITS[name] for name in (*mc.Gains.AXES, *JOINT_UNITS)}
+    known |= {key: _OF_GAIT[key] for key in GAIT}
     return known | {n: (field.unit, field.long_name or n.replace("_", " ")) for n, field in own.items()}
 
 
@@ -58,13 +61,13 @@ def _rows(gains: mc.Gains, law: type[mc.Law], gait: Mapping[str, Any]) -> list[t
     """Return one row per number: gain, axis ("joints" for kp and kd, "gait" for the gait's keys), value, unit."""
     axes = SIX[: INTERFACES[law].axes]
     table = [
-        (name, axis, float(value), COORDINATES[name][0].split(", ")[axis.startswith("r")])
+        (name, axis, float(value), GAIN_UNITS[name][0].split(", ")[axis.startswith("r")])
         for name, values in zip(mc.Gains.AXES, six(gains), strict=True)
         for axis, value in zip(axes, values, strict=False)
     ]
     joint = {name: getattr(gains, name) for name in JOINT_UNITS}
     table += [(name, "joints", float(v), JOINT_UNITS[name]) for name, v in joint.items() if v is not None]
-    return table + [(key, "gait", float(v), COORDINATES[GAIT[key]][0]) for key, v in gait.items()]
+    return table + [(key, "gait", float(v), _OF_GAIT[key][0]) for key, v in gait.items()]
 
 
 def write_csv(

@@ -77,7 +77,7 @@ def texts(
         found = (
             f"They come from simulation, and were walked with the joint gains, gait and hardware in {names['yaml']}."
         )
-    own = float(mc.parameters(mc.Scenario() if walked is None else walked).safe_kp)
+    own = float(mc.parameters(mc.Scenario() if walked is None else walked).joint_loop.safe_kp)
     safe_kp = given.get("safe_kp", own) if walked is None else own
     header, values = _HEADER.format(found=found, period=period), parameters(law, period, safe_kp)
     return {

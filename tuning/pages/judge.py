@@ -63,7 +63,7 @@ def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Ta
 
 
 @plots.style()
-def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation", "peak_pull_force")) -> Figure:
+def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation", "peak_utilization")) -> Figure:
     """Draw which share of the unseen walks stays below a value, a curve for each set of gains.
 
     A dot marks the mean, a diamond the mean of the worst 5 %. A gripper lets go beyond the vertical line.
@@ -83,9 +83,8 @@ def plot_judged(judged: xr.Dataset, metrics: Sequence[str] = ("force_variation",
             for mark, at in (("o", values.mean()), ("D", ensemble.worst_mean(values, judging.WORST_SHARE))):
                 panel.plot(at, np.interp(at, values, share), mark, color=color, ms=4)
         panel.set(xlabel=label, ylabel="share of walks [%]", ylim=(0, 103))
-        limit = judged.attrs.get("holding_limit", np.inf)
-        if metric == "peak_pull_force" and limit < panel.get_xlim()[1]:
-            panel.axvline(limit, color=plots.RED, linewidth=0.8)
+        if metric == "peak_utilization" and panel.get_xlim()[1] > 1:
+            panel.axvline(1.0, color=plots.RED, linewidth=0.8)
     handles = [key(name, color=color) for name, color in colors.items()]
     for label, mark in (("mean", "o"), ("worst 5 %", "D")):
         handles.append(key(label, color="0.3", marker=mark, ms=4, ls=""))

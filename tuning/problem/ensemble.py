@@ -16,17 +16,20 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 import mjx_climb as mc
-from mjx_climb.hardware.stages import given
+from mjx_climb.disturbances.disturbance import Disturbance
+from mjx_climb.disturbances.on_base import Cargo as OwnCargo
+from mjx_climb.disturbances.on_base import Push
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.parameter_types import KEYS
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
+from tuning.problem.variations import Change, Factor, changed, ending, refused, scalable
 
 _Share = Annotated[float, Field(gt=0, le=1)]
 Range = tuple[NonNegative, NonNegative]
 PositiveRange = tuple[Positive, Positive]
 FRESH_SEED = 1_000_003  # added to the ensemble's own for the draw that no search sees
+_STIFFNESS = "contact.stiffness"
 TILTS = ("gravity.tilt_x", "gravity.tilt_y")
 AnyRange = tuple[Finite, Finite]
 
@@ -81,7 +84,16 @@ class Hardware(_Section):
     capture_distance: PositiveRange | None = setting(None, "how far off the ground a gripper holds what it shuts on, m")
 
 
-FRICTION = tuple(name for name in KEYS if name.endswith("_friction"))  # what a servo has is linear in each
+SERVO = "hardware.servo"
+_OF_HARDWARE = {  # path of a quantity of the section
+    "force_delay": "hardware.force_sensor.delay",
+    "command_delay": "hardware.command_delay",
+    "force_noise": "hardware.force_sensor.noise",
+    "force_bias": "hardware.force_sensor.bias",
+    "backlash": f"{SERVO}.backlash",
+    "capture_distance": "contact.capture_distance",
+    "force_filter": "hardware.force_sensor.filter",
+}
 
 
 class Posterior(Settings):
@@ -103,17 +115,16 @@ class Posterior(Settings):
             if len(rows) != count or (name == "covariance" and any(len(row) != count for row in rows)):
                 raise ValueError(f"posterior.{name}: expected one for each of {count} keys")
         for key in self.keys:
-            if key not in KEYS.values() and key not in TILTS:
+            if "." not in key:
                 raise ValueError(f"posterior.keys: expected keys of a scenario, got {key!r}")
         return self
 
     def draw(self, rng: np.random.Generator, members: int, gravity: np.ndarray) -> dict[str, np.ndarray]:
-        """Return parameters by name, (members, 1) each."""
+        """Return values by path, (members, 1) each."""
         points = rng.multivariate_normal(self.mean, self.covariance, members, method="eigh")
         points = np.where(self.log, np.exp(np.where(self.log, points, 0.0)), points)
         points = np.clip(points, self.lower, self.upper)
-        fields = {key: field for field, key in KEYS.items()}
-        found = {fields[k]: points[:, n, None] for n, k in enumerate(self.keys) if k in fields}
+        found = {key: points[:, n, None] for n, key in enumerate(self.keys) if key not in TILTS}
         turns = np.zeros((members, 3))
         for n, key in enumerate(self.keys):
             if key in TILTS:
@@ -165,30 +176,47 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     if ensemble.posterior is not None:  # of a generator of its own: other draws stay as they are
         of_posterior = np.random.default_rng([ensemble.seed, 1])
         known = ensemble.posterior.draw(of_posterior, ensemble.members, np.asarray(own.gravity))
-        own = dataclasses.replace(own, **known)
-    changes: dict[str, Any] = {
-        "contact_stiffness": own.contact_stiffness * uniform(ensemble.grip_stiffness, logs=True),
-        "mass_scale": uniform(ensemble.robot_mass),
-    }
+        if unknown := [path for path in known if path not in own.paths]:
+            raise refused(unknown[0], own, "posterior.keys")
+        own = own.replace(known)
+    grip = Factor(uniform(ensemble.grip_stiffness, logs=True))
+    changes: dict[str, Change] = {}
+    if _STIFFNESS in own.paths:
+        changes[_STIFFNESS] = grip
+    elif "grip_stiffness" in ensemble.model_fields_set:
+        raise refused(_STIFFNESS, own, "grip_stiffness")
+    changes["mass_scale"] = uniform(ensemble.robot_mass)
     if (cargo := ensemble.cargo) is not None:
-        changes |= {"cargo_mass": uniform(cargo.mass), "cargo_start": uniform(cargo.start)}
+        changes |= {"disturbance.cargo.mass": uniform(cargo.mass), "disturbance.cargo.start": uniform(cargo.start)}
     if (gravity := ensemble.gravity) is not None:
         axis, angle = uniform((0.0, 2 * np.pi)), np.radians(uniform(gravity.slope))
         changes["gravity"] = uniform(gravity.scale)[..., None] * _tilted(np.asarray(own.gravity), axis, angle)
     if (pushes := ensemble.pushes) is not None:
-        n = pushes.count
-        up, azimuth = uniform((-1.0, 1.0), n), uniform((0.0, 2 * np.pi), n)
-        across = np.sqrt(1 - up**2)
-        direction = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), up], axis=-1)
-        start = uniform(pushes.start, n)
-        force = uniform(pushes.force, n)[..., None] * direction
-        changes |= {"push_force": force, "push_moment": np.zeros_like(force)}
-        changes |= {"push_start": start, "push_stop": start + uniform(pushes.length, n)}
+        own = dataclasses.replace(own, disturbances=_pushed(own.disturbances, pushes, uniform))
     if ensemble.hardware is not None:
         changes |= _hardware(scenario, ensemble.hardware, own, uniform)
-        changes["seed"] = rng.integers(0, 2**24, (ensemble.members, 1)).astype(float)
-    drawn: mc.Parameters = dataclasses.replace(own, **changes)
-    return drawn
+        changes["hardware.seed"] = rng.integers(0, 2**24, (ensemble.members, 1)).astype(float)
+    return changed(own, changes)
+
+
+def _pushed(
+    disturbances: tuple[Disturbance, ...], pushes: Pushes, uniform: Callable[..., np.ndarray]
+) -> tuple[Disturbance, ...]:
+    """Return disturbances with drawn pushes in place of their own."""
+    n = pushes.count
+    up, azimuth = uniform((-1.0, 1.0), n), uniform((0.0, 2 * np.pi), n)
+    across = np.sqrt(1 - up**2)
+    direction = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), up], axis=-1)
+    start = uniform(pushes.start, n)
+    force = uniform(pushes.force, n)[..., None] * direction
+    stop = start + uniform(pushes.length, n)
+    drawn: list[Any] = [
+        {"force": force[..., k, :], "moment": np.zeros(3), "start": start[..., k], "stop": stop[..., k]}
+        for k in range(n)
+    ]
+    before = [each for each in disturbances if isinstance(each, OwnCargo)]
+    after = [each for each in disturbances if not isinstance(each, OwnCargo | Push)]
+    return (*before, *(Push(**each) for each in drawn), *after)
 
 
 def _uniform(
@@ -202,30 +230,32 @@ def _uniform(
 
 def _hardware(
     scenario: mc.Scenario, hardware: Hardware, own: mc.Parameters, uniform: Callable[..., np.ndarray]
-) -> dict[str, np.ndarray]:
-    """Return the parameters of the members' hardware, (members, 1) each."""
-    drawn, longest, fastest = {}, MAX_DELAY * scenario.time_step, 1 / scenario.time_step
+) -> dict[str, Change]:
+    """Return the changes of the members' hardware, (members, 1) each."""
+    drawn: dict[str, Change] = {}
+    longest, fastest, paths = MAX_DELAY * scenario.time_step, 1 / scenario.time_step, own.paths
     for name in ("force_delay", "command_delay"):
         if (span := getattr(hardware, name)) is not None and span[1] > longest:
             most = f"{MAX_DELAY} time steps, {longest:g} s"
             raise ConfigError(f"hardware.{name}: expected at most {most}, got {span[1]:g}")
-    for name in ("force_delay", "command_delay", "force_noise", "force_bias", "backlash", "capture_distance",
-                 "force_filter"):  # fmt: skip
-        if (span := getattr(hardware, name)) is not None:
-            drawn[name] = uniform(span, logs=name == "force_filter")
+    for name, path in _OF_HARDWARE.items():
+        if (span := getattr(hardware, name)) is None:
+            continue
+        if path not in paths:
+            raise refused(path, own, f"hardware.{name}")
+        drawn[path] = uniform(span, logs=name == "force_filter")
     if (rate := hardware.control_rate) is not None:
         if rate[1] > fastest * (1 + 1e-9):
             most = f"the {fastest:g} Hz of the time step"
             raise ConfigError(f"hardware.control_rate: expected at most {most}, got {rate[1]:g}")
-        drawn["control_period"] = np.round(fastest / uniform(rate, logs=True)) * scenario.time_step
-    for key, names in (("friction", FRICTION), ("armature", ("armature",))):
+        drawn["hardware.control_period"] = np.round(fastest / uniform(rate, logs=True)) * scenario.time_step
+    for key in ("friction", "armature"):
         if (span := getattr(hardware, key)) is None:
             continue
-        scaled = [name for name in names if given(getattr(own, name))]
+        scaled = scalable(own, ending(own, SERVO, key))
         if not scaled:
             raise ConfigError(f"hardware.{key}: expected {key} in the scenario to scale, got none")
-        factor = uniform(span, logs=True)
-        drawn |= {name: getattr(own, name) * factor for name in scaled}
+        drawn |= dict.fromkeys(scaled, Factor(uniform(span, logs=True)))
     return drawn
 
 

@@ -93,7 +93,6 @@ class Objective:
     worst: Worst | None = None
     margin: float | None = None  # relative; no ratio of a term may be above 1 less this; None: they may
     reference: float = 1.0  # value of pd
-    holding_limit: float = np.inf  # N, pull above which a gripper is lost
 
     @property
     def weighs_lost(self) -> bool:
@@ -103,7 +102,7 @@ class Objective:
     def score(self, metrics: Metrics) -> Score:
         """Score points by their metrics; NaN and infeasible where the walk diverged."""
         if self.weighs_lost:
-            metrics = {**metrics, LOST: lost(metrics, self.holding_limit)}
+            metrics = {**metrics, LOST: lost(metrics)}
         if self.function is not None:
             value = smooth = self.function(_with_companions(metrics))
         else:
@@ -149,10 +148,13 @@ class Objective:
 NO_OBJECTIVE = Objective((), ())
 
 
-def lost(metrics: Mapping[str, Any], holding_limit: float) -> Any:
-    """Return 1.0 for walks that lose a gripper or diverge, else 0.0, an array as the metrics are."""
-    pull = metrics["peak_pull_force"]
-    return ((pull > holding_limit) | (metrics["diverged"] > 0)).astype(pull.dtype)
+def lost(metrics: Mapping[str, Any]) -> Any:
+    """Return 1.0 for walks that lose a gripper or diverge, else 0.0, an array as the metrics are.
+
+    A grip is lost where it uses more than its limit, whatever the contact, the hold and the limit that was drawn.
+    """
+    used = metrics["peak_utilization"]
+    return ((used > 1) | (metrics["diverged"] > 0)).astype(used.dtype)
 
 
 def penalty_of(over: Array | np.ndarray) -> Array:
@@ -180,7 +182,6 @@ def _by_row(value: float | tuple[float, ...]) -> float | np.ndarray:
 
 
 def objective(
-    scenario: mc.Scenario,
     search: Search,
     baseline: Mapping[str, Any],
     function: Callable[[Metrics], Array] | None = None,
@@ -190,7 +191,6 @@ def objective(
     """Return the objective that the settings ask for.
 
     Arguments:
-        scenario: gives the holding limit.
         search: weights and limits of `metrics`.
         baseline: metrics of pd with their smooth companions, see `tuning.problem.evaluation.baseline`; over an ensemble
             those of its members, (members,) each.
@@ -201,9 +201,8 @@ def objective(
         ConfigError: pd diverges, or has no value of a metric that is weighed; the user's function fails.
     """
     weighed = {} if function is not None else {name: weight for name, weight in search.weights.items() if weight}
-    holding = np.inf if scenario.contact.holding_limit is None else scenario.contact.holding_limit
     if LOST in weighed:
-        baseline = {**baseline, LOST: lost(baseline, holding)}
+        baseline = {**baseline, LOST: lost(baseline)}
     terms = tuple(
         _term(name, weight, baseline, worst, larger_is_better=name != LOST and metrics[name].larger_is_better)
         for name, weight in weighed.items()
@@ -211,8 +210,8 @@ def objective(
     # every member has the widest limit of pd's: a deviation that one member forces on pd is not asked of another
     widest, factor = float(np.max(baseline["base_deviation"])), search.deviation_factor
     wanted = [("joint_limit_margin", 0.0, "joint limits")]
-    if np.isfinite(holding) and LOST not in weighed:
-        wanted.append(("peak_pull_force", holding, "holding limit of the grippers"))
+    if LOST not in weighed:
+        wanted.append(("peak_utilization", 1.0, "limit of the grips"))
     if np.isfinite(widest):
         wanted.append(("base_deviation", factor * widest, f"{factor:g} times pd's"))
     asked = [(*limit, _MARGIN) for limit in wanted if limit[0] not in search.limits]
@@ -227,7 +226,7 @@ def objective(
         limits.append(Limit(name, value, scale, margin, reason, metric.larger_is_better))
     ratio_margin = PD_MARGIN if search.no_worse_than_pd and worst is not None else None
     reference = 1.0 if function is None else _of_pd(function, baseline)
-    return Objective(terms, tuple(limits), function, worst, ratio_margin, reference, holding)
+    return Objective(terms, tuple(limits), function, worst, ratio_margin, reference)
 
 
 def _with_companions(metrics: Metrics) -> Metrics:

@@ -435,8 +435,8 @@ def commanded(
     rounding; a line between targets is, but for the last one, whose end is behind the record.
     """
     steps, dt = len(joint_targets), scenario.time_step
-    period = max(1, round(float(parameters.control_period) / dt))
-    late = float(parameters.command_delay) / dt
+    period = max(1, round(float(parameters.bus.control_period) / dt))
+    late = float(parameters.bus.command_delay) / dt
     whole = int(late * (1 + 1e-6))
     between = late - whole > 1e-6 * max(late, 1.0)
     # held targets of a part of a step more are there one step later; a line reaches its end in the period's last step

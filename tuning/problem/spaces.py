@@ -29,7 +29,7 @@ from mjx_climb.files.dataset import SIX
 from mjx_climb.gait.base_path import check_base
 from mjx_climb.hardware.stages import IDEAL, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.gait_values import GAIT, TIMES, gait_of, scenario_with_gait, why_fixed
+from mjx_climb.inputs.gait_values import GAIT, TIMES, gait_of, own_gait, scenario_with_gait, why_fixed
 from mjx_climb.inputs.resolve import AnyGains, has_gains_of_the_paper
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -185,7 +185,8 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     law = law_of(scenario) if law is None else law
     # with a late force sensor or a servo with friction, which admittance is best depends on the joint loop
     of_gait = {"height": False, "sway": False, "landing_speed": False}
-    ideal = stages_of(scenario, own_parameters(scenario))._replace(capture=False, **of_gait) == IDEAL
+    given = own_parameters(scenario)
+    ideal = stages_of(given, scenario.time_step)._replace(**of_gait) == IDEAL and not given.contact.transmits_moments
     joint_gains = not ideal if search.joint_gains is None else search.joint_gains
     gait = [name for name in GAIT if name in search.also or name in search.pins]
     if not law.GAINS and not joint_gains and INTEGRAL not in search.also and gait_of(dict.fromkeys(search.also)) == {}:
@@ -299,7 +300,7 @@ def _gait_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
     """Return where searches look for a gait: stances that keep the order of the swings, half to twice the rest."""
     gait = scenario.gait
     least = gait.duty if gait.phases is not None else 1 - 1 / len(gait.sequence)
-    bounds = {name: getattr(gait, GAIT[name]) for name in SEARCHED_GAIT}
+    bounds = {name: own_gait(scenario)[name] for name in SEARCHED_GAIT}
     spans = {name: (own / _GAIT_FACTOR, own * _GAIT_FACTOR) for name, own in bounds.items()}
     spans["gait.duty"] = least, max(_LONGEST_STANCE, (1 + least) / 2)
     return (

@@ -21,6 +21,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.control import PD as PDLaw
 from mjx_climb.control import law_of
+from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.execution import devices
 from mjx_climb.execution.batch_axes import own_axes
 from mjx_climb.files import dataset
@@ -214,7 +215,7 @@ def _contestants(
 
         works = {PD: walk(under_pd(scenario), None, {})}
         works |= {name: walk(*_walker(scenario, name, own)) for name, own in laws.items()}
-        goal = _objective(scenario, asked, works[PD](ignore).metrics, draws.how["metrics"])
+        goal = _objective(asked, works[PD](ignore).metrics, draws.how["metrics"])
         if RETUNED not in laws:
             own = _retuned(scenario, asked, goal, draws)
             works = {PD: works.pop(PD), RETUNED: walk(*_walker(scenario, RETUNED, own)), **works}
@@ -273,9 +274,7 @@ def _random(scenario: mc.Scenario, asked: Ceiling, about: Start) -> list[Start]:
 # --- what is searched for
 
 
-def _objective(
-    scenario: mc.Scenario, asked: Ceiling, pd: Mapping[str, np.ndarray], metrics: mc.MetricTable
-) -> Objective:
+def _objective(asked: Ceiling, pd: Mapping[str, np.ndarray], metrics: mc.MetricTable) -> Objective:
     """Return the objective, relative to pd's means over the members, without limits of travel."""
     search = Search.make({"weights": asked.weights, "limits": asked.limits, "no_worse_than_pd": False,
                           "deviation_factor": asked.deviation_factor})  # fmt: skip
@@ -283,9 +282,7 @@ def _objective(
     if asked.against is not None:
         check_metrics(Search(weights=dict.fromkeys((asked.better, asked.against), 1.0)), metrics, "ceiling")
     baseline = {name: np.asarray(value, float).mean() for name, value in pd.items()}
-    goal = objectives.objective(
-        scenario, search, baseline | {"base_deviation": pd["base_deviation"].max()}, metrics=metrics
-    )
+    goal = objectives.objective(search, baseline | {"base_deviation": pd["base_deviation"].max()}, metrics=metrics)
     reason, limits = f"{asked.deviation_factor:g} times pd's", []
     for name in _WIDENED[1:]:
         if name not in asked.limits:
@@ -331,7 +328,7 @@ def _prepared(contest: Contest, every: mc.Parameters) -> list[Work[None]]:
         return lambda _: contest.walks.prepare(freedom, walked)
 
     later = np.zeros(members) if contest.asked.delays else None
-    return [prepared(len(every.kp) // members, None), prepared(1, later)]
+    return [prepared(len(every.gravity) // members, None), prepared(1, later)]
 
 
 def _plans(contest: Contest, starts: Sequence[Start]) -> tuple[list[Ended], bool]:
@@ -403,7 +400,8 @@ def _search(
     known, evaluations, in_all = None, 0, asked.iterations * len(asked.knots)
     for spacing in asked.knots:
         free = _knots(contest.scenario, spacing), common, since, robot.joint_lower, robot.joint_upper
-        freedom, walked = Freedom(targets, *free), _without_disturbances(parameters) if undisturbed else parameters
+        freedom = Freedom(targets, *free)
+        walked = dataclasses.replace(parameters, disturbances=()) if undisturbed else parameters
 
         def evaluate(x: np.ndarray, sharp: float, of: Freedom = freedom, walked: mc.Parameters = walked) -> Evaluated:
             nonlocal evaluations
@@ -444,20 +442,21 @@ def _knots(scenario: mc.Scenario, spacing: float) -> Knots:
 
 
 def _onset(parameters: mc.Parameters, duration: float) -> np.ndarray:
-    """Return when the first push or cargo acts in each member, (member,) s; infinite: not in the walk."""
-    pushed = np.linalg.norm(parameters.push_force, axis=-1) + np.linalg.norm(parameters.push_moment, axis=-1) > 0
-    push = np.where(pushed & (parameters.push_stop > parameters.push_start), parameters.push_start, np.inf)
-    loaded = (np.asarray(parameters.cargo_mass) > 0) & (parameters.cargo_stop > parameters.cargo_start)
-    first = np.where(loaded, parameters.cargo_start, np.inf)
-    onset = np.minimum(push.min(-1, initial=np.inf), first)
-    return np.where(onset < duration, onset, np.inf)
+    """Return when the first disturbance acts in each member, (member,) s; infinite: not in the walk.
 
-
-def _without_disturbances(parameters: mc.Parameters) -> mc.Parameters:
-    names = ("cargo_mass", "push_force", "push_moment")
-    none = {name: np.zeros_like(getattr(parameters, name)) for name in names}
-    found: mc.Parameters = dataclasses.replace(parameters, **none)
-    return found
+    Raises:
+        ConfigError: a disturbance that does not tell.
+    """
+    first = np.full(len(parameters.gravity), np.inf)
+    for place, each in parameters.components.items():
+        if isinstance(each, Disturbance):
+            with jax.enable_x64(True):
+                begins = jax.vmap(lambda one: one.begins())(each)
+            if begins is None:
+                got = f"got {type(each).__name__}, which does not tell"
+                raise ConfigError(f"{place}: expected a disturbance that tells by begins() when it begins, {got}")
+            first = np.minimum(first, begins)
+    return np.where(first < duration, first, np.inf)
 
 
 # --- a front of two metrics
@@ -476,7 +475,7 @@ def _front(contest: Contest, goal: Objective, pd: Mapping[str, np.ndarray], star
     asked, scenario, how = contest.asked, contest.scenario, contest.draws.how
     assert asked.against is not None
     names = asked.better, asked.against
-    terms = _objective(scenario, asked.changed({"weights": dict.fromkeys(names, 1.0)}), pd, how["metrics"]).terms
+    terms = _objective(asked.changed({"weights": dict.fromkeys(names, 1.0)}), pd, how["metrics"]).terms
     under = walks_of(scenario, dataclasses.replace(goal, terms=terms), start.parameters, **how)
     shares, ended = np.linspace(0.0, 1.0, asked.points), list[Ended]()
     for share in shares:
@@ -538,7 +537,7 @@ def _bounded(
     walked |= {name: each.metrics for name, each in reversed([*found.items()])}
     data = _scores(goal, walked, table, ("contestant", "member"))
     if tested:
-        wanted = dataclasses.replace(goal, terms=_objective(scenario, asked, tested[PD], table).terms)
+        wanted = dataclasses.replace(goal, terms=_objective(asked, tested[PD], table).terms)
         unseen = _scores(wanted, tested, table, ("tested", "fresh"))
         data |= {f"unseen_{name}": values for name, values in unseen.items()}
     targets = np.stack([plan.targets for plan in plans.values()]).astype(np.float32)

@@ -20,6 +20,7 @@ from mjx_climb.files import dataset
 from mjx_climb.functions import STANDARD_GRAVITY as EARTH
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.parameter_types import GAIN_UNITS
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
@@ -37,7 +38,7 @@ from tuning.searches import retuned_pd, tune
 G = -EARTH[2]  # m/s^2
 CANDIDATES = 24  # random points per operating point
 ITERATIONS = (10, 8)  # of the two descents
-_VARIED = ("gravity", "cargo_mass")
+_VARIED = ("gravity", "disturbance.cargo.mass")
 _SHARED = ("metric", "weight", "margin", "reason", "larger_is_better")  # of terms and limits, by all operating points
 _Row = TypeVar("_Row", Term, Limit)
 
@@ -89,9 +90,9 @@ class OperatingPoints:
     def at(self, places: np.ndarray) -> Problem:
         """Return the problem whose rows are at some of the points."""
         own = self.problem.parameters or own_parameters(self.problem.scenario)
-        rows = {name: getattr(own, name)[places] for name in _VARIED}
+        rows = {path: own.at(path)[places] for path in _VARIED}
         objective = _rows([self.goals[place] for place in places])
-        return dataclasses.replace(self.problem, parameters=dataclasses.replace(own, **rows), objective=objective)
+        return dataclasses.replace(self.problem, parameters=own.replace(rows), objective=objective)
 
 
 def operating_points(scenario: mc.Scenario, search: Search, asked: Schedule, **walks: Any) -> OperatingPoints:
@@ -102,7 +103,9 @@ def operating_points(scenario: mc.Scenario, search: Search, asked: Schedule, **w
     length = np.linalg.norm(down)
     down = down / length if length > 0 else np.array([0.0, 0.0, -1.0])
     level, load = (values.ravel() for values in np.meshgrid(asked.gravity, asked.cargo, indexing="ij"))
-    parameters = dataclasses.replace(own_parameters(scenario), gravity=G * level[:, None] * down, cargo_mass=load)
+    parameters = own_parameters(scenario).replace(
+        {"gravity": G * level[:, None] * down, "disturbance.cargo.mass": load}
+    )
     pd = pd_of(scenario, parameters, engine=problem.engine, metrics=problem.metrics)
     at_each = [{name: float(values[place]) for name, values in pd.items()} for place in range(load.size)]
     goals = [_objective_at(problem, search, there) for there in at_each]
@@ -145,7 +148,7 @@ def run(
 
 def _objective_at(problem: Problem, search: Search, baseline: dict[str, float]) -> Objective:
     """Return the objective of one operating point relative to pd there."""
-    goal = objectives.objective(problem.scenario, search, baseline, metrics=problem.metrics)
+    goal = objectives.objective(search, baseline, metrics=problem.metrics)
     limits = list(goal.limits)
     for place, own in enumerate(limits):
         if own.metric == "base_deviation" and own.metric not in search.limits:
@@ -184,7 +187,7 @@ def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, tran
     data["feasible"] = (here, (merit < 1e3).reshape(shape), {"units": "1"})
     data["transfer"] = ((*here, "gravity_of", "cargo_of"), transfer.reshape(shape * 2), {"units": "1"})
     for name, of_each in (*joint.items(), ("value", without)):
-        units = dataset.COORDINATES[name][0] if name in joint else "1"
+        units = GAIN_UNITS[name][0] if name in joint else "1"
         data[f"retuned_{name}"] = (here, of_each.reshape(shape), {"units": units})
     bounds = [", ".join(space.on_bound(point)) for point in theta]
     data["on_bound"] = (here, np.array(bounds, str).reshape(shape), {"long_name": "gains on a bound"})

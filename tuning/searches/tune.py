@@ -16,7 +16,7 @@ from mjx_climb import execution
 from mjx_climb.control import law_of
 from mjx_climb.execution.batch_axes import batch_shape
 from mjx_climb.files.dataset import PACKAGES
-from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.inputs.gait_values import own_gait
 from mjx_climb.inputs.own_objects import load, reference_to
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
@@ -305,9 +305,7 @@ def problem_of(
         problem = dataclasses.replace(problem, parameters=drawn, members=ensemble.members, ensemble=ensemble)
         each = evaluation.pd_of(scenario, drawn, engine=engine, metrics=table)
         baseline = {name: value.reshape(-1) for name, value in each.items()}
-    return dataclasses.replace(
-        problem, objective=objectives.objective(scenario, search, baseline, objective, table, worst)
-    )
+    return dataclasses.replace(problem, objective=objectives.objective(search, baseline, objective, table, worst))
 
 
 def without_goal(
@@ -339,11 +337,16 @@ def without_goal(
 
 def start_of(problem: Problem) -> np.ndarray:
     """Return the law's own gains, and the scenario's of joint loop and gait, as a point of the space."""
-    control, gait = problem.scenario.control, problem.scenario.gait
+    control = problem.scenario.control
     own = spaces.own_values(problem.scenario, problem.law or law_of(problem.scenario))
-    walked = {key: getattr(gait, name) for key, name in GAIT.items()}
     return problem.space.from_gains(
-        {**own, **walked, "kp": control.kp, "kd": max(control.kd, 1e-12), "ki": max(control.ki, 1e-12)}
+        {
+            **own,
+            **own_gait(problem.scenario),
+            "kp": control.kp,
+            "kd": max(control.kd, 1e-12),
+            "ki": max(control.ki, 1e-12),
+        }
     )
 
 

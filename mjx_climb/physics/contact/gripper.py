@@ -10,6 +10,7 @@ from typing import NamedTuple, Self
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import PyTree
 
 from mjx_climb.component import NONNEGATIVE, POSITIVE, UNLIMITED, given, parameter
 from mjx_climb.physics.contact.contact import Contact, Grip, Springs, along_normal, clearance
@@ -78,15 +79,15 @@ class SpringGrip(Contact):
         """Whether grips have a rotational stiffness."""
         return self.rotational
 
-    def init(self, grip_point: Array, rotation: Array) -> GripperMemory:
+    def init(self, grip_point: Array, rotation: Array) -> PyTree:
         """The memory of grippers that are shut at their grip points and rest."""
         shut = jnp.ones(len(grip_point), bool)
         reach = Reach(shut, ~shut) if self.limited_reach else None
         return GripperMemory(grip_point, shut, ~shut, reach, Attitude(rotation, ~shut) if self.rotational else None)
 
     def step(
-        self, memory: GripperMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
-    ) -> tuple[GripperMemory, Grip]:
+        self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array
+    ) -> tuple[PyTree, Grip]:
         """The memory after a step, and the contacts in it, none of which is torn off."""
         off, below = clearance(feet, ground)
         support, missed, caught = closed & ~memory.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
@@ -119,12 +120,12 @@ class SpringGrip(Contact):
         grip = Grip(force, moment, grip_point, support, touching, memory.detached, none, missed, force[:, 2] * 0)
         return after, grip
 
-    def used(self, memory: GripperMemory, grip: Grip, utilization: Array) -> tuple[GripperMemory, Grip]:
+    def used(self, memory: PyTree, grip: Grip, utilization: Array) -> tuple[PyTree, Grip]:
         """Memory and contacts in which grips use shares (limb,) of their limits, and those above 1 are torn off."""
         grip = grip._replace(utilization=jnp.where(grip.support, utilization, 0.0))
         return self.tear_off(memory, grip, grip.utilization > 1) if self.breaks else (memory, grip)
 
-    def tear_off(self, memory: GripperMemory, grip: Grip, torn: Array) -> tuple[GripperMemory, Grip]:
+    def tear_off(self, memory: PyTree, grip: Grip, torn: Array) -> tuple[PyTree, Grip]:
         """Memory and contacts with some grips torn off in this step."""
         return memory._replace(detached=memory.detached | torn), grip._replace(torn_off=grip.torn_off | torn)
 
@@ -157,8 +158,8 @@ class Gripper(SpringGrip):
     holding_limit: Array = parameter("N", bounds=UNLIMITED, default=15.0, long_name="holding limit of a gripper")
 
     def step(
-        self, memory: GripperMemory, feet: Feet, turning: Turning | None, closed: Array, ground: Array
-    ) -> tuple[GripperMemory, Grip]:
+        self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array
+    ) -> tuple[PyTree, Grip]:
         """The memory after a step, and the contacts in it."""
         after, grip = super().step(memory, feet, turning, closed, ground)
         return self.used(after, grip, self.utilization(grip.foot_force, along_normal(grip.foot_force, feet)))

@@ -61,7 +61,7 @@ class UncertainGripper(Gripper):
         limit = jnp.where(tried, self._drawn(draws), memory.limit)
         failed = closed & jnp.where(tried, limit < self.tested_pull, memory.failed)
         wait = jnp.where(tried, self.retry_steps, memory.wait - 1)
-        fields = dataclasses.fields(Gripper)  # type: ignore[arg-type]  # a component is a dataclass
+        fields = dataclasses.fields(Gripper)
         own = {field.name: getattr(self, field.name) for field in fields}
         holds = Gripper(**{**own, "holding_limit": jnp.maximum(limit, 0.0)})
         # a gripper that opens may grip anew

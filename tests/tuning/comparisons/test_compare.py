@@ -158,14 +158,14 @@ def test_better_hardware_is_half_or_twice_of_what_was_drawn(scenario):
     found = compare.on_better_hardware(scenario, drawn)
     assert list(found) == ["half the delay", "half the friction", "twice the rate"]
     delay, friction, rate = found.values()
-    np.testing.assert_allclose(delay.force_delay, drawn.force_delay / 2)
+    np.testing.assert_allclose(delay.force_delay, drawn.force_sensor.delay / 2)
     np.testing.assert_allclose(delay.command_delay, 0.002)
-    np.testing.assert_allclose(friction.coulomb_friction, drawn.coulomb_friction / 2)
-    assert (np.abs(rate.control_period - drawn.control_period / 2) <= 0.5e-3 + 1e-12).all()
+    np.testing.assert_allclose(friction.coulomb_friction, drawn.drive.coulomb_friction / 2)
+    assert (np.abs(rate.control_period - drawn.bus.control_period / 2) <= 0.5e-3 + 1e-12).all()
     np.testing.assert_allclose(rate.control_period / 1e-3, np.round(rate.control_period / 1e-3))
     assert rate.control_period.min() >= 1e-3
     for other in (friction, rate):
-        np.testing.assert_array_equal(other.force_delay, drawn.force_delay)
+        np.testing.assert_array_equal(other.force_sensor.delay, drawn.force_sensor.delay)
     ideal = mc.load_scenario(CASE, SHORT)
     assert compare.on_better_hardware(ideal, mc.parameters(ideal)) == {}
 
@@ -253,8 +253,14 @@ def made_up(monkeypatch):
         off = np.log(np.asarray(values["kp"] if values.get("kp") is not None else 50.0) / 40) ** 2
         if law is not None or scenario.control.controller != "pd":
             off = 0.8 * off - 0.2 + 0.01 * np.log(np.asarray(values["damping"])[..., 0] / 1e3) ** 2
-        walk = np.asarray(parameters.contact_stiffness) / 1e4 * np.ones(np.asarray(parameters.coulomb_friction).shape)
-        level = (1 + 0.3 * off + 0.1 * np.log(np.asarray(parameters.coulomb_friction) / 0.09) + 0.1 * walk).astype("f4")
+        walk = (
+            np.asarray(parameters.contact.stiffness)
+            / 1e4
+            * np.ones(np.asarray(parameters.drive.coulomb_friction).shape)
+        )
+        level = (
+            1 + 0.3 * off + 0.1 * np.log(np.asarray(parameters.drive.coulomb_friction) / 0.09) + 0.1 * walk
+        ).astype("f4")
         asked.append(level.shape)
         found = {name: level for name in metrics.names}
         found |= {"detached_limb": np.full(level.shape, -1), "diverged": np.zeros(level.shape, bool)}

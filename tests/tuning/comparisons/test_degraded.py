@@ -30,12 +30,17 @@ def test_members_differ_between_settings_in_what_is_made_worse_alone():
     work = drawn("delay=x2", "force_sensor.noise=0.5", "force_sensor.dead.LF=3.0,noise=x3")
     assert work.settings[0] == degraded.AS_DRAWN and work.rows == 16 and work.identity()["settings"] == [*work.settings]
     parameters, own = work.problem.parameters, drawn().problem.parameters
-    late = np.asarray(parameters.force_delay).reshape(4, 4)
-    np.testing.assert_allclose(late, np.asarray(own.force_delay).reshape(1, 4) * np.array([[1], [2], [1], [1]]))
-    assert np.reshape(parameters.command_delay, (4, 4)).tolist() == [[0.002] * 4, [0.004] * 4, [0.002] * 4, [0.002] * 4]
-    noise = np.reshape(parameters.force_noise, (4, 4))
+    late = np.asarray(parameters.force_sensor.delay).reshape(4, 4)
+    np.testing.assert_allclose(late, np.asarray(own.force_sensor.delay).reshape(1, 4) * np.array([[1], [2], [1], [1]]))
+    assert np.reshape(parameters.bus.command_delay, (4, 4)).tolist() == [
+        [0.002] * 4,
+        [0.004] * 4,
+        [0.002] * 4,
+        [0.002] * 4,
+    ]
+    noise = np.reshape(parameters.force_sensor.noise, (4, 4))
     np.testing.assert_allclose(noise, np.array([[0.1], [0.1], [0.5], [0.3]]) * np.ones(4))
-    dead = np.reshape(np.broadcast_to(parameters.force_dead, (16, 1, 4)), (4, 4, 4))
+    dead = np.reshape(np.broadcast_to(parameters.force_sensor.dead, (16, 1, 4)), (4, 4, 4))
     assert np.isinf(dead[:3]).all() and (dead[3, :, 0] == 3).all() and np.isinf(dead[3, :, 1:]).all()
     np.testing.assert_array_equal(np.reshape(parameters.mass_scale, (4, 4)), np.tile(np.ravel(own.mass_scale), (4, 1)))
 

@@ -26,12 +26,12 @@ def walks(monkeypatch):
     def walked(scenario, gains, parameters, *, law, metrics, engine, progress):
         kept.append((law, gains, parameters))
         given = not isinstance(law, PD)
-        variation = np.where(given, 50.0, 100.0) + given * 50.0 * np.maximum(parameters.force_delay, 0) / DEARER
-        weak = parameters.kp < WEAK * (20.0 if given else 50.0)
+        variation = np.where(given, 50.0, 100.0) + given * 50.0 * np.maximum(parameters.force_sensor.delay, 0) / DEARER
+        weak = parameters.joint_loop.kp < WEAK * (20.0 if given else 50.0)
         return {
-            "force_variation": np.where(parameters.command_delay > DEARER, 200.0 * given, variation),
-            "detached_at": np.where(given & (parameters.force_delay > TORN), 3.0, np.nan),
-            "diverged": (given & (parameters.control_period > DIVERGES)) | weak,
+            "force_variation": np.where(parameters.bus.command_delay > DEARER, 200.0 * given, variation),
+            "detached_at": np.where(given & (parameters.force_sensor.delay > TORN), 3.0, np.nan),
+            "diverged": (given & (parameters.bus.control_period > DIVERGES)) | weak,
         }
 
     monkeypatch.setattr(mc, "rollout_metrics", walked)
@@ -66,16 +66,16 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
     (_, gains, given), (law, _, pd) = walks[:2]
     assert isinstance(law, PD) and set(by_name(gains)) == {"inertia", "damping", "stiffness"}
     changed = {
-        0: (given.force_delay, 0.002), 1: (given.command_delay, 0.0), 2: (given.control_period, 0.005),
-        3: (given.kp, 20.0),
+        0: (given.force_sensor.delay, 0.002), 1: (given.bus.command_delay, 0.0), 2: (given.bus.control_period, 0.005),
+        3: (given.joint_loop.kp, 20.0),
     }  # fmt: skip
     for row, (values, own) in changed.items():
         assert len(np.unique(values[row])) > 10
         np.testing.assert_array_equal(np.delete(values, row, 0), own)
-    np.testing.assert_array_equal(given.force_delay[0], given.base_delay[0])
-    np.testing.assert_allclose(given.kd / given.kp, 0.1 / 20)
-    np.testing.assert_allclose(pd.kp / given.kp, 50 / 20)  # pd has the scenario's own
-    assert given.seed == 3
+    np.testing.assert_array_equal(given.force_sensor.delay[0], given.base_estimate.delay[0])
+    np.testing.assert_allclose(given.joint_loop.kd / given.joint_loop.kp, 0.1 / 20)
+    np.testing.assert_allclose(pd.kp / given.joint_loop.kp, 50 / 20)  # pd has the scenario's own
+    assert given.bus.seed == 3
 
 
 def test_less_than_twice_the_hardware_is_a_warning_by_name(walks, case):
@@ -127,7 +127,7 @@ def test_the_linear_margin_is_bisected(limits, values, step, expected):
 
 def test_a_linear_margin_of_the_control_period_is_whole_steps(case, monkeypatch):
     def radii(scenario, gains, parameters, **_):
-        return 1 + 10 * (np.reshape(parameters.control_period, (-1, 1)) - 7.4e-3)
+        return 1 + 10 * (np.reshape(parameters.bus.control_period, (-1, 1)) - 7.4e-3)
 
     monkeypatch.setattr(stability_limit, "by_stance", radii)
     asked = {"control_period": margins.Margin(1e-3, 9e-3, 9e-3, 0.03)}
@@ -197,7 +197,12 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call)
     gains = gains_file.save(GAINS, tmp_path / "soft.yaml")
 
     def radii(scenario, gains, parameters, *, only, hardware, law, engine):
-        varied = (parameters.force_delay, parameters.command_delay, parameters.control_period, parameters.kp)
+        varied = (
+            parameters.force_sensor.delay,
+            parameters.bus.command_delay,
+            parameters.bus.control_period,
+            parameters.joint_loop.kp,
+        )
         return 0.991 + np.broadcast_arrays(*varied)[0][:, None]
 
     monkeypatch.setattr(stability_limit, "by_stance", radii)

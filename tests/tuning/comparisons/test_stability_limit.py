@@ -72,7 +72,7 @@ def test_grips_that_keep_attitudes_are_in_the_loop(case):
     """Held too stiffly for the time step, feet shake about as fast as the check of the time step says of its stance."""
     scenario = case("case_1_2", "virtual_model", {"control.controller": "pd", "contact.rotational_stiffness": 1.0})
     stiffness = np.array([1.0, 3e3])
-    parameters = dataclasses.replace(own_parameters(scenario), rotational_stiffness=stiffness)
+    parameters = own_parameters(scenario).replace({"contact.rotational_stiffness": stiffness})
     radius = stability_limit.spectral_radius(scenario, {"kp": 50.0, "kd": 0.2}, parameters)
     contact = scenario.contact.model_copy(update={"rotational_stiffness": 3e3})
     assert radius[0] < 1
@@ -99,10 +99,12 @@ def test_a_loop_that_is_stable_in_the_first_mid_swing_alone_is_unstable(case, na
 def test_the_worst_stance_is_the_limit_of_walks_and_all_feet_count_where_the_gait_has_them(case):
     """K 3e3, D 150: a walk loses a gripper at 9.54 ms of delay, and diverges at 7 ms where it pauses on all feet."""
     turn, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 150.0, 3e3)
-    late = dataclasses.replace(own_parameters(turn), force_delay=np.array([5.9e-3, 7e-3, 8.9e-3, 9.37e-3, 10.377e-3]))
+    late = own_parameters(turn).replace(
+        {"hardware.force_sensor.delay": np.array([5.9e-3, 7e-3, 8.9e-3, 9.37e-3, 10.377e-3])}
+    )
     assert (stability_limit.spectral_radius(turn, gains, late) > 1).tolist() == [False, False, False, True, True]
     pauses = case("case_1_2", "virtual_model", {"gait.duty": 0.875})
-    late = dataclasses.replace(own_parameters(pauses), force_delay=late.force_delay)
+    late = own_parameters(pauses).replace({"hardware.force_sensor.delay": late.force_delay})
     assert (stability_limit.spectral_radius(pauses, gains, late) > 1).tolist() == [False, True, True, True, True]
 
 
@@ -189,7 +191,7 @@ def test_a_disturbance_grows_by_the_radius_where_forces_come_late(case, monkeypa
     gains = mc.Gains(1.0, 150.0, 3000.0)
     with jax.enable_x64(True):
         parameters = jax.tree.map(np.asarray, mc.parameters(scenario))
-    late = dataclasses.replace(parameters, force_delay=np.array([5e-3, 15e-3]))
+    late = parameters.replace({"hardware.force_sensor.delay": np.array([5e-3, 15e-3])})
     radius = stability_limit.spectral_radius(scenario, gains, late)
     force = mc.rollout_histories(scenario, gains, late, dtype=np.float64)["foot_force_history"][:, 1]
     early, end = force[:, 80:120].max(1), force[:, 160:].max(1)  # of 200 stretches

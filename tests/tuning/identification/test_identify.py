@@ -182,8 +182,10 @@ def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_p
     ensemble = ensembles.Ensemble.load(tmp_path / "out" / "posterior.yaml", members=400)
     drawn = ensembles.draw(read, ensemble)
     kp = made["parameters"]["control.kp"]
-    assert drawn.kp.shape == (400, 1)
-    assert np.mean((drawn.kp > kp["low"]) & (drawn.kp < kp["high"])) == pytest.approx(0.95, abs=0.03)
+    assert drawn.joint_loop.kp.shape == (400, 1)
+    assert np.mean((drawn.joint_loop.kp > kp["low"]) & (drawn.joint_loop.kp < kp["high"])) == pytest.approx(
+        0.95, abs=0.03
+    )
     assert ensemble.posterior.held == ("robot.LF.tibia.mass",)
 
 
@@ -479,7 +481,7 @@ def test_a_posterior_is_drawn_with_its_covariance_and_leaves_other_draws_alone()
     assert ensembles.Ensemble.parse(with_it.to_yaml()) == with_it
     drawn, before = ensembles.draw(SCENARIO, with_it), ensembles.draw(SCENARIO, alone)
     np.testing.assert_array_equal(drawn.push_force, before.push_force)
-    points = np.stack([drawn.armature[:, 0], np.log(drawn.kp[:, 0])])
+    points = np.stack([drawn.drive.armature[:, 0], np.log(drawn.joint_loop.kp[:, 0])])
     np.testing.assert_allclose(np.cov(points), covariance[:2, :2], rtol=0.1)
     down = ensembles.draw(SCENARIO, with_it.model_copy(update={"gravity": None})).gravity[:, 0]
     np.testing.assert_allclose(np.linalg.norm(down, axis=1), 9.81)

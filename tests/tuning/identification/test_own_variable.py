@@ -30,8 +30,10 @@ NUMBER = 3
 
 def rub(share, parameters, robot):
     """Return the dry friction times a share, and as much viscous friction."""
-    friction = parameters.coulomb_friction
-    return dataclasses.replace(parameters, coulomb_friction=friction * share, viscous_friction=friction * share), robot
+    friction = parameters.drive.coulomb_friction
+    return parameters.replace(
+        {"hardware.servo.coulomb_friction": friction * share, "hardware.servo.viscous_friction": friction * share}
+    ), robot
 
 
 def lighten(share, parameters, robot):
@@ -62,7 +64,7 @@ def test_the_variable_of_the_page_changes_the_robot_beside_a_shipped_one():
     with jax.enable_x64(True):
         point = jnp.log(jnp.array([30.0, 1.1]))
         parameters, robot = applied([v.place for v in chosen], point, own_parameters(SCENARIO), ROBOT)
-    assert float(parameters.kp) == pytest.approx(30.0)
+    assert float(parameters.joint_loop.kp) == pytest.approx(30.0)
     np.testing.assert_allclose(robot.link_mass, 1.1 * ROBOT.link_mass)
 
 

@@ -43,7 +43,7 @@ class Searched:
         self.spaces = [spaces.space(scenarios[0], search.Search.make(settings)) for settings in layouts]
         rng, self.points = np.random.default_rng(0), []
         for space in self.spaces:
-            theta = space.from_gains(dataclasses.replace(NOMINAL[reading], kp=45.0, kd=0.25))
+            theta = space.from_gains(NOMINAL[reading].replace({"control.kp": 45.0, "control.kd": 0.25}))
             self.points.append(space.clip(theta + rng.uniform(-0.2, 0.2, space.size)))
         self.axes = [np.eye(space.size) for space in self.spaces]
         self.numbers = []

@@ -36,7 +36,7 @@ OF_WALKS = {
     "metrics": METRICS,
 }  # fmt: skip
 OF_PROBLEMS = OF_WALKS | {
-    "parameters": dataclasses.replace(PARAMETERS, cargo_mass=np.float32(0.7)),
+    "parameters": PARAMETERS.replace({"disturbance.cargo.mass": np.float32(0.7)}),
     "own_objective": lambda metrics: metrics["peak_joint_torque"],
     "own_method": Function(lambda task: iter(())),
     "ensemble": Ensemble(members=2),

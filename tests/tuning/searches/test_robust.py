@@ -51,7 +51,7 @@ def test_yaml_round_trip(tmp_path, ensemble):
 def test_a_seed_gives_one_draw_and_another_seed_another(scenario):
     first, again, other = (draw(scenario, Ensemble(members=5, seed=s)) for s in (1, 1, 2))
     assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (first, again)), strict=True))
-    assert not np.array_equal(first.cargo_mass, other.cargo_mass)
+    assert not np.array_equal(first.disturbances[0].mass, other.disturbances[0].mass)
 
 
 def check_filled(values, low, high, share):
@@ -67,8 +67,8 @@ def test_draws_fill_their_ranges(scenario):
     slope = np.degrees(np.arccos(-drawn.gravity[..., 2] / (9.81 * size)))
     force = np.linalg.norm(drawn.push_force, axis=-1)
     for values, *span in (
-        (drawn.cargo_mass, 0.0, 1.5), (size, 0.9, 1.1), (slope, 0.0, 10.0), (force, 1.0, 5.0),
-        (drawn.contact_stiffness / 1e4, 0.5, 2.0), (drawn.mass_scale, 0.9, 1.1), (drawn.push_start, 0.5, 7.0),
+        (drawn.disturbances[0].mass, 0.0, 1.5), (size, 0.9, 1.1), (slope, 0.0, 10.0), (force, 1.0, 5.0),
+        (drawn.contact.stiffness / 1e4, 0.5, 2.0), (drawn.mass_scale, 0.9, 1.1), (drawn.push_start, 0.5, 7.0),
         (drawn.push_stop - drawn.push_start, 0.2, 1.0),
     ):  # fmt: skip
         check_filled(values, *span, 0.02)
@@ -91,13 +91,13 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
     drawn = draw(scenario, Ensemble.make({"members": 50, "hardware": HARDWARE}))
     for name in ("push_force", "cargo_mass", "gravity", "mass_scale", "contact_stiffness", "backlash"):
         np.testing.assert_array_equal(getattr(before, name), getattr(drawn, name))
-    assert len(np.unique(drawn.seed)) == 50 and before.seed.ndim == 0
-    rate = 1 / drawn.control_period
-    np.testing.assert_allclose(drawn.control_period * 1000, np.round(drawn.control_period * 1000), atol=1e-9)
+    assert len(np.unique(drawn.bus.seed)) == 50 and before.seed.ndim == 0
+    rate = 1 / drawn.bus.control_period
+    np.testing.assert_allclose(drawn.bus.control_period * 1000, np.round(drawn.bus.control_period * 1000), atol=1e-9)
     for values, low, high in (
-        (drawn.force_delay, 0.002, 0.015), (rate, 100.0, 500.0), (drawn.force_noise, 0.05, 0.3),
+        (drawn.force_sensor.delay, 0.002, 0.015), (rate, 100.0, 500.0), (drawn.force_sensor.noise, 0.05, 0.3),
         *((getattr(drawn, name) / getattr(own, name), 0.5, 2.0) for name in SCALED),
-        (drawn.force_filter, 10.0, 50.0), (drawn.force_bias, -0.2, 0.2), (drawn.capture_distance, 0.001, 0.01),
+        (drawn.force_sensor.filter, 10.0, 50.0), (drawn.force_sensor.bias, -0.2, 0.2), (drawn.contact.capture_distance, 0.001, 0.01),
     ):  # fmt: skip
         assert values.shape == (50, 1)
         check_filled(values, low, high, 0.1)
@@ -146,7 +146,7 @@ def test_mass_scale_is_a_robot_of_other_mass(scenario):
     """With all forces, masses and inertias twice as large the motion is the same."""
     numbers = jax.tree.map(np.asarray, mc.parameters(scenario.with_overrides({"gravity": [0, 0, -1.635]})))
     twice = {n: 2 * getattr(numbers, n) for n in ("contact_stiffness", "contact_damping", "kp", "kd", "push_force")}
-    heavy = dataclasses.replace(numbers, mass_scale=np.asarray(2.0), **twice)
+    heavy = numbers.replace({"mass_scale": np.asarray(2.0), **twice})
     gains = mc.Gains(np.ones(6), np.full(6, 1e3), np.full(6, 1e4))
     doubled = mc.Gains(2 * gains.inertia, 2 * gains.damping, 2 * gains.stiffness)
     light, big = (mc.rollout_metrics(scenario, g, n, dtype=np.float64) for g, n in ((gains, numbers), (doubled, heavy)))

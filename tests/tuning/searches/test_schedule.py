@@ -54,7 +54,7 @@ def test_each_operating_point_has_its_gravity_and_its_cargo(scenario, monkeypatc
     points = schedule.operating_points(scenario, Search(precision="float64"), asked)
     assert points.problem.dtype is np.float64
     np.testing.assert_allclose(points.problem.parameters.gravity[:, 2], [-0.981] * 3 + [-9.81] * 3)
-    assert points.problem.parameters.cargo_mass.tolist() == [0.0, 0.5, 2.0] * 2
+    assert points.problem.parameters.disturbances[0].mass.tolist() == [0.0, 0.5, 2.0] * 2
 
 
 @pytest.mark.nightly

@@ -195,7 +195,7 @@ def test_an_ensemble_scores_the_mean_of_its_members(scenario):
     masses = np.array([0.5, 1.5])[:, None]
 
     def values(mass, members):
-        parameters = dataclasses.replace(numbers, cargo_mass=mass)
+        parameters = numbers.replace({"disturbance.cargo.mass": mass})
         return dataclasses.replace(problem, parameters=parameters, members=members).evaluate(theta).value
 
     np.testing.assert_allclose(values(masses, 2), sum(values(mass[0], 1) for mass in masses) / 2, rtol=1e-9)

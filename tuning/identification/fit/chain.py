@@ -76,7 +76,7 @@ class Chain(LeastSquares):
             late = [n for n, key in enumerate(keys) if kind in LATE.get(key, ())]
             delay = float(x[late].sum())
             if kind == "force" and FORCE_DELAY not in keys:
-                delay += float(model.parameters.force_delay)
+                delay += float(model.parameters.force_sensor.delay)
             at = rows.step[chosen] + rows.share[chosen] - delay / windows.time_step + windows.steps
             step = np.clip(np.floor(at), 0, 2 * windows.steps - 1).astype(int)
             share = at - step

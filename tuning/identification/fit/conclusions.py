@@ -148,7 +148,7 @@ def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
     """Yield what is to be said of P gains by time and of torque off."""
     if (schedule := model.schedule) is None:
         return
-    kp = float(np.asarray(model.parameters.kp))
+    kp = float(np.asarray(model.parameters.joint_loop.kp))
     if not schedule.share.any():
         what = "control.kp is 0" if schedule.on.any() else "the torque is off"
         yield f"{what} all the while in the log, which tells nothing of the P gain and of commands"

@@ -13,7 +13,6 @@ import yaml
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.parameter_types import KEYS
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from tuning.identification.fit import robot_files
@@ -77,7 +76,7 @@ def _differ(robot: Robot, nominal: Robot) -> bool:
 
 def ensemble_of(found: Identified) -> Ensemble:
     """Return the ensemble whose members are drawn from the posterior; all else is the scenario's own."""
-    of_scenario = set(KEYS.values()) | set(TILTS)
+    of_scenario = set(found.model.parameters.paths) | set(TILTS)
     told = {key: each for key, each in {**found.beside, **found.estimates}.items() if each.low is not None}
     chosen = [n for n, v in enumerate(found.model.variables) if v.key in of_scenario and v.key in told]
     variables = [found.model.variables[n] for n in chosen]

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.parameter_types import KEYS, Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
@@ -79,11 +79,12 @@ class Identified:
 
     def overrides(self) -> dict[str, Any]:
         """Return the keys of a scenario with their new values; those of the robot go by its file."""
-        found: dict[str, Any] = {k: each.value for k, each in self.known.items() if k in set(KEYS.values())}
+        found: dict[str, Any] = {k: each.value for k, each in self.known.items() if k in self.model.parameters.paths}
         if self.own:
             parameters, _ = self._applied()
-            each = ((key, getattr(parameters, n), getattr(self.model.parameters, n)) for n, key in KEYS.items())
-            found |= {key: value.tolist() for key, value, before in each if not np.array_equal(value, before)}
+            before = self.model.parameters.values
+            each = {path: np.asarray(value) for path, value in parameters.values.items() if "." in path}
+            found |= {path: v.tolist() for path, v in each.items() if not np.array_equal(v, before[path])}
         found = {key: max(value, 0.0) if key.endswith("delay") else value for key, value in found.items()}
         if (bend := self.beside.get(PRESLIDING)) is not None and bend.seen:  # the friction that was found goes with it
             found[PRESLIDING] = bend.value

@@ -57,7 +57,7 @@ def held(stages: Stages, time_step: float) -> Simulate:
     def one_step(
         robot: Robot, parameters: Parameters, lead: Any, moving: stands.Moving, now: Commands
     ) -> tuple[stands.Moving, Carried]:
-        late = parameters.command_delay - now.delay
+        late = parameters.bus.command_delay - now.delay
         sent: stands.Sent = jax.tree.map(lambda value, rate: value - late * rate, now.sent, now.rates)
         stand = stands.Stand(execution.of_limbs(robot), hardware_of(parameters, stages, time_step, robot), lead)
         after, seen = stands.advance(stands.with_gains(stand, sent), moving, sent.targets)

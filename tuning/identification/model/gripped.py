@@ -241,7 +241,7 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
     # a foot hangs below its grip by what it carries
     weight = float(robot.total_mass) * np.asarray(own.gravity) / len(robot.limbs)
     states = [_state(*_registered(robot, each, feet), each) for each in angles]
-    points = feet - weight / float(own.contact_stiffness)
+    points = feet - weight / float(own.contact.stiffness)
     return GrippedModel(windows, tuple(every), structure, own, points, states[0], states)
 
 

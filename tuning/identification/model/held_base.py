@@ -118,14 +118,15 @@ def advance_by(
     rates, ahead = state.joint_rates, moving.change / 2
     centred = rates + ahead  # at the beginning of the step, where the angles are, as far as it goes on as before
     _, slope, (after, drive) = jax.jvp(driven, (centred,), (jnp.ones_like(rates),), has_aux=True)
-    damping = -slope + parameters.viscous_friction if hardware.stages.viscous_friction else -slope
-    drive = drive._replace(armature=damping * (step / 2))
-    robot, torque = driven_robot(stand.robot, drive, state.joint_angles, hardware)
+    damping = -slope + parameters.drive.viscous_friction if hardware.stages.viscous_friction else -slope
+    ahead_of_it = damping * (step / 2)
+    drive = drive._replace(armature=ahead_of_it if drive.armature is None else drive.armature + ahead_of_it)
+    robot, torque = driven_robot(stand.robot, drive, state.joint_angles, parameters.mass_scale)
     torque = (torque + damping * ahead) / parameters.mass_scale
     state_now = dataclasses.replace(state, joint_rates=centred)
     if before.bristle is not None:
         most = servo.friction_bound(drive.motor_torque, before.load, centred, hardware)
-        bristle = jnp.clip(before.bristle + rates * (step / parameters.presliding), -1.0, 1.0)
+        bristle = jnp.clip(before.bristle + rates * (step / parameters.drive.presliding), -1.0, 1.0)
         after = after._replace(bristle=bristle)
         free = accelerate(robot, state_now, torque).joints
         robot, torque = _rubbed(stand, robot, moving, _Rubbing(state_now, torque, free, bristle, most))
@@ -143,11 +144,9 @@ def with_gains(stand: Stand, sent: Sent) -> Stand:
     if sent.on is None or sent.share is None:
         return stand
     stages, own = stand.hardware.stages, stand.hardware.parameters
-    gains = {"kp": own.kp * sent.share, "kd": own.kd * sent.on, "ki": own.ki * sent.on}
-    if stages.torque_limit:
-        gains["torque_limit"] = own.torque_limit * sent.on
-    changed: Any = {name: jnp.asarray(value) for name, value in gains.items()}
-    parameters = dataclasses.replace(own, **changed)
+    by = {"control.kp": sent.share, "control.kd": sent.on, "control.ki": sent.on}
+    by |= {"hardware.servo.torque_limit": sent.on} if stages.torque_limit else {}
+    parameters = own.replace({path: jnp.asarray(own.at(path) * share) for path, share in by.items()})
     return stand._replace(hardware=dataclasses.replace(stand.hardware, parameters=parameters))
 
 
@@ -166,7 +165,7 @@ def _rubbed(stand: Stand, robot: Robot, moving: Moving, on: _Rubbing) -> tuple[R
     """
     parameters, step = stand.hardware.parameters, stand.hardware.time_step
     passed = jnp.abs(moving.change) / 2  # a friction that turns round within the step: its mean over the step
-    per_rate = 1 / (jnp.asarray(parameters.presliding) / servo.RELAXATION + passed)
+    per_rate = 1 / (jnp.asarray(parameters.drive.presliding) / servo.RELAXATION + passed)
     share, per_change = on.bristle + per_rate * moving.state.joint_rates, per_rate * (step / 2 + stand.lead)
     most = on.most / parameters.mass_scale
     reached = _reached(*jax.lax.stop_gradient((held_mobility(robot, on.state), on.free, most, share, per_change)))

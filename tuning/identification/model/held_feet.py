@@ -21,7 +21,7 @@ from mjx_climb.hardware import servo
 from mjx_climb.hardware.sensors import ForceSensor, measured_force
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.physics.contact.contact import Grip
-from mjx_climb.physics.contact.gripper import Attitude, Gripper, GripperMemory
+from mjx_climb.physics.contact.gripper import Attitude, GripperMemory
 from mjx_climb.physics.kinematics import LimbFrames, Turning, foot_jacobian, foot_kinematics, foot_turning, limb_frames
 from mjx_climb.physics.limb_engine import build
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -68,7 +68,7 @@ def grips(robot: Robot, state: State, hardware: Hardware, points: Array | None =
     points = foot_kinematics(robot, frames, state).position if points is None else points
     shut = jnp.ones(len(robot.limbs), bool)
     attitude = None
-    if hardware.stages.rotational:
+    if hardware.parameters.contact.transmits_moments:
         attitude = Attitude(foot_turning(robot, frames, state).rotation, shut)
     return GripperMemory(points, shut, ~shut, None, attitude)
 
@@ -90,10 +90,10 @@ def advance(gripped: Gripped, moving: Moving, targets: Array) -> tuple[Moving, R
     changes = moving.base_change, moving.limbs.change
     frames = limb_frames(robot, None, state.joint_angles)
     centred = _changed(state, changes, 0.5)
-    turning = foot_turning(robot, frames, centred) if hardware.stages.rotational else None
+    turning = foot_turning(robot, frames, centred) if parameters.contact.transmits_moments else None
     foot_force, held = _held(gripped, frames, _changed(state, changes, (1 - AHEAD) / 2), turning)
     gravity = jnp.asarray(parameters.gravity)
-    mass = AHEAD * parameters.contact_damping * (hardware.time_step / 2)
+    mass = AHEAD * parameters.contact.damping * (hardware.time_step / 2)
     moments = jnp.zeros_like(targets) if turning is None else jnp.vecmat(held.foot_moment, turning.jacobian)
     none = jnp.zeros_like(moving.base_change)
     wrench = none.at[3:].set(held.foot_moment.sum(0))
@@ -150,6 +150,6 @@ def _held(gripped: Gripped, frames: LimbFrames, state: State, turning: Turning |
     """Return the forces of the grips (limb, 3) N in a state, and all that they do."""
     feet, contact = foot_kinematics(gripped.robot, frames, state), gripped.contact
     shut = jnp.ones(len(gripped.robot.limbs), bool)
-    gripper = Gripper.of(gripped.hardware.parameters, limited_reach=False, rotational=turning is not None)
+    gripper = dataclasses.replace(gripped.hardware.parameters.contact, limited_reach=False)
     _, held = gripper.step(contact, feet, turning, shut, contact.grip_point[:, 2])
     return held.foot_force, held

@@ -16,8 +16,9 @@ from mjx_climb.arrays import AnyArray
 from mjx_climb.hardware.actuator import Joints
 from mjx_climb.hardware.servo import Servo, begin, gains_of, joint_loop
 from mjx_climb.hardware.stages import Stages, hardware_of, stages_of
-from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters, with_options_of
 from mjx_climb.parameter_types import Parameters
+from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile
 from tuning.identification.model import held_base as stands
@@ -148,17 +149,17 @@ class Fit:
     def delay(self, x: np.ndarray) -> float:
         """Return the delay of commands at a point of coordinates (n,), s."""
         own = {v.key: float(value) for v, value in zip(self.variables, x, strict=True)}
-        return own.get(DELAY, float(self.parameters.command_delay)) + own.get(CLOCK, 0.0)
+        return own.get(DELAY, float(self.parameters.bus.command_delay)) + own.get(CLOCK, 0.0)
 
     def torque_delay(self, x: np.ndarray) -> float:
         """Return how late torques change after commands at a point of coordinates (n,), s."""
         own = [float(x[n]) for n, v in enumerate(self.variables) if v.key == SERVO_DELAY]
-        return self.delay(x) + (own or [float(self.parameters.servo_delay)])[0]
+        return self.delay(x) + (own or [float(self.parameters.drive.delay)])[0]
 
     @functools.cached_property
     def schedule(self) -> Schedule | None:
         """P gains and torque off, as the log has them."""
-        return schedule_of(self.windows.gains, float(np.asarray(self.parameters.kp)))
+        return schedule_of(self.windows.gains, float(np.asarray(self.parameters.joint_loop.kp)))
 
     def sent(self, which: np.ndarray, delay: float, before: int = 0) -> tuple[stands.Sent, stands.Sent]:
         """Return the commands `delay` s late, from `before` steps before each window, and their rates over time."""
@@ -276,14 +277,19 @@ def with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Col
 
 def stages_for(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Stages:
     """Return the stages of hardware that the scenario has, or that are fitted, but for those of the control law."""
-    own, robot = own_parameters(scenario), load_robot(scenario.robot)
+    parameters, robot = _with_all(scenario, chosen)
+    return stages_of(parameters, scenario.time_step, robot)._replace(
+        command_delay=0, control_period=False, linear=False
+    )
+
+
+def _with_all(scenario: mc.Scenario, chosen: Sequence[Variable]) -> tuple[Parameters, Robot]:
+    """Return parameters and robot that need all that is fitted."""
 
     def value(each: Variable) -> float:
         return each.upper if each.unit == "s" else max(each.nominal, each.sd)
 
-    return stages_of(scenario, *with_all(chosen, value, own, robot))._replace(
-        command_delay=0, control_period=False, linear=False
-    )
+    return with_all(chosen, value, own_parameters(scenario), load_robot(scenario.robot))
 
 
 def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable], mass: float = 0.0) -> Model:
@@ -294,4 +300,6 @@ def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]
     places = tuple(each.place for each in chosen)
     stages = stages_for(scenario, chosen)
     structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, windows.kinds, mass)
-    return Model(windows, tuple(chosen), structure, own_parameters(scenario))
+    own = own_parameters(scenario)
+    own = with_options_of(own, _with_all(scenario, chosen)[0])
+    return Model(windows, tuple(chosen), structure, own)

@@ -234,10 +234,10 @@ def _on_a_stand(prepared: Prepared, robot: Robot) -> mc.Trajectory:
     if (schedule := schedule_of(log.signals, scenario.control.kp)) is not None:
         at = scenario.time_step * np.arange(len(targets)) - scenario.hardware.command_delay
         sent = sent._replace(**schedule.at(at, scenario.time_step)[0])
-    commands = Commands(sent, jax.tree.map(np.zeros_like, sent), np.full(len(targets), own.command_delay))
+    commands = Commands(sent, jax.tree.map(np.zeros_like, sent), np.full(len(targets), own.bus.command_delay))
     with devices.on_host(), jax.enable_x64(True):
         robot = with_foot_mass(robot, mass)
-        run = held(stages_of(scenario, own, robot), scenario.time_step)
+        run = held(stages_of(own, scenario.time_step, robot), scenario.time_step)
         carried = jax.tree.map(np.asarray, jax.jit(run)(robot, own, commands, begin))
     return _as_walk(scenario, robot, own, targets, carried)
 

@@ -10,8 +10,9 @@ import dataclasses
 import difflib
 import fnmatch
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,13 +20,14 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
+from mjx_climb.component import ValueField
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.own_objects import load
-from mjx_climb.parameter_types import COORDINATES, KEYS, Parameters
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix, turn_about_z
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.scenario.messages import ConfigError, section
+from mjx_climb.scenario.messages import ConfigError
 
 FACTOR = 1.0  # prior sd of the logarithm of what is positive: a factor of e, 7 at two sd
 _SCALES = {  # prior sd by unit, of what may be zero; the nominal value where that is larger
@@ -176,10 +178,9 @@ def _loaded(text: str) -> Variable:
 
 def _all(scenario: mc.Scenario) -> Iterator[Variable]:
     own, robot = own_parameters(scenario), load_robot(scenario.robot)
-    for field, key in KEYS.items():
-        unit = COORDINATES.get(field, ("",))[0]
-        if unit and not key.startswith((*_BY_STEPS, *_OTHERS)):
-            yield _of_scenario(key, unit, float(np.asarray(getattr(own, field))), scenario.time_step)
+    for path, field in own.paths.items():
+        if "." in path and field.shape == () and not path.startswith((*_BY_STEPS, *_OTHERS)):
+            yield _of_scenario(path, field, float(np.asarray(own.at(path))), scenario.time_step)
     for axis in "xy":
         yield Variable(f"gravity.tilt_{axis}", "rad", 0.0, 0.0, _TILT, -1.0, 1.0)
     for each in _of_body(_body(robot, ("base",))):
@@ -210,28 +211,13 @@ def _linear(key: str, unit: str, nominal: float, lower: float, upper: float = ma
     return Variable(key, unit, nominal, nominal, max(abs(nominal), _SCALES.get(unit, 1.0)), lower, upper)
 
 
-def _of_scenario(key: str, unit: str, nominal: float, time_step: float) -> Variable:
-    *place, name = key.split(".")
-    field = section(mc.Scenario, place).model_fields[name]
-    limits = _limits(Annotated[field.annotation, *field.metadata])
-    if "gt" in limits:
-        return _positive(key, unit, nominal)
-    upper = limits.get("le", limits.get("lt", math.inf))
-    if unit == "s":
+def _of_scenario(key: str, field: ValueField, nominal: float, time_step: float) -> Variable:
+    lower, upper = (math.inf * np.sign(end) if abs(end) == sys.float_info.max else end for end in field.bounds)
+    if lower > 0:
+        return _positive(key, field.unit, nominal)
+    if field.unit == "s":
         upper = max(2 * nominal, _LONGEST, 2 * time_step)
-    return _linear(key, unit, nominal, limits.get("ge", -math.inf), upper)
-
-
-def _limits(annotation: Any) -> dict[str, float]:
-    """Return the bounds that an annotation's constraints say, by pydantic's names."""
-    found: dict[str, float] = {}
-    for part in (*getattr(annotation, "__metadata__", ()), *get_args(annotation)):
-        for each in (part, *getattr(part, "metadata", ())):
-            found |= {
-                name: value for name in ("gt", "ge", "lt", "le") if (value := getattr(each, name, None)) is not None
-            }
-        found |= _limits(part) if get_args(part) else {}
-    return found
+    return _linear(key, field.unit, nominal, lower, upper)
 
 
 def _of_joint(robot: Robot, limb: int, joint: int) -> Iterator[Variable]:
@@ -287,15 +273,14 @@ def begin(chosen: Sequence[Variable]) -> np.ndarray:
 
 def applied(places: Sequence[Place], point: Array, parameters: Parameters, robot: Robot) -> tuple[Parameters, Robot]:
     """Return parameters and robot at a point (n,) of coordinates; the robot's own are constants of NumPy."""
-    fields = {key: field for field, key in KEYS.items()}
-    values = _values(places, point)
-    changes: dict[str, Any] = {fields[key]: value for key, value in values.items() if key in fields}
+    values, known = _values(places, point), parameters.paths
+    changes: dict[str, Any] = {key: value for key, value in values.items() if key in known}
     tilt = [values.get(f"gravity.tilt_{axis}") for axis in "xy"]
     if any(angle is not None for angle in tilt):
         zero = jnp.zeros_like(point[0])
         turn = quaternion_from_rotation_vector(jnp.stack([zero if t is None else t for t in tilt] + [zero]))
         changes["gravity"] = quaternion_to_matrix(turn) @ jnp.asarray(parameters.gravity)
-    parameters, robot = dataclasses.replace(parameters, **changes), _robot_at(values, robot)
+    parameters, robot = parameters.replace(changes), _robot_at(values, robot)
     for place in places:
         if place.change is not None:
             parameters, robot = place.change(values[place.key], parameters, robot)
@@ -306,11 +291,11 @@ def with_all(
     chosen: Sequence[Variable], value: Callable[[Variable], float], parameters: Parameters, robot: Robot
 ) -> tuple[Parameters, Robot]:
     """Return parameters and robot with values that are far from zero, so that all stages of hardware are there."""
-    fields = {key: field for field, key in KEYS.items()}
-    changes = {fields[v.key]: np.asarray(value(v)) for v in chosen if v.key in fields}
+    known = parameters.paths
+    changes = {v.key: np.asarray(value(v)) for v in chosen if v.key in known}
     of_joints = {v.key.rpartition(".")[2] for v in chosen if v.key.startswith("robot.")} & {"friction", "damping"}
     full: Any = dict.fromkeys(of_joints, np.ones_like(robot.link_mass))
-    found = dataclasses.replace(parameters, **changes), dataclasses.replace(robot, **full)
+    found = parameters.replace(changes), dataclasses.replace(robot, **full)
     for each in chosen:
         found = found if each.change is None else each.change(value(each), *found)
     both: tuple[Parameters, Robot] = jax.tree.map(np.asarray, found)

@@ -124,9 +124,9 @@ def set_up(scenario: mc.Scenario, asked: Settings) -> Rig:
     beside = tuple(v for v in every if v.key not in {w.key for w in wanted})
     there, rubbing = with_all(wanted, scale, nominal, robot)
     if any(v.key == CLOCK for v in beside):  # commands that come late have their stage
-        late = np.asarray(max(float(nominal.command_delay), scenario.time_step))
-        there = dataclasses.replace(there, command_delay=late)
-    stages = stages_of(scenario, there, rubbing)
+        late = np.asarray(max(float(nominal.bus.command_delay), scenario.time_step))
+        there = there.replace({"hardware.command_delay": late})
+    stages = stages_of(there, scenario.time_step, rubbing)
     stages = stages._replace(command_delay=0) if held else stages
     with devices.on_host(), jax.enable_x64(True):
         robot = jax.tree.map(lambda value: np.asarray(value, float), with_foot_mass(robot, asked.mass))
@@ -160,7 +160,7 @@ def candidates(rig: Rig) -> dict[str, list[Segment]]:
     """Return motions by name, not yet scaled, all of one length; the plain chirp is the first."""
     asked, axes = rig.asked, rig.axes()
     count, band = round(asked.duration / rig.period), Band(asked.low, asked.high)
-    gains = asked.kp or (float(rig.parameters.kp),)
+    gains = asked.kp or (float(rig.parameters.joint_loop.kp),)
     mixes = (asked.family,) if asked.family else MIXES
     bands = (band, Band(asked.low, max(asked.high / 3, 2 * asked.low)))
     fall = _drop(rig)
@@ -199,7 +199,7 @@ def _drop(rig: Rig) -> list[Segment]:
     """Return how the limbs are raised and then fall with the torque off, until the first limit is near."""
     if not rig.asked.drop:
         return []
-    axes, kp = rig.axes(), float((rig.asked.kp or (rig.parameters.kp,))[-1])
+    axes, kp = rig.axes(), float((rig.asked.kp or (rig.parameters.joint_loop.kp,))[-1])
     down = -np.sign(rig.at_rest()[1]).ravel()
     time, rise = np.arange(0, 1.5, rig.period), 1.0
     raised = Segment("raise", 0, len(time), kp, -0.7 * axes.room * down * motions.smooth(time / rise)[:, None])

@@ -77,7 +77,7 @@ class Rig:
     @property
     def torque_limit(self) -> np.ndarray:
         """Of each joint (limb, joint), N m; infinite: none."""
-        limit = np.minimum(self._hardware.torque_limit, self._hardware.current_limit)
+        limit = np.minimum(self._hardware.drive.torque_limit, self._hardware.drive.current_limit)
         return np.broadcast_to(np.asarray(limit), self.robot.joint_lower.shape)
 
     @functools.cached_property
@@ -90,7 +90,7 @@ class Rig:
     @property
     def speed_limit(self) -> float:
         """Of the joints, rad/s."""
-        speed = float(np.min(self._hardware.no_load_speed))
+        speed = float(np.min(self._hardware.drive.no_load_speed))
         return speed if np.isfinite(speed) else SPEED
 
     @property
@@ -106,8 +106,8 @@ class Rig:
     def at(self, point: Array) -> tuple[Robot, Parameters]:
         """Return robot and parameters at a point (n,) of the variables' coordinates."""
         parameters, robot = applied(self.places, point, self.parameters, load_robot(self.scenario.robot))
-        late = jnp.asarray(parameters.command_delay) + self._own(point, CLOCK)
-        return with_foot_mass(robot, self.asked.mass), dataclasses.replace(parameters, command_delay=late)
+        late = jnp.asarray(parameters.bus.command_delay) + self._own(point, CLOCK)
+        return with_foot_mass(robot, self.asked.mass), parameters.replace({"hardware.command_delay": late})
 
     def carried(self, point: Array, commands: Commands) -> Carried:
         """Return the motion of the robot of a point."""
@@ -117,10 +117,10 @@ class Rig:
     def logged_force(self, point: Array, force: Array) -> Array:
         """Return the logged forces (time, limb, 3) N on the feet, late by the delay of a point."""
         _, parameters = self.at(point)
-        late = parameters.force_delay - self.parameters.force_delay + self._own(point, LATE_FORCE)
+        late = parameters.force_sensor.delay - self.parameters.force_sensor.delay + self._own(point, LATE_FORCE)
         change = jnp.asarray(jnp.gradient(force, self.scenario.time_step, axis=0))
         return logged_force(
-            self.places, point, self.robot.limbs, force - late * change + jnp.asarray(parameters.force_bias)
+            self.places, point, self.robot.limbs, force - late * change + jnp.asarray(parameters.force_sensor.bias)
         )
 
     def run(self) -> commanded.Simulate:
@@ -151,7 +151,7 @@ class Rig:
     def at_rest(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the inertia that each joint moves, kg m^2, and the torque that holds it at rest, N m."""
         robot, shape = self.robot, self.robot.stance_joints.shape
-        own = float(self.parameters.armature) + (0.0 if robot.armature is None else np.asarray(robot.armature))
+        own = float(self.parameters.drive.armature) + (0.0 if robot.armature is None else np.asarray(robot.armature))
         robot = dataclasses.replace(robot, armature=np.broadcast_to(own, shape))
         still, angles = jnp.zeros(3), jnp.asarray(robot.stance_joints, float)
         state = State(still, jnp.asarray(robot.stance_orientation, float), still, still, angles, jnp.zeros(shape))
@@ -166,7 +166,7 @@ class Rig:
         robot = self.robot
         if self.asked.base == "held":
             return np.asarray(robot.stance_joints + moved.reshape(len(moved), *robot.joint_lower.shape))
-        geometry = limb_geometry(robot, self.stages.rotational)
+        geometry = limb_geometry(robot, self.parameters.contact.transmits_moments)
         start = np.asarray(quaternion_to_matrix(jnp.asarray(robot.stance_orientation)))
         feet = limb_frames(robot, None, np.asarray(robot.stance_joints)).foot
         turned = np.asarray(jax.vmap(_turn)(jnp.asarray(moved[:, 3:])))  # along the stance's own axes
@@ -183,9 +183,9 @@ class Rig:
         """Return the commands at each time step, the lead before the log included."""
         kp = np.ones(len(targets))
         for segment in segments:
-            kp[segment.start : segment.stop] = segment.kp / float(self.parameters.kp)
+            kp[segment.start : segment.stop] = segment.kp / float(self.parameters.joint_loop.kp)
         sent, kp = (np.repeat(np.concatenate([np.repeat(v[:1], self.lead, 0), v]), self.hold, 0) for v in (targets, kp))
-        delay, step = float(self.parameters.command_delay), self.scenario.time_step
+        delay, step = float(self.parameters.bus.command_delay), self.scenario.time_step
         delays = np.full(len(sent), delay)
         if self.asked.base == "free":
             return Commands(Sent(sent), Sent(np.zeros_like(sent)), delays)
@@ -210,7 +210,7 @@ class Rig:
             way = np.where(angles > middle, robot.joint_upper - middle, middle - robot.joint_lower)
             share = np.abs(angles - middle) / way
             shares["joint limit"] = np.maximum(shares.get("joint limit", 0.0), share.max(0)[None])
-        torque, no_load = np.asarray(carried.torque), self._hardware.no_load_speed
+        torque, no_load = np.asarray(carried.torque), self._hardware.drive.no_load_speed
         line = np.clip(1 - np.sign(torque) * rates / no_load, 0.02, 1.0)  # what the motor has left at its speed
         shares["torque"] = np.abs(torque) / (self.torque_limit * line)
         found = {}
@@ -227,7 +227,7 @@ class Rig:
     def _pull(self, force: np.ndarray) -> dict[str, float]:
         pulled = np.where(force[..., 2] < 0, np.linalg.norm(force, axis=-1), 0.0)
         limb = int(np.argmax(pulled.max(0)))
-        return {f"pull of {self.robot.limbs[limb]}": float(pulled.max() / self.parameters.holding_limit)}
+        return {f"pull of {self.robot.limbs[limb]}": float(pulled.max() / self.parameters.contact.holding_limit)}
 
     def _clear(self, angles: np.ndarray) -> dict[str, float]:
         """Return how far a foot is from where it stands, of half the way to the next foot: so feet never meet."""
