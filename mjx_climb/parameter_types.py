@@ -225,11 +225,13 @@ def _slack(steps: AnyArray) -> AnyArray:
 def with_whole_steps(parameters: Parameters, time_step: float) -> Parameters:
     """Return parameters whose gait, windows and control period are whole time steps, counted in double precision.
 
-    A walk in any precision finds the same numbers of steps in them. Values that JAX traces stay as they are.
+    A walk in any precision finds the same numbers of steps in them. Values that JAX traces stay as they are, but for
+    the windows of disturbances, along which nothing has a derivative.
     """
     values = parameters.values
     names = [path for path, field in parameters.paths.items() if field.in_steps]
-    known = {path: np.asarray(values[path], np.float64) for path in names if not is_tracer(values[path])}
+    known: dict[str, Any] = {p: np.asarray(values[p], np.float64) for p in names if not is_tracer(values[p])}
+    known |= {path: values[path] for path in names if path.startswith(_DISTURBANCE) and path not in known}
     steps = {path: whole_steps(value, time_step) for path, value in known.items()}
     changed = {path: count * time_step for path, count in steps.items()}
     if "gait.cycle" in steps and not is_tracer(duty := values["gait.duty"]):

@@ -430,7 +430,8 @@ class Simulation:
         With the stages of hardware that are given, whatever the parameters, which JAX may trace then.
         """
         precision = jnp.result_type(float) if dtype is None else dtype
-        resolved = resolve(self.scenario, self.law, gains, self._given(parameters), precision)
+        given = self._given(parameters)
+        resolved = resolve(self.scenario, self.law, gains, given, precision, compiled=stages is not None)
         if stages is None:
             structure = self._structure(resolved.walked, resolved.called)
         else:
@@ -481,7 +482,8 @@ class Simulation:
         if gait := gait_of(by_name(gains)):
             raise ValueError(f"gains.{next(iter(gait))}: expected none, a robot that walks keeps its gait")
         shape = state.step.shape
-        resolved = resolve(self.scenario, state.law, gains, state.parameters, state.parameters.gravity.dtype)
+        own = state.parameters
+        resolved = resolve(self.scenario, state.law, gains, own, own.gravity.dtype, compiled=True)
         if resolved.shape != shape:
             raise ValueError(f"gains: expected batch axes that broadcast to the state's {shape}, got {resolved.shape}")
         structure, ki = self._structure_of(state), resolved.walked.joint_loop.ki

@@ -23,6 +23,7 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
+from mjx_climb.disturbances import Push
 from mjx_climb.execution import batches, cache, gpu_kernel, paths
 from tests.execution.interpreter import launched
 
@@ -117,13 +118,15 @@ def case():
 
 
 def padded_numbers(scenario, **changes):
-    """Return the scenario's parameters with three pushes, idle ones included: one shape, so one program, for all."""
+    """Return the scenario's parameters with three pushes, idle ones included: one shape, so one program, for all.
+
+    `changes` are values by path, in which "__" stands for a dot.
+    """
     numbers = jax.tree.map(np.asarray, mc.parameters(scenario))
-    missing = PUSHES - len(numbers.push_start)
-    for name in ("push_force", "push_moment", "push_start", "push_stop"):
-        value = getattr(numbers, name)
-        changes.setdefault(name, np.concatenate([value, np.zeros((missing, *value.shape[1:]))]))
-    return dataclasses.replace(numbers, **{name: np.asarray(value, float) for name, value in changes.items()})
+    missing = PUSHES + 1 - len(numbers.disturbances)
+    idle = jax.tree.map(np.asarray, Push(force=np.zeros(3), moment=np.zeros(3), start=0.0, stop=0.0))
+    numbers = dataclasses.replace(numbers, disturbances=(*numbers.disturbances, *[idle] * missing))
+    return numbers.replace({name.replace("__", "."): np.asarray(value, float) for name, value in changes.items()})
 
 
 def six_gains(scenario):

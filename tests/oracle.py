@@ -10,6 +10,8 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from mjx_climb.disturbances import LinkWrench
+from mjx_climb.hardware import VelocityCommanded as VelocityCommandedDrive
 from mjx_climb.hardware.sensors import normal
 from mjx_climb.robot_import.load import load_model
 
@@ -116,7 +118,7 @@ class Grips:
     def act(self, feet, velocity, turned, spin, shut, ground, walked):
         own, before = self.contact, self.detached.copy()
         support, shuts = shut & ~self.detached, np.zeros_like(shut)
-        missed, reach = shuts, number(own.contact.capture_distance)
+        missed, reach = shuts, number(own.capture_distance)
         if np.isfinite(reach):
             shuts = support & ~self.shut
             missed = shuts & (feet[:, 2] - ground > reach)
@@ -133,18 +135,19 @@ class Grips:
         if np.isfinite(reach):
             force[~support] = np.maximum(force[~support] @ Z, 0)[:, None] * Z
         moment = np.zeros_like(force)
-        for limb in np.flatnonzero(support) if own.contact.rotational_stiffness else ():
+        for limb in np.flatnonzero(support) if own.rotational_stiffness else ():
             if not self.held[limb]:
                 self.attitude[limb] = turned[limb]
             twist = self.attitude[limb] @ turned[limb].T
             sine = np.array([twist[2, 1] - twist[1, 2], twist[0, 2] - twist[2, 0], twist[1, 0] - twist[0, 1]]) / 2
-            moment[limb] = own.contact.rotational_stiffness * sine - own.contact.rotational_damping * spin[limb]
+            moment[limb] = own.rotational_stiffness * sine - own.rotational_damping * spin[limb]
         self.held = support
-        torn = support & (force[:, 2] < 0) & (np.linalg.norm(force, axis=1) > number(own.contact.holding_limit))
+        used = support * (force[:, 2] < 0) * np.linalg.norm(force, axis=1) / number(own.holding_limit)
+        torn = used > 1
         self.detached = self.detached | torn
         return {
             "grip_point": self.point.copy(), "support": support, "contact": touching, "detached": before,
-            "torn_off": torn, "missed": missed, "foot_force": force, "foot_moment": moment,
+            "torn_off": torn, "missed": missed, "foot_force": force, "foot_moment": moment, "utilization": used,
         }  # fmt: skip
 
 
@@ -446,7 +449,8 @@ def again(walk, law=None):
     grips = Grips(scenario.contact, feet, body.data.site_xmat.reshape(-1, 3, 3))
     law = Law(scenario, reference, body.limbs) if law is None else law(scenario, reference, body.limbs)
     drive = walk.parameters.drive
-    servos = Servos(scenario, body.model, angles) if drive is None else VelocityCommanded(drive, scenario, angles)
+    velocity = isinstance(drive, VelocityCommandedDrive)
+    servos = VelocityCommanded(drive, scenario, angles) if velocity else Servos(scenario, body.model, angles)
     forces, bases, commands, shares, filtered = [np.zeros_like(feet)], [], [angles], [0.0], np.zeros_like(feet)
     reads = not isinstance(law, Law) or scenario.control.controller != "pd"
     watch = Watch(law.period, body.limbs) if reads and (sensor.resolution or sensor.dead is not None) else None
@@ -513,6 +517,8 @@ def again(walk, law=None):
         servos.stiffen(late(shares, hardware.command_delay / h))
         touch, by_touch = np.zeros(body.model.nv), np.zeros(6)
         for each in walk.parameters.disturbances:
+            if not isinstance(each, LinkWrench):
+                continue
             more = body.touched(each, (step + 0.5) * h)
             touch, by_touch = touch + more[0], by_touch + more[1]
         torque, turning, armature = servos.turn(step, goal, angles, rates, body.loads(held, touch))

@@ -62,7 +62,7 @@ def batch_shape(*trees: PyTree, others: Mapping[str, tuple[int, ...]] = MappingP
     for tree in trees:
         pairs = zip(jax.tree.leaves_with_path(tree), jax.tree.leaves(own_axes(tree)), strict=True)
         for (path, value), own in pairs:
-            names.setdefault(jnp.shape(value)[: max(0, jnp.ndim(value) - own)], path[-1].name)
+            names.setdefault(jnp.shape(value)[: max(0, jnp.ndim(value) - own)], _name(path))
     for name, shape in others.items():
         names.setdefault(shape, name)
     try:
@@ -70,6 +70,11 @@ def batch_shape(*trees: PyTree, others: Mapping[str, tuple[int, ...]] = MappingP
     except ValueError:
         got = ", ".join(f"{name} {shape}" for shape, name in names.items() if shape)
         raise ValueError(f"batch axes of gains and parameters: expected some that broadcast, got {got}") from None
+
+
+def _name(path: Sequence[PyTree]) -> str:
+    """Return the place of a value in a tree, "contact.stiffness"."""
+    return ".".join(str(key.idx) if hasattr(key, "idx") else key.name for key in path)
 
 
 def over_batch(

@@ -53,10 +53,13 @@ def resolve(
     parameters: Parameters | None,
     dtype: DTypeLike,
     xp: ModuleType = jnp,
+    *,
+    compiled: bool = False,
 ) -> WalkInputs:
     """Return the law with the gains given in place of its own, and parameters with joint gains and gait among them.
 
-    Parameters are the scenario's where there are none; all are arrays of a precision, of JAX or of NumPy (`xp`).
+    Parameters are the scenario's where there are none; all are arrays of a precision, of JAX or of NumPy (`xp`). Those
+    of a walk that is compiled keep the options of their components.
 
     Raises:
         ValueError: in one line, an unknown name, a wrong shape, a gain that is not positive, a parameter that no
@@ -78,8 +81,9 @@ def resolve(
     }
     law = with_values(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
     own = dataclasses.replace(own, recovery=recovery_of(law, own.recovery))
-    own = own.with_components(lambda place, each: with_values(each, {}, np.asarray, place))
-    walked = compiled_for(scenario, with_whole_steps(own, scenario.time_step).replace(joint), called)
+    own = own.with_components(lambda place, each: with_values(each, {}, lambda value: value, place))
+    walked = with_whole_steps(own, scenario.time_step).replace(joint)
+    walked = walked if compiled else compiled_for(scenario, walked, called)
     parameters = jax.tree.map(array, walked)
     # gains of a law without any still say how many robots there are
     others = {name: jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS}

@@ -15,7 +15,8 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.files import dataset as ds
-from mjx_climb.scenario.model import BaseEstimate, Cargo, Contact, Control, ForceSensor, Gait, Hardware, Servo
+from mjx_climb.parameter_types import GAIN_UNITS
+from mjx_climb.scenario.messages import section
 
 SCENARIO = mc.Scenario().with_overrides({
     "duration": 2.0, "gravity": [0.0, 0.0, -1.635], "control.stiffness": [1e3, 2e3, 3e3, 4e1, 5e1, 6e1],
@@ -64,7 +65,7 @@ def test_every_array_of_a_walk_is_a_variable_with_units_found_by_label(trajector
 def test_walk_survives_a_file(trajectory, tmp_path, kp, dtype):
     arrays = {name: getattr(trajectory, name) for name in ds.VARIABLES}
     arrays = {name: array.astype(dtype) for name, array in arrays.items() if array.dtype == np.float64}
-    gains = jax.tree.map(dtype, trajectory.gains.replace({"control.kp": kp and np.asarray(kp)}))
+    gains = jax.tree.map(dtype, dataclasses.replace(trajectory.gains, kp=kp and np.asarray(kp)))
     walk = dataclasses.replace(trajectory, gains=gains, **arrays)
     path = ds.save(ds.to_dataset(walk), tmp_path / "new" / "walk.nc")
     loaded = ds.load_trajectory(path)
@@ -147,7 +148,7 @@ def test_sweep_rejects_what_does_not_fit():
     for metric, size, coordinate, expected in (
         ("speed", 2, "stiffness", "metric speed: expected one of peak_foot_force"),
         ("travel", 3, "stiffness", r"metric travel: expected shape \(2,\)"),
-        ("travel", 2, "colour", "coordinate colour: expected one of"),
+        ("travel", 2, "colour", "coordinate colour: expected a gain or a path"),
     ):
         with pytest.raises(ValueError, match=expected):
             ds.sweep_dataset({metric: np.zeros(size)}, {coordinate: [1e2, 1e3]}, SCENARIO)
@@ -191,19 +192,15 @@ def test_a_damaged_file_is_refused_before_hdf5_opens_it(tmp_path, monkeypatch):
             ds.load(path)
 
 
-SECTIONS = (
-    (Gait, ""), (Contact, ""), (Contact, "contact_"), (Control, ""), (Cargo, "cargo_"), (Hardware, ""),
-    (ForceSensor, "force_"), (BaseEstimate, ""), (BaseEstimate, "base_"), (Servo, ""), (Servo, "servo_"),
-)  # fmt: skip
-
-
 def test_units_are_those_of_the_law_the_config_and_the_metrics():
-    keys = {f"{prefix}{name}": field for section, prefix in SECTIONS for name, field in section.model_fields.items()}
-    gains = {name: field.unit for name, field in law_of(SCENARIO).GAINS.items()}
-    assert gains == {name: unit for name, (unit, _) in ds.COORDINATES.items() if name in gains}
-    for name, (unit, _) in ds.COORDINATES.items():
-        if name not in gains and name != "mass_scale":
-            assert re.search(rf", {re.escape(unit)}(;|$)", keys[name].description), name
+    own, gains = mc.parameters(SCENARIO), {name: field.unit for name, field in law_of(SCENARIO).GAINS.items()}
+    assert gains == {name: unit for name, (unit, _) in GAIN_UNITS.items() if name in gains}
+    computed = {"mass_scale", "gait.swing_path", "ground.foothold_height", "hardware.seed", "hardware.force_sensor.dead"}
+    for key, (unit, _) in own.units.items():
+        if key not in computed:
+            *place, name = key.split(".")
+            described = section(mc.Scenario, place).model_fields[name].description
+            assert re.search(rf", {re.escape(unit)}(;|$)", described), key
     for variable, metric in (
         ("foot_force", "peak_foot_force"), ("joint_torque", "peak_joint_torque"),
         ("joint_angles", "joint_limit_margin"),

@@ -1,7 +1,5 @@
 """The gait step by step against integers, and steps that are counted alike in both precisions."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +7,12 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD, law_of
-from mjx_climb.disturbances import on_base as disturbance
 from mjx_climb.execution.batch_axes import over_batch, own_axes
 from mjx_climb.gait import schedule as gait
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import resolve, resolve_in
+from mjx_climb.parameter_types import whole_steps
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot_import.load import load_robot
@@ -38,7 +36,7 @@ def of_batch(function, parameters, count):
 
 def counted(scenario, changes, dtype, count):
     """Cycle, swing and lift-offs in steps of parameters with changes, as a walk in a precision has them."""
-    changed = dataclasses.replace(own_parameters(scenario), **changes)
+    changed = own_parameters(scenario).replace({f"gait.{name}": value for name, value in changes.items()})
     parameters = resolve_in(scenario, law_of(scenario), None, changed, dtype).parameters
     plan = of_batch(lambda one: plan_of(scenario, one), parameters, count)
     assert plan.cycle_steps.dtype == dtype
@@ -70,17 +68,18 @@ def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
     scenario = mc.load_scenario("case_1_2", {"disturbance.pushes": [PUSH]})
     half_steps = np.arange(1, 10001, 7)
     times = half_steps * STEP / 2
-    windows = dict.fromkeys(("push_start", "push_stop"), times[:, None])
-    spans = dict.fromkeys(("cycle", "cargo_start", "cargo_stop", "control_period"), times)
-    parameters = dataclasses.replace(own_parameters(scenario), **windows, **spans)
-    stages = stages_of(scenario, own_parameters(scenario))._replace(control_period=True)
+    windows = [f"disturbance.{name}.{end}" for name in ("cargo", "pushes.0") for end in ("start", "stop")]
+    spans = ("gait.cycle", "hardware.control_period", *windows)
+    parameters = own_parameters(scenario).replace(dict.fromkeys(spans, times))
+    stages = stages_of(own_parameters(scenario), scenario.time_step)._replace(control_period=True)
 
     def resolved(parameters):
         return resolve(scenario, law_of(scenario), None, parameters, parameters.joint_loop.kp.dtype).parameters
 
     def steps_of_one(one):
-        windows, period = disturbance.windows(one, STEP), hardware_of(one, stages, STEP).pace.period
-        return [*windows.cargo, *(w[0] for w in windows.pushes), period, plan_of(scenario, one).cycle_steps]
+        period = hardware_of(one, stages, STEP).pace.period
+        starts = [whole_steps(one.at(path), STEP) for path in windows]
+        return [*starts, period, plan_of(scenario, one).cycle_steps]
 
     @jax.jit
     def steps(parameters):
@@ -99,7 +98,7 @@ def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
     scenario, number = mc.Scenario(), np.arange(1, 200)
     for dtype in (np.float32, np.float64):
         own = own_parameters(scenario).replace({"hardware.command_delay": dtype(number * STEP)})
-        stages = stages_of(scenario, own)
+        stages = stages_of(own, scenario.time_step)
 
         def weights(delay, own=own, stages=stages):
             return jnp.stack(hardware_of(own.replace({"hardware.command_delay": delay}), stages, STEP).pace.command)
@@ -152,7 +151,12 @@ def test_the_base_sways_towards_the_feet_that_stand_and_feet_land_with_a_speed()
     feet = np.array([[0.2, 0.1, 0.0], [-0.1, 0.2, 0.0], [-0.2, -0.1, 0.0], [0.1, -0.1, 0.0]])
     with jax.enable_x64(True):
         made = gait.plan(
-            robot, jnp.asarray(feet), own, tuple(scenario.gait.lift_off.items()), STEP, stages_of(scenario, own)
+            robot,
+            jnp.asarray(feet),
+            own,
+            tuple(scenario.gait.lift_off.items()),
+            STEP,
+            stages_of(own, scenario.time_step),
         )
 
         def at(n):

@@ -19,10 +19,10 @@ SEEDS = 10
 METRICS = ("force_variation", "peak_foot_force", "cost_of_transport", "base_deviation")
 
 # what the reference names, and the parameters that it is here; there the base's pose is as late as the wrench
-PARAMETERS = {name: (name,) for name in ("command_delay", "control_period", "kp", "kd")} | {
-    "force_sensor.delay": ("force_delay", "base_delay"), "force_sensor.filter": ("force_filter",),
-    "force_sensor.noise": ("force_noise",), "servo.delay": ("servo_delay",),
-    "servo.torque_limit": ("torque_limit",), "servo.coulomb_friction": ("coulomb_friction",),
+PARAMETERS = {name: (name,) for name in ("hardware.command_delay", "hardware.control_period", "control.kp", "control.kd")} | {
+    "force_sensor.delay": ("hardware.force_sensor.delay", "hardware.base_estimate.delay"), "force_sensor.filter": ("hardware.force_sensor.filter",),
+    "force_sensor.noise": ("hardware.force_sensor.noise",), "servo.delay": ("hardware.servo.delay",),
+    "servo.torque_limit": ("hardware.servo.torque_limit",), "servo.coulomb_friction": ("hardware.servo.coulomb_friction",),
 }  # fmt: skip
 LAWS = {
     "pd": ("pd",),
@@ -53,7 +53,7 @@ def walked(numbers):
         control = {"control.controller": "pd"} if law == "pd" else {"control.reading": law}
         for case, entry, gains in ENTRIES:
             if gains in names:
-                own = numbers(scenarios[case], **changes(entry))
+                own = numbers(scenarios[case], **{p.replace(".", "__"): v for p, v in changes(entry).items()})
                 for seed in range(SEEDS if "noise" in entry else 1):
                     seeded = own.replace({"hardware.seed": np.asarray(float(seed))})
                     rows.append(((case, entry, gains), gains_of(scenarios[case], gains), seeded))

@@ -31,7 +31,7 @@ def hardware(servos=(), control=(), step=STEP):
     keys |= {f"control.{key}": value for key, value in dict(control).items()}
     scenario = mc.Scenario().with_overrides({"time_step": step} | keys)
     own = mc.parameters(scenario)
-    return hardware_of(own, stages_of(scenario, own), step)
+    return hardware_of(own, stages_of(own, scenario.time_step), step)
 
 
 def one_joint(own, target, load, inertia=0.05, steps=3000, angle=0.0):
@@ -331,7 +331,7 @@ def test_shipped_servos_are_the_identified_motors(name):
     assert there.rated_voltage / there.no_load_speed == pytest.approx(torque_constant, rel=1e-5)
     assert there.torque_limit / there.rated_voltage == pytest.approx(torque_constant / resistance, rel=1e-5)
     scenario = with_hardware(mc.Scenario(), load_hardware(name))
-    stages = stages_of(scenario, own_parameters(scenario))
+    stages = stages_of(own_parameters(scenario), scenario.time_step)
     assert stages.voltage and stages.stribeck and stages.load_torque and stages.dry_friction
 
 
@@ -367,8 +367,10 @@ def test_bad_servos_are_refused_in_one_line(override):
 def test_a_voltage_without_a_stall_torque_is_refused_in_a_batch_too():
     scenario = mc.Scenario().with_overrides({"hardware.servo": MOTOR})
     endless = own_parameters(scenario).replace({"hardware.servo.torque_limit": np.array([8.0, np.inf])})
-    with pytest.raises(ValueError, match=r"^parameters.torque_limit: expected finite numbers with drive: voltage, got"):
-        stages_of(scenario, endless)
+    with pytest.raises(
+        ValueError, match=r"^parameters.hardware.servo.torque_limit: expected finite numbers with drive: voltage, got"
+    ):
+        stages_of(endless, scenario.time_step)
 
 
 # --- Walks
@@ -386,10 +388,10 @@ SERVOS = {
     },
 }  # fmt: skip
 MOVED = (
-    "ki", "profile_velocity", "profile_acceleration", "no_load_speed", "torque_limit", "supply_voltage",
-    "external_load_friction", "stribeck_friction", "stribeck_load_friction", "stribeck_external_load_friction",
-    "stribeck_velocity", "stribeck_exponent", "quadratic_load_friction", "quadratic_external_load_friction",
-    "presliding",
+    "control.ki", "hardware.servo.profile_velocity", "hardware.servo.profile_acceleration", "hardware.servo.no_load_speed", "hardware.servo.torque_limit", "hardware.servo.supply_voltage",
+    "hardware.servo.external_load_friction", "hardware.servo.stribeck_friction", "hardware.servo.stribeck_load_friction", "hardware.servo.stribeck_external_load_friction",
+    "hardware.servo.stribeck_velocity", "hardware.servo.stribeck_exponent", "hardware.servo.quadratic_load_friction", "hardware.servo.quadratic_external_load_friction",
+    "hardware.servo.presliding",
 )  # fmt: skip
 
 
@@ -411,7 +413,7 @@ def test_derivative_of_a_walk_by_its_servos(tangents, name):
 def test_robots_of_a_batch_walk_with_servos_as_they_do_alone():
     scenario = mc.Scenario().with_overrides(SERVOS)
     own, rng = own_parameters(scenario), np.random.default_rng(0)
-    varied = {name: getattr(own, name) * rng.uniform(0.7, 1.0, 6) for name in MOVED}
+    varied = {path: own.at(path) * rng.uniform(0.7, 1.0, 6) for path in MOVED}
     parameters = own.replace({**varied, "hardware.servo.rate": np.array([500.0, np.inf, 250.0, 500.0, 200.0, 1000.0])})
     together = mc.rollout_metrics(scenario, parameters=parameters, dtype=np.float64)
     alone = mc.rollout_metrics(scenario, parameters=parameters, dtype=np.float64, batch_size=1)

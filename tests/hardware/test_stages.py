@@ -120,7 +120,7 @@ def test_noise_is_the_same_in_any_batch_and_precision():
 
 def test_a_late_base_estimate_keeps_unit_quaternions():
     scenario = mc.Scenario().with_overrides({"hardware.base_estimate.delay": 1.5e-3})
-    own = hardware_of(mc.parameters(scenario), stages_of(scenario, mc.parameters(scenario)), STEP)
+    own = hardware_of(mc.parameters(scenario), stages_of(mc.parameters(scenario), scenario.time_step), STEP)
     turned = jnp.asarray([0.0, 1.0, 0.0, 0.0])
     there = sensors.Base(jnp.zeros(3), jnp.asarray([1.0, 0, 0, 0]), jnp.zeros(3), jnp.zeros(3))
     here = sensors.Base(jnp.ones(3), turned, jnp.ones(3), jnp.ones(3))
@@ -202,7 +202,7 @@ def test_what_a_robots_file_says_of_its_joints_comes_beside_the_scenario():
     np.testing.assert_allclose(own.drive.torque_limit, np.minimum(3.0, 1 + each))
     np.testing.assert_allclose(own.joint_loop.kp, 50.0 * np.array([1, 1, 0]) * np.ones((4, 1)))
     wanted = IDEAL._replace(torque_limit=True, dry_friction=True, viscous_friction=True)
-    assert stages_of(mc.Scenario(), mc.parameters(mc.Scenario()), robot) == wanted
+    assert stages_of(mc.parameters(mc.Scenario()), mc.Scenario().time_step, robot) == wanted
 
 
 # --- Dead sensors
@@ -211,7 +211,7 @@ def test_what_a_robots_file_says_of_its_joints_comes_beside_the_scenario():
 def test_a_dead_sensor_reads_nothing_from_its_instant_on():
     scenario = mc.Scenario().with_overrides({"hardware.force_sensor.dead": {"LF": 0.003, "RH": 0.0}})
     own = mc.parameters(scenario)
-    hardware, force = hardware_of(own, stages_of(scenario, own), STEP), jnp.arange(1.0, 13.0).reshape(4, 3)
+    hardware, force = hardware_of(own, stages_of(own, scenario.time_step), STEP), jnp.arange(1.0, 13.0).reshape(4, 3)
     for step, alive in ((0, [1, 1, 0, 1]), (2, [1, 1, 0, 1]), (3, [0, 1, 0, 1]), (9, [0, 1, 0, 1])):
         _, read = sensors.measured_force(sensors.ForceSensor(()), force, jnp.asarray(step), hardware)
         np.testing.assert_array_equal(read, force * jnp.asarray(alive)[:, None])
@@ -222,7 +222,7 @@ def test_a_dead_sensor_reads_nothing_from_its_instant_on():
 
 def test_a_filter_is_the_sensors_or_the_laws():
     by_law = mc.Scenario().with_overrides({"hardware.force_sensor": {"filter": 30.0, "filtered_by": "law"}})
-    assert stages_of(by_law, mc.parameters(by_law)) == IDEAL._replace(sampled_filter=True)
+    assert stages_of(mc.parameters(by_law), by_law.time_step) == IDEAL._replace(sampled_filter=True)
 
 
 @pytest.mark.parametrize(("who", "period"), [("law", 5e-3), ("sensor", STEP)])
@@ -231,14 +231,20 @@ def test_a_filter_takes_in_what_its_own_samples_bring(who, period):
     sensor = {"filter": 30.0, "filtered_by": who}
     scenario = mc.Scenario().with_overrides({"hardware": {"force_sensor": sensor, "control_period": 5e-3}})
     own = mc.parameters(scenario)
-    share = hardware_of(own, stages_of(scenario, own), STEP).pace.filter_share
+    share = hardware_of(own, stages_of(own, scenario.time_step), STEP).pace.filter_share
     assert float(share) == pytest.approx(1 - np.exp(-2 * np.pi * 30.0 * period), rel=1e-6)
 
 
-STAGE_OF = {name: name for name in IDEAL._fields if name in vars(mc.parameters(mc.Scenario()))} | {
-    "position_noise": "base_noise", "velocity_noise": "base_noise", "coulomb_friction": "dry_friction",
-    "load_friction": "dry_friction", "ki": "integral", "profile_velocity": "profile",
-    "capture_distance": "capture", "rotational_stiffness": "rotational",
+_FORCE, _BASE, _SERVO = "hardware.force_sensor", "hardware.base_estimate", "hardware.servo"
+STAGE_OF = {
+    **{f"{_FORCE}.{name}": f"force_{name}" for name in ("delay", "noise", "bias", "resolution", "filter", "dead")},
+    f"{_BASE}.delay": "base_delay", f"{_BASE}.position_noise": "base_noise", f"{_BASE}.velocity_noise": "base_noise",
+    "hardware.control_period": "control_period", "hardware.command_delay": "command_delay",
+    f"{_SERVO}.delay": "servo_delay", f"{_SERVO}.rate": "servo_rate", f"{_SERVO}.profile_velocity": "profile",
+    f"{_SERVO}.coulomb_friction": "dry_friction", f"{_SERVO}.load_friction": "dry_friction",
+    **{f"{_SERVO}.{name}": name for name in ("supply_voltage", "torque_limit", "current_limit", "armature",
+                                             "viscous_friction", "backlash")},
+    "control.ki": "integral", "gait.height": "height", "gait.sway": "sway", "gait.landing_speed": "landing_speed",
 }  # fmt: skip
 
 
@@ -246,10 +252,10 @@ STAGE_OF = {name: name for name in IDEAL._fields if name in vars(mc.parameters(m
 def test_a_parameter_makes_its_stage_and_no_other(name):
     scenario = mc.Scenario().with_overrides({"hardware.interpolation": "linear"})
     parameters = mc.parameters(scenario)
-    assert stages_of(scenario, parameters) == IDEAL
-    values = jnp.asarray([0.0, 2e-3] * (2 if name == "force_dead" else 1))  # of limbs
-    found = stages_of(scenario, dataclasses.replace(parameters, **{name: values}))
+    assert stages_of(parameters, scenario.time_step) == IDEAL
+    values = jnp.asarray([0.0, 2e-3] * (2 if name.endswith("dead") else 1))  # of limbs
+    found = stages_of(parameters.replace({name: values}), scenario.time_step)
     there = {stage for stage, value, none in zip(IDEAL._fields, found, IDEAL, strict=True) if value != none}
-    assert there == {STAGE_OF[name]} | ({"linear"} if name == "control_period" else set())
+    assert there == {STAGE_OF[name]} | ({"linear"} if name == "hardware.control_period" else set())
     with pytest.raises(TypeError, match=rf"^parameters.{name}: expected an array, got one that JAX traces"):
-        jax.eval_shape(lambda v: stages_of(scenario, dataclasses.replace(parameters, **{name: v})) and v, values)
+        jax.eval_shape(lambda v: stages_of(parameters.replace({name: v}), scenario.time_step) and v, values)

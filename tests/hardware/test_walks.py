@@ -1,7 +1,5 @@
 """Short walks with all hardware at once: batches, derivatives, engines."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,8 +30,8 @@ EVERYTHING = {
     },
 }  # fmt: skip
 VARIED = (
-    "command_delay", "force_delay", "force_noise", "force_bias", "force_filter", "torque_limit", "no_load_speed",
-    "armature", "coulomb_friction", "viscous_friction", "load_friction", "backlash", "servo_delay", "capture_distance",
+    "hardware.command_delay", "hardware.force_sensor.delay", "hardware.force_sensor.noise", "hardware.force_sensor.bias", "hardware.force_sensor.filter", "hardware.servo.torque_limit", "hardware.servo.no_load_speed",
+    "hardware.servo.armature", "hardware.servo.coulomb_friction", "hardware.servo.viscous_friction", "hardware.servo.load_friction", "hardware.servo.backlash", "hardware.servo.delay", "contact.capture_distance",
 )  # fmt: skip
 
 
@@ -46,9 +44,9 @@ def parameters_of(scenario, robots, seed=3):
     """Parameters of robots whose hardware differs in everything."""
     own = own_parameters(scenario)
     rng = np.random.default_rng(seed)
-    changes = {name: getattr(own, name) * rng.uniform(0.5, 1.0, robots) for name in VARIED}
-    changes |= {"control_period": rng.choice([0.002, 0.005, 0.007], robots), "seed": np.arange(robots) * 1.0}
-    return dataclasses.replace(own, **changes)
+    changes = {path: own.at(path) * rng.uniform(0.5, 1.0, robots) for path in VARIED}
+    changes["hardware.control_period"] = rng.choice([0.002, 0.005, 0.007], robots)
+    return own.replace({**changes, "hardware.seed": np.arange(robots) * 1.0})
 
 
 class Showing(PD):
@@ -155,8 +153,8 @@ def test_neutral_parameters_change_nothing(scenario):
     plain = mc.load_scenario("case_1_2", {"duration": 0.15, "disturbance.pushes": [PUSH]})
     own = own_parameters(plain)
     there = parameters_of(scenario, 2)
-    names = [name for name, value in vars(own).items() if np.ndim(value) == 0 and np.ndim(getattr(there, name)) == 1]
-    mixed = dataclasses.replace(own, **{n: np.stack([getattr(own, n), getattr(there, n)[1]]) for n in names})
+    names = [path for path, value in own.values.items() if np.ndim(value) == 0 and np.ndim(there.at(path)) == 1]
+    mixed = own.replace({path: np.stack([own.at(path), there.at(path)[1]]) for path in names})
     ideal, found = (mc.rollout_metrics(plain, parameters=of, dtype=np.float64) for of in (own, mixed))
     for name in ("force_variation", "peak_foot_force", "travel", "base_deviation", "peak_joint_torque"):
         np.testing.assert_allclose(found[name][0], ideal[name], rtol=1e-9, err_msg=name)
@@ -174,8 +172,8 @@ def test_engines_agree_on_hardware(scenario):
 
 
 DIFFERENTIATED = (
-    "force_delay", "servo_delay", "force_filter", "force_noise", "force_bias", "armature",
-    "coulomb_friction", "viscous_friction", "load_friction", "backlash",
+    "hardware.force_sensor.delay", "hardware.servo.delay", "hardware.force_sensor.filter", "hardware.force_sensor.noise", "hardware.force_sensor.bias", "hardware.servo.armature",
+    "hardware.servo.coulomb_friction", "hardware.servo.viscous_friction", "hardware.servo.load_friction", "hardware.servo.backlash",
 )  # fmt: skip
 
 

@@ -14,14 +14,10 @@ from mjx_climb.physics.contact.uncertain import UncertainGripper
 from mjx_climb.physics.kinematics import Feet, Surface, Turning
 
 OPEN = jnp.zeros(4, bool)
-PARAMETERS = mc.parameters(mc.Scenario()).replace(
-    {
-        "contact.capture_distance": jnp.asarray(0.005),
-        "contact.holding_limit": jnp.asarray(jnp.inf),
-        "contact.rotational_stiffness": jnp.asarray(5.0),
-        "contact.rotational_damping": jnp.asarray(0.1),
-    }
-)
+CONTACT = Gripper(
+    stiffness=jnp.asarray(1e4), damping=jnp.asarray(20.0), holding_limit=jnp.asarray(jnp.inf),
+    capture_distance=jnp.asarray(0.005), rotational_stiffness=jnp.asarray(5.0), rotational_damping=jnp.asarray(0.1),
+)  # fmt: skip
 AWAY = GripperMemory(jnp.zeros((4, 3)), OPEN, OPEN, Reach(OPEN, OPEN))
 
 
@@ -32,9 +28,9 @@ def feet(*heights, slide=(0.0, 0.0), velocity=(0.0, 0.0, 0.0)):
 
 def gripped(contact, foot, *closed, ground=(0.0,) * 4, turning=None, **changes):
     changes = {name: jnp.asarray(value) for name, value in changes.items()}
-    parameters = dataclasses.replace(PARAMETERS, **changes)
     stages = {"limited_reach": bool(contact.reach), "rotational": bool(contact.attitude)}
-    return Gripper.of(parameters, **stages).step(contact, foot, turning, jnp.array(closed), jnp.array(ground))
+    own = dataclasses.replace(CONTACT, **changes, **stages)
+    return own.step(contact, foot, turning, jnp.array(closed), jnp.array(ground))
 
 
 @pytest.mark.parametrize("ground", [0.0, 0.3, -0.2])
@@ -104,7 +100,7 @@ GRIPS = {
     "bare": Gripper(holding_limit=12.0),
     "magnet": PolyhedralGripper(**magnet(12.0, 0.5)),
     "microspines": PolyhedralGripper(**microspines(0.8, 9.0)),
-    "uncertain": UncertainGripper(spread=0.2, seed=jnp.asarray(0.0), gripper=Gripper(holding_limit=12.0)),
+    "uncertain": UncertainGripper(spread=0.2, seed=jnp.asarray(0.0), holding_limit=12.0),
 }
 
 
@@ -152,7 +148,7 @@ def test_a_magnet_on_a_wall_slides_off_where_its_friction_ends(angle):
         magnetic = PolyhedralGripper(**magnet(limit, friction, 256))
         memory = magnetic.init(jnp.zeros((4, 3)), jnp.broadcast_to(jnp.eye(3), (4, 3, 3)))
         # the spring bears the weight: the foot hangs m g / k below its grip point
-        hangs = jnp.broadcast_to(jnp.array([0.0, 0.0, -weight / float(magnetic.gripper.stiffness)]), (4, 3))
+        hangs = jnp.broadcast_to(jnp.array([0.0, 0.0, -weight / float(magnetic.stiffness)]), (4, 3))
         uphill = jnp.broadcast_to(jnp.array([np.cos(slope), 0.0, np.sin(slope)]), (4, 3))
         surface = Surface(jnp.zeros((4, 3)), jnp.broadcast_to(jnp.asarray(normal), (4, 3)))
         still = Feet(hangs, jnp.zeros((4, 3)), uphill, surface)

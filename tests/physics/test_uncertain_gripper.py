@@ -13,10 +13,12 @@ OPEN, SHUT = np.zeros(LIMBS, bool), np.ones(LIMBS, bool)
 
 
 def gripper(**values):
-    """Return a gripper in double precision, and the plain one in it."""
-    inner = Gripper(*(jnp.asarray(value) for value in (1e4, 20.0, 0.0, 0.0, 15.0, np.inf)))
+    """Return a gripper in double precision, and the plain one of the same values."""
+    same = {"stiffness": 1e4, "damping": 20.0, "holding_limit": 15.0, "capture_distance": np.inf}
+    same |= {"rotational_stiffness": 0.0, "rotational_damping": 0.0}
+    inner = Gripper(**{name: jnp.asarray(value) for name, value in same.items()})
     values = {"spread": 0.0, "tested_pull": 0.0, "retry_steps": RETRY, "tries": 3.0, "seed": 5.0} | values
-    return UncertainGripper(**{name: jnp.asarray(value) for name, value in values.items()}, gripper=inner), inner
+    return UncertainGripper(**{name: jnp.asarray(value) for name, value in (same | values).items()}), inner
 
 
 def walked(contact, commands, height):

@@ -137,7 +137,7 @@ contacts = st.builds(GripperMemory, place, flags, flags, reach=st.none(), attitu
 
 @jax.jit
 def gripped(memory, feet, closed, ground, parameters):
-    return Gripper.of(parameters, limited_reach=False, rotational=False).step(memory, feet, None, closed, ground)
+    return parameters.contact.step(memory, feet, None, closed, ground)
 
 
 levels = arrays(float, 4, elements=st.floats(-0.05, 0.05, allow_subnormal=False))

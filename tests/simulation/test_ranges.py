@@ -168,7 +168,7 @@ def test_parameters_in_numpy_are_those_of_jax(hardware):
     scenario = mc.load_scenario("case_1_2", hardware)
     with jax.transfer_guard("disallow"):
         mine = own_parameters(scenario)
-    for name, value in mc.parameters(scenario).numbers.items():
-        own = getattr(mine, name)
+    for name, value in mc.parameters(scenario).values.items():
+        own = mine.at(name)
         assert isinstance(own, np.ndarray) and own.dtype == value.dtype == np.float64
         np.testing.assert_array_equal(own, value, err_msg=name)

@@ -60,7 +60,7 @@ def test_a_config_reaches_contact_drive_and_disturbances_and_comes_back():
     scenario = mc.Scenario(contact={"stiffness": 7e3}).with_overrides({"own": ALL})
     found = own_parameters(scenario)
     np.testing.assert_array_equal(found.contact.normals, ROWS["normals"])
-    assert found.contact.only_pulled and found.contact.gripper.stiffness == 7e3  # that of the contact section
+    assert found.contact.only_pulled and found.contact.stiffness == 7e3  # that of the contact section
     assert isinstance(found.drive, VelocityCommanded) and (found.drive.velocity_gain, found.drive.p) == (4.0, 10.0)
     first, second = found.disturbances
     assert (first.frame, second.frame) == ("link", "world") and first.limb == 1

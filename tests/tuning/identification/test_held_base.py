@@ -70,7 +70,7 @@ def test_a_step_of_a_millisecond_is_right_to_second_order(friction):
         "control.kp": truth.kp, "control.kd": truth.kd, **{f"hardware.servo.{k}": v for k, v in hardware.items()}
     })  # fmt: skip
     own = parameters(scenario)
-    stand = stands.Stand(ROBOT, hardware_of(own, stages_of(scenario, own, ROBOT), 0.001, ROBOT))
+    stand = stands.Stand(ROBOT, hardware_of(own, stages_of(own, ROBOT, scenario.time_step), 0.001, ROBOT))
     start = stands.begin(stand, jnp.asarray(targets[0].reshape(4, 3)), jnp.zeros((4, 3)))
     held = np.stack([stands.targets_of(time, command, time, 0.001)[0] for command in targets.T], axis=1)
     _, ours = jax.lax.scan(functools.partial(stands.advance, stand), start, jnp.asarray(held.reshape(-1, 4, 3)))

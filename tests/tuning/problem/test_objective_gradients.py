@@ -43,14 +43,14 @@ class Searched:
         self.spaces = [spaces.space(scenarios[0], search.Search.make(settings)) for settings in layouts]
         rng, self.points = np.random.default_rng(0), []
         for space in self.spaces:
-            theta = space.from_gains(NOMINAL[reading].replace({"control.kp": 45.0, "control.kd": 0.25}))
+            theta = space.from_gains(dataclasses.replace(NOMINAL[reading], kp=45.0, kd=0.25))
             self.points.append(space.clip(theta + rng.uniform(-0.2, 0.2, space.size)))
         self.axes = [np.eye(space.size) for space in self.spaces]
         self.numbers = []
         for scenario in scenarios:
-            own = {n: v for n, v in changes.items() if n == "cargo_start" or scenario.disturbance.pushes}
+            own = {n: v for n, v in changes.items() if ".cargo." in n or scenario.disturbance.pushes}
             own = {name: np.asarray(value, float) for name, value in own.items()}
-            self.numbers.append(dataclasses.replace(numbers(scenario), **own))
+            self.numbers.append(numbers(scenario).replace(own))
         self.walk = self._walk()
 
     def _walk(self):

@@ -112,7 +112,7 @@ def test_all_friction_of_a_servo_is_scaled_alike():
     drawn = draw(scenario, Ensemble.make({"members": 1, "hardware": {"friction": (2.0, 2.0)}}))
     half = compare.on_better_hardware(scenario, own)["half the friction"]
     motor, load, rate = jax.numpy.asarray(np.random.default_rng(0).normal(0, 2, (3, 50)))
-    stages = stages_of(scenario, own)
+    stages = stages_of(own, scenario.time_step)
     bounds = [
         servo.friction_bound(motor, load, rate, hardware_of(parameters, stages, scenario.time_step))
         for parameters in (own, drawn, half)
