@@ -74,7 +74,7 @@ def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
     stages = stages_of(own_parameters(scenario), scenario.time_step)._replace(control_period=True)
 
     def resolved(parameters):
-        return resolve(scenario, law_of(scenario), None, parameters, parameters.joint_loop.kp.dtype).parameters
+        return resolve(scenario, law_of(scenario), None, parameters, parameters.gravity.dtype, compiled=True).parameters
 
     def steps_of_one(one):
         period = hardware_of(one, stages, STEP).pace.period

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import mjx_climb as mc
 from mjx_climb.physics.contact.gripper import Attitude, Gripper, GripperMemory, Reach
 from mjx_climb.physics.contact.polyhedron import PolyhedralGripper, magnet, microspines
 from mjx_climb.physics.contact.uncertain import UncertainGripper

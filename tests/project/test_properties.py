@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import mjx_climb as mc
-from mjx_climb.physics.contact.gripper import Gripper, GripperMemory
+from mjx_climb.physics.contact.gripper import GripperMemory
 from mjx_climb.physics.kinematics import Feet
 from mjx_climb.physics.spatial import norm, quaternion_multiply, quaternion_to_matrix
 from mjx_climb.scenario.messages import ConfigError

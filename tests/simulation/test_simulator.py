@@ -146,7 +146,9 @@ def test_hardware_that_jax_traces_is_refused_where_a_walk_has_none(late):
         jax.jit(lambda ki: simulation.simulate({"ki": ki}))(1.0)
     # a delay has a buffer of some length: a derivative alone knows its value
     has = mc.Simulation(simulation.scenario.with_overrides({"hardware.force_sensor.delay": 0.004}))
-    with pytest.raises(ValueError, match=r"^parameters\.hardware\.force_sensor\.delay: expected a value that is known where"):
+    with pytest.raises(
+        ValueError, match=r"^parameters\.hardware\.force_sensor\.delay: expected a value that is known where"
+    ):
         jax.eval_shape(along("hardware.force_sensor.delay", has, "reset"), 0.004)
     jax.eval_shape(lambda: jax.jvp(along("hardware.force_sensor.delay", has, "reset"), (0.004,), (1.0,))[1].step)
     jax.eval_shape(along("disturbance.cargo.mass", method="reset"), 1.0)

@@ -186,7 +186,7 @@ def test_a_metric_that_does_not_keep_its_shapes_is_refused(change, message):
 
 
 def test_a_table_is_immutable_and_known_by_names():
-    assert mc.METRICS["travel"] is mc.METRICS[5] and mc.METRICS["travel"].unit == "m"
+    assert mc.METRICS["travel"] is mc.METRICS[6] and mc.METRICS["travel"].unit == "m"
     assert OWN[-2:].names == ("impulse", "weight") and OWN != mc.METRICS and len(OWN) == len(mc.METRICS) + 6
     assert hash(mc.METRICS + (SPEED,)) == hash(mc.METRICS + [SPEED])  # noqa: RUF005
     again = pickle.loads(pickle.dumps(mc.METRICS.with_companions))

@@ -144,11 +144,13 @@ def walk(request, tmp_path_factory):
         scenario = mc.Scenario.model_validate(climbers.config(path, 4, 3))
         changes |= {f"gait.{name}": value for name, value in changes.pop("gait").items() if name != "phases"} | own
     if request.param == "measured pose":
-        added["swing_path"] = np.random.default_rng(0).uniform(-0.3, 0.3, (4, 3, 6))
+        swing = np.random.default_rng(0).uniform(-0.3, 0.3, (4, 3, 6))
+        added["gait"] = dataclasses.replace(own_parameters(scenario.with_overrides(changes)).gait, swing_path=swing)
     if "motors" in request.param:
         added |= {
             "drive": VelocityCommanded(p=12.0, d=0.15, manager_period=0.003, largest_rate=1.5, torque_limit=1.2),
             "disturbances": (
+                *own_parameters(scenario.with_overrides(changes)).disturbances,
                 LinkWrench(limb=1.0, link=2.0, force=FORCE, moment=MOMENT, at=AT, start=0.05, stop=0.15),
                 LinkWrench(limb=3.0, link=1.0, force=-FORCE, moment=MOMENT, at=AT, start=0.1, frame="link"),
             ),
