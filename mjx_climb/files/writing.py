@@ -7,6 +7,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from mjx_climb.scenario.messages import printable
+
 
 class OutputError(ValueError):
     """A place that cannot be written to; in one line: path, what was expected, what was got."""
@@ -82,5 +84,4 @@ def check_folder(path: str | os.PathLike[str]) -> None:
 
 def _refused(path: str | os.PathLike[str], expected: str, error: OSError | ValueError) -> OutputError:
     reason = (getattr(error, "strerror", None) or str(error)).lower()
-    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
-    return OutputError(f"{shown}: expected {expected}, got {reason}")
+    return OutputError(f"{printable(os.fspath(path))}: expected {expected}, got {reason}")

@@ -241,6 +241,8 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
       mjx-climb doctor --schema --out scenario.schema.json
     """
     with reserved_stdout() as stdout:
+        from mjx_climb.scenario.messages import printable
+
         begin, parts = time.perf_counter(), examine()
         wrong = [part.name for part in parts if part.findings]
         said = "All is well: physics and gradients on this machine are those stored with the package."
@@ -251,8 +253,8 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
             print(dumps({"sound": not wrong, "verdict": said, "parts": found}, indent=2, allow_nan=False), file=stdout)
         else:
             for part in parts:
-                print(f"{part.name:9} {part.text}", file=stdout)
+                print(printable(f"{part.name:9} {part.text}", "\n"), file=stdout)
                 for finding in part.findings:
-                    print(f"{'':9} ! {finding}", file=stdout)
+                    print(printable(f"{'':9} ! {finding}", "\n"), file=stdout)
             print(f"\n{said} ({time.perf_counter() - begin:.0f} s)", file=stdout)
     raise typer.Exit(1 if wrong else 0)

@@ -181,8 +181,10 @@ def _check_surroundings(arguments: Sequence[str]) -> None:
 
 
 def _say(text: str) -> None:
+    from mjx_climb.scenario.messages import printable
+
     with contextlib.suppress(OSError):  # nobody can read it
-        print(f"mjx-climb: {text}", file=sys.stderr, flush=True)
+        print(f"mjx-climb: {printable(text)}", file=sys.stderr, flush=True)
 
 
 def user_error(error: Exception) -> str | None:
@@ -214,7 +216,9 @@ def user_error(error: Exception) -> str | None:
         message = str(error)
     else:
         return None
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
+    from mjx_climb.scenario.messages import printable
+
+    line = printable(" ".join(message.split()))
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
 
 

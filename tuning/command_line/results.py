@@ -1,6 +1,5 @@
 """`mjx-climb plot`, `reproduce` and `export`: pictures and other forms of what was found."""
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -323,8 +322,7 @@ def export(asked: Export) -> None:
             said = [f"note: {line}" for line in (*notes, *([of_servos] if of_servos else ()))]
             how: dict[str, Any] = {"law": law, "engine": asked.engine, "stage": session.stage}
             said += [f"warning: {line}" for line in deployment.check(scenario, gains, source, **how)]
-        for line in said:
-            print(f"mjx-climb: {line}", file=sys.stderr)
+        session.say(*(f"mjx-climb: {line}" for line in said))
         if asked.out is None:
             print(next(iter(files.values())), end="", file=stdout)
             return

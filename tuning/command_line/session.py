@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
 from rich.table import Table
 
 import mjx_climb as mc
+from mjx_climb.scenario.messages import printable
 from tuning.command_line import interruption
 from tuning.command_line.interruption import Interrupted
 from tuning.command_line.program import origin
@@ -358,9 +360,18 @@ class Session:
         self.console.print(text + (f", of which {spent}" if spent else ""))
 
 
+class Screen(Console):
+    """A console on which names, settings and verdicts of files cannot control the terminal."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield the segments of a text, a table or a bar, with all control characters but Rich's own spelt out."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=printable(segment.text, "\n"))
+
+
 def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
     """Return where people read: plain text of a fixed width unless it is a terminal."""
-    made = Console(file=file, stderr=stderr, highlight=False, markup=False, emoji=False)
+    made = Screen(file=file, stderr=stderr, highlight=False, markup=False, emoji=False)
     if not made.is_terminal:
         made.width = WIDTH
     return made

@@ -19,6 +19,7 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
+from mjx_climb.files.reading import read_found
 from mjx_climb.files.writing import OutputError, write_bytes_atomically, write_text_atomically
 from mjx_climb.robot_import.load import model_path
 from tuning import scenario_files
@@ -167,7 +168,7 @@ def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[st
 def identity_in(folder: Path) -> dict[str, Any] | None:
     """Return the identity that the parts in a folder have: None where there is none, empty where it is damaged."""
     try:
-        stored = json.loads((folder / IDENTITY).read_text())
+        stored = json.loads(read_found(folder / IDENTITY))
         found: dict[str, Any] = stored["of"]
         return found if isinstance(found, dict) and stored["sha256"] == _digest(json.dumps(found)) else {}
     except FileNotFoundError:

@@ -22,6 +22,7 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb.execution.contents import Unidentifiable
 from mjx_climb.files.dataset import OutputError, check_folder, write_text_atomically
+from mjx_climb.files.reading import leaving, read_found
 from tuning.methods import parts
 from tuning.problem.evaluation import Problem
 from tuning.results.result import RESULTS, WITHOUT_PARTS
@@ -67,12 +68,22 @@ def without_machine(identity: Settings) -> dict[str, Any]:
 def read(folder: Path) -> Record | None:
     """Return the record of a folder, None without one; one that is damaged has neither settings nor files."""
     try:
-        found = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        return Record(found["settings"], tuple(map(str, found["files"])), found["whole"] is True)
+        found = json.loads(read_found(folder / FILE))
+        settings, files, whole = found["settings"], found["files"], found["whole"] is True
+        if not isinstance(settings, dict | None) or not isinstance(files, list):
+            raise TypeError
+        return Record(settings, tuple(map(str, files)), whole)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, TypeError, LookupError, RecursionError):
         return Record(None)
+
+
+def check_names(folder: Path, record: Record | None) -> None:
+    """Raise OutputError where a record names files that are not in a folder: they would be removed, or replaced."""
+    if record is not None and (outside := leaving(folder, record.files)) is not None:
+        got = f"{outside!r}, which leaves it (correct {FILE} or the link, or choose another folder)"
+        raise OutputError(f"{folder}: expected results with files in this folder, got {got}")
 
 
 def begin(folder: Path, settings: Settings) -> None:
@@ -118,6 +129,7 @@ def check_own(folder: Path, result: str) -> None:
     """
     check_folder(folder)
     recover(folder)
+    check_names(folder, read(folder))
     kept = (parts.FOLDER,) if result in WITHOUT_PARTS else ()
     there = next((name for name in (*kept, *RESULTS) if (folder / name).exists()), result)
     if there != result:
@@ -258,6 +270,8 @@ def _replace(place: Path, target: Path, record: Record) -> None:
     Repeated after it was cut short, it does what is left.
     """
     before = read(target) or Record(None)
+    for each in (record, before):
+        check_names(target, each)
     own = record.settings is not None and before.settings == record.settings
     if not own:
         _write(target, before._replace(whole=False))

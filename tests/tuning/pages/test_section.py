@@ -46,6 +46,10 @@ def same_file(found, compared):
     return Section("Mine", files={"config.yaml": "mine"})
 
 
+def outside(found, compared):
+    return Section("Mine", files={"../mine.txt": "mine"})
+
+
 def without_picture(found, compared):
     return Section("Mine", pictures={"mine": Picture("", lambda: [].pop())})
 
@@ -80,6 +84,7 @@ def test_sections_of_ones_own_stand_on_the_page_and_in_the_folder(written, tmp_p
     ("section", "said"),
     [
         (same_file, "section Mine: expected other files than those of the result, got config.yaml"),
+        (outside, "section Mine: expected files in the result's folder, got '../mine.txt'"),
         (without_picture, "section without_picture: IndexError: pop from empty list"),
     ],
 )

@@ -1,5 +1,6 @@
 """A folder belongs to one run's settings, and its result appears whole or not at all."""
 
+import json
 import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -63,6 +64,31 @@ def test_of_another_runs_files_none_is_left_and_of_foreign_ones_all(tmp_path):
     assert (tmp_path / "report.html").read_text() == "new"
 
 
+@pytest.mark.parametrize("way", ["dots", "root", "link"])
+def test_a_list_of_files_that_leaves_the_folder_is_refused_and_nothing_is_removed(tmp_path, way):
+    """Somebody else's settings.json, in a folder that is written to from Python, or taken by a command."""
+    home, thesis = tmp_path / "home", tmp_path / "thesis.tex"
+    fill(home, "gains.yaml", settings=None)
+    thesis.write_text("mine")
+    (home / "inputs").symlink_to(tmp_path)
+    name = {"dots": "inner/../../thesis.tex", "root": str(thesis), "link": "inputs/thesis.tex"}[way]
+    (home / record.FILE).write_text(json.dumps({"settings": None, "files": ["gains.yaml", name], "whole": True}))
+    for attempt in (lambda: fill(home, "report.html", settings=None), lambda: record.check_own(home, "search.nc")):
+        with pytest.raises(OutputError, match=f"^{home}: expected results with files in this folder, got '.*{name}'"):
+            attempt()
+    assert thesis.read_text() == "mine" and (home / "gains.yaml").exists() and not (home / "report.html").exists()
+
+
+def test_no_file_of_a_result_is_written_through_a_link_that_leaves_the_folder(tmp_path):
+    home, theirs = tmp_path / "home", tmp_path / "theirs"
+    theirs.mkdir()
+    fill(home, "gains.yaml")
+    (home / "inputs").symlink_to(theirs)
+    with pytest.raises(OutputError, match=r"got 'inputs/robot\.xml', which leaves it"):
+        fill(home, "inputs/robot.xml")
+    assert not [*theirs.iterdir()]
+
+
 def test_unfinished_work_keeps_its_parts_and_is_no_whole_result(tmp_path):
     Parts(tmp_path, {"a": 1})
     fill(tmp_path, "gains.yaml", finished=False)
@@ -116,6 +142,10 @@ def test_each_run_has_a_folder_of_its_own(tmp_path):
         (lambda at: fill(at, "gains.yaml", settings=None), "the result of unknown settings"),
         (lambda at: (at / "sweep.nc").write_text(""), r"a result without settings.json \(sweep.nc\)"),
         (lambda at: (at / record.FILE).write_text("{"), "unfinished work of unknown settings"),
+        (
+            lambda at: (at / record.FILE).write_text('{"settings": [1], "files": [], "whole": true}'),
+            "unfinished work of unknown settings",
+        ),
     ],
 )
 def test_a_folder_of_another_run_is_refused(tmp_path, prepare, got):
