@@ -276,7 +276,8 @@ class Output(Options):
                 from mjx_climb.execution import devices
 
                 devices.begin()
-            yield Session(stdout, self, sections)
+            with contextlib.closing(Session(stdout, self, sections)) as session:
+                yield session
 
 
 class Members(Options):

@@ -17,6 +17,7 @@ from rich.segment import Segment
 from rich.table import Table
 
 import mjx_climb as mc
+from mjx_climb.files.writing import check_folder
 from mjx_climb.scenario.messages import printable
 from tuning.command_line import interruption
 from tuning.command_line.interruption import Interrupted
@@ -152,6 +153,7 @@ class Session:
         self.sections = sections  # of the user's own, for the report
         self.lacks = ""  # what a result lacks that is in the folder before the command ends
         self.settings: Mapping[str, Any] | None = None  # what the command was asked for
+        self._held = contextlib.ExitStack()  # its folder
         self._json = stdout if output.json_only else None
 
     def claim(
@@ -163,17 +165,19 @@ class Session:
         varied: bool = False,
         team: "Team | None" = None,
         at: Path | None = None,
+        shard: bool = False,
     ) -> Path:
         """Take the folder of a result, which is known by a file in it: `at`, or that of --out, or one by its settings.
 
+        No other command has it until this one ends; shards of the same settings have it together.
+
         By default it is results/NAME-KIND, with a digest of the settings behind it where they are `varied`, not plain
-        to see in the name, or where that folder is another run's.
+        to see in the name, or where that folder is another run's, or is becoming one's.
 
         Raises:
-            OutputError: it cannot be written, or holds another run's result.
+            OutputError: it cannot be written, holds another run's result, or another command uses it.
         """
         from tuning.writing import record
-        from tuning.writing.record import check_own
 
         out, base = at or self.output.out, Path("results") / "-".join((name, *kind))
         if out is None:
@@ -181,16 +185,30 @@ class Session:
             if not varied and out != base and not out.exists():
                 self.say(f"{base} holds {record.another(base, settings)}: this one goes to {out}")
         self.name, self.settings, self.out = name, settings, out if team is None else team.folder(out)
-        check_own(self.out, file)
+        check_folder(self.out)
+        try:
+            self._held.enter_context(record.held(self.out, settings, shard=shard))
+        except record.InUse:
+            if out != base:
+                raise
+            self.out = record.own_folder(base, settings or {}, varied=True)
+            self._held.enter_context(record.held(self.out, settings, shard=shard))
+            self.say(f"another command uses {base}: this one goes to {self.out}")
+        record.check_own(self.out, file)
         record.check(self.out, settings)
         return self.out
 
-    def take(
-        self, walk: Walked, file: str, settings: Mapping[str, Any], *kind: str, team: "Team | None" = None
-    ) -> Path:
-        """Take the folder of a result of some walk, called by its config and what stands in place of the config's."""
+    def close(self) -> None:
+        """Let other commands have the folder."""
+        self._held.close()
+
+    def take(self, walk: Walked, file: str, settings: Mapping[str, Any], *kind: str, **how: Any) -> Path:
+        """Take the folder of a result of some walk, called by its config and what stands in place of the config's.
+
+        `how` as of `claim`.
+        """
         words = walk.config.stem, *kind, *walk.words
-        return self.claim(file, *words, settings=settings, varied=walk.varied, team=team)
+        return self.claim(file, *words, settings=settings, varied=walk.varied, **how)
 
     def whole(self) -> "contextlib.AbstractContextManager[Path]":
         """Give an empty folder, whose files become those of the result once the block ends well."""

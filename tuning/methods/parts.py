@@ -19,6 +19,7 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
+from mjx_climb.files.locks import alone, refused
 from mjx_climb.files.reading import read_found
 from mjx_climb.files.writing import OutputError, write_bytes_atomically, write_text_atomically
 from mjx_climb.robot_import.load import model_path
@@ -51,11 +52,15 @@ class Parts:
             return
         self.folder = self.out / FOLDER
         self._identity = json.dumps(identity() if callable(identity) else identity)
-        wanted, stored = json.loads(self._identity), identity_in(self.folder)
-        if stored is None:
-            sealed = {"sha256": _digest(self._identity), "of": wanted}
-            write_text_atomically(self.folder / IDENTITY, json.dumps(sealed, indent=1))
-        elif stored != wanted:
+        wanted = json.loads(self._identity)
+        with refused(self.out):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with alone(self.folder):
+                stored = identity_in(self.folder)
+                if stored is None:
+                    sealed = {"sha256": _digest(self._identity), "of": wanted}
+                    write_text_atomically(self.folder / IDENTITY, json.dumps(sealed, indent=1))
+        if stored not in (None, wanted):
             differs = ", ".join(differences(stored, wanted)) or "its keys"
             raise OutputError(
                 f"{out}: expected no unfinished computation but this one, got another that differs in {differs} "

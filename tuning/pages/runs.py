@@ -72,7 +72,7 @@ def below(folder: Path, check: Callable[[], None] = lambda: None) -> list[Run]:
 
 
 def _run(where: Path, above: Path, written: str | None, marker: str | None) -> Run:
-    """Return what a folder tells; `written` is the file that is as old as the result, `marker` that of its kind."""
+    """Return the result in a folder; `written` is the file that is as old as the result, `marker` that of its kind."""
     seconds = os.stat(where / str(written)).st_mtime
     try:
         when = datetime.fromtimestamp(seconds)
