@@ -40,6 +40,13 @@ def test_members_differ_between_settings_in_what_is_made_worse_alone():
     np.testing.assert_array_equal(np.reshape(parameters.mass_scale, (4, 4)), np.tile(np.ravel(own.mass_scale), (4, 1)))
 
 
+@pytest.mark.parametrize(("factor", "period"), [("x1.2", 0.002), ("x1.3", 0.003), ("x0.1", 0.001), ("x2", 0.004)])
+def test_a_period_is_scaled_to_whole_time_steps_one_at_least(factor, period):
+    scenario = CASE.with_overrides({"hardware.control_period": 0.002})
+    changed = degraded.worsened(scenario, mc.parameters(scenario), degraded.setting(f"period={factor}"))
+    assert float(changed.control_period) == pytest.approx(period, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("worse", "said"),
     [

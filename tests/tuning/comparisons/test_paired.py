@@ -55,6 +55,16 @@ def test_the_interval_of_normal_differences_is_the_analytic_one():
     assert found.walks_needed[0] == pytest.approx(needed, rel=0.1)
 
 
+@pytest.mark.parametrize("walks", [4, 12])
+def test_few_walks_scatter_by_the_variance_of_one_known_by_the_others(walks):
+    """The error that interval and number of walks rest on is that of the mean, with one degree of freedom taken."""
+    values = np.concatenate([np.random.default_rng(5).normal(size=(1, 1, walks)), np.zeros((1, 1, walks))])
+    found = paired.intervals({"": lambda counts: paired.worst_mean(values, counts)}, walks, 1, count=20_000)[""]
+    half, needed = (found.high - found.low)[0] / 2, np.sqrt(found.walks_needed[0] / walks) * abs(found.difference[0])
+    # half is a multiple of the error, and as many walks are needed as lessen that multiple and 0.84 to the difference
+    assert (needed - half) / paired.POWER_QUANTILE == pytest.approx(values[0].std(ddof=1) / np.sqrt(walks), rel=0.02)
+
+
 def test_intervals_of_many_rows_hold_at_once():
     """Of independent rows each is as wide as the quantile of the largest of so many normal numbers asks for."""
     rng = np.random.default_rng(4)

@@ -164,6 +164,25 @@ def test_a_sampler_of_optuna_by_its_name(bowl, sampler):
     np.testing.assert_array_equal(requests, searched(bowl, method_of(f"optuna:{sampler}"), starts=8, iterations=30)[0])
 
 
+def test_cmaes_draws_about_the_best_of_its_first_points(bowl):
+    """Whichever that is, here the one nearest to the middle of the box."""
+    requests = []
+
+    def evaluate(request):
+        requests.append((request.theta - bowl.space.lower) / (bowl.space.upper - bowl.space.lower))
+        worth = abs(requests[0] - 0.5).max(1)
+        return bowl.evaluate(request.theta)._replace(value=worth, penalty=0 * worth)
+
+    settings = Search.make({"method": "cmaes", "starts": 600, "iterations": 2})
+    follow(method_of("cmaes").run(Task(bowl, settings, start_of(bowl))), evaluate)
+    first, second = requests
+    assert min(map(np.min, requests)) >= 0 and max(map(np.max, requests)) <= 1
+    best = first[abs(first - 0.5).max(1).argmin()]
+    np.testing.assert_allclose(np.median(second, axis=0), best, atol=0.05)
+    np.testing.assert_allclose(np.std(second, axis=0), 0.2, rtol=0.15)
+    assert abs(best - first[0]).max() > 0.1
+
+
 @pytest.mark.parametrize("sampler", ["nothing", "grid", "partialfixed", "base"])
 def test_samplers_that_need_more_than_a_seed_are_refused(bowl, sampler):
     pytest.importorskip("optuna")
