@@ -199,7 +199,7 @@ class Export(Options):
     )
     config: Path | None = setting(
         None,
-        f"scenario in which the gains must hold; null: {_BESIDE} beside GAINS",
+        f"scenario in which the gains must hold; null: {_BESIDE} beside GAINS, where it runs no file of Python",
         metavar="CONFIG",
         complete="config",
     )
@@ -245,6 +245,11 @@ class Export(Options):
             if self.hardware is not None:
                 raise InputError("--hardware: expected --config with it")
             return None
+        own = mc.load_scenario(config).own if self.config is None else None
+        for place, each in {} if own is None else own.components.items():
+            if each.file is not None:
+                expected = f"none in a config that was found, not given (--config {config} runs it)"
+                raise config_error(str(config), f"own.{place}.file", expected, each.file)
         scenario, _ = gains_file.walker(self.gains, scenario_from(config, {}, self.hardware))
         if self.rate is not None:
             period = 0.0 if self.rate == round(1 / scenario.time_step) else 1 / self.rate
