@@ -47,7 +47,8 @@ _MODULES = {"excite": "logs", "identify": "logs", "replay": "logs", "reproduce":
 _TRUE = ("1", "true", "t", "yes", "y", "on")  # as JAX reads its settings
 _LONGEST = 1000  # characters of a line
 _ALIKE = 0.75  # least likeness of two names of which one may be meant by the other
-_OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "Refused", "LostProcess", "RenderingError"}
+_OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "Refused", "LostProcess", "RenderingError",
+                "InstallationError"}  # fmt: skip
 _OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
 
 

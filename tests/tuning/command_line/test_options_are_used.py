@@ -304,7 +304,7 @@ def traced(monkeypatch, tmp_path, folder):
         "tuning.comparisons.first_walks.on_ceiling": None,
         "tuning.comparisons.first_walks.slow_enough": (scenario, True, "as it is", 0.5),
         "tuning.comparisons.first_walks.with_joint_gains": (scenario, "as they are"),
-        "tuning.benchmarks.measure.measure": defaultdict(float, devices=["cpu"]),
+        "tuning.benchmarks.measure.measure": defaultdict(float, devices=["cpu"], versions={"mujoco": ""}),
         "tuning.command_line.cache.cache": [SimpleNamespace(text="")],
         "tuning.command_line.machine.examine": [],
         "tuning.command_line.evaluate._margins_in_words": ("", "{}"),
