@@ -128,11 +128,12 @@ def _of_mujoco(engine: str, mjx: str, parts: Mapping[str, str]) -> Iterator[str]
         yield f'mujoco-mjx {mjx}: python -m pip install "mujoco-mjx=={".".join(map(str, MJX))}.*"'
     expected = {} if release < (4,) else dict.fromkeys(OF_MUJOCO_4, engine)
     files = [file for name in ("mujoco", *parts) for file in metadata.files(name) or () if file.suffix != ".pyc"]
-    lost = sum(not file.locate().exists() for file in files)
+    lost = sum(not os.path.exists(file.locate()) for file in files)
     if lost or parts != expected:
         beside = f" beside {in_words(parts)}" * (parts != expected)
         remedy = f'python -m pip uninstall -y mujoco {" ".join(OF_MUJOCO_4)}; python -m pip install "{wanted}"'
-        yield f"mujoco {engine}{beside}, {lost} of {len(files)} files lost, as a change of release in place leaves it: {remedy}"
+        damage = f"{lost} of {len(files)} files lost, as a change of release in place leaves it"
+        yield f"mujoco {engine}{beside}, {damage}: {remedy}"
 
 
 def devices() -> Iterator[Part]:

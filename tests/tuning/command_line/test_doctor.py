@@ -118,6 +118,7 @@ def test_what_a_machine_lacks_is_seen_and_what_is_switched_off_is_fine(
 
 WHOLE = dict.fromkeys(["mujoco", "mujoco-core", "mujoco-studio"], "4.0.0") | {"mujoco-mjx": "3.17.0"}
 AGAIN = 'python -m pip uninstall -y mujoco mujoco-core mujoco-studio; python -m pip install "mujoco=='
+CHANGED = "as a change of release in place leaves it"
 
 
 @pytest.mark.parametrize(
@@ -125,7 +126,7 @@ AGAIN = 'python -m pip uninstall -y mujoco mujoco-core mujoco-studio; python -m 
     [
         ({}, [], None),
         # an upgrade in place from 3.17, and a downgrade
-        ({}, ["mujoco-core", "mujoco-studio"], f'4.0.0, 2 of 4 files lost, as a change of release in place leaves it: {AGAIN}4'),
+        ({}, ["mujoco-core", "mujoco-studio"], f"4.0.0, 2 of 4 files lost, {CHANGED}: {AGAIN}4"),
         ({"mujoco": "3.17.0"}, [], f"{AGAIN}3.17.0"),
         ({"mujoco-core": "4.0.1"}, [], "mujoco 4.0.0 beside mujoco-core 4.0.1, mujoco-studio 4.0.0, 0 of 4 files lost"),
         (dict.fromkeys(WHOLE, "5.0.0") | {"mujoco-mjx": "3.17.0"}, [], 'pip install "mujoco>=3.17,<5"'),
