@@ -8,6 +8,7 @@ import xarray as xr
 from PIL import Image
 
 import mjx_climb as mc
+from mjx_climb import child_process
 from mjx_climb.files import dataset
 from tuning.pages import redrawn
 
@@ -96,7 +97,7 @@ def test_a_damaged_file_on_which_hdf5_hangs_gets_one_line(plot, folder, monkeypa
     assert plot(folder)[:2] == (0, ["maps.png"])
     at = content.index(b"GCOL") + 48  # the size of its second object
     (folder / "sweep.nc").write_bytes(content[:at] + bytes(8) + content[at + 8 :])
-    monkeypatch.setattr(dataset, "PATIENCE", 3.0)
+    monkeypatch.setattr(child_process, "PATIENCE", 3.0)
     code, out, err = plot(folder)
     assert (code, out) == (2, [])
     assert err.endswith("sweep.nc: expected a netCDF4 file, got another file, or a damaged one")
