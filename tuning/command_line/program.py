@@ -140,6 +140,11 @@ def run(arguments: Sequence[str]) -> int:
     except (interruption.Interrupted, KeyboardInterrupt) as interrupt:
         _say(f"interrupted: {interrupt}" if str(interrupt) else NOTHING_KEPT)
         return interruption.CODE
+    except SystemExit as ended:
+        if {"typer", "click"} & {*_last_file(ended).split("/")}:  # which print what a shell completes, and end
+            raise
+        _say(f"error: expected own files that leave the program to its end, got sys.exit({ended.code!r})")
+        return 2
     except Exception as error:
         message = user_error(error)
         if interruption.requested():  # it broke what this went wrong on, a program that it had started for example
@@ -225,12 +230,16 @@ def user_error(error: Exception) -> str | None:
 
 def _raised_in(error: Exception) -> str:
     """Return the file of JAX that an error was raised in, by its folder in the package; "" for any other file."""
+    _, folder, name = _last_file(error).rpartition("/jax/_src/")
+    return f"jax/_src/{name}" if folder else ""
+
+
+def _last_file(error: BaseException) -> str:
+    """Return the file that an error was raised in."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
-    file = trace.tb_frame.f_code.co_filename.replace(os.sep, "/") if trace else ""
-    _, folder, name = file.rpartition("/jax/_src/")
-    return f"jax/_src/{name}" if folder else ""
+    return trace.tb_frame.f_code.co_filename.replace(os.sep, "/") if trace else ""
 
 
 def _nearest(option: str, command: Any) -> str:

@@ -529,3 +529,17 @@ def test_run_turns_gravity_as_it_is_told(options, gravity, monkeypatch, tmp_path
     with pytest.raises(SystemExit):
         main(["run", "case_1_2", "--set", "gravity=[0,0,-9.81]", "--out", str(tmp_path / "out"), *options])
     assert walked == [pytest.approx(gravity)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import sys\nsys.exit(0)",
+        "from mjx_climb import Law\nclass Mine(Law):\n    def __init__(self): exit(0)",
+        "exit()",
+    ],
+)
+def test_a_file_of_ones_own_does_not_end_the_program_as_if_all_were_done(text, call, tmp_path):
+    (tmp_path / "own.py").write_text(text)
+    code, out, err = call("run", CONFIG, "--law", f"{tmp_path}/own.py:Mine", "--out", tmp_path / "out")
+    assert (code, out, err.count("\n")) == (2, "", 1) and ("SystemExit" in err or "sys.exit(0)" in err)
