@@ -278,7 +278,7 @@ def test_odd_files_walk_on_a_slope(saved, name):
         (1.62, ["--gravity", "1.62"], (0, 0, -1.62)),
         (1.62, ["--gravity", "1.62", "--slope", "30"], (-0.81, 0, -1.62 * np.cos(np.pi / 6))),
         (9.81, ["--slope", "90"], (-9.81, 0, 0)),
-        (9.81, ["--ceiling"], (0, 0, 9.81)),
+        (9.81, ["--roof"], (0, 0, 9.81)),
     ],
 )
 def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, turned, monkeypatch, ended):
@@ -313,10 +313,10 @@ def test_what_the_first_walks_show_is_said(saved, monkeypatch, ended):
     ("asked", "said"),
     [
         (["--gravity", "inf"], "gravity: expected a list of three"),
-        (["--gravity", "-9.81"], "--gravity: expected its strength, 0 or more, got -9.81; --ceiling turns it round"),
+        (["--gravity", "-9.81"], "--gravity: expected its strength, 0 or more, got -9.81; --roof turns it round"),
         (["--slope", "200"], "--slope: expected 180 at most, got "),
-        (["--slope", "20", "--ceiling"], "--ceiling: expected none with --slope 20"),
-        (["--gravity", "0", "--ceiling"], "--ceiling: expected gravity, got none"),
+        (["--slope", "20", "--roof"], "--roof: expected none with --slope 20"),
+        (["--gravity", "0", "--roof"], "--roof: expected gravity, got none"),
         (["--write", "robot.xml"], "another file than the robot's own"),
     ],
 )

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 
 @command("results/<config>-excite")
-def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excitation, output: Output) -> None:
+def excite(
+    walk: Annotated[Walk, "config", "hardware", "changes", "slope", "roof"], asked: Excitation, output: Output
+) -> None:
     """Find what to command so that the robot's own log tells its parameters.
 
     Candidates are scaled, stretch by stretch, until joint limits, torque, speed and reach (free: pull of the grippers)
@@ -112,7 +114,9 @@ class Fitted(Recorded):
 
 
 @command("none: nothing is written")
-def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes"], output: Output) -> None:
+def identify(
+    asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes", "slope", "roof"], output: Output
+) -> None:
     """Fit parameters of a scenario to what the robot itself recorded, on a stand or as it sways on shut grippers.
 
     The log holds the commands of the joints and what came of them, as excite asks for. KEY is one of a scenario's

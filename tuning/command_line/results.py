@@ -62,7 +62,7 @@ class Plot(Options):
     )
     figures: Figures = FIGURES
     out: Path | None = setting(None, "folder for the pictures; null: FOLDER", metavar="DIR")
-    size: Annotated[tuple[float, float] | None, BeforeValidator(_inches)] = setting(
+    figure_size: Annotated[tuple[float, float] | None, BeforeValidator(_inches)] = setting(
         None, "width and height, mm; null: a column of a paper", metavar="WxH"
     )
     dpi: int = setting(300, "dots per inch of PNG", ge=20, le=2400)
@@ -75,13 +75,13 @@ class Plot(Options):
 def plot(asked: Plot) -> None:
     """Draw the pictures of a result again: any metric, format, size and style. Nothing is walked.
 
-    For what run, sweep, tune, pareto and schedule wrote.
+    For results of run, sweep, tune (--against and --over too) and evaluate.
 
     \b
     Examples:
       mjx-climb plot results/case_1_2-sweep --metric peak_pull_force --metric min_tsm
       mjx-climb plot results/case_1_2-tune-gradient-isotropic --figures svg,pdf --out paper
-      mjx-climb plot results/case_2-pd --size 180x200 --style journal.mplstyle
+      mjx-climb plot results/case_2-pd --figure-size 180x200 --style journal.mplstyle
     """
     from mjx_climb.viz import plots
     from tuning.pages import redrawn
@@ -90,8 +90,8 @@ def plot(asked: Plot) -> None:
     with plots.over_style(asked.style):
         try:
             for name, figure in redrawn.figures(folder, asked.metric):
-                if asked.size is not None:
-                    figure.set_size_inches(*asked.size)
+                if asked.figure_size is not None:
+                    figure.set_size_inches(*asked.figure_size)
                 for path in plots.save_figure(figure, out / name, asked.figures, dpi=asked.dpi):
                     typer.echo(path)
         except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:

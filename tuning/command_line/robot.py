@@ -9,7 +9,7 @@ from pydantic import BeforeValidator
 
 import mjx_climb as mc
 from tuning.command_line.from_models import command
-from tuning.command_line.options import Incline, Output
+from tuning.command_line.options import ROOF, SLOPE, Output, inclined
 from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
@@ -20,6 +20,8 @@ class Robot(Options):
     file: Path = setting(..., "MJCF (.xml) or URDF (.urdf) of the robot", metavar="FILE", argument=True)
     write: Path | None = setting(None, "scenario to write, ready for run; null: print it", metavar="CONFIG")
     gravity: float = setting(9.81, "strength of gravity, m/s^2; on the Moon 1.62", metavar="M/S2")
+    slope: float | None = SLOPE
+    roof: bool = ROOF
     base: str | None = setting(None, "body that the limbs begin at; null: found", metavar="BODY")
     limbs: Annotated[tuple[str, ...], BeforeValidator(lambda text: text.split(","))] = setting(
         (), "limbs to stand on; others are held; null: all", metavar="NAME,NAME,..."
@@ -29,13 +31,13 @@ class Robot(Options):
         """Return the strength of gravity, m/s^2, refused where it has a sign."""
         if self.gravity < 0:
             raise InputError(
-                f"--gravity: expected its strength, 0 or more, got {self.gravity:g}; --ceiling turns it round"
+                f"--gravity: expected its strength, 0 or more, got {self.gravity:g}; --roof turns it round"
             )
         return self.gravity
 
 
 @command()
-def robot(asked: Robot, incline: Incline) -> None:
+def robot(asked: Robot) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 
     Limbs are the rows of two to seven joints that start at one base and end in what is called a foot, or the like. The
@@ -66,7 +68,7 @@ def robot(asked: Robot, incline: Incline) -> None:
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(f"{write}: expected another file than the robot's own")
-    gravity = incline.gravity((0.0, 0.0, -asked.strength()))
+    gravity = inclined((0.0, 0.0, -asked.strength()), asked.slope, asked.roof)
     proposal = propose(file, asked.gravity, asked.base, asked.limbs)
     scenario = validated(mc.Scenario, {**proposal.sections, "gravity": gravity, "time_step": 0.001}, str(file))
     step = min(0.001, largest_time_step(scenario, str(file)))
@@ -82,7 +84,7 @@ def robot(asked: Robot, incline: Incline) -> None:
     with Session(sys.stdout, Output()).stage("walking it, with other joint gains and slower gaits beside"):
         scenario, searched = first_walks.with_joint_gains(scenario)
         scenario, walks, how, load = first_walks.slow_enough(scenario)
-        hung = first_walks.on_ceiling(scenario) if walks and any(gravity) and not incline.ceiling else None
+        hung = first_walks.on_ceiling(scenario) if walks and any(gravity) and not asked.roof else None
     tell("changed", f"kp {scenario.control.kp:g}, kd {scenario.control.kd:g}", searched)
     tell("taken" if walks else "failed", "walk", how)
     if heavy := first_walks.heavy_load(scenario, load):

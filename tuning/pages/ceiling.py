@@ -124,9 +124,13 @@ def front_table(found: Bounded) -> Table:
 
 
 def summary(found: Bounded) -> dict[str, Any]:
-    """Return it as plain data."""
+    """Return the result as plain data, as `summary.json` and `evaluate --ceiling --json` have it.
+
+    `ceiling`: objective (pd: 1), share and mean metrics of plans (clairvoyant, blind, ...), laws and pd by name;
+    `unseen`: those of blind plan and laws in unseen walks; `sensor`: what a sensor is worth at most, with its interval.
+    """
     worth = found.sensor
-    contestants = {
+    ceiling = {
         name: {"objective": found.values(name).mean(), "share": found.share(name),
                **{metric: float(np.mean(found.data[metric].sel(contestant=name))) for metric in _METRICS}}
         for name in found.contestants
@@ -142,7 +146,7 @@ def summary(found: Bounded) -> dict[str, Any]:
         "sensor": sensor,
         **({"front": {"metrics": [found.asked.better, found.asked.against], "points": front}} if front else {}),
         "unseen": unseen,
-        "contestants": contestants,
+        "ceiling": ceiling,
         "search_noise": noise(found),
         "starts_apart": found.spread,
     }

@@ -515,7 +515,7 @@ def test_configs_that_come_with_the_program_are_found_by_name(call, monkeypatch,
 
 @pytest.mark.parametrize(
     ("options", "gravity"),
-    [([], (0, 0, -9.81)), (["--slope", "90"], (-9.81, 0, 0)), (["--ceiling"], (0, 0, 9.81))],
+    [([], (0, 0, -9.81)), (["--slope", "90"], (-9.81, 0, 0)), (["--roof"], (0, 0, 9.81))],
 )
 def test_run_turns_gravity_as_it_is_told(options, gravity, monkeypatch, tmp_path):
     """Its strength stays the config's; nothing is walked here."""

@@ -43,7 +43,18 @@ def folder(tmp_path):
 def test_a_metric_is_drawn_as_it_is_asked_for(plot, folder, tmp_path):
     (tmp_path / "large.mplstyle").write_text("axes.labelsize: 20")
     out = tmp_path / "out"
-    asked = ("--metric", "peak_foot_force", "--figures", "png,svg", "--size", "100x80", "--dpi", 127, "--out", out)
+    asked = (
+        "--metric",
+        "peak_foot_force",
+        "--figures",
+        "png,svg",
+        "--figure-size",
+        "100x80",
+        "--dpi",
+        127,
+        "--out",
+        out,
+    )
     assert plot(folder, *asked) == (0, ["maps-peak_foot_force.png", "maps-peak_foot_force.svg"], "")
     with Image.open(out / "maps-peak_foot_force.png") as picture:
         assert picture.size == (500, 400)

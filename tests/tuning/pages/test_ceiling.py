@@ -114,7 +114,10 @@ def test_a_blind_plan_is_told_by_walks_that_it_was_not_searched_on():
     unseen = {row[0]: row[shown.columns.index("unseen")] for row in shown.sections[0][1]}
     assert unseen == {"clairvoyant": "-", "causal 5 ms": "-", "blind": "0.9000", "mine": "0.7500", "retuned_pd": "-",
                       "pd": "1.0000"}  # fmt: skip
-    assert pages.summary(found)["unseen"]["mine"]["objective"] == pytest.approx(0.75)
+    summary = pages.summary(found)
+    assert summary["unseen"]["mine"]["objective"] == pytest.approx(0.75)
+    assert list(summary["ceiling"]) == found.contestants
+    assert summary["ceiling"]["blind"]["objective"] == pytest.approx(found.values("blind").mean())
     assert bounded().tested == {} and "unseen" not in pages.table(bounded()).columns
 
 
