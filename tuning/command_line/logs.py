@@ -98,11 +98,12 @@ class Recorded(Options):
         asked = self.model_dump(mode="json", exclude={"log", "signals"})
         return {**asked, "log": log.digest}
 
-    def say_guess(self, log: "Log", shell: "Session") -> None:
-        """Say where each signal was found, where that was guessed."""
+    def say_read(self, log: "Log", shell: "Session") -> None:
+        """Say where each signal was found, where that was guessed, and what seems wrong with the log."""
         if log.guessed is not None:
             how = "guessed where each signal stands (save this as signals.yaml, correct it, --signals signals.yaml):"
             shell.say(f"{self.log}: {how}", log.guessed.to_yaml().rstrip())
+        shell.say(*(f"warning: {line}" for line in log.warnings))
 
 
 class Fitted(Recorded):
@@ -151,7 +152,7 @@ def identify(
         loaded = fitted(walk, "identify")
         scenario = loaded.scenario
         log = asked.read(scenario)
-        asked.say_guess(log, shell)
+        asked.say_read(log, shell)
         if output.out is not None:
             settings = settings_of(loaded, "identify", asked=asked.settings(log))
             if (shell.claim(FILE, walk.config.stem, settings=settings) / FOLDER).exists():
@@ -218,8 +219,7 @@ def replay(
         prepared = replays.prepare(log, loaded.scenario, asked.base, asked.mass)
         settings = settings_of(loaded, "replay", asked=asked.settings(log))
         shell.claim("replay.json", walk.config.stem, "replay", *walk.words, settings=settings, varied=walk.varied)
-        asked.say_guess(log, shell)
-        shell.say(*(f"warning: {line}" for line in log.warnings))
+        asked.say_read(log, shell)
         shell.opening()
         with shell.stage("replay"):
             found = replays.simulate(prepared, loaded.engine)

@@ -13,11 +13,13 @@ from tuning.identification.readers.doubts import doubts, several
 from tuning.identification.readers.formats import record
 from tuning.identification.readers.formats.csv_file import write_csv as write_csv
 from tuning.identification.readers.guess import guess
-from tuning.identification.readers.log import BASE, JOINT, Log, Signal, names, unit_of
+from tuning.identification.readers.log import BASE, JOINT, Log, Signal, joints_of, names, unit_of
+from tuning.identification.readers.outliers import without_outliers
 from tuning.identification.readers.repairs import cleaned, without_turns, without_unmeasured
 from tuning.identification.readers.signals import SECONDS, UNITS, Signals, Source
 from tuning.identification.readers.table import Recording, Table
 
+_IN_DEGREES = {"rad": "deg", "rad/s": "deg/s"}
 _LARGEST = 1e100  # of a number: squares and sums are finite
 _SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N"}  # of a prismatic joint
 
@@ -30,9 +32,8 @@ def read_log(
     Arguments:
         path: CSV, netCDF, MCAP (.mcap), an sqlite bag (.db3), or the folder of a bag.
         robot: whose limbs and joints the signals are named by.
-        signals: where each signal stands, or the file that says so. Without it columns are read by the names of
-            `tuning.identification.readers.log`; where there are none, it is guessed from what names there are, and
-            `Log.guessed` says how.
+        signals: where each signal stands, or the file that says so. Where it names no signal, columns are read by the
+            names of `tuning.identification.readers.log`; without such names it is guessed, and `Log.guessed` says how.
 
     Raises:
         ConfigError: no such file, another format, or no signal of this robot in it; a signal where there is none; in
@@ -43,20 +44,26 @@ def read_log(
     doubtful: tuple[str, ...] = ()
     if isinstance(signals, str | os.PathLike):
         place, signals = os.fspath(signals), Signals.load(signals)
-    if signals is None:
+    if signals is None or not signals.signals:
+        given = {} if signals is None else signals.model_dump(exclude_unset=True, exclude={"signals"})
         place = recording.source
         there, missing = _recorded(recording, robot)
-        signals, unknown = _by_own_names(there, robot)
+        found, unknown = _by_own_names(there, robot)
         notes += (*(f"{recording.source}: {line}" for line in [missing] if line), *unknown)
-        if not signals.signals:
-            guessed, doubtful = guess(there, robot)
-            signals, notes = guessed, notes + tuple(f"{recording.source}: {note}" for note in doubtful)
+        if not found.signals:
+            found, doubtful = guess(there, robot)
+            guessed = found.changed(given)
+            notes += tuple(f"{recording.source}: {note}" for note in doubtful)
+        signals = found.changed(given)
     if not signals.signals:
         why = "; ".join(filter(None, [missing, *doubtful]))
         got = f"{_columns(there)} ({why})" if why else _columns(there)
         raise ConfigError(f"{recording.source}: expected signals such as {_some(names(robot))}, got {got}")
+    signals = _in_degrees(signals, robot)
     raw = {name: _taken(recording, signals, name, robot, place) for name in signals.signals}
     read, said = cleaned(raw, signals)
+    read, more = without_outliers(read, robot, signals)
+    said += more
     repairs = (without_unmeasured, without_turns) if signals.turns == "unwrap" else (without_unmeasured,)
     for repair in repairs:
         read, more = repair(read, robot)
@@ -100,6 +107,20 @@ def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[st
     return Signals(time="time", signals=own), tuple(sorted(said))
 
 
+def _in_degrees(signals: Signals, robot: Robot) -> Signals:
+    """Return where signals stand, with the unit of the file at those of turning joints that name none."""
+    if signals.unit == "rad":
+        return signals
+    sliding = {joint for joint, place in joints_of(robot).items() if robot.sliding is not None and robot.sliding[place]}
+    turning = {f"{joint}.{what}" for joint in joints_of(robot).keys() - sliding for what in JOINT}
+    units = {name: _IN_DEGREES.get(unit_of(name)) for name in signals.signals.keys() & turning}
+    sources = {
+        name: source.changed({"unit": units[name]}) if source.unit is None and units.get(name) else source
+        for name, source in signals.signals.items()
+    }
+    return signals.model_copy(update={"signals": sources})
+
+
 def _taken(recording: Recording, signals: Signals, name: str, robot: Robot, place: str) -> tuple[Signal, str]:
     """Return a signal of a file in SI units, with the columns that were recorded with it.
 
@@ -139,7 +160,7 @@ def _taken(recording: Recording, signals: Signals, name: str, robot: Robot, plac
             recording.source, f"time: {clock}", "times that increase" + f" (time: {pair} in signals.yaml)" * bool(pair),
             f"{len(time) - 1 - later} of {len(time)} that come no later than one before them",
         )  # fmt: skip
-    return Signal(time, source.factor * (value - source.zero)), group
+    return Signal(time, source.factor * (source.signed(value) - source.zero)), group
 
 
 def _times(table: Table, source: Source, signals: Signals, recording: Recording, place: str) -> tuple[np.ndarray, str]:
