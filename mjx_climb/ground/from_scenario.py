@@ -3,6 +3,7 @@
 import functools
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -101,7 +102,8 @@ def _from_file(cloud: model.HoldCloud, random: np.random.Generator, turn: np.nda
         normal[lacking] = _fitted(position, cloud.neighbours, turn, table.viewpoint)[lacking]
     if inward := _inward(position @ turn.T, normal @ turn.T):
         text = f"{inward} of {len(position)} normals look down, into the ground"
-        warnings.warn(f"{cloud.file}: ground.holds.cloud: {text}", stacklevel=3)
+        # once for all copies of a file
+        warnings.warn(f"{Path(cloud.file).name}: ground.holds.cloud: {text}", stacklevel=2)
     limit = np.full(len(position), np.nan)
     if cloud.limit is not None or "limit" in table.names:
         name = cloud.limit or "limit"

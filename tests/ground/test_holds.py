@@ -173,7 +173,7 @@ def pcd_text(path):
     path.write_bytes(header + text.encode())
 
 
-def recorded(path, topics=("/holds",)):
+def recorded(path, topics=("/holds",), row=168):
     """An MCAP file with PointCloud2 messages, the last of which counts."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -190,8 +190,8 @@ def recorded(path, topics=("/holds",)):
         for topic in topics:
             to = writer.add_connection(topic, kind, typestore=store)
             for stamp, shift in enumerate((9.0, 0.0)):
-                data = np.frombuffer((table + shift).tobytes(), np.uint8)
-                cloud = types[kind](header, 1, 3, fields, False, 56, 168, data, True)
+                data = np.frombuffer((table + shift).tobytes()[:row], np.uint8)
+                cloud = types[kind](header, 1, 3, fields, False, 56, row, data, True)
                 writer.write(to, stamp, store.serialize_cdr(cloud, kind))
     next(folder.glob("*.mcap")).rename(path)
 
@@ -437,6 +437,10 @@ BAD = {
     ),
     "more.pcd": (pcd_header("ascii", *XYZ) + b"1 2 3 " * 4, "POINTS: expected 3 points of 3 numbers, got 12 numbers"),
     "type.pcd": (pcd_header("binary", "x y z", "3 4 4", "F F F", "1 1 1"), "TYPE and SIZE: expected F of 4 or 8"),
+    "view.pcd": (
+        pcd_header("ascii", *XYZ, viewpoint="0 nan 0") + b"1 " * 9,
+        "VIEWPOINT: expected finite numbers, got 0",
+    ),
     "size.pcd": (pcd_header("binary", "x y z", "4 4", "F F F", "1 1 1"), "size.pcd: SIZE: expected 3 words, got 4 4"),
     "gone.pcd": (pcd_header("binary_compressed", *XYZ), "gone.pcd: expected a whole file of points, got no points"),
     "back.pcd": (pcd_header("binary_compressed", *XYZ) + struct.pack("<2I", 3, 36) + b"\x20\7\7", "got damaged"),
@@ -476,6 +480,9 @@ def test_a_matrix_or_a_topic_that_is_none_of_those_expected(tmp_path):
     assert "topic: expected one topic with sensor_msgs/msg/PointCloud2, got /holds, /rock" in refusal(cloud=source)
     assert "topic: expected sensor_msgs/msg/PointCloud2 on /x, got none" in refusal(cloud=source | {"topic": "/x"})
     assert found(cloud=source | {"topic": "/rock"}).position.shape == (3, 3)
+    recorded(tmp_path / "b.mcap", row=112)
+    words = "b.mcap: /holds: expected 1 rows of 168 bytes or more, got row_step 112, 112 bytes"
+    assert words in refusal(cloud={"file": str(tmp_path / "b.mcap")})
 
 
 def test_a_damaged_matlab_file_on_which_scipy_crashes_gets_one_line(tmp_path):

@@ -73,7 +73,9 @@ def read(path: Path, topic: str | None) -> Table:
             values = np.split(rows.reshape(count, sum(numbers)), np.cumsum(numbers)[:-1], axis=1)
         case _:
             raise config_error(str(path), "DATA", "ascii, binary or binary_compressed", kind)
-    viewpoint = np.array(header.get("VIEWPOINT", ["0"] * 3)[:3], float)
+    viewpoint = np.array(entry("VIEWPOINT", 7, ["0"] * 7)[:3], float)
+    if not np.isfinite(viewpoint).all():
+        raise config_error(str(path), "VIEWPOINT", "finite numbers", " ".join(header["VIEWPOINT"]))
     return Table(
         str(path),
         [(name, value[:, 0]) for name, value in zip(names, values, strict=True) if name != "_" and value.shape[1]],
