@@ -19,6 +19,7 @@ from mjx_climb.scenario.values import MAX_COUNT
 # names of normals in files, of ROS and PLY, and of PCL
 _NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 _LEVEL = 0.1  # of the height of a unit vector: nearer to level it counts as neither up nor down
+_FARTHEST = 1e9  # m, of a coordinate
 _NEAR = 9  # points of a file among which one is looked for above another
 
 # positions (n, 3) m, normals (n, 3) 1, limits (n,) N; NaN marks a point without a limit of its own
@@ -40,8 +41,8 @@ def holds_of(ground: model.Ground) -> Holds | None:
     # infinite numbers are refused below
     with np.errstate(all="ignore"):
         position, normal, limit = _FOUND[name](source, random, turn)
-    if not (np.isfinite(position).all() and np.isfinite(normal).all()):
-        raise config_error(place, key, "finite positions and normals", "others")
+    if not ((np.abs(position) <= _FARTHEST).all() and np.isfinite(normal).all()):
+        raise config_error(place, key, f"finite positions, {_FARTHEST:g} m at most, and normals", "others")
     if section.limit is not None:
         limit = np.where(np.isnan(limit), section.limit, limit)
     limit = limit * np.exp(section.spread * random.standard_normal(limit.size))
@@ -90,8 +91,9 @@ def _listed(points: tuple[model.Hold, ...], random: np.random.Generator, turn: n
 def _from_file(cloud: model.HoldCloud, random: np.random.Generator, turn: np.ndarray) -> _Found:
     table = table_of(cloud.file, cloud.topic)
     position = table.values(*"xyz")
-    if np.isinf(position).any():
-        raise config_error(cloud.file, "x, y, z", "finite numbers, or nan for a gap", "inf")
+    if (far := np.abs(position) > _FARTHEST).any():
+        expected = f"{_FARTHEST:g} m at most, or nan for a gap"
+        raise config_error(cloud.file, "x, y, z", expected, f"{position[far][0]:g}")
     there = ~np.isnan(position).any(1)
     position = position[there]
     named = next((names for names in _NORMALS if {*names} <= {*table.names}), None)

@@ -422,7 +422,8 @@ BAD = {
     "twice.csv": (b"x,y,z,x\n1,2,3,4\n", "twice.csv: x: expected one column of this name, got 2"),
     "limits.csv": (b"x,y,z,limit,limit\n1,2,3,4,5\n", "limits.csv: limit: expected one column of this name, got 2"),
     "normals.csv": (b"x,y,z,nx,ny,nz,nx\n1,2,3,0,0,1,1\n", "normals.csv: nx: expected one column of this name, got 2"),
-    "inf.csv": (b"x,y,z\n0,inf,0\n", "inf.csv: x, y, z: expected finite numbers, or nan for a gap, got inf"),
+    "inf.csv": (b"x,y,z\n0,inf,0\n", "inf.csv: x, y, z: expected 1e+09 m at most, or nan for a gap, got inf"),
+    "far.csv": (b"x,y,z\n0,0,-1e300\n", "far.csv: x, y, z: expected 1e+09 m at most, or nan for a gap, got -1e+300"),
     "nan.csv": (b"x,y,z,limit\n0,0,0,1\n0,0,0,nan\n", "nan.csv: limit: expected limits of 0 or above, got nan at 1"),
     "minus.csv": (b"x,y,z,limit\n0,0,0,-2\n", "minus.csv: limit: expected limits of 0 or above, got -2"),
     "cut.ply": (b"ply\nformat ascii 1.0\nelement vertex 3\n", "cut.ply: expected a whole file of points"),
@@ -525,7 +526,7 @@ def test_points_that_are_far_too_many_are_refused_before_they_are_made(rule):
 
 
 def test_rules_that_give_no_finite_points():
-    words = "scenario: ground.holds.rock: expected finite positions and normals"
+    words = "scenario: ground.holds.rock: expected finite positions"
     assert words in refusal(rock={"wavelength": 1e-320}) and words in refusal(rock={"roughness": 1e308})
 
 
