@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mjx_climb.gait import planner as planning
-from mjx_climb.gait.footholds import Farthest, Nearest
+from mjx_climb.gait.base_path import sway_of, swayed
+from mjx_climb.gait.footholds import BestMargin, Farthest, Nearest
 from mjx_climb.gait.footholds.footholds import Situation
 from mjx_climb.gait.recovery import Body, Danger, Recovery, danger, interrupts, stopping_margin, ways_beside
 from mjx_climb.gait.schedule import Plan
@@ -34,6 +35,7 @@ def doubles(tree):
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree, is_leaf=lambda leaf: isinstance(leaf, list))
 
 
+LIGHT = BestMargin(distance_weight=0.1)
 NEVER = doubles(Recovery(margin=-1.0))  # no threshold is ever passed
 PLAN = Plan(
     base_start=jnp.asarray(BASE), base_orientation=jnp.asarray(ROBOT.stance_orientation), footholds=jnp.asarray(FEET),
@@ -137,7 +139,7 @@ def test_the_ground_and_the_limits_of_a_foot_change_with_its_swing():
 
 def test_the_reference_follows_swings_moves_and_offsets():
     """A cubic between both ends of each: 5/32 of the way at a quarter, one half at the middle."""
-    given = {"rule": Nearest(), "recovery": doubles(dataclasses.replace(NEVER, return_time=0.4))}
+    given = {"rule": LIGHT, "recovery": doubles(dataclasses.replace(NEVER, return_time=0.4))}
     given["holds"] = rock(np.random.default_rng(0), FEET)
     goal = FEET + np.array([0.04, 0.02, 0.01])
     progress = begun(
@@ -321,24 +323,37 @@ def test_limbs_lift_off_before_the_next_tick(name):
     assert (found.step, found.interruptions) == (step, 0) and found.running == before.running
 
 
+def pull_of(holds, number):
+    """Return the pull that a grip of 15 N bears on a hold."""
+    down = np.maximum(-np.asarray(holds.limit_matrix[number])[:, 2], 1e-30)
+    return min(15.0, *(holds.limit_bound[number] / down))
+
+
 def rock(random, planned):
     """Return holds near planned footholds and elsewhere."""
-    points = np.concatenate([planned + random.normal(0, 0.01, (4, 3)), random.uniform(-0.3, 0.3, (4, 3)), FEET[:1]])
+    near = planned + random.normal(0, 0.02, (3, 4, 3))
+    points = np.concatenate([*near, random.uniform(-0.3, 0.3, (4, 3)), FEET[:1]])
     return ground_of(points, random)
 
 
 def test_a_limb_swings_to_a_hold_and_the_base_moves_with_it():
     """The base goes where it stands over all goals as over the footholds, from its path; the hold has its normal."""
-    random = np.random.default_rng(3)
+    random = np.random.default_rng(8)
     holds, grip = rock(random, FEET + ADVANCE), FEET + np.array([0.0, 0.001, 0.004])
-    given = {"rule": Nearest(), "holds": holds, "recovery": NEVER}
+    given = {"rule": LIGHT, "holds": holds, "recovery": NEVER}
     before = begun(
         planner_of(**given), step=190.0, clock=190.0, base_begun=150.0, base_goal=BASE + np.array([0.02, 0, 0.0])
     )
     found, _, reference = tick(given, before, 190, grip)
-    best = by_loops.nearest(np.asarray(holds.position)[:-1], np.ones((4, 8), bool), FEET + ADVANCE)[LF]
-    point = np.asarray(holds.position[best])
-    assert 0 <= best < 8
+    # with the limb off the ground, and the robot where it is a swing later
+    each, normals = (np.asarray(value)[:-1] for value in (holds.position, holds.normal))
+    pulls = [pull_of(holds, number) for number in range(len(each))]
+    com, stands = np.array([0.02, -0.02, 0.1]), np.arange(4) != LF
+    may = np.all([reaches(each, BASE + way) for way in (0 * ADVANCE, ADVANCE)], axis=0)
+    situation = FEET, FEET + ADVANCE, stands, com, MASS * GRAVITY
+    best = by_loops.best_margin(each, normals, pulls, may, *situation, 15 * UP, distance_weight=0.1)[LF]
+    assert best not in (by_loops.NONE, by_loops.nearest(each, may, FEET + ADVANCE)[LF])
+    point = each[best]
     new = {"start": grip, "goal": point, "below": 0.004, "begun": 200.0, "span": SWING, "rise": 0.02}
     assert_swings(found, before, LF, **new, touched=before.begun + SWING)
     np.testing.assert_allclose(found.held.normal, only(LF, holds.normal[best], UP))
@@ -399,24 +414,30 @@ def test_a_base_walks_from_way_point_to_way_point_and_its_feet_beside_it():
     """By a stride at most; a point is reached at half a stride, and at the last one no limb lifts off."""
     random = np.random.default_rng(4)
     changes = {"way_points": ((0.1, 0.0), (0.1, 0.05))}
+    # the base sways about its way
+    plan = PLAN._replace(sway=sway_of(jnp.asarray(FEET - BASE), [0.25, 0.0, 0.5, 0.75], 0.75, 0.3))
     cases = {  # place of the base, points reached before and after, way of the next cycle
         (0.0, 0.0): (0, 0, [0.04, 0.0]),
         (0.079, 0.0): (0, 0, [0.021, 0.0]),
         (0.081, 0.0): (0, 1, [0.04 * 19 / np.hypot(19, 50), 0.04 * 50 / np.hypot(19, 50)]),
         (0.1, 0.02): (1, 1, [0.0, 0.03]),
         (0.1, 0.04): (1, 2, None),
+        (0.1, 0.05): (2, 2, None),
     }
     for place, (reached, after, way) in cases.items():
         shift = np.array([*place, 0.0])
         points = (FEET + shift + random.normal(0, 0.03, (6, 4, 3)) * [1, 1, 0]).reshape(-1, 3)
         holds = ground_of(points, random)
-        given = {"rule": Nearest(), "holds": holds}
+        given = {"rule": Nearest(), "holds": holds, "plan": plan}
         before = begun(planner_of(**given, **changes), step=190.0, clock=190.0, start=FEET + shift, goal=FEET + shift)
         where = BASE + shift
         before = before._replace(base_start=jnp.asarray(where), base_goal=jnp.asarray(where))
         before = before._replace(reached=jnp.asarray(float(reached)))
-        found, *_ = tick(given, before, 190, FEET + shift, place=where, **changes)
+        found, _, reference = tick(given, before, 190, FEET + shift, place=where, **changes)
         assert found.reached == after
+        swayed_to = where + swayed(plan.sway, 190 / 800)
+        np.testing.assert_allclose(reference.base_position, swayed_to, atol=1e-12)
+        assert np.linalg.norm(swayed_to - where) > 0.01
         if way is None:
             assert_swings(found, before, None)
             continue
@@ -435,6 +456,14 @@ STOPS = {  # what differs in the body and the recovery, at which step, whether t
     "margin": ({}, {"margin": 100.0}, 300, True, True),
     "pull that grows": ({"pulled": True}, {"utilization": 0.5}, 300, True, True),
     "pull that grows, beyond the lead": ({"pulled": True}, {"utilization": 0.5, "lead_time": 0.0}, 300, False, False),
+    "limit of a hold": ({"pulled": True, "limits": [1.0, 20.0, 10.0, 1.0]}, {"utilization": 0.7}, 300, True, True),
+    "limits that are not used up": (
+        {"pulled": True, "limits": [1.0, 20.0, 12.0, 1.0]},
+        {"utilization": 0.7},
+        300,
+        False,
+        False,
+    ),
     "shortly before a landing": ({}, {"shift": 0.01}, 350, True, False),
     "a landing too late": ({}, {"shift": 0.01}, 348, True, True),
 }
@@ -445,12 +474,14 @@ STOPS = {  # what differs in the body and the recovery, at which step, whether t
 def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name, with_holds):
     """LF swings from step 200 to 400; the base is 0.02 m beside its reference and moves on."""
     own, values, step, stops, lands = STOPS[name]
+    if "limits" in own and not with_holds:
+        stops = lands = False
     random = np.random.default_rng(7)
     recovery = dataclasses.replace(NEVER, landing_time=0.05, rest_time=0.2, take_over=0.25, return_time=0.4, reach=0.02)
     recovery = doubles(dataclasses.replace(recovery, **values))
     given: dict[str, Any] = {"recovery": recovery}
     if with_holds:
-        given |= {"rule": Nearest(), "holds": rock(random, FEET + ADVANCE)}
+        given |= {"rule": LIGHT, "holds": rock(random, FEET + ADVANCE)}
     goal = only(LF, FEET + ADVANCE + [0, 0, 0.01], FEET)
     before = begun(
         planner_of(**given), begun=[200.0, -1600, -1200, -1000], goal=goal, step=step - 20.0, clock=step - 20.0,
@@ -461,7 +492,15 @@ def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name
         # 2 N less in 20 steps: 5 N in the lead time
         force[RH] = [0.0, 0, -3.0]
         before = before._replace(force=before.force.at[RH, 2].set(2.0))
-    body = body_of(velocity=[0.2, -0.1, 0.05], support=np.arange(4) > 0, foot_force=force)
+    support = np.array([False, True, True, "limits" not in own])
+    if "limits" in own and with_holds:
+        # LF is in the air and RF has let go: what pushes them off uses up nothing
+        force[[LF, RF]] = [0.0, 0, -5.0]
+        rows = jnp.broadcast_to(jnp.array([[0, 0, -1.0], [0, 0, 0]]), (4, 2, 3))
+        bound = jnp.column_stack([jnp.array(own["limits"]), jnp.full(4, jnp.inf)])
+        before = before._replace(held=planning.Held(jnp.asarray(UP), rows, bound))
+    pull = 15 * UP if with_holds else 15.0
+    body = body_of(velocity=[0.2, -0.1, 0.05], support=support, foot_force=force, pull=pull)
     place = BASE + np.array([0.0, 0.02, 0.0])
     found, now, reference = tick(given, before, step, body=body, place=place)
     shift = place - reference.base_position
@@ -484,9 +523,7 @@ def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name
     for number, point in enumerate(each):
         pull = 15 * UP
         if with_holds:
-            holds = given["holds"]
-            down = np.maximum(-np.asarray(holds.limit_matrix[number])[:, 2], 1e-30)
-            pull[LF] = np.asarray(holds.normal[number]) * min(15.0, *(holds.limit_bound[number] / down))
+            pull[LF] = np.asarray(given["holds"].normal[number]) * pull_of(given["holds"], number)
         position = only(LF, point, FEET)
         margin = stops_by_loops(recovery, body._replace(pull=pull), np.arange(4) == LF, position)
         worth.append(margin - 1e-6 * ((point - at[LF]) ** 2).sum() if may[number] else -np.inf)
