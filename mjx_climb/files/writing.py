@@ -65,6 +65,17 @@ def write_bytes_atomically(path: str | os.PathLike[str], content: bytes | memory
     return Path(path)
 
 
+def write_in_place(path: Path, content: bytes) -> None:
+    """Write a file as `write_bytes_atomically` does, but in place of a link there, which may lead out of its folder.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    if path.is_symlink():
+        path.unlink(missing_ok=True)
+    write_bytes_atomically(path, content)
+
+
 def check_folder(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that a folder is there or can be made and takes files; leave nothing in it.
 

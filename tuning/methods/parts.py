@@ -21,7 +21,7 @@ from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.files.locks import alone, refused
 from mjx_climb.files.reading import read_found
-from mjx_climb.files.writing import OutputError, write_bytes_atomically, write_text_atomically
+from mjx_climb.files.writing import OutputError, write_in_place
 from mjx_climb.robot_import.load import model_path
 from tuning import scenario_files
 from tuning.problem.evaluation import Problem
@@ -59,7 +59,7 @@ class Parts:
                 stored = identity_in(self.folder)
                 if stored is None:
                     sealed = {"sha256": _digest(self._identity), "of": wanted}
-                    write_text_atomically(self.folder / IDENTITY, json.dumps(sealed, indent=1))
+                    write_in_place(self.folder / IDENTITY, json.dumps(sealed, indent=1).encode())
         if stored not in (None, wanted):
             differs = ", ".join(differences(stored, wanted)) or "its keys"
             raise OutputError(
@@ -111,7 +111,7 @@ class Parts:
     def _write(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
         buffer = io.BytesIO()
         np.savez(buffer, **dict[str, Any](arrays))
-        write_bytes_atomically(self._file(number), self._sealed(number, buffer.getvalue()))
+        write_in_place(self._file(number), self._sealed(number, buffer.getvalue()))
 
     def _file(self, number: int) -> Path:
         return self.folder / f"part-{number:06d}.npz"

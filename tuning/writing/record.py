@@ -22,9 +22,10 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.execution.contents import Unidentifiable
-from mjx_climb.files.dataset import OutputError, check_folder, write_text_atomically
+from mjx_climb.files.dataset import OutputError, check_folder
 from mjx_climb.files.locks import alone, is_held, refused
 from mjx_climb.files.reading import leaving, read_found
+from mjx_climb.files.writing import write_in_place
 from tuning.methods import parts
 from tuning.problem.evaluation import Problem
 from tuning.results.result import RESULTS, WITHOUT_PARTS
@@ -310,4 +311,4 @@ def _replace(place: Path, target: Path, record: Record) -> None:
 
 
 def _write(folder: Path, record: Record) -> None:
-    write_text_atomically(folder / FILE, json.dumps(record._asdict(), indent=1) + "\n")
+    write_in_place(folder / FILE, (json.dumps(record._asdict(), indent=1) + "\n").encode())

@@ -92,6 +92,20 @@ def test_no_file_of_a_result_is_written_through_a_link_that_leaves_the_folder(tm
     assert not [*theirs.iterdir()]
 
 
+def test_records_and_parts_are_written_in_place_of_links(tmp_path):
+    """Somebody else's, to a file of this user's that is there, or is not yet."""
+    home, thesis, absent = tmp_path / "home", tmp_path / "thesis.tex", tmp_path / "absent"
+    (home / "parts").mkdir(parents=True)
+    thesis.write_text("mine")
+    (home / record.FILE).symlink_to(absent)
+    (home / "parts" / "identity.json").symlink_to(absent)
+    (home / "parts" / "part-000000.npz").symlink_to(thesis)
+    record.begin(home, OURS)
+    Parts(home, {"a": 1}).save(0, {})
+    assert thesis.read_text() == "mine" and not absent.exists()
+    assert record.read(home).settings == OURS and Parts(home, {"a": 1}).load(0) == {}
+
+
 def test_unfinished_work_keeps_its_parts_and_is_no_whole_result(tmp_path):
     Parts(tmp_path, {"a": 1})
     fill(tmp_path, "gains.yaml", finished=False)
