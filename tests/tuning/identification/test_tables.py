@@ -114,6 +114,16 @@ def test_clocks_of_loggers_are_read_to_a_microsecond(tmp_path, heads, cells):
     check(log)
 
 
+@pytest.mark.parametrize(("heads", "cells"), [
+    (["time"], lambda t: (date(t),)),
+    (["time"], lambda t: (t,)),
+    (["stamp.sec", "stamp.nanosec"], lambda t: divmod(t, 10**9)),
+], ids=["date", "ns", "two"])  # fmt: skip
+def test_the_clock_is_known_where_columns_have_the_names_of_signals(tmp_path, heads, cells):
+    rows = [(*cells(stamp), *angles) for stamp, angles in zip(STAMPS, ANGLES, strict=True)]
+    check(read_log(written(tmp_path, [*heads, *(f"{IN_FILE[name]}.position" for name in NAMES)], rows), ROBOT))
+
+
 def test_a_clock_that_loses_most_samples_is_refused_with_the_one_that_does_not(tmp_path):
     rows = [(*divmod(stamp, 10**9), *angles) for stamp, angles in zip(STAMPS, ANGLES, strict=True)]
     path = written(tmp_path, ["sec", "nanosec", *(f"{name}.position" for name in NAMES)], rows)

@@ -12,7 +12,7 @@ from mjx_climb.scenario.messages import ConfigError, config_error
 from tuning.identification.readers.doubts import doubts, several
 from tuning.identification.readers.formats import record
 from tuning.identification.readers.formats.csv_file import write_csv as write_csv
-from tuning.identification.readers.guess import guess
+from tuning.identification.readers.guess import clock_of, guess
 from tuning.identification.readers.log import BASE, JOINT, Log, Signal, joints_of, names, unit_of
 from tuning.identification.readers.outliers import without_outliers
 from tuning.identification.readers.repairs import cleaned, without_turns, without_unmeasured
@@ -104,7 +104,8 @@ def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[st
         if (last in JOINT or last == "support" or before in ("force", *BASE)) and name.count(".") in (1, 2):
             said.append(f"{recording.source}: {name}: not read, the robot has no such signal{_nearest(name, known)}")
     own = {name: Source(column=name) for name in known if name in table.fields}
-    return Signals(time="time", signals=own), tuple(sorted(said))
+    time, unit, _ = clock_of(recording)
+    return Signals(time=time, time_unit=unit, signals=own), tuple(sorted(said))
 
 
 def _in_degrees(signals: Signals, robot: Robot) -> Signals:

@@ -46,6 +46,7 @@ _EPOCHS: tuple[tuple[float, TimeUnit], ...] = (
     (1e14, "us"),
     (1e11, "ms"),
 )  # numbers beyond are so many since 1970
+_NO_EPOCH = 1e20
 _SPARE = 4  # numbers for each joint, in a list with empty places
 _APART = 5.0  # s between the clocks of header and recording: not the same clock
 
@@ -70,7 +71,7 @@ class _Place:
 
 def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
     """Return where the signals of a recording seem to stand, and what is doubtful about that, a line each."""
-    time, unit, notes = _clock(recording)
+    time, unit, notes = clock_of(recording)
     ordered = sorted(recording.tables.values(), key=lambda table: "transforms" in next(iter(table.fields), ""))
     places = [place for table in ordered for place in _places(table, robot, time)]
     found: dict[str, Source] = {}
@@ -93,7 +94,7 @@ def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]
     return Signals(time=time, time_unit=unit, signals=in_order), tuple(dict.fromkeys(notes))
 
 
-def _clock(recording: Recording) -> tuple[str, TimeUnit, list[str]]:
+def clock_of(recording: Recording) -> tuple[str, TimeUnit, list[str]]:
     """Return where times stand, their unit, and what is doubtful about that."""
     table = recording.tables.get("")
     if table is None:
@@ -111,7 +112,7 @@ def _clock(recording: Recording) -> tuple[str, TimeUnit, list[str]]:
     unit: TimeUnit = next((_TIME_UNITS[word] for word in said if word in _TIME_UNITS), "s")
     if unit == "s" and column in table.times:
         largest = float(np.nanmax(table.times[column]))
-        unit = next((unit for least, unit in _EPOCHS if largest > least), "s")
+        unit = next((unit for least, unit in _EPOCHS if least < largest < _NO_EPOCH), "s")
     return column, unit, []
 
 
