@@ -93,7 +93,7 @@ WRONG = {  # text of the robot's file, where it is and what is said, and text of
     "limits without end": (MJCF.replace("-20 100", "-20 inf", 1), r"t.xml:\d+: joint 'L0_1': expected finite"),
     "a motor of no joint": (GONE, r"t.xml:\d+: .*'gone'"),
     "a name of two lines": (MJCF.replace('"L0_1"', '"L0\n1"'), r"t.xml:\d+: expected a name of one printable"),
-    "a place without end": (MJCF.replace('pos="0.075', 'pos="1e308', 1), r"t.xml:\d+: body 'L0_0': inertial pos: .* 1e"),
+    "a place without end": (MJCF.replace('pos="0.075', 'pos="1e308', 1), r"t.xml:\d+: body 'L0_0': .* got 1e308"),
     "a site nowhere": (MJCF.replace('pos="0.15', 'pos="nan', 1), r"t.xml:\d+: .*: expected numbers of .* got nan"),
     "a far link": (URDF.replace('xyz="0.', 'xyz="1e39', 1), r"t.urdf:\d+: link .* origin xyz: .*up to 10000, got 1e39"),
     "a stance of infinite angles": (POSED, r"t.xml:\d+: key 'home': key qpos: expected .* got inf"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.robot_import.bodies import robot_in
 from tests.robot.test_proposal import dog, told
 from tests.robot.test_robot_file import robot_of
 from tuning.proposal.limbs import Found
@@ -41,10 +42,12 @@ def plain_urdf(of_trunk="", of_feet='type="fixed">', foot="foot", at=0.12, shape
     return "<robot name='plain'>" + "\n".join(parts) + "</robot>"
 
 
-@pytest.fixture
-def plain_stance(saved):
+@pytest.fixture(scope="module")
+def plain_stance(tmp_path_factory):
     """The section of a scenario for a plain robot, without its file's name."""
-    section = propose(saved(plain_urdf(), "plain.urdf")).sections["robot"]
+    file = tmp_path_factory.mktemp("plain") / "plain.urdf"
+    file.write_text(plain_urdf())
+    section = propose(file).sections["robot"]
     return {key: value for key, value in section.items() if key != "file"}
 
 
@@ -58,15 +61,15 @@ LOOK = '<visual><geometry><box size="1 1 1"/></geometry>{}</visual>'
         LOOK.format('<material name="silver"><color rgba="1 0"/></material>'),
     ],
 )
-def test_looks_that_mujoco_refuses_are_left_out(saved, plain_stance, beside):
+def test_looks_that_mujoco_refuses_are_left_out(saved, beside):
     """A second material, one without all its colours: a robot's looks are not needed."""
     text = plain_urdf().replace("</inertial></link>", f"</inertial>\n{beside}</link>", 1)
     text = text.replace("</robot>", "<transmission/><gazebo reference='x'><link name='trunk'/></gazebo></robot>")
-    assert propose(file := saved(text, "seen.urdf")).sections["robot"] == plain_stance | {"file": str(file)}
+    limbs = Found(saved(text, "seen.urdf")).limbs
+    assert limbs == Found(saved(plain_urdf(), "plain.urdf")).limbs
 
 
-@pytest.mark.parametrize("kind", ["floating", "planar"])
-@pytest.mark.parametrize("root", ["base_link", "odom", "world"])
+@pytest.mark.parametrize(("kind", "root"), [("floating", "base_link"), ("planar", "odom")])
 def test_a_base_that_floats_as_the_file_says(saved, plain_stance, kind, root):
     """Below a link of any name without a mass, at any place: the robot is that of a file that begins at its trunk."""
     joint = f'<joint name="free" type="{kind}"><parent\nlink="{root}"/><child link="trunk"/></joint>'
@@ -82,10 +85,8 @@ def test_a_base_that_floats_as_the_file_says(saved, plain_stance, kind, root):
     ("kind", "limits", "middle"),
     [
         ("revolute", (0, 0), 0.0),
-        ("revolute", (-1e-6, 1e-6), 0.0),
         ("revolute", (0, 0.006), 0.003),
         ("prismatic", (-1e-4, 1e-4), 0.0),
-        ("prismatic", (0, 0), 0.0),
     ],
 )
 def test_a_joint_of_hardly_any_range_is_held(saved, plain_stance, kind, limits, middle):
@@ -107,7 +108,7 @@ def test_limits_that_nobody_gave(saved):
     text = re.sub('lower="[^"]*" upper="[^"]*"', 'lower="0" upper="0"', plain_urdf())
     assert "changed limits of 12 joints the file has none" in told(propose(saved(text, "blank.urdf")))
     turns = plain_urdf().replace("revolute", "continuous")
-    assert "changed limits of 12 joints the file has none" in told(propose(saved(turns, "turns.urdf")))
+    assert not robot_in(str(saved(turns, "turns.urdf"))).jnt_limited.any()
 
 
 GONE_MESH = '<visual><geometry><mesh filename="package://any/tibia.stl"/></geometry></visual>'
@@ -119,17 +120,15 @@ GONE_MESH = '<visual><geometry><mesh filename="package://any/tibia.stl"/></geome
 )
 def test_a_link_that_is_not_called_a_foot_is_a_guess(saved, foot, at, end):
     """One near the knee is passed over, one about where weights have the end is taken: either way it is said."""
-    proposal = propose(saved(plain_urdf(foot=foot, at=at, shape=GONE_MESH), "robot.urdf"))
-    limb = proposal.sections["robot"]["limbs"]["LF"]
-    assert (limb["foot"], limb.get("at", [0.0])[0]) == (f"LF_{end[0]}", end[1])
-    assert f"changed ends of last links not in the file ('LF_{end[0]}'" in told(proposal)
+    robot = Found(saved(plain_urdf(foot=foot, at=at, shape=GONE_MESH), "robot.urdf"))
+    assert (robot.limbs["LF"].foot, robot.limbs["LF"].at) == (f"LF_{end[0]}", (end[1], 0.0, 0.0))
+    assert f"changed ends of last links not in the file ('LF_{end[0]}'" in told(robot)
 
 
 @pytest.mark.parametrize("foot", ["pad", "LegTip", "paw", "suction_cup", "endeffector"])
-def test_a_foot_by_other_names(saved, plain_stance, foot):
-    proposal = propose(saved(plain_urdf(foot=foot, shape=GONE_MESH), "robot.urdf"))
-    assert proposal.sections["robot"]["limbs"]["LF"]["foot"] == f"LF_{foot}" and "guessed" not in told(proposal)
-    assert proposal.sections["robot"]["height"] == plain_stance["height"]
+def test_a_foot_by_other_names(saved, foot):
+    robot = Found(saved(plain_urdf(foot=foot, shape=GONE_MESH), "robot.urdf"))
+    assert robot.limbs["LF"].foot == f"LF_{foot}" and "guessed" not in told(robot)
 
 
 def test_an_inertia_of_something_larger_is_told_by_its_radius_of_gyration(saved):
@@ -154,9 +153,10 @@ def test_a_file_with_y_up(saved, plain_stance):
         propose(saved(turned, "robot.urdf"))
     root = '<link name="up"/><joint name="up" type="fixed"><parent link="up"/><child link="trunk"/>'
     upright = turned.replace("</robot>", f'{root}<origin rpy="{np.pi / 2} 0 0"/></joint></robot>')
-    for base in (None, "up"):
-        section = propose(saved(upright, "robot.urdf"), base=base).sections["robot"]
-        assert (section["limbs"], section["height"]) == (plain_stance["limbs"], plain_stance["height"])
+    section = propose(saved(upright, "robot.urdf"), base="up").sections["robot"]
+    assert (section["limbs"], section["height"]) == (plain_stance["limbs"], plain_stance["height"])
+    robot = Found(saved(upright, "robot.urdf"))
+    assert robot.model.body(robot.base).name == "up"
 
 
 def test_legs_that_hang_along_another_axis(saved):

@@ -86,10 +86,14 @@ class Tree:
         def count(row: list[int]) -> int:
             return sum(len(self.joints[body]) for body in row)
 
-        def longest(body: int, before: int) -> list[int]:
-            joints = before + len(self.joints[body])
-            branches = [longest(b, joints) for b in self.beyond[body]]
-            fingers = len(branches) > 1 and joints >= _ARM and all(count(branch) <= _FINGER for branch in branches)
-            return [body] if fingers else [body, *max(branches, key=count, default=[])]
-
-        return [longest(body, 0) for body in self.beyond[self.part[base]]]
+        outwards, inner = list(self.beyond[self.part[base]]), np.zeros(self.model.nbody, int)
+        for body in outwards:
+            inner[body] += len(self.joints[body])
+            inner[self.beyond[body]] = inner[body]
+            outwards += self.beyond[body]
+        longest: dict[int, list[int]] = {}
+        for body in reversed(outwards):
+            branches = [longest[branch] for branch in self.beyond[body]]
+            fingers = len(branches) > 1 and inner[body] >= _ARM and all(count(branch) <= _FINGER for branch in branches)
+            longest[body] = [body] if fingers else [body, *max(branches, key=count, default=[])]
+        return [longest[body] for body in self.beyond[self.part[base]]]
