@@ -43,8 +43,9 @@ def robot(asked: Robot) -> None:
     Limbs are the rows of two to seven joints that start at one base and end in what is called a foot, or the like. The
     stance is a keyframe's, or searched. Stride, grip and gains are HubRobo's in proportion to mass and reach. Prints
     what was taken from the file, changed and ignored, each with the reason; then the scenario, for you to look through.
-    Walks the proposal: under pd with 45 pairs of kp and kd, to take that of least force variation; with cycles twice
-    and four times as long, to take the first with which it holds; on a ceiling, to say what holding limit it takes.
+    Walks the proposal: under pd with 45 pairs of kp and kd, or 15 where time steps are short, to take that of least force
+    variation; with cycles twice and four times as long, to take the first with which it holds; on a ceiling, to say
+    what holding limit it takes.
 
     Beside CONFIG a picture shows the robot by its own shapes, and where its feet are taken to be.
 
@@ -61,7 +62,7 @@ def robot(asked: Robot) -> None:
     from mjx_climb.inputs.time_step import largest_time_step
     from mjx_climb.scenario.model import validated
     from mjx_climb.viz import rendering
-    from tuning.command_line.session import Session
+    from tuning.command_line.session import Session, duration
     from tuning.comparisons import first_walks
     from tuning.proposal.propose import propose
 
@@ -81,10 +82,20 @@ def robot(asked: Robot) -> None:
     def tell(kind: str, name: str, why: str) -> None:
         typer.echo(f"{kind:7}  {name:{what}}  {why}")
 
-    with Session(sys.stdout, Output()).stage("walking it, with other joint gains and slower gaits beside"):
-        scenario, searched = first_walks.with_joint_gains(scenario)
-        scenario, walks, how, load = first_walks.slow_enough(scenario)
-        hung = first_walks.on_ceiling(scenario) if walks and any(gravity) and not asked.roof else None
+    done = 0
+
+    def told(walks: int) -> None:
+        nonlocal done
+        done += walks
+        show(done, max(done, total))
+
+    session, (total, seconds) = Session(sys.stdout, Output()), first_walks.expected(scenario)
+    steps = f"{scenario.duration / scenario.time_step:,.0f} time steps"
+    session.say(f"{total} walks of {steps}: about {duration(seconds)} on one core, once compiled")
+    with session.stage("walking it, with other joint gains and slower gaits beside") as show:
+        scenario, searched = first_walks.with_joint_gains(scenario, told)
+        scenario, walks, how, load = first_walks.slow_enough(scenario, told)
+        hung = first_walks.on_ceiling(scenario, told) if walks and any(gravity) and not asked.roof else None
     tell("changed", f"kp {scenario.control.kp:g}, kd {scenario.control.kd:g}", searched)
     tell("taken" if walks else "failed", "walk", how)
     if heavy := first_walks.heavy_load(scenario, load):
