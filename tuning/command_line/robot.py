@@ -43,9 +43,9 @@ def robot(asked: Robot) -> None:
     Limbs are the rows of two to seven joints that start at one base and end in what is called a foot, or the like. The
     stance is a keyframe's, or searched. Stride, grip and gains are HubRobo's in proportion to mass and reach. Prints
     what was taken from the file, changed and ignored, each with the reason; then the scenario, for you to look through.
-    Walks the proposal: under pd with 45 pairs of kp and kd, or 15 where time steps are short, to take that of least force
-    variation; with cycles twice and four times as long, to take the first with which it holds; on a ceiling, to say
-    what holding limit it takes.
+    Walks the proposal: under pd with 45 pairs of kp and kd, or 15 where time steps are short, to take that of least
+    force variation; with cycles twice and four times as long, to take the first with which it holds; on a ceiling, to
+    say what holding limit it takes.
 
     Beside CONFIG a picture shows the robot by its own shapes, and where its feet are taken to be.
 
