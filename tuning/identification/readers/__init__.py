@@ -15,7 +15,7 @@ from tuning.identification.readers.formats.csv_file import write_csv as write_cs
 from tuning.identification.readers.guess import clock_of, guess
 from tuning.identification.readers.log import BASE, JOINT, Log, Signal, joints_of, names, unit_of
 from tuning.identification.readers.outliers import without_outliers
-from tuning.identification.readers.repairs import cleaned, without_turns, without_unmeasured
+from tuning.identification.readers.repairs import cleaned, increasing, without_turns, without_unmeasured
 from tuning.identification.readers.signals import SECONDS, UNITS, Signals, Source
 from tuning.identification.readers.table import Recording, Table
 
@@ -70,7 +70,7 @@ def read_log(
         said += more
     start = min(float(signal.time[0]) for signal in read.values())
     read = {name: Signal(signal.time - start, signal.value) for name, signal in read.items()}
-    said += doubts(read, {name: signal for name, (signal, _) in raw.items()}, robot, signals)
+    said += doubts(read, {name: increasing(signal) for name, (signal, _) in raw.items()}, robot, signals)
     return Log(read, recording.source, notes + tuple(f"{recording.source}: {line}" for line in said), guessed)
 
 

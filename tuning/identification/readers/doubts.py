@@ -20,7 +20,7 @@ PENALTY = 0.05  # of a second of lag, in correlation
 SHORTEST = 5 * LONGEST_LAG  # s, of a log in which commands and positions are set beside each other
 SLOWEST, FASTEST = 2.0, 2e4  # samples per second that logs have
 DEGREES = 180 / np.pi
-_STRONGEST, _STRONGER = 1e3, 3.0  # N m, of a joint that has no torque limit; times its limit
+_STRONGEST, _STRONGER = 100.0, 3.0  # N m, of a joint that has no torque limit; times its limit
 _FEWEST = 8  # bits
 _SWITCHED = (".support", KP, OFF)  # whole numbers that jump
 _MOST = 8192  # samples that are correlated
@@ -41,9 +41,11 @@ def doubts(read: Read, recorded: Read, robot: Robot, signals: Signals) -> tuple[
         signals: where they stand, for the rates that the user knows.
     """
     joints = list(joints_of(robot))
-    units = dict(_without_sign(recorded, signals)) | dict(_beyond_limits(read, robot))
-    units |= dict(_beyond_torque(read, robot, units.keys())) | dict(_scaled(read, joints, units.keys()))
-    found = [*_spacing(recorded, signals), *_clock_unit(recorded), *_together(units.items()), *_rates(read, joints)]
+    unsigned, beyond = dict(_without_sign(recorded, signals)), dict(_beyond_limits(read, robot))
+    known = unsigned.keys() | beyond.keys()
+    beyond |= dict(_beyond_torque(read, robot, known)) | dict(_scaled(read, joints, known))
+    found = [*_spacing(recorded, signals), *_clock_unit(recorded)]
+    found += [*_together(unsigned.items()), *_together(beyond.items()), *_rates(read, joints)]
     return (*found, *_stuck(read, robot), *_against_commands(read, joints))
 
 
