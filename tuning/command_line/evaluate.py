@@ -311,4 +311,4 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_2 --ceiling --against cost_of_transport --knots 0.2 --iterations 25
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"
-    walk_rows(rivals, walk, output, "judge", again)
+    walk_rows(rivals, walk, output, "evaluate", again)

@@ -143,7 +143,7 @@ def identify(
         from tuning.command_line.session import from_page
         from tuning.identification.fit import identify as fitting
         from tuning.identification.fit.output import FILE
-        from tuning.identification.fit.report import table
+        from tuning.identification.fit.report import findings, table
         from tuning.methods.parts import FOLDER
         from tuning.writing.record import check_own, settings_of
 
@@ -160,8 +160,7 @@ def identify(
         keeping = contextlib.nullcontext() if output.out is None else shell.keeping("iterations")
         with keeping, shell.stage("fit", unit="iterations", keeps=True) as show:
             found = fitting.identify(scenario, progress=show, out=output.out, **dict(asked) | {"log": log})
-        shell.show(from_page(table(found)), *(f"warning: {line}" for line in found.warnings), *found.combined)
-        shell.show(f"{found.sentence}.")
+        shell.show(from_page(table(found)), *findings(found).lines)
         if output.out is not None:
             from tuning.kinds import write  # with all searches
 

@@ -178,14 +178,14 @@ def _walked(
     loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording
 ) -> tuple[Walks, dict[str, Any]]:
     """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
-    from tuning.numbers import to_json
+    from tuning.numbers import presentable, to_json
     from tuning.writing.record import walks_at_home
 
     with shell.whole() as place:
         walks, metrics, files = _written(loaded, name, shell, pictures, recording, place)
     walks = walks_at_home(walks, place, shell.out)
     _show(walks, metrics, loaded, shell)
-    shell.written(", ".join(files), to_json(metrics[name]))
+    shell.written(", ".join(files), to_json(presentable(metrics[name], None)))
     return walks, metrics[name]
 
 
@@ -196,7 +196,7 @@ def _written(
     from mjx_climb.files import dataset
     from mjx_climb.viz.recording import save_mcap
     from tuning import scenario_files
-    from tuning.numbers import to_json
+    from tuning.numbers import presentable, to_json
     from tuning.results.config_file import write_config
 
     scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
@@ -210,7 +210,7 @@ def _written(
             walks = {rival: mc.rollout(beside, engine=loaded.engine), **walks}
     metrics = {name: mc.metrics(walked, loaded.metrics) for name, walked in reversed(walks.items())}
     dataset.save(dataset.to_dataset(walks[name]), out / "trajectory.nc")
-    dataset.write_text_atomically(out / "metrics.json", to_json(metrics[name]) + "\n")
+    dataset.write_text_atomically(out / "metrics.json", to_json(presentable(metrics[name], None)) + "\n")
     with shell.stage("drawing", compiles=False):
         from mjx_climb.viz import plots  # matplotlib takes a third of a second
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
+from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.segment import Segment
 from rich.table import Table
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
     from tuning.pages.section import SectionOf
     from tuning.results.result import Result
 
-WIDTH = 100  # of tables in a file
+WIDTH = 100  # of tables in a file, unless their numbers need more
+_WIDEST = 100_000  # columns
 WORDS = ("", "metric", "unit", "measure", "signal", "command", "goal on two cores")  # columns that hold no numbers
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
@@ -224,20 +226,24 @@ class Session:
     def show(self, *results: "str | Table") -> None:
         """Print tables and lines of the result."""
         for result in results:
-            self.tables.print(result, soft_wrap=isinstance(result, str))
+            if isinstance(result, Table):  # no number is cut: a table that is wider than the terminal wraps
+                least = Measurement.get(self.tables, self.tables.options.update(max_width=_WIDEST), result).minimum
+                self.tables.print(result, width=max(self.tables.width, least), crop=False, no_wrap=True)
+            else:
+                self.tables.print(result, soft_wrap=True)
 
     def print_json(self, text: str) -> None:
         """Print JSON where it was asked for."""
         if self._json is not None:
             print(text, file=self._json)
 
-    def opening(self, scenario: "mc.Scenario | None" = None) -> None:
-        """Say where compiled programs are kept, and what to know of a scenario before it is walked."""
+    def opening(self, scenario: "mc.Scenario | None" = None, *lacks: str) -> None:
+        """Say where compiled programs are kept, and what to know of a scenario and a result before anything walks."""
         from tuning import numbers
         from tuning.command_line import cache
 
         (state,) = cache.cache()
-        warnings = numbers.ahead_of(scenario) if scenario else ()
+        warnings = [*(numbers.ahead_of(scenario) if scenario else ()), *lacks]
         own = scenario.own.components if scenario is not None and scenario.own is not None else {}
         named = {
             place: f"{Path(each.file).name}:{each.name}" if each.file else each.name for place, each in own.items()

@@ -23,7 +23,7 @@ RANGE = "LOW:HIGH:COUNT"
 ROWS = {  # by kind of result: file, word in the name of its folder, stage and unit
     "sweep": ("sweep.nc", "sweep", "grid", "walks"),
     "degrade": ("degraded.nc", "worse", "worse hardware", "walks"),
-    "judge": ("judged.nc", "evaluate", "fresh draw", "members"),
+    "evaluate": ("judged.nc", "evaluate", "fresh draw", "members"),
 }
 
 _End = Annotated[float, Field(ge=1e-30, le=1e30)]  # single precision, with room for squares of moderate gains

@@ -115,7 +115,8 @@ def verdict(folder: Path) -> str:
         at, variation = (number(value) if _real(value) else str(value) for value in (at, variation))
         lost = f"limb {limb} let go at {at} s" if limb else "held all the way"
         lost = "diverged" if metrics.get("diverged") else lost
-        return f"{lost}: force variation {variation} N"
+        # of a walk that flew off there is none
+        return lost if metrics["force_variation"] is None else f"{lost}: force variation {variation} N"
     warnings = _read(folder / "margins.json").get("warnings")
     return "; ".join(map(str, warnings)) if isinstance(warnings, list) else ""
 

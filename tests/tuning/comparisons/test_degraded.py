@@ -94,7 +94,8 @@ def test_tables_say_what_worse_hardware_takes_and_what_is_left_of_the_lead():
     assert lead.sections[0][1] == [["force variation", "mine", "-20", "+20"]]
     said = pages.in_words(found, compared)
     assert said == (
-        "64 walks in each of 1 settings: dead takes most from mine, +50 % force variation; dead loses 16 walks"
+        "64 walks in each of 1 settings: dead takes most from mine, +50 % force variation; dead loses 16 walks; beside "
+        "pd as the config has it its force variation is -20 % as drawn and +20 % dead"
     )
     swapped = degraded.Degraded(walks.isel(gains=[1, 0]), Problem(CASE), ensemble=DRAW)
     said = pages.in_words(swapped, degraded.summary(swapped.data))

@@ -13,7 +13,7 @@ import mjx_climb as mc
 import tuning
 from tuning.kinds import KINDS, Kind
 from tuning.pages.contents import Contents, Written
-from tuning.pages.page import Page
+from tuning.pages.page import Findings, Page
 from tuning.pages.section import Picture, Section, Table, load_section, sections_of
 from tuning.problem.evaluation import Problem
 from tuning.results.judged import Judged
@@ -60,7 +60,9 @@ def written(tmp_path, monkeypatch):
     scenario = mc.load_scenario("case_1_2")
 
     def contents(found, compared, name):
-        return Contents(Written(), found.problem, {}, lambda origin: Page("", origin, "", scenario, ["A note."]))
+        return Contents(
+            Written(), found.problem, {}, lambda origin: Page("", origin, Findings("", notes=["A note."]), scenario)
+        )
 
     monkeypatch.setitem(KINDS, Judged, Kind(lambda *_: "walks", contents))
     return lambda *sections: tuning.write(Judged(xr.Dataset(), Problem(scenario)), tmp_path, sections=sections)
