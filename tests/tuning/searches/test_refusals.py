@@ -33,7 +33,7 @@ def search(**how):
 
 
 def method(*requests):
-    return search(method=lambda task: iter(requests))
+    return search(method=lambda task: (request for request in requests))
 
 
 def schedule(**points):
