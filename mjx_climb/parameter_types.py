@@ -57,7 +57,7 @@ GAIN_UNITS = {field.name: (field.metadata["unit"], field.metadata["long_name"]) 
 class Parameters:
     """Every number of a walk, SI units: a tree of components, whose values have any leading batch axes.
 
-    Each value has a path, the key of a config: "contact.stiffness", "hardware.servo.armature", "disturbance.cargo.mass".
+    Each value has a path, the key of a config: "contact.stiffness", "hardware.servo.armature".
     Arrays of JAX, or of NumPy, which keep double precision whatever JAX's own setting.
     """
 

@@ -82,7 +82,7 @@ class Disturbance(Component):
     LISTED: ClassVar[bool] = True  # whether that key has a list of them
 
     def begins(self) -> Array | None:
-        """The instant at which it begins to act, () s: nothing can know of it before; infinite: never. None: not told."""
+        """The instant at which it begins to act, () s; infinite: never. None: not told."""
         return None
 
     def act(self, time: Array, body: Body) -> External:

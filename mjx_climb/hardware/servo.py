@@ -57,8 +57,9 @@ def gains_of(hardware: Hardware) -> ActuatorGains:
 
 
 class Servos(Actuator):
-    """The joints' motors and gears, all alike; `drive`: the joint loop asks for a "torque", or a share of the "voltage".
+    """The joints' motors and gears, all alike.
 
+    `drive`: the joint loop asks for a "torque", or a share of the supply "voltage".
     A limit, a speed, a rate or a voltage that is infinite is none.
     """
 

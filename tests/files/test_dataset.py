@@ -195,13 +195,8 @@ def test_a_damaged_file_is_refused_before_hdf5_opens_it(tmp_path, monkeypatch):
 def test_units_are_those_of_the_law_the_config_and_the_metrics():
     own, gains = mc.parameters(SCENARIO), {name: field.unit for name, field in law_of(SCENARIO).GAINS.items()}
     assert gains == {name: unit for name, (unit, _) in GAIN_UNITS.items() if name in gains}
-    computed = {
-        "mass_scale",
-        "gait.swing_path",
-        "ground.foothold_height",
-        "hardware.seed",
-        "hardware.force_sensor.dead",
-    }
+    computed = {"mass_scale", "gait.swing_path", "ground.foothold_height", "hardware.seed"}
+    computed |= {"hardware.force_sensor.dead"} | {key for key in own.units if ".pushes." in key}
     for key, (unit, _) in own.units.items():
         if key not in computed:
             *place, name = key.split(".")

@@ -19,10 +19,14 @@ SEEDS = 10
 METRICS = ("force_variation", "peak_foot_force", "cost_of_transport", "base_deviation")
 
 # what the reference names, and the parameters that it is here; there the base's pose is as late as the wrench
-PARAMETERS = {name: (name,) for name in ("hardware.command_delay", "hardware.control_period", "control.kp", "control.kd")} | {
-    "force_sensor.delay": ("hardware.force_sensor.delay", "hardware.base_estimate.delay"), "force_sensor.filter": ("hardware.force_sensor.filter",),
+PARAMETERS = {
+    "command_delay": ("hardware.command_delay",), "control_period": ("hardware.control_period",),
+    "kp": ("control.kp",), "kd": ("control.kd",),
+    "force_sensor.delay": ("hardware.force_sensor.delay", "hardware.base_estimate.delay"),
+    "force_sensor.filter": ("hardware.force_sensor.filter",),
     "force_sensor.noise": ("hardware.force_sensor.noise",), "servo.delay": ("hardware.servo.delay",),
-    "servo.torque_limit": ("hardware.servo.torque_limit",), "servo.coulomb_friction": ("hardware.servo.coulomb_friction",),
+    "servo.torque_limit": ("hardware.servo.torque_limit",),
+    "servo.coulomb_friction": ("hardware.servo.coulomb_friction",),
 }  # fmt: skip
 LAWS = {
     "pd": ("pd",),

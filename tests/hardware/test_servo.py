@@ -388,9 +388,12 @@ SERVOS = {
     },
 }  # fmt: skip
 MOVED = (
-    "control.ki", "hardware.servo.profile_velocity", "hardware.servo.profile_acceleration", "hardware.servo.no_load_speed", "hardware.servo.torque_limit", "hardware.servo.supply_voltage",
-    "hardware.servo.external_load_friction", "hardware.servo.stribeck_friction", "hardware.servo.stribeck_load_friction", "hardware.servo.stribeck_external_load_friction",
-    "hardware.servo.stribeck_velocity", "hardware.servo.stribeck_exponent", "hardware.servo.quadratic_load_friction", "hardware.servo.quadratic_external_load_friction",
+    "control.ki", "hardware.servo.profile_velocity", "hardware.servo.profile_acceleration",
+    "hardware.servo.no_load_speed", "hardware.servo.torque_limit", "hardware.servo.supply_voltage",
+    "hardware.servo.external_load_friction", "hardware.servo.stribeck_friction",
+    "hardware.servo.stribeck_load_friction", "hardware.servo.stribeck_external_load_friction",
+    "hardware.servo.stribeck_velocity", "hardware.servo.stribeck_exponent",
+    "hardware.servo.quadratic_load_friction", "hardware.servo.quadratic_external_load_friction",
     "hardware.servo.presliding",
 )  # fmt: skip
 

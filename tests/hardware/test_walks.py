@@ -30,8 +30,11 @@ EVERYTHING = {
     },
 }  # fmt: skip
 VARIED = (
-    "hardware.command_delay", "hardware.force_sensor.delay", "hardware.force_sensor.noise", "hardware.force_sensor.bias", "hardware.force_sensor.filter", "hardware.servo.torque_limit", "hardware.servo.no_load_speed",
-    "hardware.servo.armature", "hardware.servo.coulomb_friction", "hardware.servo.viscous_friction", "hardware.servo.load_friction", "hardware.servo.backlash", "hardware.servo.delay", "contact.capture_distance",
+    "hardware.command_delay", "hardware.force_sensor.delay", "hardware.force_sensor.noise",
+    "hardware.force_sensor.bias", "hardware.force_sensor.filter", "hardware.servo.torque_limit",
+    "hardware.servo.no_load_speed", "hardware.servo.armature", "hardware.servo.coulomb_friction",
+    "hardware.servo.viscous_friction", "hardware.servo.load_friction", "hardware.servo.backlash",
+    "hardware.servo.delay", "contact.capture_distance",
 )  # fmt: skip
 
 
@@ -172,8 +175,10 @@ def test_engines_agree_on_hardware(scenario):
 
 
 DIFFERENTIATED = (
-    "hardware.force_sensor.delay", "hardware.servo.delay", "hardware.force_sensor.filter", "hardware.force_sensor.noise", "hardware.force_sensor.bias", "hardware.servo.armature",
-    "hardware.servo.coulomb_friction", "hardware.servo.viscous_friction", "hardware.servo.load_friction", "hardware.servo.backlash",
+    "hardware.force_sensor.delay", "hardware.servo.delay", "hardware.force_sensor.filter",
+    "hardware.force_sensor.noise", "hardware.force_sensor.bias", "hardware.servo.armature",
+    "hardware.servo.coulomb_friction", "hardware.servo.viscous_friction", "hardware.servo.load_friction",
+    "hardware.servo.backlash",
 )  # fmt: skip
 
 

@@ -133,7 +133,8 @@ def test_directions_have_the_gains_that_the_gains_have(short, of_gains, of_direc
 def test_batches_that_do_not_broadcast_are_named():
     scenario = mc.load_scenario("case_1_2")
     parameters = own_parameters(scenario).replace({"disturbance.cargo.mass": np.full((8, 1), 0.1)})
-    expected = "batch axes of gains and parameters: expected some that broadcast, got damping (4, 1), disturbances.0.mass (8, 1)"
+    expected = "batch axes of gains and parameters: expected some that broadcast, got damping (4, 1), "
+    expected += "disturbances.0.mass (8, 1)"
     with pytest.raises(ValueError, match=f"^{re.escape(expected)}$"):
         mc.rollout_metrics(
             scenario, {"damping": np.full((4, 1, 6), 500.0), "stiffness": 1e4, "inertia": 1.0}, parameters
