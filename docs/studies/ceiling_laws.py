@@ -41,7 +41,7 @@ from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, spaces
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.evaluation import Problem, under_pd
-from tuning.problem.objectives import Limit, Objective, Score, penalty_of
+from tuning.problem.objectives import Limit, Objective, Score, lost, penalty_of
 from tuning.problem.plans import RATE, SWING
 from tuning.problem.search import Search
 from tuning.results.tuned import AGREEMENT
@@ -69,7 +69,7 @@ def goals_on(scenario, weights, *draws):
     goals, first = [], 0
     for draw in draws:
         own = {name: value[first : first + draw.members] for name, value in pd.items()}
-        goal, way = bounds._objective(scenario, Ceiling(weights=weights), own, TABLE), own["travel"].mean()
+        goal, way = bounds._objective(Ceiling(weights=weights), own, TABLE), own["travel"].mean()
         held = [Limit("travel", float(way * (1 + side * WAY)), float(way), 0.1 * WAY, "pd's", side < 0)
                 for side in (-1, 1)]  # fmt: skip
         goals.append(dataclasses.replace(goal, limits=(*goal.limits, *held)))
@@ -129,8 +129,8 @@ def values(problem, theta):
 def of_walks(problem, found):
     """Return objective and metrics of walks, and which are lost."""
     score = problem.objective.score({name: np.asarray(value) for name, value in found.items()})
-    lost = np.asarray(found["diverged"], bool) | (found["peak_pull_force"] > problem.scenario.contact.holding_limit)
-    kept = {name: np.asarray(found[name]) for name in KEPT} | {"objective": np.asarray(score.value), "lost": lost}
+    kept = {name: np.asarray(found[name]) for name in KEPT} | {"objective": np.asarray(score.value)}
+    kept["lost"] = lost({name: np.asarray(found[name]) for name in ("peak_utilization", "diverged")})
     return {name: value.reshape(-1).astype(np.float32) for name, value in kept.items()}
 
 
@@ -196,7 +196,7 @@ def main():
     weights = {name: float(weight) for name, weight in (text.split("=") for text in asked.weight)} or study.WEIGHTS
     goal, judges = goals_on(scenario, weights, draw, unseen)
     goal = dataclasses.replace(goal, limits=tuple(
-        limit._replace(margin=PULL_MARGIN) if limit.metric == "peak_pull_force" else limit for limit in goal.limits
+        limit._replace(margin=PULL_MARGIN) if limit.metric == "peak_utilization" else limit for limit in goal.limits
     ))  # fmt: skip
     ended = []
     for place, step in enumerate(asked.steps):

@@ -128,7 +128,8 @@ def climbed(row: Kind, seeds: range, way: float) -> dict[str, np.ndarray]:
     size = LUNAR if ground == "rock" else MICRO
     gravity = size * np.stack([-np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
     holds = grounds(scenario, robot, ground, seeds)
-    parameters = dataclasses.replace(own_parameters(scenario), gravity=gravity[:, None, None], holds=holds)
+    parameters = own_parameters(scenario).replace({"gravity": gravity[:, None, None]})
+    parameters = dataclasses.replace(parameters, ground=dataclasses.replace(parameters.ground, holds=holds))
     own = LoadTransfer() if law == "load_transfer" else None
     simulation = mc.Simulation(scenario, own, (*mc.METRICS, *along(way), UNREACHED))
     found = simulation.metrics(None, parameters, unsteady=True)

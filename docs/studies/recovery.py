@@ -24,6 +24,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
 import mjx_climb as mc
+from mjx_climb.disturbances import Push
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.spatial import skew
@@ -81,13 +82,12 @@ def survived(
 ) -> np.ndarray:
     """Return which walks survive, (..., gravity, length, impulse, draw) bool, behind a recovery's axes."""
     (way, start), length = draws, np.array([*LENGTHS.values()])
-    force = (impulses[:, None] / length[:, None, None])[..., None, None] * way[:, None]
+    force = (impulses[:, None] / length[:, None, None])[..., None] * way
     own, gravity = own_parameters(simulation.scenario), np.array([*GRAVITY.values()])
     down = np.stack([0 * gravity, 0 * gravity, -gravity], axis=-1)[:, None, None, None]
-    parameters = dataclasses.replace(
-        own, gravity=down, push_force=force, push_moment=0 * force, push_start=start[:, None],
-        push_stop=(start + length[:, None, None])[..., None], recovery=recovery,
-    )  # fmt: skip
+    push = Push(force=force, moment=0 * force, start=start, stop=start + length[:, None, None])
+    others = (each for each in own.disturbances if not isinstance(each, Push))
+    parameters = dataclasses.replace(own, gravity=down, disturbances=(*others, push), recovery=recovery)
     found = simulation.metrics(gains, parameters, dtype=np.float32, unsteady=True)
     return np.asarray(np.isnan(found["detached_at"]) & ~found["diverged"].astype(bool))
 

@@ -105,6 +105,6 @@ def check_the_pictures(results, folder):
     runpy.run_path(str(IMAGES / "first_pages.py"))["main"](str(results), str(folder))
     for name in ("report.webp", "report_dark.webp", "tuned_path.png", "tuned_walk.webp"):
         kept, drawn = (Image.open(path / name).convert("L") for path in (IMAGES, folder))
-        assert kept.height / kept.width == pytest.approx(drawn.gait.height / drawn.width, rel=0.03), name
+        assert kept.height / kept.width == pytest.approx(drawn.height / drawn.width, rel=0.03), name
         coarse = [np.asarray(picture.resize((11, 24)), float) for picture in (kept, drawn)]
         assert np.abs(coarse[0] - coarse[1]).mean() < 4, name  # of 255

@@ -17,7 +17,7 @@ import mjx_climb as mc
 from mjx_climb import ground
 from mjx_climb.gait.footholds import Nearest
 from mjx_climb.gait.recovery import Recovery
-from mjx_climb.hardware.actuator import JointSpring
+from mjx_climb.hardware.actuator import JointLoop, JointSpring
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import Own, check_time_step, growth, largest_time_step
@@ -367,7 +367,8 @@ def test_limbs_that_are_stretched_to_chosen_footholds_take_a_shorter_step():
     rock = mc.load_scenario("hubrobo_v3_2_rock")
     assert growth(rock) < 1 < growth(rock, 1e-3)
     planned = mc.Scenario(robot="hubrobo_v3_2")
-    holds = dataclasses.replace(own_parameters(planned), holds=ground.of(np.zeros((1, 3))))
+    holds = own_parameters(planned)
+    holds = dataclasses.replace(holds, ground=dataclasses.replace(holds.ground, holds=ground.of(np.zeros((1, 3)))))
     check_time_step(planned, parameters=holds)
     for changes in ({"footholds": Nearest()}, {"recovery": Recovery()}):
         with pytest.raises(mc.ConfigError, match=r"0\.2, limbs stretched to .* got 0\.001 .*: 0\.0005 would do"):
@@ -390,7 +391,7 @@ def test_a_contact_and_an_actuator_of_ones_own_are_checked_by_their_own_springs(
     for changes, said in (
         ({"contact": Gripper(stiffness=np.array([9e3, 1e6]))}, "with Gripper of 1e+06 N/m and 20 N s/m, control.kp"),
         (
-            {"contact": Bare(), "kp": np.asarray(2e3), "kd": np.asarray(30.0)},
+            {"contact": Bare(), "joint_loop": JointLoop(kp=np.asarray(2e3), kd=np.asarray(30.0))},
             "with Bare, whose springs are not known, control.kp 2000 and",
         ),
     ):
@@ -405,7 +406,7 @@ def test_joint_gains_that_are_given_count_for_the_time_step(given):
     stiff = {"kp": 2e3, "kd": 30.0}
     numbers = mc.parameters(scenario)
     check_time_step(scenario, parameters=numbers)
-    replaced = dataclasses.replace(numbers, **jax.tree.map(np.asarray, stiff))
+    replaced = numbers.replace({f"control.{name}": np.asarray(value) for name, value in stiff.items()})
     with pytest.raises(mc.ConfigError, match=r"control.kp 2000 and control.kd 30, got 0\.001"):
         mc.rollout(scenario, **({"gains": stiff} if given == "gains" else {"parameters": replaced}))
 
@@ -419,13 +420,14 @@ def test_each_robot_of_a_batch_counts_for_the_time_step(given):
     scenario = mc.Scenario(robot="hubrobo_v3_2")
     stiff = {"kp": np.array([50.0, 2e3, 40.0]), "kd": np.array([0.2, 30.0, 0.1])}
     numbers = mc.parameters(scenario)
-    call = {"gains": stiff} if given == "gains" else {"parameters": dataclasses.replace(numbers, **stiff)}
+    replaced = numbers.replace({f"control.{name}": value for name, value in stiff.items()})
+    call = {"gains": stiff} if given == "gains" else {"parameters": replaced}
     simulation = mc.Simulation(scenario)
     for method in (simulation.metrics, simulation.histories, simulation.simulate, mc.Environment(scenario).reset):
         with pytest.raises(mc.ConfigError, match=STIFF):
             method(**call)
     with pytest.raises(mc.ConfigError, match=STIFF):
-        simulation.jvp({"damping": 1e2}, {"damping": np.ones(1)}, dataclasses.replace(numbers, **stiff))
+        simulation.jvp({"damping": 1e2}, {"damping": np.ones(1)}, replaced)
 
 
 @pytest.mark.slow
@@ -433,22 +435,20 @@ def test_robots_of_a_batch_that_are_stiff_in_turn_are_not_one_that_is_so_in_all(
     """Against the eigenvalues of each robot alone."""
     scenario = mc.Scenario(robot="hubrobo_v3_2")
     rng = np.random.default_rng(1)
-    keys = {"kp": "control.kp", "kd": "control.kd", "contact_stiffness": "contact.stiffness"}
-    keys["contact_damping"] = "contact.damping"
-    own = {name: float(np.asarray(getattr(mc.parameters(scenario), name))) for name in keys}
-    rows = [{name: value * np.exp(rng.uniform(-3, 4)) for name, value in own.items()} for _ in range(24)]
-    short = [growth(scenario.with_overrides({keys[n]: v for n, v in row.items()})) <= 1 + 1e-7 for row in rows]
+    paths = ("control.kp", "control.kd", "contact.stiffness", "contact.damping")
+    own = {path: float(mc.parameters(scenario).at(path)) for path in paths}
+    rows = [{path: value * np.exp(rng.uniform(-3, 4)) for path, value in own.items()} for _ in range(24)]
+    short = [growth(scenario.with_overrides(row)) <= 1 + 1e-7 for row in rows]
     assert 3 < sum(short) < 21
-    assert growth(scenario.with_overrides({keys[n]: max(r[n] for r in rows) for n in keys})) > 1
+    assert growth(scenario.with_overrides({path: max(row[path] for row in rows) for path in paths})) > 1
 
     def batch(rows):
-        values = {name: np.array([row[name] for row in rows]) for name in keys}
-        return dataclasses.replace(mc.parameters(scenario), **values)
+        return mc.parameters(scenario).replace({path: np.array([row[path] for row in rows]) for path in paths})
 
     sound = [row for row, fine in zip(rows, short, strict=True) if fine]
     check_time_step(scenario, parameters=batch(sound))
     for row in (row for row, fine in zip(rows, short, strict=True) if not fine):
-        with pytest.raises(mc.ConfigError, match=rf"control\.kp {row['kp']:g} and"):
+        with pytest.raises(mc.ConfigError, match=rf"control\.kp {row['control.kp']:g} and"):
             check_time_step(scenario, parameters=batch([*sound, row]))
 
 

@@ -158,12 +158,12 @@ def test_better_hardware_is_half_or_twice_of_what_was_drawn(scenario):
     found = compare.on_better_hardware(scenario, drawn)
     assert list(found) == ["half the delay", "half the friction", "twice the rate"]
     delay, friction, rate = found.values()
-    np.testing.assert_allclose(delay.force_delay, drawn.force_sensor.delay / 2)
-    np.testing.assert_allclose(delay.command_delay, 0.002)
-    np.testing.assert_allclose(friction.coulomb_friction, drawn.drive.coulomb_friction / 2)
-    assert (np.abs(rate.control_period - drawn.bus.control_period / 2) <= 0.5e-3 + 1e-12).all()
-    np.testing.assert_allclose(rate.control_period / 1e-3, np.round(rate.control_period / 1e-3))
-    assert rate.control_period.min() >= 1e-3
+    np.testing.assert_allclose(delay.force_sensor.delay, drawn.force_sensor.delay / 2)
+    np.testing.assert_allclose(delay.bus.command_delay, 0.002)
+    np.testing.assert_allclose(friction.drive.coulomb_friction, drawn.drive.coulomb_friction / 2)
+    assert (np.abs(rate.bus.control_period - drawn.bus.control_period / 2) <= 0.5e-3 + 1e-12).all()
+    np.testing.assert_allclose(rate.bus.control_period / 1e-3, np.round(rate.bus.control_period / 1e-3))
+    assert rate.bus.control_period.min() >= 1e-3
     for other in (friction, rate):
         np.testing.assert_array_equal(other.force_sensor.delay, drawn.force_sensor.delay)
     ideal = mc.load_scenario(CASE, SHORT)

@@ -86,9 +86,9 @@ def test_tables_say_what_worse_hardware_takes_and_what_is_left_of_the_lead():
     pull = np.zeros_like(values)
     pull[1, 0, ::4] = 9.0
     data = {name: (dims, values, about) for name in degraded.METRICS} | {"diverged": (dims, np.zeros_like(values))}
-    data["peak_pull_force"] = (dims, pull, about)
+    data |= {"peak_pull_force": (dims, pull, about), "peak_utilization": (dims, pull / 4.0)}
     names = {"setting": [degraded.AS_DRAWN, "dead"], "gains": [*level], "member": range(members)}
-    walks = xr.Dataset(data, names, {"holding_limit": 4.0})
+    walks = xr.Dataset(data, names)
     found = degraded.Degraded(walks, Problem(CASE), ensemble=DRAW)
     compared = degraded.summary(walks)
     assert compared.baseline == "pd"

@@ -173,8 +173,9 @@ def walks(members=240, **columns):
         own = 0.05 * rng.normal(size=(len(NAMES), members))
         values = np.asarray(level, float)[:, None] * np.clip(common + own, 0.2, None)
         data[name] = (("gains", "member"), values, {"larger_is_better": int(name == "travel"), "units": "N"})
+    data["peak_utilization"] = (("gains", "member"), data["peak_pull_force"][1] / 15)
     data["diverged"] = (("gains", "member"), np.zeros((len(NAMES), members), bool))
-    return xr.Dataset(data, {"gains": NAMES, "member": np.arange(members)}, {"holding_limit": 15.0})
+    return xr.Dataset(data, {"gains": NAMES, "member": np.arange(members)})
 
 
 GOAL = Objective((Term("force_variation", 3.0, 1.0, 1.0), Term("travel", 1.0, 1.0, 1.0, True)), (), worst=Worst())
@@ -203,7 +204,7 @@ def test_a_table_has_what_judge_says_and_which_differences_are_real():
 
 def test_what_is_lost_counts_and_what_diverges_is_left_out():
     data = walks()
-    data["peak_pull_force"][0, :20] = 16.0
+    data["peak_utilization"][0, :20] = 16 / 15
     data["diverged"][1, :3] = True
     data["diverged"][3, :200] = True  # left out, and no reason to leave these walks out
     for name in METRICS:
@@ -291,7 +292,7 @@ def test_one_search_that_finds_nothing_leaves_a_law_out():
 
 def test_a_law_that_loses_walks_is_not_better():
     data = walks()
-    data["peak_pull_force"][0, :20] = 16.0
+    data["peak_utilization"][0, :20] = 16 / 15
     assert said(data).best is None
 
 

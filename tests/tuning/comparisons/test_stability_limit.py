@@ -1,7 +1,5 @@
 """The limit of stability: what it calls unstable diverges, what it calls stable does not; and maps that show it."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -104,7 +102,7 @@ def test_the_worst_stance_is_the_limit_of_walks_and_all_feet_count_where_the_gai
     )
     assert (stability_limit.spectral_radius(turn, gains, late) > 1).tolist() == [False, False, False, True, True]
     pauses = case("case_1_2", "virtual_model", {"gait.duty": 0.875})
-    late = own_parameters(pauses).replace({"hardware.force_sensor.delay": late.force_delay})
+    late = own_parameters(pauses).replace({"hardware.force_sensor.delay": late.force_sensor.delay})
     assert (stability_limit.spectral_radius(pauses, gains, late) > 1).tolist() == [False, True, True, True, True]
 
 
@@ -154,18 +152,21 @@ def test_one_program_serves_whatever_part_of_the_hardware_gets_worse(case, monke
         programs.add((function, structure, tuple(kinds), tuple(how.items())))
         return run(function, structure, robots, **how)
 
-    def radius(**changed):
-        parameters = dataclasses.replace(own_parameters(scenario), **changed)
+    def radius(changed):
+        parameters = own_parameters(scenario).replace(changed)
         return stability_limit.by_stance(scenario, gains, parameters, only=0, hardware=hardware)
 
     monkeypatch.setattr(stability_limit.execution, "run", recorded)
     hardware = stability_limit.HARDWARE
     late = np.array([0.0, 3.4e-3])
-    by_delay = radius(force_delay=late, base_delay=late)
-    others = [radius(command_delay=late), radius(control_period=np.array([1e-3, 8e-3])), radius(kp=np.array(50.0))]
+    by_delay = radius({"hardware.force_sensor.delay": late, "hardware.base_estimate.delay": late})
+    others = [
+        radius({"hardware.command_delay": late}), radius({"hardware.control_period": np.array([1e-3, 8e-3])}),
+        radius({"control.kp": np.array(50.0)}),
+    ]  # fmt: skip
     assert len(programs) == 1
     hardware = ()  # what there is not is not in the loop
-    np.testing.assert_allclose([each.ravel()[0] for each in (by_delay, *others)], radius().item(), rtol=1e-9)
+    np.testing.assert_allclose([each.ravel()[0] for each in (by_delay, *others)], radius({}).item(), rtol=1e-9)
     assert len(programs) == 2 and abs(by_delay[1, 0] / by_delay[0, 0] - 1) > 1e-4
 
 

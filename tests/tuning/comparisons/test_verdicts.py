@@ -53,9 +53,10 @@ def walks(rng, study):
         values[0] *= 1 + study.better if larger else 1 - study.better
         data[name] = (paired.DIMS, values, {"larger_is_better": int(larger), "units": "N"})
     data["peak_pull_force"][1][...] = np.where(rng.uniform(size=shape) < 0.02, 1e3, data["peak_pull_force"][1])
+    data["peak_utilization"] = (paired.DIMS, data["peak_pull_force"][1] / 100)
     data["diverged"] = (paired.DIMS, np.zeros(shape, bool))
     coordinates = {"gains": NAMES, "seed": np.arange(study.seeds), "member": np.arange(study.walks)}
-    return xr.Dataset(data, coordinates, {"holding_limit": 100.0})
+    return xr.Dataset(data, coordinates)
 
 
 def verdict(data, resamples=1000):

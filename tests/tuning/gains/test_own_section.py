@@ -196,7 +196,7 @@ def test_what_is_no_objective_is_refused_in_one_line(file, named, said):
 def test_an_objective_that_fails_is_refused_in_one_line(objective, said):
     baseline = {"base_deviation": 0.01, "travel": 1.0}
     with pytest.raises(ConfigError, match=f"^{re.escape(said)}$"):
-        objectives.objective(mc.Scenario(), Search(), baseline, objective)
+        objectives.objective(Search(), baseline, objective)
 
 
 def test_an_objective_has_its_own_value_of_pd_and_reads_smooth_metrics_of_a_walk_that_has_none():
@@ -205,9 +205,9 @@ def test_an_objective_has_its_own_value_of_pd_and_reads_smooth_metrics_of_a_walk
     def mine(metrics):
         return 3 * metrics["smooth_travel"] + metrics["smooth_cost_of_transport"]
 
-    goal = objectives.objective(mc.Scenario(), Search(), baseline, mine)
+    goal = objectives.objective(Search(), baseline, mine)
     assert goal.reference == pytest.approx(15.7)
-    alone = {"joint_limit_margin": 1.0, "peak_pull_force": 0.0, "diverged": np.array(False)}
+    alone = {"joint_limit_margin": 1.0, "peak_utilization": 0.0, "diverged": np.array(False)}
     alone |= {name: value for name, value in baseline.items() if name != "smooth_travel"}
     assert float(goal.score(alone).value) == pytest.approx(16.0)
 

@@ -32,7 +32,7 @@ def test_accelerations_are_those_of_mujoco_with_the_base_welded():
     model = welded("hubrobo_v3_2", TRUTH.replace({"gravity": (1.0, -2.0, -9.0)}))
     model.dof_damping[:], model.dof_frictionloss[:], model.actuator_gainprm[:], model.actuator_biasprm[:] = 0, 0, 0, 0
     data = mujoco.MjData(model)
-    robot = ROBOT.replace({"hardware.servo.armature": np.full((4, 3), TRUTH.armature)})
+    robot = dataclasses.replace(ROBOT, armature=np.full((4, 3), TRUTH.armature))
     for _ in range(5):
         data.qpos[:], data.qvel[:] = ROBOT.stance_joints.ravel() + rng.normal(0, 0.4, 12), rng.normal(0, 3, 12)
         torque = rng.normal(0, 1, 12)
@@ -70,7 +70,7 @@ def test_a_step_of_a_millisecond_is_right_to_second_order(friction):
         "control.kp": truth.kp, "control.kd": truth.kd, **{f"hardware.servo.{k}": v for k, v in hardware.items()}
     })  # fmt: skip
     own = parameters(scenario)
-    stand = stands.Stand(ROBOT, hardware_of(own, stages_of(own, ROBOT, scenario.time_step), 0.001, ROBOT))
+    stand = stands.Stand(ROBOT, hardware_of(own, stages_of(own, scenario.time_step, ROBOT), 0.001, ROBOT))
     start = stands.begin(stand, jnp.asarray(targets[0].reshape(4, 3)), jnp.zeros((4, 3)))
     held = np.stack([stands.targets_of(time, command, time, 0.001)[0] for command in targets.T], axis=1)
     _, ours = jax.lax.scan(functools.partial(stands.advance, stand), start, jnp.asarray(held.reshape(-1, 4, 3)))

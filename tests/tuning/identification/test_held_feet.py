@@ -35,7 +35,7 @@ def test_a_step_of_a_millisecond_is_right_to_second_order(stiffness, damping):
     })  # fmt: skip
     with jax.enable_x64(True):
         own = parameters(scenario)
-        hardware = hardware_of(own, stages_of(own, ROBOT, scenario.time_step), 0.001, ROBOT)
+        hardware = hardware_of(own, stages_of(own, scenario.time_step, ROBOT), 0.001, ROBOT)
         robot = jax.tree.map(lambda value: jnp.asarray(value, float), ROBOT)
         still = jnp.zeros(3)
         pose = robot.stance_position, robot.stance_orientation

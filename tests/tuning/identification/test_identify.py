@@ -481,7 +481,8 @@ def test_a_posterior_is_drawn_with_its_covariance_and_leaves_other_draws_alone()
     alone, with_it = ensembles.Ensemble(members=4000), ensembles.Ensemble(members=4000, posterior=posterior)
     assert ensembles.Ensemble.parse(with_it.to_yaml()) == with_it
     drawn, before = ensembles.draw(SCENARIO, with_it), ensembles.draw(SCENARIO, alone)
-    np.testing.assert_array_equal(drawn.push_force, before.push_force)
+    for path in ("disturbance.pushes.0.force", "disturbance.pushes.1.force"):
+        np.testing.assert_array_equal(drawn.at(path), before.at(path))
     points = np.stack([drawn.drive.armature[:, 0], np.log(drawn.joint_loop.kp[:, 0])])
     np.testing.assert_allclose(np.cov(points), covariance[:2, :2], rtol=0.1)
     down = ensembles.draw(SCENARIO, with_it.model_copy(update={"gravity": None})).gravity[:, 0]

@@ -127,7 +127,7 @@ def test_commands_go_to_the_servos_as_logged_whatever_the_period_of_the_law(tmp_
     write_csv(tmp_path / "log.csv", recorded())
     scenario = SCENARIO.with_overrides({"hardware.interpolation": "linear", "hardware.command_delay": 0.003})
     own = prepare(read_log(tmp_path / "log.csv", ROBOT), scenario, "held").scenario.hardware
-    assert (own.bus.control_period, own.interpolation, own.bus.command_delay) == (0.0, "hold", 0.003)
+    assert (own.control_period, own.interpolation, own.command_delay) == (0.0, "hold", 0.003)
 
 
 def test_what_cannot_be_replayed_is_said_in_one_line(tmp_path):

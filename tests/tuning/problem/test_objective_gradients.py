@@ -15,13 +15,16 @@ from tuning.problem.objectives import Limit, Objective, Term
 CASES = ("case_1_1", "case_1_2", "case_2")
 # a whole cycle in 0.4 s: each limb lets go, swings and grips; cargo and pushes come while it does
 QUICK = {"duration": 0.4, "gait.cycle": 0.4, "gait.stride": 0.01, "gait.step_height": 0.01}
-QUICK_NUMBERS = {"cargo_start": 0.15, "push_start": [0.06, 0.18, 0.29], "push_stop": [0.11, 0.25, 0.36]}
+WINDOWS = ((0.06, 0.11), (0.18, 0.25), (0.29, 0.36))
+QUICK_NUMBERS = {"disturbance.cargo.start": 0.15}
+for _n, (_start, _stop) in enumerate(WINDOWS):
+    QUICK_NUMBERS |= {f"disturbance.pushes.{_n}.start": _start, f"disturbance.pushes.{_n}.stop": _stop}
 STEPS = np.array([1e-4, 1e-5, 1e-6])  # in the logarithm of the gains
 ROUNDING = 1e-12  # of a metric, relative
 STEEPEST_PENALTY = 10.0  # per relative change of the metric: so much more does its rounding count
 TERMS = tuple(name for name in mc.METRICS.names if name not in FAILURES)
 # holding force, joint limits, base deviation; `no worse than pd` adds the metrics with a weight
-LIMITS = ("peak_pull_force", "joint_limit_margin", "base_deviation", "force_variation", "peak_foot_force",
+LIMITS = ("peak_utilization", "joint_limit_margin", "base_deviation", "force_variation", "peak_foot_force",
           "cost_of_transport")  # fmt: skip
 OVERSHOOTS = (-0.01, 0.03, 3.0)  # relative: in the margin before a limit, just beyond it, far beyond it
 NOMINAL = {  # gains that matter in these walks, and of which none lies on a bound

@@ -25,7 +25,7 @@ def asked(**settings):
     problem = tune.without_goal(scenario, search)
     task, method = Task(problem, search, tune.start_of(problem)), method_of(search.method)
     first = next(method.run(task))
-    goal = objective(scenario, search, pd)
+    goal = objective(search, pd)
     return repr((dataclasses.astuple(problem.space), goal, problem.dtype, method.rounds(task), first, method.run))
 
 

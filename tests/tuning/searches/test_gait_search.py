@@ -155,8 +155,8 @@ def test_files_of_other_laws_and_gaits_are_judged_in_one_call(tmp_path):
     walks = evaluate(SHORT, whole, still, members=2).data
     draw = {name: float(value) for name, value in walks.isel(member=0).sel(gains="feet's").items() if value.ndim == 0}
     feet = gains_file.applied(SHORT.with_overrides(["control.controller=end_effector_admittance"]), files["feet"])
-    drawn = {name: np.asarray(draw[name]) for name in ("contact_stiffness", "mass_scale")}
-    parameters = dataclasses.replace(mc.parameters(feet), **drawn)
+    drawn = {name: np.asarray(draw[name]) for name in ("contact.stiffness", "mass_scale")}
+    parameters = mc.parameters(feet).replace(drawn)
     alone = mc.rollout_metrics(feet, files["feet"], parameters, smooth=True)
     for name in ("force_variation", "travel", "peak_foot_force"):
         np.testing.assert_allclose(draw[name], alone[name], rtol=1e-3)

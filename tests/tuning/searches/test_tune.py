@@ -149,7 +149,7 @@ def test_settings_survive_yaml():
 @pytest.mark.slow
 def test_pd_scores_one_and_keeps_its_own_limits(scenario):
     baseline = evaluation.baseline(scenario)
-    target = objectives.objective(scenario, search.Search(), baseline)
+    target = objectives.objective(search.Search(), baseline)
     walked = {name: jnp.asarray(value) for name, value in baseline.items()}
     score = target.score(walked | {"diverged": jnp.asarray(False)})
     assert float(score.value) == pytest.approx(1, rel=1e-5)
