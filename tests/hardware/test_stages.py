@@ -136,7 +136,7 @@ def of_keys(keys):
     """Return the hardware of a scenario with these keys of its section."""
     scenario = mc.Scenario().with_overrides({"hardware": keys})
     own = mc.parameters(scenario)
-    return hardware_of(own, stages_of(scenario, own), STEP)
+    return hardware_of(own, stages_of(own, scenario.time_step), STEP)
 
 
 def test_a_force_sensor_is_late_then_biased_noisy_rounded_and_filtered():

@@ -1,5 +1,6 @@
 """The robot's own loop, step by step: what is sampled, held, moved along lines, late, and sent to the servos."""
 
+import dataclasses
 import types
 from typing import Any
 
@@ -10,7 +11,6 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control.law import JointGains, shifted
-from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import Feet, base_wrench_of_foot_force, limb_frames
@@ -53,8 +53,10 @@ def test_a_pass_of_the_loop_is_that_of_numpy(who):
     }  # fmt: skip
     scenario = mc.Scenario().with_overrides({"hardware": keys})
     own = mc.parameters(scenario)
-    hardware = hardware_of(own, stages_of(scenario, own), STEP, ROBOT)
-    controller = control_loop.Controller(Counting(), GEOMETRY, hardware, Servos(hardware))
+    hardware = hardware_of(own, stages_of(own, scenario.time_step), STEP, ROBOT)
+    controller = control_loop.Controller(
+        Counting(), GEOMETRY, hardware, dataclasses.replace(own.drive, hardware=hardware)
+    )
     reference = mc.Reference(jnp.asarray(BASE), jnp.asarray(ROBOT.stance_orientation), jnp.asarray(FEET))
     rest = jnp.asarray(ROBOT.stance_joints)
     state = State(reference.base_position, reference.base_orientation, jnp.zeros(3), jnp.zeros(3), rest, 0 * rest)
