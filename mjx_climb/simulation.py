@@ -280,8 +280,8 @@ class Simulation:
 
         Arguments:
             directions: rates of change of the gains, in their units and by their names: values (k, *batch, n), of
-                length 1 and for `kp`, `kd` and `ki` (k, *batch), with batch axes that broadcast to the gains'. A gain
-                of the law without rates stays as it is.
+                length 1 and for `kp`, `kd` and `ki` (k, *batch), with all batch axes of the gains, of their sizes or
+                of 1. A gain of the law without rates stays as it is.
 
         Returns:
             The metrics (*batch), and the tangents (k, *batch) of those that are real numbers.

@@ -1,5 +1,6 @@
 """The seam of disturbances: wrenches and masses from outside."""
 
+import abc
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -61,12 +62,13 @@ def _from_foot_inwards(values: Array) -> Array:
     return jnp.stack(sums[::-1], axis=1)
 
 
-class Disturbance(Component):
+class Disturbance(Component, abc.ABC):
     """Base of disturbances: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `parameter` are its values. `act` is written for one robot.
     """
 
+    @abc.abstractmethod
     def act(self, time: Array, body: Body) -> External:
         """What acts in a step.
 
@@ -74,4 +76,3 @@ class Disturbance(Component):
             time: () s, of the middle of the step: what starts at an instant starts with the step nearest to it.
             body: the robot at the beginning of the step.
         """
-        raise NotImplementedError(f"{type(self).__name__}.act")

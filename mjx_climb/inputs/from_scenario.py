@@ -12,7 +12,7 @@ import numpy as np
 from jax.extend.core import concrete_or_error
 from pydantic import TypeAdapter, ValidationError
 
-from mjx_climb.component import with_values
+from mjx_climb.component import real_numbers, with_values
 from mjx_climb.execution import check_process
 from mjx_climb.gait.footholds import SHIPPED
 from mjx_climb.gait.footholds.footholds import Footholds
@@ -107,9 +107,7 @@ def check_ranges(parameters: Parameters) -> None:
     for name, value in parameters.numbers.items():
         if isinstance(value, jax.core.Tracer):
             continue
-        values = np.asarray(value)
-        if values.dtype.kind in "cOSU":
-            raise ValueError(f"parameters.{name}: expected real numbers, got {values.dtype}")
+        values = np.asarray(real_numbers(f"parameters.{name}", value))
         kind, validator = _type(name)
         for end in map(float, (values.min(), values.max()) if values.size else ()):  # of NaN among them both are
             given: object = end

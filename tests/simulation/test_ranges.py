@@ -111,6 +111,7 @@ def test_what_the_scenario_allows_is_allowed(numbers):
 
 
 SIX = mc.Gains(*[np.ones((1, 6))] * 3)
+ONE = mc.Gains(*[np.ones((1, 1, 6))] * 3)
 NO_DTYPE, NO_BATCH = "dtype: expected float32 or float64, got ", "batch_size: expected 1 or more, got 0"
 UNLIKE = "batch axes of gains and parameters: expected some that broadcast, got "
 NOBODY = "gains and parameters: expected one robot or more, got batch axes (0,)"
@@ -127,7 +128,7 @@ BAD = [  # a call of a scenario and of bad parameters, and what is said
     (lambda s, _: mc.simulator(s)({"damping": jnp.full(6, 1e2, jnp.bfloat16)}), f"{NO_DTYPE}bfloat16"),
     (lambda s, _: resolve_in(s, law_of(s), None, None, np.int32), f"{NO_DTYPE}int32"),
     (lambda s, _: mc.rollout_metrics(s, batch_size=0), NO_BATCH),
-    (lambda s, _: mc.rollout_jvp(s, SIX, SIX, batch_size=0), NO_BATCH),
+    (lambda s, _: mc.rollout_jvp(s, SIX, ONE, batch_size=0), NO_BATCH),
     (lambda s, _: mc.rollout_histories(s, batch_size=0), NO_BATCH),
     (lambda s, _: mc.rollout_metrics(s, {"kp": np.ones(0)}), NOBODY),
     (lambda s, _: mc.Environment(s).reset(batch=(0,)), NOBODY),
@@ -143,14 +144,53 @@ BAD = [  # a call of a scenario and of bad parameters, and what is said
     ),
     (
         lambda s, _: mc.rollout_jvp(s, {"damping": 1e2}, {"damping": 1.0}),
-        "directions.damping: expected shape (1, 6), or fewer batch axes behind the first, got ()",
+        "directions.damping: expected shape (1, 6), or axes of 1 behind the first, got ()",
     ),
     (
         lambda s, _: mc.rollout_jvp(s, {"kp": np.full(2, 50.0)}, {"kp": np.ones((1, 3))}),
-        "directions.kp: expected shape (1, 2), or fewer batch axes behind the first, got (1, 3)",
+        "directions.kp: expected shape (1, 2), or axes of 1 behind the first, got (1, 3)",
     ),
-    (lambda s, _: mc.rollout_metrics(s, {"damping": 1e2 + 1j}), "gains.damping: expected real numbers, got complex128"),
-    (lambda s, _: mc.rollout_metrics(s, {"kp": 1j}), "gains.kp: expected real numbers, got complex128"),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"damping": np.full((256, 1), 1e2)}, {"damping": np.ones((256, 1))}),
+        "directions.damping: expected shape (256, 256, 6), or axes of 1 behind the first, got (256, 1)",
+    ),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"damping": np.full((8, 6), 1e2)}, {"stiffness": np.ones((8, 6))}),
+        "directions.stiffness: expected shape (8, 8, 6), or axes of 1 behind the first, got (8, 6)",
+    ),
+    (lambda s, _: mc.rollout_metrics(s, {"damping": 1e2 + 1j}), "gains.damping: expected real numbers, got (100+1j)"),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": 1j}), "gains.kp: expected real numbers, got 1j"),
+    (lambda s, _: mc.rollout_metrics(s, {"damping": "1e3"}), "gains.damping: expected real numbers, got '1e3'"),
+    (lambda s, _: mc.rollout_metrics(s, {"damping": b"1e3"}), "gains.damping: expected real numbers, got b'1e3'"),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": True}), "gains.kp: expected real numbers, got True"),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": np.array([True])}), "gains.kp: expected real numbers, got bool"),
+    (
+        lambda s, _: mc.rollout_metrics(s, {"damping": np.full(6, "2024-01-01", "M8[D]")}),
+        "gains.damping: expected real numbers, got datetime64[D]",
+    ),
+    (
+        lambda s, _: mc.rollout_metrics(s, {"damping": np.ma.masked_less(np.arange(6.0), 2)}),
+        "gains.damping: expected real numbers, got a masked array",
+    ),
+    (
+        lambda s, n: mc.rollout_metrics(
+            s, None, dataclasses.replace(n, torque_limit=np.asarray(1.0), kp=np.ma.ones(2))
+        ),
+        "parameters.kp: expected real numbers, got a masked array",
+    ),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"kp": 50.0}, {"kp": np.array(["1"])}),
+        "directions.kp: expected real numbers, got <U1",
+    ),
+    (
+        lambda s, _: mc.rollout_metrics(s, {"damping": 1e39}),
+        "gains.damping: expected numbers that float32 holds, got 1e+39",
+    ),
+    (lambda s, _: mc.rollout_metrics(s, {"ki": 1e39}), "gains.ki: expected numbers that float32 holds, got 1e+39"),
+    (
+        lambda s, n: mc.rollout_metrics(s, None, dataclasses.replace(n, torque_limit=np.asarray(1e39))),
+        "parameters.torque_limit: expected numbers that float32 holds, got 1e+39",
+    ),
 ]
 
 

@@ -57,10 +57,10 @@ class Gripper(Contact):
     gradient of a potential of 1 - cos) and by the rate; it lets go by its force alone.
     """
 
-    stiffness: Array = parameter("N/m", bounds=(1.0, 1e6), default=1e4, long_name="contact stiffness")
-    damping: Array = parameter("N s/m", bounds=(0.0, 1e4), default=20.0, long_name="contact damping")
-    rotational_stiffness: Array = parameter("N m/rad", bounds=(0.0, 1e4), default=0.0)
-    rotational_damping: Array = parameter("N m s/rad", bounds=(0.0, 1e3), default=0.0)
+    stiffness: Array = parameter("N/m", bounds=(0.0, 1e12), default=1e4, long_name="contact stiffness")
+    damping: Array = parameter("N s/m", bounds=(0.0, 1e12), default=20.0, long_name="contact damping")
+    rotational_stiffness: Array = parameter("N m/rad", bounds=(0.0, 1e12), default=0.0)
+    rotational_damping: Array = parameter("N m s/rad", bounds=(0.0, 1e12), default=0.0)
     holding_limit: Array = parameter("N", bounds=(0.0, np.inf), default=15.0, long_name="holding limit of a gripper")
     capture_distance: Array = parameter("m", bounds=(0.0, np.inf), default=np.inf, long_name="reach of a gripper")
     limited_reach: bool = False  # some gripper has a capture distance
