@@ -112,6 +112,7 @@ def test_what_the_scenario_allows_is_allowed(numbers):
 
 SIX = mc.Gains(*[np.ones((1, 6))] * 3)
 ONE = mc.Gains(*[np.ones((1, 1, 6))] * 3)
+TWO = [mc.METRICS["travel"], mc.METRICS["missed_grips"]]
 NO_DTYPE, NO_BATCH = "dtype: expected float32 or float64, got ", "batch_size: expected 1 or more, got 0"
 UNLIKE = "batch axes of gains and parameters: expected some that broadcast, got "
 NOBODY = "gains and parameters: expected one robot or more, got batch axes (0,)"
@@ -181,6 +182,18 @@ BAD = [  # a call of a scenario and of bad parameters, and what is said
     (
         lambda s, _: mc.rollout_jvp(s, {"kp": 50.0}, {"kp": np.array(["1"])}),
         "directions.kp: expected real numbers, got <U1",
+    ),
+    (
+        lambda s, _: mc.rollout_vjp(s, {"kp": 50.0}, {"speed": np.ones(1)}, metrics=TWO),
+        "weights.speed: expected one of travel, the metrics that are real numbers",
+    ),
+    (
+        lambda s, _: mc.rollout_vjp(s, {"kp": 50.0}, {"missed_grips": np.ones(1)}, metrics=TWO),
+        "weights.missed_grips: expected one of travel, the metrics that are real numbers",
+    ),
+    (
+        lambda s, _: mc.rollout_vjp(s, {"kp": 50.0}, {"travel": ["1"]}, metrics=TWO),
+        "weights.travel: expected real numbers, got <U1",
     ),
     (
         lambda s, _: mc.rollout_metrics(s, {"damping": 1e39}),
