@@ -98,7 +98,7 @@ def test_a_walk_worked_out_again(kind, control_period):
     oracle.assert_is(walk, twin)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "ClimbSDK")) for n in KINDS])
 def test_steps_are_those_worked_out_in_numpy(name):
     """Of other forces, feet that open and stand, and bases in each step; in some no force is known.
 

@@ -532,7 +532,7 @@ def test_run_turns_gravity_as_it_is_told(options, gravity, monkeypatch, tmp_path
     "text",
     [
         "import sys\nsys.exit(0)",
-        "from mjx_climb import Law\nclass Mine(Law):\n    def __init__(self): exit(0)",
+        "from mjx_climb.control import PD\nclass Mine(PD):\n    def __init__(self): exit(0)",
         "exit()",
     ],
 )

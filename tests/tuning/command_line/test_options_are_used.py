@@ -406,7 +406,7 @@ def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_
     """Typed are all defaults, in the file is another value for each."""
     others = {
         "method": "lbfgs", "space": "split", "inertia": True, "also": ("inertia",), "joint_gains": True,
-        "bounds": {"damping": (1.0, 2.0)}, "pins": {"stiffness": 1.0}, "frozen": ("damping",),
+        "bounds": {"damping": (1.0, 2.0)}, "pins": {"stiffness": 1.0}, "frozen": ("inertia",),
         "weights": {"peak_foot_force": 2.0}, "limits": {"travel": 1.0}, "deviation_factor": 2.0,
         "no_worse_than_pd": False, "starts": 3, "iterations": 2, "seed": 7, "precision": "float64",
     }  # fmt: skip

@@ -39,7 +39,7 @@ def check(log, time=TIME):
 @pytest.mark.parametrize(("name", "position"), [
     ("field.name{}", "field.position{}"), ("name.{}", "position.{}"), ("joint_names[{}]", "actual.positions[{}]"),
     ("/joint_states/name.{}", "/joint_states/position.{}"), ("states_joint_name_{}", "states_position_{}"),
-    ("motors.{}.name", "motors.{}.position"),
+    ("motors.{}.name", "motors.{}.position"), ("actuator_labels_{}", "position_{}"),
 ])  # fmt: skip
 def test_numbered_columns_are_of_the_joints_that_are_named_beside_them(tmp_path, name, position):
     rows = [(t, *NAMES, *angles) for t, angles in zip(TIME, ANGLES, strict=True)]
@@ -47,6 +47,12 @@ def test_numbered_columns_are_of_the_joints_that_are_named_beside_them(tmp_path,
     check(log)
     again = read_log(tmp_path / "log.csv", ROBOT, log.guessed)
     assert all((again.signals[each].value == log.signals[each].value).all() for each in log.signals)
+
+
+def test_names_may_be_counted_from_one_and_numbers_from_zero(tmp_path):
+    rows = [(t, *NAMES, *angles) for t, angles in zip(TIME, ANGLES, strict=True)]
+    heads = ["time", *(f"name{number + 1}" for number in range(12)), *numbered("position{}")]
+    check(read_log(written(tmp_path, heads, rows), ROBOT))
 
 
 def test_names_that_change_from_row_to_row_are_followed(tmp_path):
@@ -58,9 +64,9 @@ def test_names_that_change_from_row_to_row_are_followed(tmp_path):
     check(read_log(written(tmp_path, ["time", *numbered("name.{}"), *numbered("position.{}")], rows), ROBOT))
 
 
-@pytest.mark.parametrize("form", ["['{}']", '[""{}""]', "({})"])
+@pytest.mark.parametrize("form", ["['{}']", '[""{}""]', "({})", "{}"])
 def test_lists_in_cells_are_of_the_joints_that_a_list_beside_them_names(tmp_path, form):
-    between = {"['{}']": "', '", '[""{}""]': '"", ""', "({})": " "}[form]
+    between = {"['{}']": "', '", '[""{}""]': '"", ""', "({})": " ", "{}": ";"}[form]
     names = form.format(between.join(NAMES))
     rows = [
         (t, f'"{names}"', f'"{angles.tolist()}"', f""" "array('d', {angles.tolist()})" """)

@@ -8,7 +8,21 @@ from jaxtyping import Float
 
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+|[^\W\d_A-Za-z]+")
 _LAST = re.compile(r"(.*?)([\W_]*)(\d+)([^\d]*)$", re.DOTALL)  # of a column's name: the last number in it
-_NAMING = {"name", "names", "joint", "joints", "id", "ids", "interface", "motor", "motors", "servo", "servos"}
+_NAMING = {
+    "name",
+    "names",
+    "joint",
+    "joints",
+    "id",
+    "ids",
+    "interface",
+    "motor",
+    "motors",
+    "servo",
+    "servos",
+    "actuator",
+    "actuators",
+}
 _MOST = 1000  # names of one place: more are no names
 
 Words = Mapping[str, Sequence[str]]  # by column, a word for each row, "" for none
@@ -35,16 +49,22 @@ def by_names(fields: Columns, words: Words) -> tuple[Columns, frozenset[str]]:
             continue
         for (head, last), numbered in groups.items():
             beside = head[: len(parent)] == parent if not tail else head == parent and last
-            if not beside or numbered.keys() != places.keys() or used & {*numbered.values()}:
+            alike = len(numbered) == len(places) and (None in numbered) == (None in places)
+            if not beside or not alike or used & {*numbered.values()}:
                 continue
             used |= {*numbered.values()}
-            for place, field in numbered.items():
-                said = np.array(words[places[place]], dtype=object)
+            # some count from 0, and some from 1
+            for field, name in zip(_in_order(numbered), _in_order(places), strict=True):
+                said = np.array(words[name], dtype=object)
                 for word in dict.fromkeys(said):
                     if word:
                         column = made.setdefault(_renamed(field, word), np.full(len(said), np.nan))
                         column[said == word] = fields[field][said == word]
     return made, frozenset(used)
+
+
+def _in_order(numbered: Mapping[int | None, str]) -> list[str]:
+    return [numbered[number] for number in sorted(numbered, key=lambda number: -1 if number is None else number)]
 
 
 def _renamed(field: str, word: str) -> str:
@@ -80,7 +100,7 @@ def _names(words: Words) -> list[tuple[tuple[str, ...], tuple[str, ...], dict[in
             continue
         if None in places and not {*head[-1:]} & _NAMING:
             continue
-        end = len(head)
+        end = len(head) - (not tail)
         while not tail and end and head[end - 1] in _NAMING:
             end -= 1
         rows = [

@@ -85,7 +85,9 @@ def read(path: Path) -> Recording:
         cells = [_TRUTH.get(cell.lower(), cell) for cell in map(str.strip, column)]
         place = f"{path}: {name}"
         filled = [cell for cell in cells if cell.lower() not in _MISSING]
-        if filled and _is_list(filled[0]):
+        if filled and all(map(_DATE.fullmatch, filled)):
+            dates[name] = np.array([_seconds(cell) for cell in cells])
+        elif filled and _is_list(filled[0]):
             packed, said = _unpacked(place, cells, lines)
             uneven |= {f"{name}.{number}": said for number in range(len(packed)) if said}
             columns = {f"{name}.{number}": entries for number, entries in enumerate(packed)}
@@ -93,8 +95,6 @@ def read(path: Path) -> Recording:
                 fields |= {each: _numbers(place, column, lines) for each, column in columns.items()}
             else:
                 words |= columns
-        elif filled and all(map(_DATE.fullmatch, filled)):
-            dates[name] = np.array([_seconds(cell) for cell in cells])
         elif filled and not any(map(_is_number, filled)):
             words[name] = ["" if cell.lower() in _MISSING else cell for cell in cells]
         else:
@@ -147,8 +147,8 @@ def _seconds(cell: str) -> float:
 def _is_list(cell: str) -> bool:
     if _LISTED.search(cell):
         return True
-    parts = re.split(r"[\s;]+", cell)
-    return len(parts) > 1 and all(map(_is_number, parts))
+    numbers, words = re.split(r"[\s;]+", cell), re.split(r"[\s;,]+", cell)
+    return (len(numbers) > 1 and all(map(_is_number, numbers))) or (len(words) > 1 and not any(map(_is_number, words)))
 
 
 def _unpacked(place: str, cells: Sequence[str], lines: Sequence[int]) -> tuple[list[list[str]], str]:
