@@ -142,8 +142,9 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
 
 def _warn_of_unknown_springs(parameters: Parameters, time_step: float) -> None:
     contact, drive = parameters.contact, parameters.drive
-    unknown = [(contact, "springs")] if contact is not None and contact.springs() is None else []
-    unknown += [(drive, "spring")] if drive is not None and drive.spring(time_step) is None else []
+    unknown = [(contact, "springs")] if contact.springs() is None else []
+    known = isinstance(drive, Servos) or drive.spring(time_step) is not None
+    unknown += [] if known else [(drive, "spring")]
     for component, method in unknown:
         lacks = f"{type(component).__name__} has no method {method}"
         warnings.warn(f"{lacks}: the time step of {time_step:g} s is not checked for its stiffness", stacklevel=4)

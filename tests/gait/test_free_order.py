@@ -8,6 +8,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.gait.footholds import Farthest
 from mjx_climb.gait.planner import _first_largest
+from mjx_climb.ground.ground import Ground
 from mjx_climb.inputs.from_scenario import own_parameters
 from tests.gait.test_planner import NO_PUSH, SOFT, holds
 
@@ -30,7 +31,7 @@ def test_the_limb_that_can_go_farthest_is_next(case):
     ways = np.array([0.01, 0.0, 0.02, 0.015])
     points = feet[ways > 0] + np.outer(ways[ways > 0], [1.0, 0, 0])
     points[:, 2] = 0
-    parameters = dataclasses.replace(own_parameters(scenario), holds=holds(points), footholds=Farthest())
+    parameters = dataclasses.replace(own_parameters(scenario), ground=Ground(holds=holds(points)), footholds=Farthest())
     walk = mc.rollout(scenario, parameters=parameters)
     assert walk.support.sum(1).min() >= 3 and not walk.detached.any()
     lifted = [int((~walk.support[:, limb]).argmax()) for limb in range(4)]

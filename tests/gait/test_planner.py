@@ -25,6 +25,7 @@ from mjx_climb.gait.planner import (
 )
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.ground import Holds
+from mjx_climb.ground.ground import Ground
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
@@ -114,7 +115,7 @@ def rock(planned):
 @pytest.mark.slow
 def test_a_limb_swings_to_the_nearest_hold(soft, planned, rock):
     """The first limb that swings grips the hold that is nearest to its planned foothold."""
-    parameters = dataclasses.replace(own_parameters(soft), holds=holds(rock[0]), footholds=Nearest())
+    parameters = dataclasses.replace(own_parameters(soft), ground=Ground(holds=holds(rock[0])), footholds=Nearest())
     walk = mc.rollout(soft, parameters=parameters)
     want = planned.foot_position[0, LH] + [soft.gait.stride, 0, 0]
     hold = rock[0][np.linalg.norm(rock[0] - want, axis=1).argmin()]
@@ -130,7 +131,7 @@ def test_a_hold_bears_what_its_polyhedron_says(soft, rock):
     def walked(limit):
         limits = {"limit_matrix": pulled, "limit_bound": np.full((12, 1), limit)}
         ground = dataclasses.replace(holds(rock[0]), normal=np.tile(normal, (12, 1)), **limits)
-        return mc.rollout(soft, parameters=dataclasses.replace(own, holds=ground, footholds=Nearest()))
+        return mc.rollout(soft, parameters=dataclasses.replace(own, ground=Ground(holds=ground), footholds=Nearest()))
 
     strong = walked(1e3)
     landed = np.arange(len(strong.time)) >= SWING
@@ -193,7 +194,9 @@ def test_different_grounds_are_one_program_and_each_walks_as_alone(soft, rock):
 
     def walked(points):
         return mc.rollout_metrics(
-            soft, parameters=dataclasses.replace(own, holds=holds(points), footholds=rule), dtype=np.float64
+            soft,
+            parameters=dataclasses.replace(own, ground=Ground(holds=holds(points)), footholds=rule),
+            dtype=np.float64,
         )
 
     together, others = walked(rock), walked(rock[[2, 1, 1]])
@@ -207,7 +210,7 @@ def test_different_grounds_are_one_program_and_each_walks_as_alone(soft, rock):
 @pytest.mark.nightly
 def test_tangents_pass_with_the_choice_frozen(soft, rock):
     """The derivative by a gain is that of finite differences, between which the choice stays."""
-    parameters = dataclasses.replace(own_parameters(soft), holds=holds(rock[0]), footholds=Nearest())
+    parameters = dataclasses.replace(own_parameters(soft), ground=Ground(holds=holds(rock[0])), footholds=Nearest())
     how = {"parameters": parameters, "dtype": np.float64}
     _, tangents = mc.rollout_jvp(soft, {"kp": 50.0}, {"kp": np.array([1.0])}, **how)
     ends = [mc.rollout_metrics(soft, {"kp": 50.0 + step}, **how) for step in (-1e-3, 1e-3)]

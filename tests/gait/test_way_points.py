@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.ground.ground import Ground
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
@@ -29,7 +30,7 @@ def walked(case, points, **changes):
     spread = np.arange(-0.12, 0.121, 0.01)
     offsets = np.stack([*np.meshgrid(spread, spread), np.zeros((len(spread), len(spread)))], -1).reshape(-1, 3)
     places = (feet[:, None] * [1, 1, 0] + offsets).reshape(-1, 3)
-    parameters = dataclasses.replace(own_parameters(scenario), holds=holds(places))
+    parameters = dataclasses.replace(own_parameters(scenario), ground=Ground(holds=holds(places)))
     return mc.rollout(scenario, parameters=parameters), beside
 
 

@@ -27,15 +27,15 @@ def begun(scenario, gains=None, **own):
 
 
 OUTSIDE = {  # contact, and the line that refuses it
-    "above": (UncertainGripper(spread=50.0, gripper=Gripper()), "contact.spread: expected numbers from 0 to 1, got 50"),
-    "below": (UncertainGripper(tries=0.5, gripper=Gripper()), "contact.tries: expected numbers from 1 to 100, got 0.5"),
+    "above": (UncertainGripper(spread=50.0), "contact.spread: expected numbers from 0 to 1, got 50"),
+    "below": (UncertainGripper(tries=0.5), "contact.tries: expected numbers from 1 to 100, got 0.5"),
     "nan": (
-        UncertainGripper(seed=np.nan, gripper=Gripper()),
+        UncertainGripper(seed=np.nan),
         "contact.seed: expected numbers from 0 to 1.67772e+07, got nan",
     ),
     "within": (
-        UncertainGripper(gripper=Gripper(damping=-1.0)),
-        "contact.gripper.damping: expected numbers from 0 to 1e+12, got -1",
+        UncertainGripper(damping=-1.0),
+        "contact.damping: expected numbers from 0 to 1e+12, got -1",
     ),
 }
 
@@ -53,7 +53,7 @@ def test_the_ends_of_bounds_are_within_in_either_precision(scenario):
     """0.1 of single precision is above 0.1."""
     for value in (np.float32(0.1), np.float64(0.1), jnp.asarray(0.1, np.float32)):
         begun(scenario, drive=VelocityCommanded(p=value))
-    begun(scenario, contact=UncertainGripper(spread=np.array(1.0), gripper=Gripper()))
+    begun(scenario, contact=UncertainGripper(spread=np.array(1.0)))
 
 
 def test_gains_go_beyond_the_bounds_of_searches(scenario):

@@ -27,7 +27,7 @@ def test_a_planner_is_told_of_the_robot_as_it_is(monkeypatch, number, cargo):
     scenario = mc.load_scenario("case_2", CARGO | {"gravity": [0.5, 0.0, -2.0], "duration": 0.3, "gait.cycle": 0.8})
     own = mc.parameters(scenario)
     parameters = dataclasses.replace(
-        own, mass_scale=np.asarray(1.2), footholds=Nearest(), holds=holds(np.zeros((1, 3)))
+        own, mass_scale=np.asarray(1.2), footholds=Nearest(), ground=Ground(holds=holds(np.zeros((1, 3))))
     )
     law = law_of(scenario)
     found, asked = resolve_in(scenario, law, None, parameters, np.float64), []
