@@ -8,6 +8,7 @@ class Magnet(mjx_climb.Contact):
 
 import dataclasses
 import math
+import numbers
 import sys
 from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
@@ -31,6 +32,7 @@ UNLIMITED = (0.0, math.inf)  # infinite: no limit
 POSITIVE_OR_INFINITE = (_LEAST, math.inf)
 SHARE = (0.0, BELOW_ONE)
 PART = (_LEAST, 1.0)
+_OPEN = (_LEAST, _MOST, BELOW_ONE, math.inf)  # ends that no value of any precision may pass
 
 
 class ValueField(NamedTuple):
@@ -43,6 +45,7 @@ class ValueField(NamedTuple):
     long_name: str = ""
     searched: bool = True  # whether searches move it without being asked
     in_steps: bool = False  # a time that is counted in whole time steps
+    limits: tuple[float, float] | None = None  # that a value must lie in; None: those of a search do not bind
 
     @property
     def lengths(self) -> tuple[int, ...]:
@@ -69,8 +72,7 @@ def parameter(
     Arguments:
         unit: as in "N".
         shape: of one robot's value, None for any length; a value may have batch axes in front, or be a scalar.
-        bounds: low and high. A value must be above 0, unless `low` lets it be 0 or less, and
-            finite, unless `high` is infinite.
+        bounds: the lowest and the highest value that there may be.
         default: the value of a component that is made without one.
         long_name: for axes and tables; the field's own name where empty.
         in_steps: a time that a walk rounds to whole time steps, in double precision.
@@ -78,7 +80,8 @@ def parameter(
     Raises:
         ValueError: bounds that are not in order.
     """
-    return value_field(ValueField(unit, tuple(shape), bounds, None, long_name, in_steps=in_steps), default)
+    field = ValueField(unit, tuple(shape), bounds, None, long_name, in_steps=in_steps, limits=bounds)
+    return value_field(field, default)
 
 
 def value_field(field: ValueField, default: object) -> Any:
@@ -148,47 +151,58 @@ def with_values(
         name: of the component in messages, as "gains".
 
     Raises:
-        ValueError: in one line, a wrong shape, or a value that is not positive.
+        ValueError: in one line, a wrong shape, a value that is no number or not positive, or one outside of its limits.
     """
     whole = {}
     for key, field in component.VALUES.items():
         given = values.get(key, getattr(component, key))
-        value = checked_value(f"{name}.{key}", given, field.shape, *field.bounds)
+        value = checked_value(f"{name}.{key}", given, field.shape, *field.bounds, limits=field.limits)
         if field.shape and None not in field.shape:
             xp = jnp if isinstance(value, jax.Array) else np
             batch = value.shape[: max(0, value.ndim - len(field.shape))]
             value = xp.broadcast_to(value, (*batch, *field.shape))
-        whole[key] = array(value)
+        whole[key] = in_precision(f"{name}.{key}", value, array)
+    within = {key: each for key, each in vars(component).items() if isinstance(each, Component)}
+    whole |= {key: with_values(each, {}, array, f"{name}.{key}") for key, each in within.items()}
     return dataclasses.replace(component, **whole)  # type: ignore[type-var]
 
 
 def checked_value(
     name: str,
-    value: ArrayLike,
+    given: ArrayLike,
     shape: tuple[int | None, ...],
     low: float = math.nan,
     high: float = math.nan,
     zero: bool = False,
+    limits: tuple[float, float] | None = None,
 ) -> AnyArray:
     """Return a value as an array, of whatever precision it has.
 
     A value of one axis may be a scalar, or have a last axis of one; of more axes a scalar or all of them.
 
     Raises:
-        ValueError: another shape, or values known now that are not finite or too small.
+        ValueError: no numbers, another shape, or values known now that are outside of the limits, or not finite or too
+            small for a search's bounds.
     """
-    if not isinstance(value, jax.Array):
-        value = np.asarray(value, float if np.ndim(value) == 0 and not np.iscomplexobj(value) else None)
+    value = real_numbers(name, given)
     own = value.shape[max(0, value.ndim - len(shape)) :] if shape and value.ndim else shape
     fits = len(own) == len(shape) and all(want in (None, got) for want, got in zip(shape, own, strict=True))
     if not fits and not (len(shape) == 1 and own == (1,)):
         last = f"a last axis of {_NUMBERS.get(shape[0] or 0, shape[0])}" if len(shape) == 1 else f"last axes {shape}"
         raise ValueError(f"{name}: expected a scalar or {last}, got shape {value.shape}")
-    if np.iscomplexobj(value):
-        raise ValueError(f"{name}: expected real numbers, got {value.dtype}")
     if isinstance(value, jax.core.Tracer):
         return value
     known = np.asarray(value)
+    if limits is not None:
+        exact, rounding = known.astype(float), np.finfo(np.result_type(known, np.float32)).eps
+        # a limit is met as a value's precision holds it
+        least, most = (
+            end if abs(end) in _OPEN else end + way * rounding * abs(end)
+            for end, way in zip(limits, (-1, 1), strict=True)
+        )
+        if (outside := ~((exact >= least) & (exact <= most))).any():
+            raise ValueError(f"{name}: expected {in_words(limits)}, got {np.extract(outside, known)[0]:g}")
+        return value
     zero = zero or low == 0
     infinite = np.isnan(known) if high == math.inf else ~np.isfinite(known)
     # a low bound below 0 allows every finite number
@@ -197,3 +211,46 @@ def checked_value(
         expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero else 'above 0'}"
         raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")
     return value
+
+
+def in_words(limits: tuple[float, float]) -> str:
+    """Return the numbers between limits in words: "finite numbers above 0"."""
+    low, high = limits
+    if high in (_MOST, math.inf):
+        least = {-_MOST: "", 0.0: " of 0 or more", _LEAST: " above 0"}.get(low, f" of {low:g} or more")
+        return f"finite numbers{least}{', or infinite ones' if high == math.inf else ''}"
+    if low == _LEAST:
+        return "numbers above 0 and below 1" if high == BELOW_ONE else f"numbers above 0, {high:g} at most"
+    return f"numbers from {low:g} to {'below 1' if high == BELOW_ONE else f'{high:g}'}"
+
+
+def real_numbers(name: str, value: ArrayLike) -> AnyArray:
+    """Return real numbers as an array, of whatever precision they have; single ones of Python's in double precision.
+
+    Raises:
+        ValueError: complex numbers, truth values, text, dates, and arrays with masks.
+    """
+    if isinstance(value, numbers.Real) and not isinstance(value, bool | np.generic):
+        value = float(value)
+    array = value if isinstance(value, jax.Array) else np.asanyarray(value)
+    masked, kinds = isinstance(array, np.ma.MaskedArray), (jnp.floating, jnp.integer)
+    if masked or not any(jnp.issubdtype(array.dtype, kind) for kind in kinds):
+        got = "a masked array" if masked else array.dtype if array.ndim else repr(value)
+        raise ValueError(f"{name}: expected real numbers, got {got}")
+    return array if isinstance(array, jax.Array) else np.asarray(array, float if array.ndim == 0 else None)
+
+
+def in_precision(name: str, value: AnyArray, array: Callable[[AnyArray], AnyArray]) -> AnyArray:
+    """Return a value as `array` makes it in the precision of a walk.
+
+    Raises:
+        ValueError: a finite number known now that is infinite in this precision.
+    """
+    with np.errstate(over="ignore"):
+        made = array(value)
+        if not isinstance(value, jax.core.Tracer):
+            known = np.asarray(value)
+            if (lost := np.isinf(known.astype(made.dtype)) & np.isfinite(known)).any():
+                got = f"{np.extract(lost, known)[0]:g}"
+                raise ValueError(f"{name}: expected numbers that {made.dtype} holds, got {got}")
+    return made

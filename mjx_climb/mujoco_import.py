@@ -17,20 +17,31 @@ _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 _OTHERS = ("", "glfw", "glx", *"enable enabled on true 1 disable disabled off false 0".split())
 
 
+class InstallationError(ImportError):
+    """MuJoCo is not there, or cannot be imported."""
+
+
 def import_mujoco() -> ModuleType:
-    """Import MuJoCo; without OpenGL where MUJOCO_GL asks for one that is not there."""
+    """Import MuJoCo; without OpenGL where MUJOCO_GL asks for one that is not there.
+
+    Raises:
+        InstallationError: it is not there, or some of its files are not.
+    """
     value = os.environ.get("MUJOCO_GL", "")
     usable = (wanted := value.lower().strip()) in _OTHERS
     if wanted in _LIBRARIES:
         with contextlib.suppress(OSError):
             usable = bool(ctypes.CDLL(ctypes.util.find_library(_LIBRARIES[wanted]) or "nowhere"))
-    if usable or "mujoco" in sys.modules:
-        return importlib.import_module("mujoco")
-    os.environ["MUJOCO_GL"] = "disable"
+    if not usable and "mujoco" not in sys.modules:
+        os.environ["MUJOCO_GL"] = "disable"
     try:
         return importlib.import_module("mujoco")
+    except ImportError as error:
+        reason = str(error).partition(". ")[0]
+        raise InstallationError(f"mujoco: {reason}; mjx-climb doctor says what to do") from error
     finally:
-        os.environ["MUJOCO_GL"] = value
+        if value:
+            os.environ["MUJOCO_GL"] = value
 
 
 mujoco: Any = import_mujoco()

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike, DTypeLike
 
 from mjx_climb import execution
-from mjx_climb.component import given
+from mjx_climb.component import given, real_numbers
 from mjx_climb.control import Law, law_of
 from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, over_batch
@@ -60,7 +60,16 @@ from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, look_ahead, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
-from mjx_climb.walks import Metrics, gradients_of, histories_of, metrics_of, metrics_of_moved, samples_of, together
+from mjx_climb.walks import (
+    Metrics,
+    gradients_of,
+    histories_of,
+    metrics_of,
+    metrics_of_moved,
+    real_metrics,
+    samples_of,
+    together,
+)
 
 Returned = TypeVar("Returned")
 
@@ -279,8 +288,8 @@ class Simulation:
 
         Arguments:
             directions: rates of change of the gains, in their units and by their names: values (k, *batch, n), of
-                length 1 and for `kp`, `kd` and `ki` (k, *batch), with batch axes that broadcast to the gains'. A gain
-                of the law without rates stays as it is.
+                length 1 and for `kp`, `kd` and `ki` (k, *batch), with all batch axes of the gains, of their sizes or
+                of 1. A gain of the law without rates stays as it is.
 
         Returns:
             The metrics (*batch), and the tangents (k, *batch) of those that are real numbers.
@@ -309,11 +318,16 @@ class Simulation:
             Arrays (k, ...) by the names of the gains, of their shapes behind the first axis; 0 for times of the gait.
 
         Raises:
-            ValueError: weights of another shape.
+            ValueError: weights of another shape, or of what is no metric or a whole number.
         """
         resolved, run = self._prepared(gains, parameters, over_time=True, **how)
         batch, dtype = resolved.shape, resolved.parameters.gravity.dtype
-        summed = {name: np.asarray(value, dtype) for name, value in weights.items()}
+        real = real_metrics(self.structure, own_parameters(self.scenario))
+        if wrong := [name for name in weights if name not in real]:
+            raise ValueError(
+                f"weights.{wrong[0]}: expected one of {', '.join(real)}, the metrics that are real numbers"
+            )
+        summed = {n: np.asarray(real_numbers(f"weights.{n}", value), dtype) for n, value in weights.items()}
         counts = {len(value) for value in summed.values() if value.ndim and value.shape[1:] == batch}
         if len(counts) != 1 or any(value.shape != (*counts, *batch) for value in summed.values()):
             got = ", ".join(f"{name} {value.shape}" for name, value in summed.items())

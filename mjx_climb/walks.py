@@ -188,6 +188,13 @@ def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parame
     return finish(table, jax.lax.scan(step, start(table, dtype), samples)[0], context)
 
 
+def real_metrics(structure: Structure, parameters: Parameters) -> list[str]:
+    """Return the names of the metrics that are real numbers, which have derivatives."""
+    table, context = structure.metrics, _context(structure, load_robot(structure.robot), parameters)
+    found = jax.eval_shape(lambda: finish(table, start(table, jnp.zeros(()).dtype), context))
+    return [name for name, value in found.items() if jnp.issubdtype(value.dtype, jnp.floating)]
+
+
 def _context(structure: Structure, robot: Robot, parameters: Parameters) -> Context:
     """Return the context of a walk's metrics, with the robot's masses scaled as in this walk."""
     names = ("base_mass", "base_inertia", "link_mass", "link_inertia")

@@ -62,7 +62,7 @@ COMMANDS = {  # the command and what it does, with every option that takes a val
     "--set control.kd=0.1",
     "replay": "{config} --log {log} --signals {signals} --base held --with-law --size 640x480 --set control.kd=0.1",
     "sweep, merged": "--merge taken",
-    "plot": "taken --metric min_tsm --figures png,pdf --size 60x60 --dpi 100 --style ggplot",
+    "plot": "taken --metric min_tsm --figures png,pdf --figure-size 60x60 --dpi 100 --style ggplot",
     "robot": "taken --gravity 1.6 --base base --limbs a,b",
     "tune": "{config} --method grid --space split --starts 3 --iterations 2 --seed 1 --weight force_variation=1 "
     "--limit base_deviation=0.01 --bound damping=1:10 --pin stiffness.rotation=3 --search {search} --gains {gains}",

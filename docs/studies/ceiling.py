@@ -111,7 +111,7 @@ def main() -> None:
                     row(place, hardware, case, draw, settings, asked.seconds, asked.gains)
     rows = []
     for file in sorted(asked.out.glob("*/summary.json")):
-        contestants = json.loads(file.read_text())["contestants"]
+        contestants = json.loads(file.read_text())["ceiling"]
         rows += [{"row": file.parent.name, "contestant": name, **own} for name, own in contestants.items()]
     with (asked.out / "rows.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")

@@ -25,10 +25,9 @@ LAWS: dict[tuple[str, str], type[Law]] = {
     ("base_admittance", "measured_pose"): MeasuredPoseAdmittance,
     ("end_effector_admittance", "virtual_model"): EndEffectorAdmittance,
 }
+_OTHERS: tuple[type[Law], ...] = (LoadTransfer, InternalForce, ClimbSDK, Recovering)
 # by the names that --law, a gains file and `own.law.name` take
-SHIPPED: dict[str, type[Law]] = {
-    law.__name__: law for law in (*LAWS.values(), LoadTransfer, InternalForce, ClimbSDK, Recovering)
-}
+SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), *_OTHERS)}
 
 __all__ = [
     "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "InternalForce",

@@ -5,6 +5,7 @@ law = combined(VirtualModelAdmittance(damping=1e2), EndEffectorAdmittance(dampin
 ```
 """
 
+import abc
 import copyreg
 import dataclasses
 import functools
@@ -42,7 +43,7 @@ class Part(NamedTuple):
         return found
 
 
-class Made(type):
+class Made(abc.ABCMeta):
     """Type of the classes that are made of others: stored programs find one by the function that made it."""
 
     MADE_BY: "tuple[Callable[..., Made], tuple[object, ...]] | None" = None  # the function and its arguments

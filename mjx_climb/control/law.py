@@ -9,6 +9,7 @@ class Damped(mjx_climb.Law):
 ```
 """
 
+import abc
 import dataclasses
 import functools
 import operator
@@ -133,7 +134,7 @@ def gain(
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(gain, dataclasses.field))
-class Law(Component):
+class Law(Component, abc.ABC):
     """Base of control laws: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `gain` are its gains: swept, batched, differentiated, tuned. Any other field is part of the program:
@@ -153,13 +154,13 @@ class Law(Component):
             raise ValueError(f"{cls.__name__}.{name}: expected another name, this one is the joint loop's")
         cls.GAINS = cls.VALUES
 
+    @abc.abstractmethod
     def init(self, start: Start) -> PyTree:
         """Return the state at the start: a pytree. What depends on the gains alone belongs into it."""
-        raise NotImplementedError(f"{type(self).__name__}.init")
 
+    @abc.abstractmethod
     def step(self, state: PyTree, measured: Measurement, reference: Reference) -> tuple[PyTree, Command]:
         """Return the state after a step, of the same structure and shapes, and what the robot is to do."""
-        raise NotImplementedError(f"{type(self).__name__}.step")
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches look, by gain and by `gain.rotation`, for steps of `period` s."""

@@ -1,5 +1,6 @@
 """The seam of disturbances: wrenches and masses from outside."""
 
+import abc
 from collections.abc import Iterable
 from typing import Any, ClassVar, NamedTuple
 
@@ -72,7 +73,7 @@ def sum_of(all_of_them: Iterable[External]) -> External:
     return total
 
 
-class Disturbance(Component):
+class Disturbance(Component, abc.ABC):
     """Base of disturbances: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `parameter` are its values. `act` is written for one robot.
@@ -85,6 +86,7 @@ class Disturbance(Component):
         """The instant at which it begins to act, () s; infinite: never. None: not told."""
         return None
 
+    @abc.abstractmethod
     def act(self, time: Array, body: Body) -> External:
         """What acts in a step.
 
@@ -92,4 +94,3 @@ class Disturbance(Component):
             time: () s, of the middle of the step: what starts at an instant starts with the step nearest to it.
             body: the robot at the beginning of the step.
         """
-        raise NotImplementedError(f"{type(self).__name__}.act")

@@ -32,10 +32,11 @@ from jax import Array, monitoring
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache
 
-from mjx_climb.execution.jax_internals import prepare_for, settings
+from mjx_climb.execution.jax_internals import outside_of_xlas_cache, prepare_for, settings
 from mjx_climb.execution.jax_types import Function, PyTree
 
 VARIABLE = "MJX_CLIMB_CACHE"
+_LONGEST = 3600  # s that a file is written
 _OFF = {"off", "0", "no", "none", "false"}
 
 
@@ -232,9 +233,11 @@ def _stored(
         return function(structure, *trees)
 
     # What XLA's cache returns cannot be serialized, as it lacks parts (jaxlib 0.10). Under a name that nothing else has
-    # the program is not found there.
+    # the program is not found there, now or later.
     named.__name__ = f"{function.__name__}_{uuid.uuid4().hex}"
-    executable = jax.jit(named, static_argnums=0, compiler_options=options).lower(structure, *trees).compile()
+    lowered = jax.jit(named, static_argnums=0, compiler_options=options).lower(structure, *trees)
+    with outside_of_xlas_cache():
+        executable = lowered.compile()
     with contextlib.suppress(Exception):  # not to be serialized: it is made again next time
         store_whole(file, pickle.dumps(serialize_executable.serialize(executable)))
     return executable
@@ -260,10 +263,16 @@ def store_whole(file: Path, content: bytes) -> None:
 def write_whole(file: Path, content: bytes) -> None:
     """Write a file that other processes find whole or not at all, and that its owner alone reads.
 
+    What writers left that were killed is removed.
+
     Raises:
         OSError: no room, or no rights.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
+    for left in file.parent.glob(".*"):
+        with contextlib.suppress(OSError):  # another removes it, or it is written to its end
+            if left.stat().st_mtime < time.time() - _LONGEST:
+                left.unlink()
     handle, partial = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:

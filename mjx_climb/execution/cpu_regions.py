@@ -21,7 +21,19 @@ from mjx_climb.execution.array_writer import ArrayWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import can_write, results
 from mjx_climb.execution.elements import Unsupported
-from mjx_climb.execution.flat import Has, by_axis, carried_on, flat, mapped, needed, reached, region, runs, variables_of
+from mjx_climb.execution.flat import (
+    Has,
+    by_axis,
+    carried_on,
+    depend,
+    flat,
+    mapped,
+    needed,
+    reached,
+    region,
+    runs,
+    variables_of,
+)
 from mjx_climb.execution.jax_internals import as_one_kernel, carried_out, line_of, new_program, scan_sizes
 from mjx_climb.execution.jax_types import aval_of
 from mjx_climb.execution.limbs import LimbAxes
@@ -193,20 +205,25 @@ class _Program(NamedTuple):
     def _condition(self, equation: core.JaxprEqn, given: Sequence[Varying]) -> list[Varying]:
         """Return the results of the branches that robots take: a branch that loops is carried out for all or none."""
         (which, own), *operands = given
-        together = tuple(map(any, zip(*(has for _, has in given), strict=True))) or (False,) * len(self.batch)
-        index = self._wide((which, own), together)
+        varies = self._vary(equation, given)
 
         def taken(branch: int) -> list[Array]:
             made = self.results(equation.params["branches"][branch], operands)
-            return [self._wide(value, together) for value in made]
+            return [*map(self._wide, made, varies)]
 
         def chosen(branch: int, before: list[Array]) -> list[Array]:
-            return [jnp.where(index == branch, new, old) for new, old in zip(taken(branch), before, strict=True)]
+            takes = [self._wide((which == branch, own), has) for has in varies]
+            return [*map(jnp.where, takes, taken(branch), before)]
 
         found = taken(0)
         for branch in range(1, len(equation.params["branches"])):
-            found = lax.cond((index == branch).any(), functools.partial(chosen, branch), lambda before: before, found)
-        return [(value, together) for value in found]
+            found = lax.cond(jnp.any(which == branch), functools.partial(chosen, branch), lambda before: before, found)
+        return list(zip(found, varies, strict=True))
+
+    def _vary(self, equation: core.JaxprEqn, given: Sequence[Varying]) -> list[Has]:
+        """Return which batch axes the results of an equation have."""
+        has = [has for _, has in given]
+        return by_axis(functools.partial(depend, equation), has, len(self.batch), len(equation.outvars))
 
     def _stacked(
         self, body: core.ClosedJaxpr, constants: int, moving: Sequence[Has]
@@ -243,9 +260,7 @@ class _Program(NamedTuple):
 
     def _as_it_is(self, equation: core.JaxprEqn, given: Sequence[Varying]) -> list[Varying]:
         """Return the results of an equation that stands between the regions."""
-        has = [has for _, has in given]
-        together = tuple(map(any, zip(*has, strict=True))) or (False,) * len(self.batch)
-        varies = [together] * len(equation.outvars)
+        has, varies = [has for _, has in given], self._vary(equation, given)
         one = mapped(lambda *operands: carried_out(equation.primitive, equation.params, operands), has, varies)
         return list(zip(one(*(value for value, _ in given)), varies, strict=True))
 

@@ -106,9 +106,7 @@ def reached(jaxpr: core.Jaxpr, moving: Sequence[bool]) -> list[bool]:
         return not isinstance(atom, core.Literal) and atom in known
 
     for equation in jaxpr.eqns:
-        given = [moves(atom) for atom in equation.invars]
-        if any(given):
-            known.update(v for v, found in zip(equation.outvars, _through(equation, given), strict=True) if found)
+        known.update(itertools.compress(equation.outvars, depend(equation, [*map(moves, equation.invars)])))
     return [moves(atom) for atom in jaxpr.outvars]
 
 
@@ -124,11 +122,35 @@ def carried_on(parameters: Parameters, given: Sequence[bool]) -> list[bool]:
         moving = after
 
 
-def _through(equation: core.JaxprEqn, given: Sequence[bool]) -> list[bool]:
+def depend(equation: core.JaxprEqn, given: Sequence[bool]) -> list[bool]:
+    """Return which results of an equation depend on the operands that are `given`."""
+    if not any(given):
+        return [False] * len(equation.outvars)
     name, inner = equation.primitive.name, inner_program(equation)
     if inner is not None and name != "custom_vjp_call":
         return reached(inner.jaxpr, given)
-    return carried_on(equation.params, given) if name == "scan" else [True] * len(equation.outvars)
+    if name == "scan":
+        return carried_on(equation.params, given)
+    if name == "while":
+        return _repeated(equation.params, given)
+    if name == "cond" and not given[0]:
+        branches = [reached(branch.jaxpr, given[1:]) for branch in equation.params["branches"]]
+        return [any(found) for found in zip(*branches, strict=True)]
+    return [True] * len(equation.outvars)
+
+
+def _repeated(parameters: Parameters, given: Sequence[bool]) -> list[bool]:
+    """Return which values that a loop with a condition carries depend on operands: all, once the condition does."""
+    of_condition, of_body = parameters["cond_nconsts"], parameters["body_nconsts"]
+    asked, common = given[:of_condition], given[of_condition : of_condition + of_body]
+    moving = list(given[of_condition + of_body :])
+    while True:
+        found = reached(parameters["body_jaxpr"].jaxpr, [*common, *moving])
+        ends = reached(parameters["cond_jaxpr"].jaxpr, [*asked, *moving])
+        after = [before or now or ends[0] for before, now in zip(moving, found, strict=True)]
+        if after == moving:
+            return moving
+        moving = after
 
 
 def by_axis(of_axis: Callable[[list[bool]], Sequence[bool]], varies: Sequence[Has], axes: int, count: int) -> list[Has]:

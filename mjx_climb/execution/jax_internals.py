@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager
 import jax
 import numpy as np
 from jax import Array
-from jax._src import dtypes, literals, source_info_util, xla_bridge
+from jax._src import config, dtypes, literals, source_info_util, xla_bridge
 from jax._src.interpreters import ad, partial_eval
 from jax._src.interpreters.ad import jvp_jaxpr as jvp_jaxpr  # forward derivatives of a jaxpr, by some of its arguments
 from jax.experimental.xla_metadata import set_xla_metadata
@@ -171,6 +171,12 @@ def settings() -> Mapping[str, object]:
     """Return all of JAX's settings by name, as they hold for the whole process."""
     values: Mapping[str, object] = jax.config.values
     return values
+
+
+def outside_of_xlas_cache() -> AbstractContextManager[None]:
+    """Have XLA's cache store none of the programs that this thread compiles: none takes long enough to be worth it."""
+    within: Callable[[float], AbstractContextManager[None]] = config.persistent_cache_min_compile_time_secs
+    return within(float("inf"))
 
 
 def as_one_kernel(program: core.ClosedJaxpr) -> Callable[..., list[Array]]:

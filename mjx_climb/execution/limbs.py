@@ -90,7 +90,7 @@ class LimbAxes:
             (axis, operand), after = moves[0], _shape(equation.outvars[0])
             if name in _MOVES:
                 axis = _MOVES[name](equation.params, axis, _shape(operand), after)
-            elif _shape(operand) != after:
+            elif _shape(operand) != after or len(equation.outvars) > 1:
                 axis = None
         return [axis] * len(equation.outvars)
 
@@ -147,23 +147,20 @@ def _reshaped(p: Parameters, axis: int, before: Sequence[int], after: Sequence[i
 
 
 # Where the operation's first operand with an axis of the limbs has it in the result, by parameters, axis and shapes,
-# None where it is none any more. What is not here keeps it together with the shape.
+# None where it is none any more. What is not here keeps it together with the shape, if it has one result.
 _Move = Callable[[Parameters, int, tuple[int, ...], tuple[int, ...]], Axis]
 _MOVES: dict[str, _Move] = {
     **dict.fromkeys(
         "reduce_sum reduce_max reduce_min reduce_prod reduce_and reduce_or reduce_xor argmax argmin".split(),
         lambda p, axis, *_: _without(axis, p["axes"]),
     ),
-    **dict.fromkeys(
-        ("dynamic_slice", "pad", "slice"), lambda _, axis, before, after: axis if before[axis] == after[axis] else None
-    ),
+    # along the axis they change its size, so that `_note` drops it
+    **dict.fromkeys(("concatenate", "dynamic_slice", "pad", "slice", "split"), lambda _, axis, *__: axis),
     "broadcast_in_dim": lambda p, axis, *_: p["broadcast_dimensions"][axis],
-    "concatenate": lambda p, axis, *_: None if axis == p["dimension"] else axis,
     "expand_dims": lambda p, axis, *_: _among(axis, p["dimensions"]),
     "gather": lambda *_: None,
     "reshape": _reshaped,
     "rev": lambda p, axis, *_: None if axis in p["dimensions"] else axis,
-    "split": lambda p, axis, *_: None if axis == p["axis"] else axis,
     "squeeze": lambda p, axis, *_: _without(axis, p["dimensions"]),
     "stack": lambda p, axis, *_: _among(axis, [p["axis"]]),
     "transpose": lambda p, axis, *_: list(p["permutation"]).index(axis),

@@ -8,7 +8,6 @@ import importlib.metadata
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import jax
 import numpy as np
 import xarray as xr
 
+from mjx_climb.child_process import read_apart
 from mjx_climb.disturbances.on_base import Push
 from mjx_climb.files.writing import OutputError as OutputError
 from mjx_climb.files.writing import check_folder as check_folder
@@ -34,8 +34,6 @@ from mjx_climb.walk.sample import DIMS, Sample, unknown
 
 _PACKAGE = Path(__file__).parents[1]
 _TIMES = 16  # more than one damaged block of a disk takes away
-# in which a file is read that `save` did not write: s, and what is added by its size
-PATIENCE, BYTES_A_SECOND = 20.0, 20e6
 _READ = """
 import sys, h5netcdf
 with h5netcdf.File(sys.argv[1]) as file:
@@ -223,13 +221,13 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
     HDF5 may hang where a file is damaged: one without the digest of `save` is read by another process first.
 
     Raises:
-        ConfigError: no netCDF4 file, not what `save` wrote, or one that is not read in `PATIENCE`.
+        ConfigError: no netCDF4 file, not what `save` wrote, or one that is not read in time.
     """
     try:
         content = Path(path).read_bytes()
         seal = content[-len(_seal(b"")) :]
         if not seal.count(b"sha256 "):
-            _try_to_read(path, PATIENCE + len(content) / BYTES_A_SECOND)
+            read_apart(_READ, path)
         elif seal != _seal(content[: -len(seal)]):
             raise ValueError("damaged")
         return xr.load_dataset(path, engine="h5netcdf")
@@ -237,17 +235,6 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
         number = getattr(error, "errno", None)  # HDF5's own text is long
         reason = os.strerror(number) if number else "another file, or a damaged one"
         raise ConfigError(f"{os.fspath(path)}: expected a netCDF4 file, got {reason.lower()}") from None
-
-
-def _try_to_read(path: str | os.PathLike[str], limit: float) -> None:
-    """Read a file in another process; ValueError where that takes longer than a limit in s, or crashes."""
-    command = [sys.executable, "-c", _READ, os.fspath(path)]
-    try:
-        done = subprocess.run(command, capture_output=True, timeout=limit)
-    except subprocess.TimeoutExpired:
-        raise ValueError("damaged") from None
-    if done.returncode < 0:
-        raise ValueError("damaged")
 
 
 def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:

@@ -7,6 +7,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from mjx_climb.scenario.messages import printable
+
 
 class OutputError(ValueError):
     """A place that cannot be written to; in one line: path, what was expected, what was got."""
@@ -63,6 +65,17 @@ def write_bytes_atomically(path: str | os.PathLike[str], content: bytes | memory
     return Path(path)
 
 
+def write_in_place(path: Path, content: bytes) -> None:
+    """Write a file as `write_bytes_atomically` does, but in place of a link there, which may lead out of its folder.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    if path.is_symlink():
+        path.unlink(missing_ok=True)
+    write_bytes_atomically(path, content)
+
+
 def check_folder(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that a folder is there or can be made and takes files; leave nothing in it.
 
@@ -82,5 +95,4 @@ def check_folder(path: str | os.PathLike[str]) -> None:
 
 def _refused(path: str | os.PathLike[str], expected: str, error: OSError | ValueError) -> OutputError:
     reason = (getattr(error, "strerror", None) or str(error)).lower()
-    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in os.fspath(path))
-    return OutputError(f"{shown}: expected {expected}, got {reason}")
+    return OutputError(f"{printable(os.fspath(path))}: expected {expected}, got {reason}")

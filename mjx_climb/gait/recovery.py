@@ -24,13 +24,13 @@ class Recovery(Component):
 
     shift: Array = parameter("m", bounds=(0.0, np.inf), default=np.inf, long_name="shift of the base that interrupts")
     utilization: Array = parameter("1", bounds=(0.0, np.inf), default=np.inf, long_name="use of a grip that interrupts")
-    margin: Array = parameter("m/s^2", bounds=(0.0, 1e3), default=0.0, long_name="GIA margin that interrupts")
-    lead_time: Array = parameter("s", bounds=(0.0, 1.0), default=0.02, long_name="time that the use is predicted for")
-    landing_time: Array = parameter("s", bounds=(0.0, 10.0), default=0.25, long_name="time of a landing")
-    rest_time: Array = parameter("s", bounds=(0.0, 10.0), default=1.2, long_name="time at rest after a landing")
+    margin: Array = parameter("m/s^2", bounds=(0.0, np.inf), default=0.0, long_name="GIA margin that interrupts")
+    lead_time: Array = parameter("s", bounds=(0.0, np.inf), default=0.02, long_name="time until the predicted use")
+    landing_time: Array = parameter("s", bounds=(0.0, np.inf), default=0.25, long_name="time of a landing")
+    rest_time: Array = parameter("s", bounds=(0.0, np.inf), default=1.2, long_name="time at rest after a landing")
     take_over: Array = parameter("1", bounds=(0.0, 1.0), default=0.3, long_name="share of a shift that is taken over")
-    return_time: Array = parameter("s", bounds=(0.0, 100.0), default=1.0, long_name="time of the base's return")
-    reach: Array = parameter("m", bounds=(0.0, 1.0), default=0.03, long_name="how far beside itself a foot may land")
+    return_time: Array = parameter("s", bounds=(0.0, np.inf), default=1.0, long_name="time of the base's return")
+    reach: Array = parameter("m", bounds=(0.0, np.inf), default=0.03, long_name="how far beside itself a foot may land")
 
 
 def recovery_of(law: Law, own: Recovery | None) -> Recovery | None:

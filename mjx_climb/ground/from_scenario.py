@@ -1,7 +1,9 @@
 """The points of a scenario that can be held, from a list, a file, a height map or a rule."""
 
 import functools
+import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -9,13 +11,16 @@ from mjx_climb.arrays import AnyArray
 from mjx_climb.ground import rules
 from mjx_climb.ground.height_map import holdable
 from mjx_climb.ground.holds import Holds, of
-from mjx_climb.ground.readers import columns_of
+from mjx_climb.ground.readers import table_of
 from mjx_climb.scenario import model
 from mjx_climb.scenario.messages import config_error
 from mjx_climb.scenario.values import MAX_COUNT
 
 # names of normals in files, of ROS and PLY, and of PCL
 _NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
+_LEVEL = 0.1  # of the height of a unit vector: nearer to level it counts as neither up nor down
+_FARTHEST = 1e9  # m, of a coordinate
+_NEAR = 9  # points of a file among which one is looked for above another
 
 # positions (n, 3) m, normals (n, 3) 1, limits (n,) N; NaN marks a point without a limit of its own
 _Found = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -32,8 +37,12 @@ def holds_of(ground: model.Ground) -> Holds | None:
         return None
     name, source = section.source
     random, key = np.random.default_rng(section.seed), f"ground.holds.{name}"
-    position, normal, limit = _FOUND[name](source, random)
-    place = getattr(source, "file", "scenario")
+    turn, place = _rotation(*section.turn), getattr(source, "file", "scenario")
+    # infinite numbers are refused below
+    with np.errstate(all="ignore"):
+        position, normal, limit = _FOUND[name](source, random, turn)
+    if not ((np.abs(position) <= _FARTHEST).all() and np.isfinite(normal).all()):
+        raise config_error(place, key, f"finite positions, {_FARTHEST:g} m at most, and normals", "others")
     if section.limit is not None:
         limit = np.where(np.isnan(limit), section.limit, limit)
     limit = limit * np.exp(section.spread * random.standard_normal(limit.size))
@@ -43,7 +52,7 @@ def holds_of(ground: model.Ground) -> Holds | None:
     if kept.size > (most := section.count or MAX_COUNT):
         key = "ground.holds.count" if section.count else key
         raise config_error(place, key, f"{most} points at most (ground.holds.spacing thins them out)", str(kept.size))
-    turn, shape = _rotation(*section.turn), section.polyhedron
+    shape = section.polyhedron
     return of(
         position[kept] @ turn.T + section.at,
         normal[kept] @ turn.T,
@@ -74,37 +83,46 @@ def holds_of_seeds(ground: model.Ground, seeds: Sequence[int]) -> Holds:
     return Holds(**made)
 
 
-def _listed(points: tuple[model.Hold, ...], random: np.random.Generator) -> _Found:
+def _listed(points: tuple[model.Hold, ...], random: np.random.Generator, turn: np.ndarray) -> _Found:
     limits = [np.nan if each.limit is None else each.limit for each in points]
     return np.array([each.at for each in points]), np.array([each.normal for each in points]), np.array(limits)
 
 
-def _from_file(cloud: model.HoldCloud, random: np.random.Generator) -> _Found:
-    columns = columns_of(cloud.file, cloud.topic)
-    position = np.stack([columns[name] for name in "xyz"], axis=-1)
-    finite = np.isfinite(position).all(1)
-    named = next((names for names in _NORMALS if columns.keys() >= {*names}), None)
-    if named is not None:
-        normal = np.stack([columns[name] for name in named], axis=-1)
-        finite &= np.isfinite(normal).all(1) & (normal != 0).any(1)
-        normal = normal[finite]
-    else:
-        normal = _fitted(position[finite], cloud.neighbours)
+def _from_file(cloud: model.HoldCloud, random: np.random.Generator, turn: np.ndarray) -> _Found:
+    table = table_of(cloud.file, cloud.topic)
+    position = table.values(*"xyz")
+    if (far := np.abs(position) > _FARTHEST).any():
+        expected = f"{_FARTHEST:g} m at most, or nan for a gap"
+        raise config_error(cloud.file, "x, y, z", expected, f"{position[far][0]:g}")
+    there = ~np.isnan(position).any(1)
+    position = position[there]
+    named = next((names for names in _NORMALS if {*names} <= {*table.names}), None)
+    normal = table.values(*named)[there] if named else np.zeros_like(position)
+    # programs write zeros or nan where they know none
+    lacking = ~np.isfinite(normal).all(1) | (normal == 0).all(1)
+    if lacking.any():
+        normal[lacking] = _fitted(position, cloud.neighbours, turn, table.viewpoint)[lacking]
+    if inward := _inward(position @ turn.T, normal @ turn.T):
+        text = f"{inward} of {len(position)} normals look down, into the ground"
+        # once for all copies of a file
+        warnings.warn(f"{Path(cloud.file).name}: ground.holds.cloud: {text}", stacklevel=2)
     limit = np.full(len(position), np.nan)
-    if cloud.limit in columns:
-        limit = cloud.limit_unit * columns[cloud.limit]
-        if (limit < 0).any():
-            raise config_error(cloud.file, cloud.limit, "limits of 0 or above", f"{np.nanmin(limit):g}")
-    return position[finite], normal, limit[finite]
+    if cloud.limit is not None or "limit" in table.names:
+        name = cloud.limit or "limit"
+        limit = cloud.limit_unit * table.values(name)[there, 0]
+        if not (limit >= 0).all():
+            got = f"nan at {np.isnan(limit).sum()} points" if np.isnan(limit).any() else f"{limit.min():g}"
+            raise config_error(cloud.file, name, "limits of 0 or above", got)
+    return position, normal, limit
 
 
-def _on_map(ground: model.HoldMap, random: np.random.Generator) -> _Found:
+def _on_map(ground: model.HoldMap, random: np.random.Generator, turn: np.ndarray) -> _Found:
     position, normal = holdable(ground)
     return position, normal, np.full(len(position), np.nan)
 
 
 def _by_rule(rule: Callable[..., rules.Points]) -> Callable[..., _Found]:
-    def found(source: object, random: np.random.Generator) -> _Found:
+    def found(source: object, random: np.random.Generator, turn: np.ndarray) -> _Found:
         position, normal = rule(source, random)
         return position, normal, np.full(len(position), np.nan)
 
@@ -119,18 +137,36 @@ _FOUND: dict[str, Callable[..., _Found]] = {
 }
 
 
-def _fitted(position: np.ndarray, neighbours: int) -> np.ndarray:
-    """Normals (n, 3) of planes through the nearest points, up; up where these are on a line."""
+def _fitted(position: np.ndarray, neighbours: int, turn: np.ndarray, viewpoint: np.ndarray | None) -> np.ndarray:
+    """Normals (n, 3) of planes through the nearest points, out of the ground; up where these are on a line.
+
+    Out is towards the viewpoint, or else up after the turn (3, 3). On ground that the turn makes a wall it is also
+    along the file's z.
+    """
     from scipy.spatial import cKDTree
 
-    up = np.tile([0.0, 0.0, 1.0], (len(position), 1))
+    up = np.tile(turn[2], (len(position), 1))
     if min(neighbours, len(position)) < 3:
         return up
     _, near = cKDTree(position).query(position, min(neighbours, len(position)))
     around = position[near] - position[near].mean(1, keepdims=True)
     spread, axes = np.linalg.eigh(around.mT @ around)
-    normal = axes[..., 0] * np.where(axes[..., 2, :1] < 0, -1.0, 1.0)
-    return np.where(spread[:, 1:2] > 1e-6 * spread[:, 2:], normal, up)
+    normal = np.where(spread[:, 1:2] > 1e-6 * spread[:, 2:], axes[..., 0], up)
+    ahead = np.array([0.0, 0.0, turn[2, 2] > -_LEVEL])
+    out = up + ahead if viewpoint is None else viewpoint - position
+    return np.where((normal * out).sum(1, keepdims=True) < 0, -normal, normal)
+
+
+def _inward(position: np.ndarray, normal: np.ndarray) -> int:
+    """The number of normals (n, 3) that look down at points (n, 3) with no other above, as below an overhang."""
+    from scipy.spatial import cKDTree
+
+    down = position[normal[:, 2] < -_LEVEL * np.linalg.norm(normal, axis=1)]
+    if not down.size:
+        return 0
+    across, near = cKDTree(position[:, :2]).query(down[:, :2], range(1, min(len(position), _NEAR) + 1))
+    above = position[near, 2] - down[:, 2:] > 2 * across + 1e-3
+    return int((~above.any(1)).sum())
 
 
 def _thinned(position: np.ndarray, limit: np.ndarray, spacing: float) -> np.ndarray:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.ground.readers.csv_file import cells, numbers
+from mjx_climb.ground.table import reading, real
+from mjx_climb.scenario.messages import config_error
 from mjx_climb.scenario.model import HeightMap, HoldMap
 
 
@@ -33,7 +35,7 @@ def holdable(ground: HoldMap) -> tuple[np.ndarray, np.ndarray]:
         if mask.shape != heights.shape:
             expected = f"the {heights.shape[0]} rows and {heights.shape[1]} columns of the map"
             got = f"{mask.shape[0]} and {mask.shape[1]}"
-            raise ConfigError(f"{ground.mask}: ground.holds.map.mask: expected {expected}, got {got}")
+            raise config_error(ground.mask, "ground.holds.map.mask", expected, got)
         held &= mask > 0
     slope = np.stack(np.gradient(heights, ground.resolution)[::-1], axis=-1)
     slope = np.where(np.isfinite(slope).all(-1, keepdims=True), slope, 0.0)
@@ -49,30 +51,36 @@ def grid_of(file: str, key: str = "ground.map.file", gaps: bool = False) -> np.n
     Raises:
         ConfigError: in one line that begins with file and key, what cannot be read or is no grid.
     """
-    readers: dict[str, Callable[[str], np.ndarray]] = {".csv": _csv, ".npy": np.load, ".png": _png}
-    suffix, place = Path(file).suffix.lower(), f"{file}: {key}"
+    readers: dict[str, Callable[[str], np.ndarray]] = {".csv": _csv, ".npy": _npy, ".png": _png}
+    suffix = Path(file).suffix.lower()
     if suffix not in readers:
-        raise ConfigError(f"{place}: expected a .csv, .npy or .png, got {suffix or 'no suffix'}")
-    try:
-        grid = np.asarray(readers[suffix](file), float)
-    except (OSError, ValueError, SyntaxError, EOFError) as error:  # SyntaxError: a broken PNG
-        reason = (getattr(error, "strerror", None) or str(error) or "a damaged one").splitlines()[0]
-        raise ConfigError(f"{place}: expected a grid of numbers, got {reason}") from None
+        raise config_error(file, key, "a .csv, .npy or .png", suffix or "no suffix")
+    with reading(file, key, "a grid of numbers"):
+        grid = real(readers[suffix](file), file, key)
     usable = not np.isinf(grid).any() if gaps else np.isfinite(grid).all()
     if grid.ndim != 2 or min(grid.shape) < 2 or not usable:
         got = "values that are not finite" if grid.ndim == 2 and min(grid.shape) > 1 else f"shape {grid.shape}"
-        raise ConfigError(f"{place}: expected two rows and columns or more of finite numbers, got {got}")
+        raise config_error(file, key, "two rows and columns or more of finite numbers", got)
     return grid
 
 
 def _csv(file: str) -> np.ndarray:
-    lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
-    return np.array([[float(cell) for cell in line.split(",")] for line in lines if line.strip()])
+    rows = cells(Path(file))
+    return numbers(rows, len(rows[0][1]) if rows else 0)
+
+
+def _npy(file: str) -> np.ndarray:
+    with open(file, "rb") as content:
+        return np.asarray(np.lib.format.read_array(content))
 
 
 def _png(file: str) -> np.ndarray:
     """The grey levels, 0 to 1; the picture's top row is the far side, the largest y."""
     from matplotlib.image import imread
+    from PIL import Image
 
+    with Image.open(file, formats=["PNG"]) as picture:
+        # its checksums, to the end
+        picture.verify()
     image = imread(file, format="png")
     return (image if image.ndim == 2 else image[..., :3].mean(-1))[::-1]

@@ -79,7 +79,9 @@ def of(
     limits = np.broadcast_to(np.inf if limit is None else limit, number)
     # a share of 0 of a limit that is infinite is 0
     bounds = np.multiply.outer(limits, bound, where=np.asarray(bound) > 0, out=np.zeros((number, len(matrix))))
-    unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    # first by the largest part: the square of a small one is 0
+    unit = normal / np.abs(normal).max(1, keepdims=True, initial=0)
+    unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
     arrays: dict[str, AnyArray] = {
         "position": np.pad(np.asarray(position, float), ((0, room), (0, 0))),
         "normal": np.vstack([unit, np.tile([0.0, 0.0, 1.0], (room, 1))]),

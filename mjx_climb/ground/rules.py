@@ -3,19 +3,25 @@
 Each rule returns positions (n, 3) m and normals (n, 3), of any length above 0, 1; z is up from the area's plane.
 """
 
+import math
+
 import numpy as np
 
+from mjx_climb.scenario.messages import config_error
 from mjx_climb.scenario.model import Handrails, HoldWall, Pipe, Rock, Truss
+from mjx_climb.scenario.values import MAX_COUNT
 
 _UP = np.array([0.0, 0.0, 1.0])
 _WAVES = 24  # of a rough surface
 _SHORTEST = 0.125  # of the wavelengths, as a share of the longest one
+_MOST = 50 * MAX_COUNT  # points that are made, before spacing thins them out
 
 Points = tuple[np.ndarray, np.ndarray]
 
 
 def handrails(rails: Handrails, random: np.random.Generator) -> Points:
     """Points along rails that run along x; a single rail lies in the middle."""
+    _check("handrails", rails.size[0] / rails.pitch, rails.rails)
     x = _spread(rails.size[0], rails.pitch)
     y = rails.size[1] * (np.linspace(0, 1, rails.rails) if rails.rails > 1 else np.array([0.5]))
     position = np.stack(np.meshgrid(x, y, 0.0), axis=-1).reshape(-1, 3)
@@ -27,6 +33,9 @@ def truss(box: Truss, random: np.random.Generator) -> Points:
     (length, width), depth = box.size, box.depth
     across, down, out = np.array([0, 1.0, 0]), -_UP, np.array([0, 1.0, 0])
     corner = np.array([0, width, -depth])
+    bay = min(box.bay, length + width)
+    # two sides of a bay and its diagonal, on both faces that are alike
+    _check("truss", length / bay + 1, (width + depth) / bay + 1, 8 * (bay / box.pitch + 1))
     # a face: where it begins, which way it goes beside x, how far, and its normal
     faces = [(np.zeros(3), across, width, _UP)]
     if depth:
@@ -41,6 +50,7 @@ def truss(box: Truss, random: np.random.Generator) -> Points:
 
 def pipe(tube: Pipe, random: np.random.Generator) -> Points:
     """Points on rings around a pipe, whose uppermost line is at height zero."""
+    _check("pipe", tube.size[0] / tube.pitch, tube.around)
     angle = 2 * np.pi * np.arange(tube.around) / tube.around
     normal = np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=-1)
     x = _spread(tube.size[0], tube.pitch)
@@ -51,7 +61,8 @@ def pipe(tube: Pipe, random: np.random.Generator) -> Points:
 
 def wall(holds: HoldWall, random: np.random.Generator) -> Points:
     """Holds on a grid whose odd rows are shifted by half a pitch."""
-    x, y = np.meshgrid(*(np.arange(0, side + 1e-9, holds.pitch) for side in holds.size))
+    _check("wall", *(side / holds.pitch + 1 for side in holds.size))
+    x, y = np.meshgrid(*(_spread(side, holds.pitch) for side in holds.size))
     x = x + holds.pitch / 2 * (np.arange(len(x)) % 2)[:, None]
     position = np.stack([x, y, holds.height * random.random(x.shape)], axis=-1)
     normal = np.tile(_UP, (*x.shape, 1))
@@ -62,6 +73,7 @@ def wall(holds: HoldWall, random: np.random.Generator) -> Points:
 
 def rock(ground: Rock, random: np.random.Generator) -> Points:
     """Uniform points on a sum of waves of random directions, the shorter the lower."""
+    _check("rock", ground.density, *ground.size)
     count = round(ground.density * ground.size[0] * ground.size[1])
     level = random.random((count, 2)) * ground.size
     length = ground.wavelength * _SHORTEST ** random.random(_WAVES)
@@ -92,6 +104,12 @@ def _lattice(length: float, width: float, bay: float, pitch: float) -> np.ndarra
         share = np.arange(1, pieces)[:, None, None] / pieces
         found.append((start + share * (end - start)).reshape(-1, 2))
     return np.concatenate(found)
+
+
+def _check(rule: str, *factors: float) -> None:
+    """Refuse a rule that would make too many points, some product of factors."""
+    if (number := math.prod(factors)) > _MOST:
+        raise config_error("scenario", f"ground.holds.{rule}", f"{_MOST} points at most", f"some {number:.3g}")
 
 
 def _spread(length: float, pitch: float) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The seam of actuators: from joint targets to the torques on the joints."""
 
+import abc
 from typing import NamedTuple
 
 from jax import Array
@@ -49,7 +50,7 @@ class JointSpring(NamedTuple):
     armature: Array | float = 0.0  # kg m^2, of `Drive`
 
 
-class Actuator(Component):
+class Actuator(Component, abc.ABC):
     """Base of actuators: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `parameter` are its values. `init` and `step` are written for one robot, for all joints at once.
@@ -64,10 +65,11 @@ class Actuator(Component):
         """The spring that holds a joint, by which a time step, s, is checked; None: not known, and left out there."""
         return None
 
+    @abc.abstractmethod
     def init(self, angles: Array) -> PyTree:
         """The memory of actuators that have always rested at joint angles (limb, joint) rad, under no torque."""
-        raise NotImplementedError(f"{type(self).__name__}.init")
 
+    @abc.abstractmethod
     def step(
         self, memory: PyTree, targets: Array, gains: ActuatorGains, joints: Joints, period: float
     ) -> tuple[PyTree, Drive]:
@@ -80,4 +82,3 @@ class Actuator(Component):
             joints: angles, rates and load.
             period: length of the step, s.
         """
-        raise NotImplementedError(f"{type(self).__name__}.step")

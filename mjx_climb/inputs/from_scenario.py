@@ -130,7 +130,11 @@ def check_parameters(parameters: Parameters, limbs: tuple[str, ...]) -> None:
     """
     values = parameters.values
     for path, field in parameters.paths.items():
-        checked_value(f"parameters.{path}", values[path], field.shape, *field.bounds)
+        checked_value(f"parameters.{path}", values[path], field.shape, limits=field.bounds)
+    seed = values["hardware.seed"]
+    if not is_tracer(seed) and (part := np.mod(np.asarray(seed), 1)).any():
+        got = np.extract(part, seed)[0]
+        raise ValueError(f"parameters.hardware.seed: expected whole numbers from 0 to below 2^24, got {got:g}")
     sizes: Mapping[str, int | range] = {"limbs": len(limbs), "K": range(COUNT + 1)}
     for path, dims in _OF_LIMBS.items():
         check_shape(f"parameters.{path}", np.shape(values[path]), dims, sizes)

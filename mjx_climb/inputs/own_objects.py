@@ -1,5 +1,6 @@
 """Objects of the user's: FILE.py:NAME, and the components that the section `own` names."""
 
+import contextlib
 import dataclasses
 import importlib.machinery
 import importlib.util
@@ -7,7 +8,7 @@ import os
 import sys
 import types
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,18 @@ KINDS: dict[str, tuple[type[Component], Mapping[str, type[Component]]]] = {
 }
 
 
+@contextlib.contextmanager
+def in_one_line(what: str) -> Iterator[None]:
+    """Raise ConfigError in one line where code of the user's fails, or would end the program."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except (Exception, SystemExit) as error:
+        reason = str(error).splitlines()[0] if str(error) else ""
+        raise ConfigError(f"{what}: {type(error).__name__}: {reason}") from error
+
+
 def load(text: str, what: str) -> tuple[Any, str, str]:
     """Return the object that FILE.py:NAME names, and both names; the file is run.
 
@@ -57,10 +70,8 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
     sys.path.insert(0, str(path.absolute().parent))  # for what the file itself imports, as python FILE does
     try:
         # not `exec_module`, whose bytecode of a file that was changed within a second is the old one's
-        exec(spec.loader.source_to_code(path.read_bytes(), path), module.__dict__)
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else ""
-        raise ConfigError(f"{path}: {type(error).__name__}: {reason}") from None
+        with in_one_line(str(path)):
+            exec(spec.loader.source_to_code(path.read_bytes(), path), module.__dict__)
     finally:
         sys.path.pop(0)
     RUN.append((module, of_files))

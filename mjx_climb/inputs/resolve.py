@@ -4,7 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Mapping
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from mjx_climb.arrays import AnyArray
-from mjx_climb.component import AnyComponent, checked_value, with_values
+from mjx_climb.component import AnyComponent, checked_value, in_precision, real_numbers, with_values
 from mjx_climb.control import PD, Law
 from mjx_climb.execution.batch_axes import batch_shape, own_axes
 from mjx_climb.gait.recovery import recovery_of
@@ -84,7 +84,8 @@ def resolve(
     own = own.with_components(lambda place, each: with_values(each, {}, lambda value: value, place))
     walked = with_whole_steps(own, scenario.time_step).replace(joint)
     walked = walked if compiled else compiled_for(scenario, walked, called)
-    parameters = jax.tree.map(array, walked)
+    cast = {p: in_precision(called.get(p, f"parameters.{p}"), value, array) for p, value in walked.values.items()}
+    parameters = walked.replace(cast)
     # gains of a law without any still say how many robots there are
     others = {name: jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS}
     shape = batch_shape(law, parameters, others=others)
@@ -147,7 +148,7 @@ def recorded(scenario: Scenario, gains: AnyGains | None, resolved: WalkInputs) -
     return Gains(**six, **joint)
 
 
-def checked(component: AnyComponent, kind: type[AnyComponent]) -> AnyComponent:
+def checked(component: AnyComponent, kind: type[Any]) -> AnyComponent:
     """Return a law, contact, actuator or disturbance as it is.
 
     Raises:
@@ -178,19 +179,19 @@ def by_name(gains: AnyGains) -> dict[str, AnyArray]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _values_by_name(law: Law, gains: AnyGains | None) -> dict[str, AnyArray]:
+def _values_by_name(law: Law, gains: AnyGains | None, what: str = "gains") -> dict[str, AnyArray]:
     """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
     values = dict(gains or {}) if isinstance(gains, Mapping | None) else by_name(gains)
+    values = {name: real_numbers(f"{what}.{name}", value) for name, value in values.items()}
     known = [*law.GAINS, *_JOINT_LOOP]
     if values.keys() >= Gains.AXES.keys():  # those of the paper, whatever else stands beside them
         for name, field in law.GAINS.items():
             if field.shape == (3,) and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
-                own = values[name]
-                values[name] = (own if isinstance(own, jax.Array) else np.asarray(own))[..., :3]
+                values[name] = values[name][..., :3]
         known += Gains.AXES if isinstance(law, PD) else ()
     if unknown := [name for name in values if name not in known and name not in GAIT]:
         names = f"{', '.join(known)}, the gains of {type(law).__name__}"
-        raise ValueError(f"gains.{unknown[0]}: expected one of {names}")
+        raise ValueError(f"{what}.{unknown[0]}: expected one of {names}")
     return values
 
 
@@ -207,17 +208,22 @@ def resolved_directions(resolved: WalkInputs, gains: AnyGains | None, directions
                 so = f"rates of change, as gains.{name} is given" if rates is None else f"None, as gains.{name} is"
                 raise ValueError(f"directions.{name}: expected {so}, got {'None' if rates is None else 'rates'}")
     law, shape, dtype, found = resolved.law, resolved.shape, resolved.parameters.gravity.dtype, {}
-    given = {name: rates for name, rates in _values_by_name(law, directions).items()}
+    given = {name: rates for name, rates in _values_by_name(law, directions, "directions").items()}
     for key in TIMES:
         if np.any(given.pop(key, 0.0)):
             raise ValueError(f"directions.{key}: expected none, as it is counted in whole time steps")
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys([*_JOINT_LOOP, *GAIT], ())
     shapes |= {name: field.lengths for name, field in law.GAINS.items()}
     count = max([np.shape(rates)[0] for rates in given.values() if np.ndim(rates)], default=1)
+    values = resolved.parameters.values
+    held = {n: values[p] for n in shapes if (p := path_of_gain(n)) in resolved.called}
+    held |= {name: getattr(law, name) for name in law.GAINS}
+    batched = max([np.ndim(value) - len(shapes[name]) for name, value in held.items()], default=0)
     for name in (name for name in given if name in shapes):
         value, own = np.asarray(given[name], dtype), shapes[name]
-        if value.ndim <= len(own) or value.shape[0] != count or not broadcasts(value.shape[1:], (*shape, *own)):
-            expected = f"shape {(count, *shape, *own)}, or fewer batch axes behind the first"
+        axes, whole = 1 + batched + len(own), (*shape, *own)
+        if value.ndim < axes or value.shape[0] != count or not broadcasts(value.shape[1:], whole):
+            expected = f"shape {(count, *whole)}{', or axes of 1 behind the first' if whole else ''}"
             raise ValueError(f"directions.{name}: expected {expected}, got {value.shape}")
         (number, *batch) = value.shape[: value.ndim - len(own)]
         value = np.broadcast_to(value, (number, *batch, *own))

@@ -13,6 +13,7 @@ it holds feet or joints; where it does not, these are left out, and a refusal sa
 import functools
 import math
 import operator
+import warnings
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -113,13 +114,16 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     """Refuse a time step too long for the robot's contacts and joint loop.
 
     Parameters, with any batch axes, replace the scenario's: the step is short enough for each robot. Those that JAX
-    traces stay the scenario's, and so do values of the gait that differ from robot to robot.
+    traces stay the scenario's, and so do values of the gait that differ from robot to robot. A warning names a contact
+    or an actuator that does not say by which springs it holds: it is left out.
 
     Raises:
         ConfigError: in one line, the time step that would do.
     """
     if parameters is None and scenario.own is not None:
         parameters = own_parameters(scenario, source)
+    if parameters is not None:
+        _warn_of_unknown_springs(parameters, scenario.time_step)
     largest, *each = [_CONFIG] if parameters is None else _own_springs(parameters, scenario)
     unstable = _unstable(scenario, parameters, largest)
     if unstable is not None and each:  # no robot of the batch may have all the largest values
@@ -134,6 +138,15 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
         f"got {scenario.time_step:g} (a disturbance grows {growth(scenario, None, own):.3g}-fold a step): "
         f"{largest_time_step(scenario, source, own):g} would do"
     )
+
+
+def _warn_of_unknown_springs(parameters: Parameters, time_step: float) -> None:
+    contact, drive = parameters.contact, parameters.drive
+    unknown = [(contact, "springs")] if contact is not None and contact.springs() is None else []
+    unknown += [(drive, "spring")] if drive is not None and drive.spring(time_step) is None else []
+    for component, method in unknown:
+        lacks = f"{type(component).__name__} has no method {method}"
+        warnings.warn(f"{lacks}: the time step of {time_step:g} s is not checked for its stiffness", stacklevel=4)
 
 
 def _unstable(scenario: Scenario, parameters: Parameters | None, own: Own) -> tuple[Scenario, Own] | None:

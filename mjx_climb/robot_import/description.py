@@ -10,11 +10,22 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import RobotError
+from mjx_climb.robot_import.markup import (
+    check_numbers,
+    first_line,
+    fixed_by_limits,
+    is_urdf,
+    line_of,
+    lines_of,
+    needed,
+    text_of,
+)
 
 JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 SPECK = 1e-10  # kg, of links without a mass, as many a file has them between two joints
 SPECK_MOMENT = 1e-14  # kg m^2, of these and of points: MuJoCo wants some, and an insect's leg has 1e-11
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # of an inertia, as MuJoCo writes it in a row
+_POINT = 1e-9  # rad or m, either way, of a joint whose two limits are one: MuJoCo wants a range
 _ROUNDING = 1e-6  # of the largest moment of inertia
 _POSITIONS = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}  # in a keyframe; of others 1
 TURNED = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)  # by an actuator: a joint
@@ -26,8 +37,6 @@ _SIZES = {  # numbers that a plain shape's size has, and how many where its ends
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: (3, 2),
     mujoco.mjtGeom.mjGEOM_BOX: (3, 2),
 }
-_INCLUDE = re.compile(r"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)[\"'][^>]*?(?:/>|>\s*</include\s*>)")
-_ROOT = re.compile(r"<\?.*?\?>|</?\s*mujoco(?:include)?\b[^>]*>")
 _NUMBER = re.compile(r"[Ll]ine (?:number=)?(\d+)")
 _NAME = r"[^<>]*?\bname\s*=\s*[\"']"
 _DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes", "hfields")
@@ -45,6 +54,9 @@ def described(file: str, looks: bool = False) -> mujoco.MjSpec:
     """
     spec = _read(file, looks)
     _check_numbers(file, spec)
+    for part in (*spec.bodies, *spec.joints, *spec.sites):
+        if part.name and not part.name.isprintable():
+            raise RobotError(f"{line_of(file, part.name)}: expected a name of one printable line, got {part.name!r}")
     free, ball = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
     bodies, joints = ({part.name for part in parts} for parts in (spec.bodies, spec.joints))
     for body in spec.bodies:
@@ -58,6 +70,10 @@ def described(file: str, looks: bool = False) -> mujoco.MjSpec:
                 taken.add(name)
     for joint in [joint for joint in spec.joints if joint.type == ball]:
         _as_hinges(spec, joint)
+    fixed = fixed_by_limits(file)
+    for joint in spec.joints:
+        if joint.type in JOINTS and joint.name in fixed:
+            joint.range = fixed[joint.name] + np.array([-_POINT, _POINT])
     return spec
 
 
@@ -68,11 +84,14 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
     if macro := re.search(r"<xacro:\w+", text):
         place = f"{file}:{text.count(chr(10), 0, macro.start()) + 1}"
         raise RobotError(f"{place}: expected a URDF that xacro has written out, got {macro[0]}>")
+    check_numbers(file)
     mujoco.set_mju_user_warning(lambda message: None)  # what is wrong is said once, by what is raised
     try:
-        if looks and is_urdf(file) and "<mujoco" not in text:
-            kept = r'\1><mujoco><compiler discardvisual="false"/></mujoco>'
-            spec = mujoco.MjSpec.from_string(re.sub(r"(<robot\b[^>]*)>", kept, text, count=1))
+        if is_urdf(file):
+            text, visible = needed(text), '<mujoco><compiler discardvisual="false"/></mujoco>'
+            if looks and "<mujoco" not in text:
+                text = re.sub(r"(<robot\b[^>]*>)", rf"\1{visible}", text, count=1)
+            spec = mujoco.MjSpec.from_string(text)
         else:
             spec = mujoco.MjSpec.from_file(file)
         for part in (*spec.bodies, *spec.joints, *spec.sites, *spec.keys, *spec.actuators):
@@ -85,21 +104,6 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
         raise _unreadable(file, error) from None
     finally:
         mujoco.set_mju_user_warning(None)
-
-
-def text_of(file: str) -> str:
-    """Return a file without comments, their lines kept; nothing of one that cannot be read."""
-    try:
-        text = Path(file).read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
-    return re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
-
-
-def is_urdf(file: str) -> bool:
-    """Return whether a file is a URDF, by its outermost element; MuJoCo goes by that too, whatever a file is called."""
-    outermost = re.search(r"<\s*([\w:]+)", re.sub(r"<[?!].*?>", "", text_of(file), flags=re.DOTALL))
-    return outermost is not None and outermost[1] == "robot"
 
 
 def _check_numbers(file: str, spec: mujoco.MjSpec) -> None:
@@ -294,48 +298,10 @@ def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise _unreadable(file, error) from None
 
 
-# ------------------------------------------------------------------------------------------------------------
-# Where something stands in a file
-
-
-def _lines(file: Path, around: tuple[Path, ...] = ()) -> list[tuple[str, str]]:
-    """Return the lines of a file, and of those that it includes in their places: each line's file:number, and text."""
-    try:
-        text = file.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return []
-    found = []
-    for number, line in enumerate(text.split("\n"), 1):
-        for n, part in enumerate(_INCLUDE.split(line)):  # text, file, text, and so on
-            if n % 2 == 0:
-                found.append((f"{file}:{number}", _ROOT.sub("", part) if around else part))
-            elif (other := file.parent / part) not in (*around, file):
-                found += _lines(other, (*around, file))
-    return found
-
-
-def _first_line(file: str, *patterns: str) -> str | None:
-    """Return file:number of the line where the last group of the first pattern that is found begins."""
-    lines = _lines(Path(file))
-    text = "\n".join(line for _, line in lines)
-    found = next(filter(None, (re.search(pattern, text, re.DOTALL) for pattern in patterns)), None)
-    return found and lines[text.count("\n", 0, found.start(found.lastindex or 0))][0]
-
-
-def line_of(file: str, name: str) -> str:
-    """Return a file, and after a colon the line in which it, or one that it includes, first names an element so.
-
-    Or else the line in which the name first stands in quotes.
-    """
-    quoted = rf"[\"']{re.escape(name)}[\"'])"
-    element = rf"<\s*(?:body|joint|freejoint|link|geom|site)\s[^<>]*?(name\s*=\s*{quoted}"
-    return _first_line(file, element, rf"(name\s*=\s*{quoted}", "(" + quoted) or file
-
-
 def _unreadable(file: str, error: Exception) -> RobotError:
     """Return MuJoCo's message about a file in one line, which begins with the place in the file."""
     reason, place = " ".join((str(error) or "an empty one").split()), None
-    lines, number = _lines(Path(file)), _NUMBER.search(reason)
+    lines, number = lines_of(Path(file)), _NUMBER.search(reason)
     if number and int(number[1]):
         place = f"{file}:{number[1]}"
     elif number:  # 0 of what stands in an included file: asked for again with all in one file
@@ -349,6 +315,6 @@ def _unreadable(file: str, error: Exception) -> RobotError:
     if place is None and (found := re.search(r"(?:[Ee]lement name|opening file) '([^']+)'", reason)):
         place = line_of(file, found[1])
     if place is None and "repeated URDF name" in reason:
-        place = _first_line(file, rf"<\s*(link|joint)\s{_NAME}([^\"']*)[\"'].*?<\s*\1\s{_NAME}(\2)[\"']")
+        place = first_line(file, rf"<\s*(link|joint)\s{_NAME}([^\"']*)[\"'].*?<\s*\1\s{_NAME}(\2)[\"']")
     reason = reason.removesuffix(" line 0").removesuffix(",")
     return RobotError(f"{place or file}: expected an MJCF or URDF that MuJoCo loads, got {reason[:300]}")

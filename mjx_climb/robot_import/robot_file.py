@@ -10,7 +10,8 @@ import numpy as np
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import FILLING, PASSIVE, Robot, RobotError, frame_along, robot_from_model
 from mjx_climb.robot_import.bodies import add_joint, at_zero, beginning, foot_of, quaternion, rigid_parts, robot_in
-from mjx_climb.robot_import.description import COLUMNS, JOINTS, ROWS, SPECK, is_urdf, line_of
+from mjx_climb.robot_import.description import COLUMNS, JOINTS, ROWS, SPECK
+from mjx_climb.robot_import.markup import is_urdf, line_of
 from mjx_climb.scenario.model import RobotFile
 
 SNAP = 1e-4  # rad: axes as near as this to parallel or square are meant so; many a URDF has pi / 2 as 1.5708

@@ -98,4 +98,9 @@ def show(value: object) -> str:
 def config_error(source: str, key: str, expected: str, got: str, more: int = 0) -> ConfigError:
     place = f"{source}: {key}" if key else source
     text = f"{place}: expected {expected}, got {got}" + (f" (and {more} more)" if more else "")
-    return ConfigError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))  # one line, encodable
+    return ConfigError(printable(text))
+
+
+def printable(text: str, keep: str = "") -> str:
+    """A text in which control characters are spelt out, but for those in `keep`: it can be encoded and shown."""
+    return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in text)

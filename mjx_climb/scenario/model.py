@@ -162,10 +162,12 @@ class HoldCloud(v.Section):
         "recording of ROS 2, .mcap or .db3"
     )
     topic: v.Word | None = setting(None, "topic of a recording with sensor_msgs/PointCloud2; null: the only one")
-    limit: v.Word = setting("limit", "name of the column with holding limits; without it all have the same")
+    limit: v.Word | None = setting(None, "name of the column with holding limits; null: limit, if the file has it")
     limit_unit: v.Positive = setting(1.0, "holding limit for a 1 in that column, N")
     neighbours: v.Count = setting(
-        1, "nearest points to which a plane is fitted for normals that the file lacks; below 3: they are up"
+        1,
+        "nearest points to which a plane is fitted for normals that the file lacks, towards a PCD's viewpoint or up; "
+        "below 3: they are up",
     )
 
 

@@ -12,6 +12,7 @@ from mjx_climb.hardware.stages import IDEAL, Stages
 from mjx_climb.inputs.from_scenario import stages_under_trace
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import Parameters
+from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.robot_import.load import load_model, load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -58,7 +59,8 @@ def structure(
 
     Raises:
         ConfigError: footholds to be chosen where there are no holds, or what goes with chosen ones alone.
-        ValueError: two metrics of one name, or parameters that JAX traces and that decide about a stage.
+        ValueError: two metrics of one name, parameters that JAX traces and that decide about a stage, or a contact
+            without `tear_off` where the holds have limits.
     """
     if parameters.footholds is not None and parameters.ground.holds is None:
         raise ConfigError("gait.footholds: expected planned, as the ground has no holds to choose among")
@@ -67,6 +69,10 @@ def structure(
     if parameters.footholds is None and scenario.gait.way_points:
         points = [list(point) for point in scenario.gait.way_points]
         raise ConfigError(f"gait.way_points: expected none with planned footholds, got {points}")
+    contact = parameters.contact
+    limited = parameters.ground.holds is not None and parameters.holds.limit_bound.shape[-1] > 0
+    if limited and contact is not None and type(contact).tear_off is Contact.tear_off:
+        raise ValueError(f"{type(contact).__name__}: expected a method tear_off, as the holds have limits, got none")
     table = MetricTable(metrics)
     own: list[object] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
     own += [] if law is None or type(law) in LAWS.values() else [type(law)]

@@ -42,6 +42,12 @@ class Mixed(mc.Law):
     damping: object = mc.gain("N s/m", length=3, bounds=(1.0, 1e3), default=10.0)
     slope: object = mc.gain("1", length=1, bounds=(-1.0, 1.0), default=0.0)
 
+    def init(self, start):
+        return ()
+
+    def step(self, state, measured, reference):
+        return state, mc.control.shifted(reference, jnp.zeros(6))
+
 
 @pytest.fixture(scope="module")
 def random():

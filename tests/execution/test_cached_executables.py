@@ -4,6 +4,7 @@ import os
 import runpy
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import jax
@@ -69,6 +70,22 @@ def test_the_next_process_neither_traces_nor_gets_another_executable(run):
         assert traced == 1
         assert (values == first[1]) == (change.keys() <= {"identity", "level"})
     assert run(identity="")[0] == 1
+
+
+@pytest.mark.slow
+def test_what_is_stored_here_is_not_stored_by_xla_as_well(run, tmp_path):
+    """There it has a name that nothing asks for again: a copy that stays for nothing."""
+    run()
+    assert len([*(tmp_path / "programs").iterdir()]) == 1
+    assert not [path.name for path in tmp_path.iterdir() if path.name.startswith("jit_function_")]
+
+
+def test_files_of_writers_that_were_killed_are_removed_once_nobody_can_write_them(tmp_path):
+    for name, age in ((".one.abcdefgh", 1e5), (".two.abcdefgh", 0.0), ("three", 1e5)):
+        (tmp_path / name).write_text("half")
+        os.utime(tmp_path / name, 2 * (time.time() - age,))
+    cache.write_whole(tmp_path / "one", b"whole")
+    assert {path.name for path in tmp_path.iterdir()} == {"one", ".two.abcdefgh", "three"}
 
 
 @pytest.mark.nightly

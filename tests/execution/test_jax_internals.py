@@ -14,7 +14,7 @@ import pytest
 from jax import lax
 from jax.extend import core
 
-from mjx_climb.execution import jax_internals, one_robot
+from mjx_climb.execution import cache, jax_internals, one_robot
 from mjx_climb.execution.flat import flat
 from mjx_climb.execution.limbs import of_limbs
 from mjx_climb.physics.state import State
@@ -91,6 +91,21 @@ def test_carried_out():
         equation = only(function, value)
         found = jax_internals.carried_out(equation.primitive, equation.params, [value] * len(equation.invars))
         np.testing.assert_allclose(found[0], function(value)[0] if len(found) > 1 else function(value))
+
+
+def test_outside_of_xlas_cache(tmp_path):
+    """A program that is compiled so is not there, and the next one is."""
+    before = jax.config.jax_persistent_cache_min_compile_time_secs
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    try:
+        with cache.cache_in(str(tmp_path)):
+            with jax_internals.outside_of_xlas_cache():
+                jax.jit(lambda x: 3.0 * x).lower(1.0).compile()
+            assert not [*tmp_path.iterdir()]
+            jax.jit(lambda x: 5.0 * x).lower(1.0).compile()
+            assert [*tmp_path.iterdir()]
+    finally:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", before)
 
 
 def test_line_of():

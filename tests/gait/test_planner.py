@@ -11,7 +11,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import Recovering
-from mjx_climb.gait.footholds import ClimbLab, Footholds, Nearest
+from mjx_climb.gait.footholds import ClimbLab, Nearest
 from mjx_climb.gait.planner import (
     Held,
     Planner,
@@ -281,11 +281,6 @@ def test_gains_of_a_law_are_values_of_the_recovery(scenario):
     np.testing.assert_array_equal(found.shift, [0.01, 0.02])
     assert found.margin == 0.5 and found.utilization == 0.6
     assert resolve_in(scenario, law, None, None, np.float64).parameters.recovery.shift == 0.015
-
-
-def test_a_rule_of_ones_own_needs_a_score():
-    with pytest.raises(NotImplementedError, match="score"):
-        Footholds().score(None, None)
 
 
 def test_the_choice_is_part_of_the_parameters():

@@ -9,6 +9,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD, law_of
 from mjx_climb.execution.batch_axes import over_batch, own_axes
 from mjx_climb.gait import schedule as gait
+from mjx_climb.gait.swing import COUNT, added_shapes
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import resolve, resolve_in
@@ -206,3 +207,57 @@ def test_a_batch_walks_the_gait_of_one_robot():
     assert (~alone.support[:, LIMBS.index("LH")]).sum() == 255
     assert alone.support.sum(1).min() == 3
     np.testing.assert_allclose(batch["min_gia_margin"], mc.metrics(alone)["min_gia_margin"], rtol=1e-3, atol=1e-3)
+
+
+def test_references_over_uneven_ground_are_those_of_loops():
+    """Of a turned walk with settling, landings with a speed and shapes added to swings, over three cycles."""
+    random, limbs, cycle, swing = np.random.default_rng(0), 4, 40, 10
+    offset, heights = np.array([10, 0, 20, 30]), random.normal(0, 0.01, (limbs, 3))
+    footholds, advance, start = random.normal(0, 0.2, (limbs, 3)), np.array([0.03, 0.01, 0.0]), np.array([0, 0, 0.1])
+    path, rise, settling, landing = random.normal(0, 0.01, (limbs, 3, COUNT)), 0.02, 0.25, 0.006
+    plan = gait.Plan(
+        *map(jnp.asarray, (start, [1.0, 0, 0, 0], footholds, advance, heights, rise, path, settling)),
+        jnp.asarray(float(cycle)), jnp.asarray(float(swing)), jnp.asarray(offset, float), None, jnp.asarray(landing),
+    )  # fmt: skip
+    grip = random.normal(0, 0.2, (limbs, 3))
+
+    def height(limb, number):
+        return heights[limb, min(number, 2)]
+
+    def smooth(share):
+        return share * share * (3 - 2 * share)
+
+    @jax.jit
+    def found(number):
+        now = gait.schedule(plan, number)
+        begun = gait.planned_start(plan, now.cycle)
+        return now, gait.first_footholds(plan), gait.reference(plan, now, begun, jnp.asarray(grip), 0.5), begun
+
+    for number in (0, 4, 5, 7, 9, 12, 15, 23, 39, 40, 46, 61, 75, 117):
+        now, first, made, begun = found(jnp.asarray(number))
+        count, into = divmod(number, cycle)
+        np.testing.assert_allclose(first, [[x, y, z + height(n, 0)] for n, (x, y, z) in enumerate(footholds)])
+        levels = [np.mean([height(limb, each) for limb in range(limbs)]) for each in (count, count + 1)]
+        np.testing.assert_allclose(begun, start + count * advance + [0, 0, levels[0]], atol=1e-12)
+        base = begun + smooth(into / cycle) * (advance + np.array([0, 0, levels[1] - levels[0]]))
+        np.testing.assert_allclose(made.base_position, base, atol=1e-12)
+        for limb in range(limbs):
+            since = (into - offset[limb]) % cycle
+            assert now.foothold[limb] == count + (into - offset[limb] >= swing / 2)
+            assert now.closed[limb] == (since >= swing)
+            if since >= swing:
+                np.testing.assert_array_equal(made.foot_position[limb], grip[limb])
+                assert made.until_lift_off[limb] == 0.5 * (cycle - since)
+                stood = since - swing + (cycle if number < offset[limb] else 0)
+                assert made.since_touchdown[limb] == 0.5 * stood
+                continue
+            phase = min(since / swing / (1 - settling), 1.0)
+            old, new = height(limb, count), height(limb, count + 1)
+            end, late = (old if phase < 0.5 else new), max(2 * phase - 1, 0.0)
+            level, upright = added_shapes(np.array(phase))
+            place = footholds[limb] + (count + smooth(phase)) * advance + path[limb] @ level * [1, 1, 0]
+            place = place + path[limb] @ upright * [0, 0, 1]
+            place[2] += end + (max(old, new) + rise - end) * smooth(1 - abs(2 * phase - 1))
+            place[2] += landing * late**2 * (1 - late) / 2
+            np.testing.assert_allclose(made.foot_position[limb], place, atol=1e-12, err_msg=f"{number} {limb}")
+            assert made.until_lift_off[limb] == made.since_touchdown[limb] == 0

@@ -170,7 +170,7 @@ def test_tangents_through_low_reaction_swings(robots):
 
     def measured(change):
         gains = mc.Gains(jnp.ones(6), 1e2 * (1 + change[0]) * jnp.ones(6), jnp.full(6, 3e3))
-        walked = walk(gains, numbers.replace({"gait.swing_path": numbers.swing_path * (1 + change[1])}))
+        walked = walk(gains, numbers.replace({"gait.swing_path": numbers.gait.swing_path * (1 + change[1])}))
         return jnp.stack([walked["force_variation"], walked["cost_of_transport"]])
 
     values, slopes = jax.jit(jax.vmap(lambda way: jax.jvp(measured, (jnp.zeros(2),), (way,))))(jnp.eye(2))

@@ -1,5 +1,6 @@
 """Uneven ground: where the feet grip, what the maps say, and flat ground as it was."""
 
+import io
 import json
 
 import matplotlib.image
@@ -93,6 +94,18 @@ def test_footholds_are_planned_along_the_heading():
     )
 
 
+def npy(array):
+    content = io.BytesIO()
+    np.save(content, array)
+    return content.getvalue()
+
+
+def png(array):
+    content = io.BytesIO()
+    matplotlib.image.imsave(content, array, format="png")
+    return content.getvalue()
+
+
 BAD = {  # content of the file, what is said
     "text.csv": (b"1,2\nthree,4\n", "ground.map.file: expected a grid of numbers"),
     "ragged.csv": (b"1,2\n3\n", "ground.map.file: expected a grid of numbers"),
@@ -100,6 +113,14 @@ BAD = {  # content of the file, what is said
     "line.csv": (b"1,2\n", "expected two rows and columns or more"),
     "empty.npy": (b"", "ground.map.file: expected a grid of numbers"),
     "noise.png": (b"noise", "ground.map.file: expected a grid of numbers"),
+    "cut.npy": (npy(np.ones((30, 30)))[:-100], "ground.map.file: expected a grid of numbers"),
+    "head.npy": (npy(np.ones((30, 30)))[:40], "ground.map.file: expected a grid of numbers"),
+    "large.npy": (npy(np.ones((10, 30))).replace(b"(10, 30), ", b"(10**15,)"), "expected a grid of numbers"),
+    "complex.npy": (npy(1j * np.ones((2, 2))), "ground.map.file: expected real numbers, got values of type complex128"),
+    "words.npy": (npy(np.array([["1", "2"]] * 2)), "ground.map.file: expected real numbers, got values of type <U1"),
+    "cut.png": (png(np.eye(200))[:-200], "ground.map.file: expected a grid of numbers"),
+    "end.png": (png(np.eye(200))[:-12], "ground.map.file: expected a grid of numbers"),
+    "empty.csv": (b"", "expected two rows and columns or more of finite numbers, got shape (0, 0)"),
     "map.tif": (b"", "expected a .csv, .npy or .png"),
     "small.csv": (b"0,0\n0,0\n", "expected a map that covers foothold 0 of LF"),
 }

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.io
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.ground import holds_of, holds_of_seeds, of
@@ -99,9 +100,10 @@ def ply(path):
     path.write_text("\n".join([*header, "end_header", *rows]) + "\n")
 
 
-def pcd_header(kind, fields, sizes, types, counts):
+def pcd_header(kind, fields, sizes, types, counts, viewpoint="0 0 0", points=3):
     lines = ["# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", f"FIELDS {fields}", f"SIZE {sizes}"]
-    lines += [f"TYPE {types}", f"COUNT {counts}", "WIDTH 3", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", "POINTS 3"]
+    lines += [f"TYPE {types}", f"COUNT {counts}", "WIDTH 3", "HEIGHT 1"]
+    lines += [f"VIEWPOINT {viewpoint} 1 0 0 0", f"POINTS {points}"]
     return ("\n".join([*lines, f"DATA {kind}"]) + "\n").encode()
 
 
@@ -113,6 +115,56 @@ def pcd(path):
     path.write_bytes(header + b"".join(struct.pack("<3f4x3f4xd", *at, *up, limit) for at, up, limit in rows))
 
 
+def lzf(content):
+    """Content compressed by LZF: the longest copy of what came before, however near, or else a byte itself."""
+    packed, at = b"", 0
+    while at < len(content):
+        length = min(264, len(content) - at)
+        while length > 2 and content.rfind(content[at : at + length], 0, at + length - 1) < 0:
+            length -= 1
+        if length < 3:
+            packed, at = packed + b"\0" + content[at : at + 1], at + 1
+            continue
+        back = at - content.rfind(content[at : at + length], 0, at + length - 1) - 1
+        extra = [length - 9] if length > 8 else []
+        packed += bytes([min(length - 2, 7) << 5 | back >> 8, *extra, back & 255])
+        at += length
+    return packed
+
+
+def pcd_packed(path):
+    """Compressed, field after field; and the rest of a page as PCL leaves it."""
+    names = "x y z normal_x normal_y normal_z limit"
+    content = np.column_stack([POINTS, NORMALS, LIMITS]).astype("<f4").T.tobytes()
+    packed = lzf(content)
+    sizes = struct.pack("<2I", len(packed), len(content))
+    header = pcd_header("binary_compressed", names, "4 " * 7, "F " * 7, "1 " * 7)
+    path.write_bytes(header + sizes + packed + bytes(100))
+
+
+def pcd_ouster(path):
+    """With padding that has no number in it, as PCL writes the points of a lidar."""
+    names = "x y z _ _ normal_x normal_y normal_z _ limit"
+    header = pcd_header("binary", names, "4 4 4 1 1 4 4 4 2 8", "F F F U U F F F U F", "1 1 1 4 0 1 1 1 0 1")
+    rows = zip(POINTS, NORMALS, LIMITS, strict=True)
+    path.write_bytes(header + b"".join(struct.pack("<3f4x3fd", *at, *up, limit) for at, up, limit in rows))
+
+
+def ply_binary(path, order=">"):
+    """As some programs write it, the largest byte first; after an element of another kind, and before faces."""
+    head = ["ply", f"format binary_{'big' if order == '>' else 'little'}_endian 1.0", "comment by hand"]
+    head += ["element sensor 1", "property short number", "element vertex 3"]
+    head += [f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "limit")]
+    head += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    rows = np.column_stack([POINTS, NORMALS, LIMITS]).astype(f"{order}f4").tobytes()
+    face = struct.pack(f"{order}B3i", 3, 0, 1, 2)
+    path.write_bytes("\n".join(head).encode() + b"\n" + struct.pack(f"{order}h", 7) + rows + face)
+
+
+def ply_little(path):
+    ply_binary(path, "<")
+
+
 def pcd_text(path):
     names = "x y z histogram normal_x normal_y normal_z limit"
     header = pcd_header("ascii", names, "4 " * 8, "F " * 8, "1 1 1 2 1 1 1 1")
@@ -121,7 +173,7 @@ def pcd_text(path):
     path.write_bytes(header + text.encode())
 
 
-def recorded(path, topics=("/holds",)):
+def recorded(path, topics=("/holds",), row=168):
     """An MCAP file with PointCloud2 messages, the last of which counts."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -138,15 +190,25 @@ def recorded(path, topics=("/holds",)):
         for topic in topics:
             to = writer.add_connection(topic, kind, typestore=store)
             for stamp, shift in enumerate((9.0, 0.0)):
-                data = np.frombuffer((table + shift).tobytes(), np.uint8)
-                cloud = types[kind](header, 1, 3, fields, False, 56, 168, data, True)
+                data = np.frombuffer((table + shift).tobytes()[:row], np.uint8)
+                cloud = types[kind](header, 1, 3, fields, False, 56, row, data, True)
                 writer.write(to, stamp, store.serialize_cdr(cloud, kind))
     next(folder.glob("*.mcap")).rename(path)
 
 
 @pytest.mark.parametrize(
     ("name", "write"),
-    [("a.csv", csv), ("a.ply", ply), ("a.pcd", pcd), ("b.pcd", pcd_text), ("a.mcap", recorded)],
+    [
+        ("a.csv", csv),
+        ("a.ply", ply),
+        ("b.ply", ply_binary),
+        ("c.ply", ply_little),
+        ("a.pcd", pcd),
+        ("b.pcd", pcd_text),
+        ("c.pcd", pcd_packed),
+        ("d.pcd", pcd_ouster),
+        ("a.mcap", recorded),
+    ],
 )
 def test_each_format_gives_positions_normals_and_limits(name, write, tmp_path):
     write(tmp_path / name)
@@ -186,6 +248,78 @@ def test_normals_that_a_file_lacks_are_those_of_planes_through_neighbours(tmp_pa
         np.savetxt(tmp_path / f"{name}.csv", points, delimiter=",", header="x,y,z", comments="")
         made = found(cloud={"file": str(tmp_path / f"{name}.csv"), "neighbours": 8})
         np.testing.assert_allclose(made.normal, np.tile(normal / np.linalg.norm(normal), (60, 1)), atol=1e-6)
+
+
+def test_normals_that_are_zero_or_nan_are_those_that_a_file_lacks(tmp_path):
+    """As PCL writes points whose normals nobody has computed."""
+    (tmp_path / "a.csv").write_text("x,y,z,nx,ny,nz\n0,0,0,0,0,0\n0,1,0,nan,nan,nan\n1,0,0,0,3,4\n1,1,nan,0,0,1\n")
+    made = found(cloud={"file": str(tmp_path / "a.csv")})
+    np.testing.assert_allclose(made.normal, [UP, UP, [0, 0.6, 0.8]])
+
+
+# rotations that turn the axes of a camera, z ahead, into those of the ground, and of a floor that becomes a wall
+DOWN, SLANTING, LEVEL = ([np.pi, 0, 0], [-2.3, 0.1, 0.4], [-np.pi / 2, 0, -np.pi / 2])
+WALL = [0, -np.pi / 2, 0]
+
+
+def seen(path, turn, normal=None, **header):
+    """The points of a floor 0.8 m below a camera in the camera's axes, rising by some mm, as a ground."""
+    level = np.random.default_rng(1).random((200, 2))
+    floor = np.column_stack([level, 0.01 * np.sin(6 * level[:, 0]) - 0.8])
+    points = floor @ Rotation.from_euler("xyz", turn).as_matrix()
+    names = "x y z" if normal is None else "x y z normal_x normal_y normal_z"
+    table = points if normal is None else np.column_stack([points, np.broadcast_to(normal, points.shape)])
+    number = table.shape[1]
+    lines = "\n".join(" ".join(map(repr, row)) for row in table.tolist())
+    text = pcd_header("ascii", names, "4 " * number, "F " * number, "1 " * number, points=200, **header)
+    path.write_bytes(text.replace(b"WIDTH 3", b"WIDTH 200") + lines.encode())
+    return {"cloud": {"file": str(path), "neighbours": 12}, "turn": turn, "at": [0, 0, 0.8]}
+
+
+@pytest.mark.parametrize("turn", [DOWN, SLANTING, LEVEL, [0, 0, 0]])
+@pytest.mark.parametrize("neighbours", [1, 12])
+def test_fitted_normals_look_out_of_the_ground_however_a_scan_is_turned(turn, neighbours, tmp_path):
+    source = seen(tmp_path / "scan.pcd", turn)
+    made = found(**source | {"cloud": source["cloud"] | {"neighbours": neighbours}})
+    assert (made.normal[:, 2] > 0.99).all() and np.abs(made.position[:, 2]).max() < 0.011
+
+
+def test_a_floor_that_is_turned_into_a_wall_has_the_normals_of_its_upper_side(tmp_path):
+    made = found(**seen(tmp_path / "floor.pcd", [0, 0, 0]) | {"turn": WALL})
+    assert (made.normal[:, 0] < -0.99).all()
+
+
+def test_fitted_normals_look_to_the_viewpoint_of_a_file(tmp_path):
+    """From below the points are those of a ceiling; what looks down is counted."""
+    source = seen(tmp_path / "scan.pcd", [0, 0, 0], viewpoint="0.5 0.5 -2")
+    with pytest.warns(UserWarning, match="200 of 200 normals look down, into the ground"):
+        assert (found(**source).normal[:, 2] < -0.99).all()
+
+
+def test_normals_of_a_file_that_look_into_the_ground_are_counted(tmp_path):
+    """After the turn; the lower side of a closed surface has the upper one above it, and counts as right."""
+    with pytest.warns(UserWarning, match=r"up.pcd: ground.holds.cloud: 200 of 200 normals look down, into the ground"):
+        found(**seen(tmp_path / "up.pcd", DOWN, UP))
+    found(**seen(tmp_path / "down.pcd", DOWN, [0, 0, -1]))
+    pipe = found(pipe={"size": [0.4, 1.0], "radius": 0.3, "around": 12, "pitch": 0.1})
+    columns = np.column_stack([pipe.position, pipe.normal * np.where(np.arange(60) % 12 == 1, -1, 1)[:, None]])
+    np.savetxt(tmp_path / "pipe.csv", columns, delimiter=",", header="x,y,z,nx,ny,nz", comments="")
+    with pytest.warns(UserWarning, match="5 of 60 normals"):
+        found(cloud={"file": str(tmp_path / "pipe.csv")})
+
+
+def test_a_column_of_limits_that_the_config_names_must_be_there(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,z,limit\n0,0,0,3\n")
+    source = {"file": str(tmp_path / "a.csv")}
+    assert "a.csv: limits: expected a column limits, got x, y, z, limit" in refusal(cloud=source | {"limit": "limits"})
+    (tmp_path / "a.csv").write_text("x,y,z\n0,0,0\n")
+    assert "a.csv: limit: expected a column limit, got x, y, z" in refusal(cloud=source | {"limit": "limit"}, limit=9.0)
+    np.testing.assert_array_equal(found(cloud=source, limit=9.0).limit_bound, [[9.0]])
+
+
+def test_limits_of_gaps_count_for_nothing(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y,z,limit\nnan,nan,nan,nan\n0,0,0,3\n0,0,1,inf\n")
+    np.testing.assert_array_equal(found(cloud={"file": str(tmp_path / "a.csv")}).limit_bound, [[3.0], [np.inf]])
 
 
 def test_samples_of_a_height_map_but_for_gaps_and_the_mask(tmp_path):
@@ -274,6 +408,9 @@ def test_grounds_of_several_seeds_are_one_batch():
 # --- refused
 
 
+XYZ = ("x y z", "4 4 4", "F F F", "1 1 1")
+PLY = b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nproperty float y\nproperty float z\n"
+PLY += b"property %s\nend_header\n0 1 2 3\n4 5 6 7\n"
 BAD = {
     "none.csv": (None, "none.csv: expected a file of points, got none"),
     "a.xyz": (b"", "expected points as .csv, .db3, .mat, .mcap, .pcd, .ply, got .xyz"),
@@ -281,10 +418,41 @@ BAD = {
     "ragged.csv": (b"x,y,z\n1,2,3\n1,2\n", "row 3: expected 3 numbers, got 2"),
     "word.csv": (b"x,y,z\n1,two,3\n", "row 2: expected numbers, got 'two'"),
     "nothing.csv": (b"x,y,z\n", "nothing.csv: ground.holds.cloud: expected one point that can be held, got none"),
+    "empty.csv": (b"", "empty.csv: x: expected columns x, y and z, got none"),
+    "twice.csv": (b"x,y,z,x\n1,2,3,4\n", "twice.csv: x: expected one column of this name, got 2"),
+    "limits.csv": (b"x,y,z,limit,limit\n1,2,3,4,5\n", "limits.csv: limit: expected one column of this name, got 2"),
+    "normals.csv": (b"x,y,z,nx,ny,nz,nx\n1,2,3,0,0,1,1\n", "normals.csv: nx: expected one column of this name, got 2"),
+    "inf.csv": (b"x,y,z\n0,inf,0\n", "inf.csv: x, y, z: expected 1e+09 m at most, or nan for a gap, got inf"),
+    "far.csv": (b"x,y,z\n0,0,-1e300\n", "far.csv: x, y, z: expected 1e+09 m at most, or nan for a gap, got -1e+300"),
+    "nan.csv": (b"x,y,z,limit\n0,0,0,1\n0,0,0,nan\n", "nan.csv: limit: expected limits of 0 or above, got nan at 1"),
     "minus.csv": (b"x,y,z,limit\n0,0,0,-2\n", "minus.csv: limit: expected limits of 0 or above, got -2"),
     "cut.ply": (b"ply\nformat ascii 1.0\nelement vertex 3\n", "cut.ply: expected a whole file of points"),
     "cut.pcd": (b"VERSION 0.7\n", "cut.pcd: expected a header that ends with DATA, got none"),
-    "packed.pcd": (pcd_header("binary_compressed", "x y z", "4 4 4", "F F F", "1 1 1"), "DATA: expected ascii"),
+    "head.pcd": (pcd_header("zip", *XYZ), "head.pcd: DATA: expected ascii, binary or binary_compressed, got zip"),
+    "none.pcd": (b"WIDTH 3\nDATA ascii\n", "none.pcd: FIELDS: expected names, got none"),
+    "zero.pcd": (pcd_header("ascii", *XYZ, points=0), "zero.pcd: POINTS: expected WIDTH x HEIGHT, 3, got 0"),
+    "below.pcd": (pcd_header("ascii", *XYZ, points=-5), "POINTS: expected whole numbers, 0 or above, got -5"),
+    "part.pcd": (
+        pcd_header("binary", *XYZ) + bytes(range(48)),
+        "part.pcd: expected a whole file of points, got 48 bytes",
+    ),
+    "more.pcd": (pcd_header("ascii", *XYZ) + b"1 2 3 " * 4, "POINTS: expected 3 points of 3 numbers, got 12 numbers"),
+    "type.pcd": (pcd_header("binary", "x y z", "3 4 4", "F F F", "1 1 1"), "TYPE and SIZE: expected F of 4 or 8"),
+    "view.pcd": (
+        pcd_header("ascii", *XYZ, viewpoint="0 nan 0") + b"1 " * 9,
+        "VIEWPOINT: expected finite numbers, got 0",
+    ),
+    "size.pcd": (pcd_header("binary", "x y z", "4 4", "F F F", "1 1 1"), "size.pcd: SIZE: expected 3 words, got 4 4"),
+    "gone.pcd": (pcd_header("binary_compressed", *XYZ), "gone.pcd: expected a whole file of points, got no points"),
+    "back.pcd": (pcd_header("binary_compressed", *XYZ) + struct.pack("<2I", 3, 36) + b"\x20\7\7", "got damaged"),
+    "less.pcd": (pcd_header("binary_compressed", *XYZ) + struct.pack("<2I", 2, 36) + b"\0a", "got 1 bytes of"),
+    "many.ply": (PLY % (10**9, b"float w"), "many.ply: element: expected 1000000000 lines for 1000000000 vertices"),
+    "few.ply": (
+        PLY % (1, b"float x"),
+        "few.ply: element: expected 1 lines for 1 vertices and the other elements, got 2",
+    ),
+    "twice.ply": (PLY % (2, b"float z"), "twice.ply: z: expected one column of this name, got 2"),
+    "type.ply": (PLY % (2, b"half x"), "type.ply: header: expected format, element and property, got property half x"),
     "short.pcd": (pcd_header("binary", "x y z", "4 4 4", "F F F", "1 1 1") + b"12", "expected a whole file of points"),
     "noise.mat": (b"noise", "noise.mat: expected a whole file of points"),
     "noise.mcap": (b"noise", "noise.mcap: expected a whole file of points"),
@@ -313,6 +481,58 @@ def test_a_matrix_or_a_topic_that_is_none_of_those_expected(tmp_path):
     assert "topic: expected one topic with sensor_msgs/msg/PointCloud2, got /holds, /rock" in refusal(cloud=source)
     assert "topic: expected sensor_msgs/msg/PointCloud2 on /x, got none" in refusal(cloud=source | {"topic": "/x"})
     assert found(cloud=source | {"topic": "/rock"}).position.shape == (3, 3)
+    recorded(tmp_path / "b.mcap", row=112)
+    words = "b.mcap: /holds: expected 1 rows of 168 bytes or more, got row_step 112, 112 bytes"
+    assert words in refusal(cloud={"file": str(tmp_path / "b.mcap")})
+
+
+def test_a_damaged_matlab_file_on_which_scipy_crashes_gets_one_line(tmp_path):
+    """The type of the numbers of `y` is one that is not in SciPy's table."""
+    scipy.io.savemat(tmp_path / "a.mat", {"x": np.arange(3.0), "y": np.arange(2.0), "z": np.ones((2, 3))})
+    content = bytearray((tmp_path / "a.mat").read_bytes())
+    assert content[256] == 9
+    content[256] = 86
+    (tmp_path / "a.mat").write_bytes(content)
+    assert "a.mat: expected a whole file of points, got a damaged one" in refusal(
+        cloud={"file": str(tmp_path / "a.mat")}
+    )
+    scipy.io.savemat(tmp_path / "b.mat", {"list": 1j * POINTS.T})
+    assert "b.mat: x: expected real numbers, got values of type complex128" in refusal(
+        cloud={"file": str(tmp_path / "b.mat")}
+    )
+
+
+def test_a_mesh_whose_faces_are_cut_off(tmp_path):
+    for encoding in ("ascii", "binary"):
+        trimesh.creation.icosphere(subdivisions=1).export(tmp_path / "a.ply", encoding=encoding)
+        content = (tmp_path / "a.ply").read_bytes()
+        (tmp_path / "a.ply").write_bytes(content[:-40])
+        assert "a.ply: " in refusal(cloud={"file": str(tmp_path / "a.ply")})
+
+
+RULES = {
+    "rock": {"density": 1e12},
+    "wall": {"pitch": 1e-6},
+    "pipe": {"pitch": 1e-308},
+    "handrails": {"pitch": 1e-9},
+    "truss": {"bay": 1e-9},
+}
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_points_that_are_far_too_many_are_refused_before_they_are_made(rule):
+    words = refusal(**{rule: RULES[rule]})
+    assert f"ground.holds.{rule}: expected 1000000 points at most, got some" in words
+
+
+def test_rules_that_give_no_finite_points():
+    words = "scenario: ground.holds.rock: expected finite positions"
+    assert words in refusal(rock={"wavelength": 1e-320}) and words in refusal(rock={"roughness": 1e308})
+
+
+def test_a_normal_may_be_of_any_length():
+    made = found(points=[{"at": [0, 0, 0], "normal": [3e-200, 0, 4e-200]}, {"at": [0, 0, 0], "normal": [0, 1e300, 0]}])
+    np.testing.assert_allclose(made.normal, [[0.6, 0, 0.8], [0, 1, 0]])
 
 
 def test_too_many_points():

@@ -12,6 +12,7 @@ import mjx_climb as mc
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware import sensors, servo
 from mjx_climb.hardware.stages import IDEAL, hardware_of, stages_of
+from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.robot_import.load import load_robot
 
 STEP = 1e-3
@@ -131,7 +132,97 @@ def test_a_late_base_estimate_keeps_unit_quaternions():
     np.testing.assert_allclose(found.orientation, np.array([1.0, 1, 0, 0]) / np.sqrt(2))
 
 
+def of_keys(keys):
+    """Return the hardware of a scenario with these keys of its section."""
+    scenario = mc.Scenario().with_overrides({"hardware": keys})
+    own = mc.parameters(scenario)
+    return hardware_of(own, stages_of(own, scenario.time_step), STEP)
+
+
+def test_a_force_sensor_is_late_then_biased_noisy_rounded_and_filtered():
+    """In this order, each axis of each foot with a noise of its own; the base's place and speed are noisy too."""
+    sensor = {"delay": 1.5e-3, "bias": 0.3, "noise": 0.05, "resolution": 0.01, "filter": 60.0}
+    own = of_keys({"force_sensor": sensor, "base_estimate": {"position_noise": 0.02, "velocity_noise": 0.3}, "seed": 7})
+    forces, share = np.random.default_rng(0).normal(size=(6, 4, 3)), 1 - np.exp(-2 * np.pi * 60.0 * STEP)
+    read, filtered = sensors.ForceSensor((jnp.zeros((4, 3)),) * own.stages.force_delay, jnp.zeros((4, 3))), 0.0
+    base = sensors.Base(jnp.ones(3), jnp.asarray([0.0, 1, 0, 0]), jnp.arange(3.0), jnp.arange(3.0))
+    step = jax.jit(lambda read, force, n: (sensors.measured_force(read, force, n, own), n)[0])
+    for n, force in enumerate(forces):
+        read, found = step(read, force, n)
+        seen = sum(forces[n - age] / 2 for age in (1, 2) if age <= n) + np.zeros((4, 3))
+        noise = sensors.normal(jnp.asarray(7.0), jnp.asarray(n), jnp.arange(12), jnp.float64).reshape(3, 4).T
+        filtered = filtered + share * (np.round((seen + 0.3 + 0.05 * noise) / 0.01) * 0.01 - filtered)
+        np.testing.assert_allclose(found, filtered, atol=1e-6)
+    _, there = sensors.estimated_base((), base, jnp.asarray(3), own)
+    noise = sensors.normal(jnp.asarray(7.0), jnp.asarray(3), sensors.BASE_CHANNELS + jnp.arange(6), jnp.float64)
+    np.testing.assert_allclose(there.position, 1 + 0.02 * noise[:3], rtol=1e-6)
+    np.testing.assert_allclose(there.linear_velocity, np.arange(3) + 0.3 * noise[3:], rtol=1e-6)
+    assert there.orientation is base.orientation and there.angular_velocity is base.angular_velocity
+
+
 # --- Servos
+
+
+def test_a_servo_has_play_limits_and_friction_in_their_order():
+    """Of the error beyond the play; cut by the torque-speed line, then the current; gears rub under what is left."""
+    keys = {"torque_limit": 1.0, "no_load_speed": 5.0, "current_limit": 0.6, "backlash": 0.02, "coulomb_friction": 0.05,
+            "load_friction": 0.2, "viscous_friction": 0.03}  # fmt: skip
+    own, random = of_keys({"servo": keys}), np.random.default_rng(0)
+    error, rates = (
+        random.normal(0, 0.03, (50, 4, 3)),
+        random.normal(0, 2.0, (50, 4, 3)) * random.choice([1e-3, 1], 50)[:, None, None],
+    )
+    gains = servo.gains_of(own)
+
+    def one(error, rates):
+        at = servo.Joints(0 * error, rates, None)
+        return servo.joint_loop(servo.begin(0 * error, own.stages), error, at, gains, own)
+
+    found, drive = jax.jit(jax.vmap(one))(error, rates)
+    asked = 50.0 * np.sign(error) * np.maximum(abs(error) - 0.01, 0) - float(own.parameters.joint_loop.kd) * rates
+    highest, lowest = np.clip(1 - rates / 5, -1, 1), -np.clip(1 + rates / 5, -1, 1)
+    motor = np.clip(np.clip(asked, lowest, highest), -0.6, 0.6)
+    bend = np.clip(rates * STEP / PRESLIDING, -1, 1)
+    share = bend + rates * (servo.RELAXATION + STEP) / PRESLIDING
+    lost = (0.05 + 0.2 * abs(motor)) * np.clip(share, -1, 1)
+    np.testing.assert_allclose(drive.motor_torque, motor, atol=1e-6)
+    np.testing.assert_allclose(drive.joint_torque, motor - lost - 0.03 * rates, atol=1e-6)
+    np.testing.assert_allclose(found.bristle, bend, rtol=1e-6)
+    sticks = (0.05 + 0.2 * abs(motor)) * (servo.RELAXATION + STEP) / PRESLIDING * STEP
+    np.testing.assert_allclose(drive.armature, np.where(abs(share) < 1, sticks, 0), rtol=1e-5)
+    assert (abs(motor) == 0.6).any() and (motor == highest).any() and 0.1 < (abs(share) < 1).mean() < 0.9
+
+
+def test_what_a_loop_may_ask_for_is_cut_by_pwm_or_by_current():
+    """Of a voltage by the share of the torque at standstill; the integral does not grow there."""
+    voltage = {"drive": "voltage", "torque_limit": 8.0, "no_load_speed": 6.0, "pwm_limit": 0.75, "current_limit": 2.0}
+    torques = {"torque_limit": 8.0, "current_limit": 2.0}
+    for keys, most in ((voltage, 6.0), (torques, 2.0), ({"torque_limit": 1.5, "current_limit": 2.0}, 1.5)):
+        assert float(servo.largest_output(of_keys({"servo": keys}))) == pytest.approx(most)
+
+
+def test_motors_that_follow_rates_are_commanded_once_a_period_of_their_manager():
+    """`p e + d de/dt` of the errors of two commands, within the largest rate; the motor gives its gain of the rest."""
+    drive = VelocityCommanded(
+        p=12.0, d=0.15, manager_period=3e-3, velocity_gain=5.0, largest_rate=1.5, torque_limit=4.0
+    )
+    random, memory = np.random.default_rng(0), drive.init(jnp.zeros((4, 3)))
+    step = jax.jit(lambda *given: drive.step(*given, STEP))
+    last, seen = np.zeros((4, 3)), []
+    for n in range(8):
+        targets, angles, rates = random.normal(0, [[[0.1]], [[0.02]], [[0.5]]], (3, 4, 3))
+        memory, found = step(memory, targets, None, servo.Joints(angles, rates, None))
+        if n % 3 == 0:
+            error = targets - angles
+            rate, last = np.clip(12 * error + 0.15 * (error - last) / 3e-3, -1.5, 1.5), error
+        asked = 5 * (rate - rates)
+        np.testing.assert_allclose(found.motor_torque, np.clip(asked, -4, 4), atol=1e-6)
+        np.testing.assert_allclose(found.joint_torque, found.motor_torque)
+        np.testing.assert_allclose(found.armature, np.where(abs(asked) < 4, 5 * STEP, 0), atol=1e-9)
+        seen += [abs(rate) == 1.5, abs(asked) > 4]
+    assert 0.1 < np.mean(seen[::2]) < 0.9 and 0.05 < np.mean(seen[1::2]) < 0.9
+    spring = drive.spring(STEP)
+    assert [float(each) for each in spring] == pytest.approx([60.0, 5.75, 5e-3])
 
 
 LINE = {  # torque asked for, rate, limit and no-load speed, and the torque given

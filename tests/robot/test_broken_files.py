@@ -77,6 +77,7 @@ NAN = re.sub('mass value="[^"]*"', 'mass value="nan"', urdf(0)[0], count=1)
 GONE = MJCF.replace("</mujoco>", '<actuator>\n<motor joint="gone"/></actuator></mujoco>')
 MESH = MJCF.replace("<worldbody>", '<asset>\n<mesh name="m" file="gone.stl"/></asset><worldbody>')
 WEIGHS = MESH.replace("<freejoint/>", '<freejoint/><body><geom type="mesh" mesh="m"/></body>')
+POSED = MJCF.replace("</mujoco>", f'<keyframe>\n<key name="home" qpos="inf {"0 " * 18}"/></keyframe></mujoco>')
 TABLE = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
 NOWHERE = MJCF.replace("-20 100", "80 81").replace("-150 10", "-1 0")
 WRONG = {  # text of the robot's file, where it is and what is said, and text of part.xml
@@ -91,6 +92,12 @@ WRONG = {  # text of the robot's file, where it is and what is said, and text of
     "a weight that is no number": (NAN, r"t.urdf:1: link 'trunk': .*nan"),
     "limits without end": (MJCF.replace("-20 100", "-20 inf", 1), r"t.xml:\d+: joint 'L0_1': expected finite"),
     "a motor of no joint": (GONE, r"t.xml:\d+: .*'gone'"),
+    "a name of two lines": (MJCF.replace('"L0_1"', '"L0\n1"'), r"t.xml:\d+: expected a name of one printable"),
+    "a place without end": (MJCF.replace('pos="0.075', 'pos="1e308', 1), r"t.xml:\d+: body 'L0_0': .* got 1e308"),
+    "a site nowhere": (MJCF.replace('pos="0.15', 'pos="nan', 1), r"t.xml:\d+: .*: expected numbers of .* got nan"),
+    "a far link": (URDF.replace('xyz="0.', 'xyz="1e39', 1), r"t.urdf:\d+: link .* origin xyz: .*up to 10000, got 1e39"),
+    "a stance of infinite angles": (POSED, r"t.xml:\d+: key 'home': key qpos: expected .* got inf"),
+    "a number in an included file": (PART, r"part.xml:3: joint 'bad': .* got inf", LIMB.replace("0 0 z", "0 0 inf")),
     "a macro": ('<robot name="r">\n<xacro:leg/></robot>', r"t.urdf:2: .*written out, got <xacro:leg>"),
     "two of a name": (TWICE, rf"t.urdf:{AGAIN}: .*repeated"),
     "a mesh that weighs": (WEIGHS, r"t.xml:\d+: .*gone.stl"),

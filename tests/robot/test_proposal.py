@@ -278,13 +278,13 @@ def test_odd_files_walk_on_a_slope(saved, name):
         (1.62, ["--gravity", "1.62"], (0, 0, -1.62)),
         (1.62, ["--gravity", "1.62", "--slope", "30"], (-0.81, 0, -1.62 * np.cos(np.pi / 6))),
         (9.81, ["--slope", "90"], (-9.81, 0, 0)),
-        (9.81, ["--ceiling"], (0, 0, 9.81)),
+        (9.81, ["--roof"], (0, 0, 9.81)),
     ],
 )
 def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, turned, monkeypatch, ended):
     """It is said and written, also where the walk says that it does not hold; no time is spent on walking here."""
-    monkeypatch.setattr(first_walks, "with_joint_gains", lambda scenario: (scenario, "as they were"))
-    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario: (scenario, False, "falls", np.nan))
+    monkeypatch.setattr(first_walks, "with_joint_gains", lambda scenario, *_: (scenario, "as they were"))
+    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario, *_: (scenario, False, "falls", np.nan))
     monkeypatch.setattr(rendering, "stance", picture := Mock(side_effect=rendering.RenderingError("no OpenGL")))
     file = saved(dog())
     config = file.with_suffix(".yaml")
@@ -299,10 +299,14 @@ def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, turned, mo
 def test_what_the_first_walks_show_is_said(saved, monkeypatch, ended):
     """Joint gains that were found are written; a load and a ceiling that a robot may not bear are warned of."""
     changed = lambda scenario: scenario.with_overrides({"control.kp": 77.0, "control.kd": 0.7})  # noqa: E731
-    monkeypatch.setattr(first_walks, "with_joint_gains", lambda scenario: (changed(scenario), "found"))
-    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario: (scenario, True, "holds", 1e4))
-    monkeypatch.setattr(first_walks, "on_ceiling", lambda scenario: (False, "lets go"))
-    code, out, _ = ended(saved(dog()))
+    monkeypatch.setattr(
+        first_walks, "with_joint_gains", lambda scenario, told: told(15) or (changed(scenario), "found")
+    )
+    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario, *_: (scenario, True, "holds", 1e4))
+    monkeypatch.setattr(first_walks, "on_ceiling", lambda scenario, *_: (False, "lets go"))
+    code, out, err = ended(saved(dog()))
+    words = " ".join(err.split())
+    assert re.search(r"48 walks of [\d,]+ time steps: about .* on one core, once compiled .*: 15 of 48 walks", words)
     assert code == 0 and "kp: 77.0\n  kd: 0.7\n" in out
     for line in ("changed +kp 77, kd 0.7 +found", "taken +walk +holds", "warning +ceiling +lets go",
                  r"warning +load +1e\+04 N on one foot, 67 times its weight on Earth"):  # fmt: skip
@@ -313,10 +317,10 @@ def test_what_the_first_walks_show_is_said(saved, monkeypatch, ended):
     ("asked", "said"),
     [
         (["--gravity", "inf"], "gravity: expected a list of three"),
-        (["--gravity", "-9.81"], "--gravity: expected its strength, 0 or more, got -9.81; --ceiling turns it round"),
+        (["--gravity", "-9.81"], "--gravity: expected its strength, 0 or more, got -9.81; --roof turns it round"),
         (["--slope", "200"], "--slope: expected 180 at most, got "),
-        (["--slope", "20", "--ceiling"], "--ceiling: expected none with --slope 20"),
-        (["--gravity", "0", "--ceiling"], "--ceiling: expected gravity, got none"),
+        (["--slope", "20", "--roof"], "--roof: expected none with --slope 20"),
+        (["--gravity", "0", "--roof"], "--roof: expected gravity, got none"),
         (["--write", "robot.xml"], "another file than the robot's own"),
     ],
 )

@@ -149,7 +149,7 @@ def test_tangents_of_a_batch_agree_with_central_differences(short):
     damping, stiffness = 100 * rng.uniform(1, 2, six), 3e3 * rng.uniform(1, 2, six)
     gains = mc.Gains(np.ones(six), damping, stiffness, np.full(ROBOTS, 50.0), np.full(ROBOTS, 0.2))
     rates = jax.tree.map(lambda g, size: size * rng.normal(size=(DIRECTIONS, *g.shape)), gains, own)
-    rates = dataclasses.replace(rates, inertia=np.zeros((DIRECTIONS, 6)), kd=np.zeros(DIRECTIONS))
+    rates = dataclasses.replace(rates, inertia=np.zeros((DIRECTIONS, 1, 6)), kd=np.zeros((DIRECTIONS, 1)))
     parameters = own_parameters(short).replace({"disturbance.cargo.mass": rng.uniform(0, 1, (MEMBERS, 1))})
     walk = {"dtype": np.float64, "smooth": True}
     metrics, tangents = mc.rollout_jvp(short, gains, rates, parameters, **walk)

@@ -10,9 +10,9 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from mjx_climb.inputs.from_scenario import check_ranges, own_parameters
+from mjx_climb.inputs.from_scenario import check_parameters, own_parameters
 from mjx_climb.inputs.resolve import resolve_in
-from mjx_climb.parameter_types import KEYS
+from mjx_climb.robot_import.load import load_robot
 
 
 @pytest.fixture(scope="module")
@@ -26,57 +26,61 @@ def numbers(scenario):
 
 
 WRONG = {
-    "torque_limit": (-1.0, "expected a finite number above 0, or infinite, got -1"),
-    "holding_limit": (-1.0, "expected a finite number, 0 or above, or infinite, got -1"),
-    "duty": (2.0, "expected a number above 0 and below 1, got 2"),
-    "kp": ([50.0, -5.0], "expected a finite number above 0, got -5"),
-    "cargo_mass": (-5.0, "expected a finite number, 0 or above, got -5"),
-    "force_delay": (-1.0, "expected a finite number, 0 or above, got -1"),
-    "gravity": ([0.0, np.nan, -9.81], "expected a list of three numbers from -10000 to 10000, got nan"),
-    "heading": (7.0, "expected an angle in rad between -2 pi and 2 pi, got 7"),
-    "seed": (1.5, "expected a whole number from 0 to below 2^24, got 1.5"),
-    "mass_scale": (0.0, "expected a finite number above 0, got 0"),
-    "cycle": (np.inf, "expected a finite number above 0, got inf"),
+    "hardware.servo.torque_limit": (-1.0, "expected finite numbers above 0, or infinite ones, got -1"),
+    "contact.holding_limit": (-1.0, "expected finite numbers of 0 or more, or infinite ones, got -1"),
+    "gait.duty": (1.0, "expected numbers above 0 and below 1, got 1"),
+    "gait.sway": (1.0, "expected numbers from 0 to below 1, got 1"),
+    "hardware.servo.pwm_limit": (0.0, "expected numbers above 0, 1 at most, got 0"),
+    "control.kp": ([50.0, -5.0], "expected finite numbers above 0, got -5"),
+    "disturbance.cargo.mass": (-5.0, "expected finite numbers of 0 or more, got -5"),
+    "hardware.force_sensor.delay": (-1.0, "expected finite numbers of 0 or more, got -1"),
+    "gravity": ([0.0, np.nan, -9.81], "expected numbers from -10000 to 10000, got nan"),
+    "gait.heading": (7.0, "expected numbers from -6.28319 to 6.28319, got 7"),
+    "hardware.seed": (1.5, "expected whole numbers from 0 to below 2^24, got 1.5"),
+    "mass_scale": (0.0, "expected finite numbers above 0, got 0"),
+    "gait.cycle": (np.inf, "expected finite numbers above 0, got inf"),
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_parameters_outside_of_the_ranges_of_a_scenario_are_refused(scenario, numbers, name):
-    value, said = WRONG[name]
-    for of in (np.asarray, jnp.asarray):
-        with pytest.raises(ValueError, match=f"^parameters.{name}: ") as error:
-            mc.rollout_metrics(scenario, None, dataclasses.replace(numbers, **{name: of(value)}))
-        assert str(error.value) == f"parameters.{name}: {said}"
+@pytest.mark.parametrize("path", WRONG)
+def test_parameters_outside_of_the_ranges_of_a_scenario_are_refused(scenario, numbers, path):
+    """In either precision: 1 and 0 are no less so in single precision."""
+    value, said = WRONG[path]
+    for of in (np.asarray, jnp.asarray, np.float32):
+        with pytest.raises(ValueError, match=f"^parameters.{path}: ") as error:
+            mc.rollout_metrics(scenario, None, numbers.replace({path: of(value)}))
+        assert str(error.value) == f"parameters.{path}: {said}"
 
 
-def test_pushes_without_their_times_are_refused(numbers):
-    bad = copy.copy(numbers)
-    object.__setattr__(bad, "push_start", np.zeros(1))  # jaxtyping knows it too, while tests run
-    with pytest.raises(ValueError, match=r"^parameters\.push_start: .* 3 of push_force, .* 1 of push_start"):
-        check_ranges(bad)
+def test_an_unknown_path_is_refused_with_those_near_it(numbers):
+    for ask in (numbers.at, lambda path: numbers.replace({path: 1.0})):
+        with pytest.raises(
+            ValueError, match=r"^contact\.stifness: expected a path of the parameters, as contact\.stiff"
+        ):
+            ask("contact.stifness")
 
 
-SHAPES = {  # of one robot of four limbs, by name: another one, and what is said
-    "gravity": ((2,), "(..., 3), got (2,)"),
-    "foothold_height": ((3, 2), "(..., 4, N), got (3, 2)"),
-    "swing_path": ((4, 3, 7), "(..., 4, 3, K), K 0 to 6, got (4, 3, 7)"),
-    "force_dead": ((3,), "(..., 4), got (3,)"),
-    "push_force": ((3, 2), "(..., pushes, 3), got (3, 2)"),
-    "push_moment": ((3, 2), "(..., pushes, 3), got (3, 2)"),
+SHAPES = {  # of one robot of four limbs, by path: another one, and what is said
+    "gravity": ((2,), "a scalar or a last axis of three, got shape (2,)"),
+    "ground.foothold_height": ((3, 2), "shape (..., 4, N), got (3, 2)"),
+    "gait.swing_path": ((4, 3, 7), "shape (..., 4, 3, K), K 0 to 6, got (4, 3, 7)"),
+    "hardware.force_sensor.dead": ((3,), "shape (..., 4), got (3,)"),
+    "disturbance.pushes.0.force": ((3, 2), "a scalar or a last axis of three, got shape (3, 2)"),
+    "disturbance.pushes.0.moment": ((3, 2), "a scalar or a last axis of three, got shape (3, 2)"),
 }
 
 
 def test_each_parameter_of_another_shape_is_named(scenario, numbers):
     """By every method, before JAX sees it."""
-    assert {*SHAPES, "push_start", "push_stop"} == {*mc.Parameters.AXES}  # which any one row is for
     methods = (mc.rollout, mc.rollout_metrics, lambda s, *of: mc.simulator(s)(*of), mc.Simulation(scenario).reset)
-    for name, (shape, said) in SHAPES.items():
+    for path, (shape, said) in SHAPES.items():
+        bad = numbers.replace({path: np.zeros(shape)}) if path != "gravity" else copy.copy(numbers)
+        if path == "gravity":  # jaxtyping knows it too, while tests run
+            object.__setattr__(bad, "gravity", np.zeros(shape))
         for method in methods:
-            bad = copy.copy(numbers)
-            object.__setattr__(bad, name, np.zeros(shape))
             with pytest.raises(ValueError) as error:
                 method(None, bad) if method is methods[-1] else method(scenario, None, bad)
-            assert str(error.value) == f"parameters.{name}: expected shape {said}"
+            assert str(error.value) == f"parameters.{path}: expected {said}"
 
 
 ACTIONS = [  # to robots (2,), or to one alone
@@ -102,19 +106,38 @@ def test_an_action_of_another_shape_is_named(scenario, number):
         assert str(error.value) == said.format(more)
 
 
-def test_what_the_scenario_allows_is_allowed(numbers):
+def test_what_the_scenario_allows_is_allowed(scenario, numbers):
     """The ends of ranges, batches, and what nobody knows yet."""
-    ends = {"holding_limit": np.array([0.0, np.inf]), "kd": 0.0, "duty": np.nextafter(1, 0), "seed": 2.0**24 - 1}
-    check_ranges(dataclasses.replace(numbers, **{name: np.asarray(value) for name, value in ends.items()}))
-    assert set(KEYS) | {"mass_scale", "foothold_height", "swing_path", "force_dead"} == set(numbers.numbers)
-    jax.eval_shape(lambda kp: check_ranges(numbers.replace({"control.kp": kp})), -1.0)
+    limbs = load_robot(scenario.robot).limbs
+    ends = {"contact.holding_limit": np.array([0.0, np.inf]), "control.kd": 0.0, "gait.duty": np.nextafter(1, 0)}
+    ends["hardware.seed"] = 2.0**24 - 1
+    check_parameters(numbers.replace({path: np.asarray(value) for path, value in ends.items()}), limbs)
+    jax.eval_shape(lambda kp: check_parameters(numbers.replace({"control.kp": kp}), limbs), -1.0)
+
+
+def test_each_value_that_a_config_has_is_a_parameter_of_the_same_range(numbers):
+    """By its path: what the scenario refuses the parameters refuse, one step beyond an end of the range."""
+    scenario, limbs = mc.Scenario(), load_robot("hubrobo_v3_2").limbs
+    for path, field in numbers.paths.items():
+        if field.shape or "." not in path or path.startswith("disturbance.pushes"):
+            continue
+        for end, way in zip(field.bounds, (-1, 1), strict=True):
+            beyond = float(np.nextafter(end, way * np.inf))
+            if not np.isfinite(beyond):
+                continue
+            with pytest.raises(ValueError, match=f"^parameters.{path}: "):
+                check_parameters(numbers.replace({path: np.asarray(beyond + way * abs(end) * 1e-9)}), limbs)
+            with pytest.raises(mc.ConfigError, match=f"^scenario: {path}: "):
+                scenario.with_overrides({path: beyond})
 
 
 SIX = mc.Gains(*[np.ones((1, 6))] * 3)
+ONE = mc.Gains(*[np.ones((1, 1, 6))] * 3)
+TWO = [mc.METRICS["travel"], mc.METRICS["missed_grips"]]
 NO_DTYPE, NO_BATCH = "dtype: expected float32 or float64, got ", "batch_size: expected 1 or more, got 0"
 UNLIKE = "batch axes of gains and parameters: expected some that broadcast, got "
 NOBODY = "gains and parameters: expected one robot or more, got batch axes (0,)"
-LIMIT = "parameters.torque_limit: expected a finite number above 0, or infinite, got -1"
+LIMIT = "parameters.hardware.servo.torque_limit: expected finite numbers above 0, or infinite ones, got -1"
 BAD = [  # a call of a scenario and of bad parameters, and what is said
     (lambda s, bad: mc.rollout(s, None, bad), LIMIT),
     (lambda s, bad: mc.rollout_histories(s, None, bad), LIMIT),
@@ -127,7 +150,7 @@ BAD = [  # a call of a scenario and of bad parameters, and what is said
     (lambda s, _: mc.simulator(s)({"damping": jnp.full(6, 1e2, jnp.bfloat16)}), f"{NO_DTYPE}bfloat16"),
     (lambda s, _: resolve_in(s, law_of(s), None, None, np.int32), f"{NO_DTYPE}int32"),
     (lambda s, _: mc.rollout_metrics(s, batch_size=0), NO_BATCH),
-    (lambda s, _: mc.rollout_jvp(s, SIX, SIX, batch_size=0), NO_BATCH),
+    (lambda s, _: mc.rollout_jvp(s, SIX, ONE, batch_size=0), NO_BATCH),
     (lambda s, _: mc.rollout_histories(s, batch_size=0), NO_BATCH),
     (lambda s, _: mc.rollout_metrics(s, {"kp": np.ones(0)}), NOBODY),
     (lambda s, _: mc.Environment(s).reset(batch=(0,)), NOBODY),
@@ -143,14 +166,65 @@ BAD = [  # a call of a scenario and of bad parameters, and what is said
     ),
     (
         lambda s, _: mc.rollout_jvp(s, {"damping": 1e2}, {"damping": 1.0}),
-        "directions.damping: expected shape (1, 6), or fewer batch axes behind the first, got ()",
+        "directions.damping: expected shape (1, 6), or axes of 1 behind the first, got ()",
     ),
     (
         lambda s, _: mc.rollout_jvp(s, {"kp": np.full(2, 50.0)}, {"kp": np.ones((1, 3))}),
-        "directions.kp: expected shape (1, 2), or fewer batch axes behind the first, got (1, 3)",
+        "directions.kp: expected shape (1, 2), or axes of 1 behind the first, got (1, 3)",
     ),
-    (lambda s, _: mc.rollout_metrics(s, {"damping": 1e2 + 1j}), "gains.damping: expected real numbers, got complex128"),
-    (lambda s, _: mc.rollout_metrics(s, {"kp": 1j}), "gains.kp: expected real numbers, got complex128"),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"damping": np.full((256, 1), 1e2)}, {"damping": np.ones((256, 1))}),
+        "directions.damping: expected shape (256, 256, 6), or axes of 1 behind the first, got (256, 1)",
+    ),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"damping": np.full((8, 6), 1e2)}, {"stiffness": np.ones((8, 6))}),
+        "directions.stiffness: expected shape (8, 8, 6), or axes of 1 behind the first, got (8, 6)",
+    ),
+    (lambda s, _: mc.rollout_metrics(s, {"damping": 1e2 + 1j}), "gains.damping: expected real numbers, got (100+1j)"),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": 1j}), "gains.kp: expected real numbers, got 1j"),
+    (lambda s, _: mc.rollout_metrics(s, {"damping": "1e3"}), "gains.damping: expected real numbers, got '1e3'"),
+    (lambda s, _: mc.rollout_metrics(s, {"damping": b"1e3"}), "gains.damping: expected real numbers, got b'1e3'"),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": True}), "gains.kp: expected real numbers, got True"),
+    (lambda s, _: mc.rollout_metrics(s, {"kp": np.array([True])}), "gains.kp: expected real numbers, got bool"),
+    (
+        lambda s, _: mc.rollout_metrics(s, {"damping": np.full(6, "2024-01-01", "M8[D]")}),
+        "gains.damping: expected real numbers, got datetime64[D]",
+    ),
+    (
+        lambda s, _: mc.rollout_metrics(s, {"damping": np.ma.masked_less(np.arange(6.0), 2)}),
+        "gains.damping: expected real numbers, got a masked array",
+    ),
+    (
+        lambda s, n: mc.rollout_metrics(
+            s, None, dataclasses.replace(n, torque_limit=np.asarray(1.0), kp=np.ma.ones(2))
+        ),
+        "parameters.kp: expected real numbers, got a masked array",
+    ),
+    (
+        lambda s, _: mc.rollout_jvp(s, {"kp": 50.0}, {"kp": np.array(["1"])}),
+        "directions.kp: expected real numbers, got <U1",
+    ),
+    (
+        lambda s, _: mc.rollout_vjp(s, {"kp": 50.0}, {"speed": np.ones(1)}, metrics=TWO),
+        "weights.speed: expected one of travel, the metrics that are real numbers",
+    ),
+    (
+        lambda s, _: mc.rollout_vjp(s, {"kp": 50.0}, {"missed_grips": np.ones(1)}, metrics=TWO),
+        "weights.missed_grips: expected one of travel, the metrics that are real numbers",
+    ),
+    (
+        lambda s, _: mc.rollout_vjp(s, {"kp": 50.0}, {"travel": ["1"]}, metrics=TWO),
+        "weights.travel: expected real numbers, got <U1",
+    ),
+    (
+        lambda s, _: mc.rollout_metrics(s, {"damping": 1e39}),
+        "gains.damping: expected numbers that float32 holds, got 1e+39",
+    ),
+    (lambda s, _: mc.rollout_metrics(s, {"ki": 1e39}), "gains.ki: expected numbers that float32 holds, got 1e+39"),
+    (
+        lambda s, n: mc.rollout_metrics(s, None, dataclasses.replace(n, torque_limit=np.asarray(1e39))),
+        "parameters.torque_limit: expected numbers that float32 holds, got 1e+39",
+    ),
 ]
 
 

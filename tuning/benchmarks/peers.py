@@ -333,7 +333,7 @@ class Warp:
         import mujoco_warp as mjwarp
         import warp
 
-        warp.config.quiet = True
+        warp.config.log_level = warp.LOG_WARNING
         model, start = _at_rest(scenario)
         mujoco.mj_forward(model, start)
         self.model = mjwarp.put_model(model)

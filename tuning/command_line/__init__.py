@@ -16,7 +16,12 @@ def main(arguments: list[str] | None = None) -> None:
     import traceback
     import warnings
 
-    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"  # not where in the code it came up
+    def one_line(message: object, *_: object, **__: object) -> str:  # not where in the code it came up
+        from mjx_climb.scenario.messages import printable
+
+        return f"warning: {printable(str(message))}\n"
+
+    warnings.formatwarning = one_line
     atexit.register(gc.freeze)  # at its end Python looks for garbage among all that is left: 0.6 s
     gc.set_threshold(10_000, 10, 100)  # at its own pace it looks for garbage among all that was just imported
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from tuning.comparisons.linear_margins import Stable
     from tuning.comparisons.margins import Found
     from tuning.gains.gains_file import Whole
+    from tuning.problem.ensemble import Ensemble
     from tuning.problem.evaluation import Problem
 
 
@@ -214,6 +215,10 @@ class Bounds(Files, Members):
         False, "find how good any law could be on these walks, and what a force sensor is worth at most"
     )
 
+    def load(self) -> "Ensemble | None":
+        """Return the ensemble, the shipped one where members alone are asked for, None without either."""
+        return self.loaded(self.ensemble or Path("ensemble")) if self.ensemble or self.members else None
+
 
 # of the settings those that a first search needs
 _Asked = Annotated[
@@ -285,11 +290,11 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     (degraded.nc).
 
     --ceiling finds how good any law could be: the best joint targets over time for each walk, known in advance; the
-    same plan for all walks of --ensemble, which needs no sensor; plans that know of a disturbance from a delay after
-    its begin. A sensor is worth at most the difference. Prints them beside pd, the config's law and those of --gains,
-    the plan without a sensor and the laws in --test-members unseen walks too. With --against METRIC along the front of
-    --better and this metric too. Takes minutes a walk on two cores:
-    --knots 0.2 --iterations 25 is a first look.
+    same plan for all walks, which needs no sensor; plans that know of a disturbance from a delay after its begin. The
+    walk is the config's own; with --ensemble or --members an ensemble's. A sensor is worth at most the difference.
+    Prints them beside pd, the config's law and those of --gains, the plan without a sensor and the laws in
+    --test-members unseen walks too. With --against METRIC along the front of --better and this metric too. Takes
+    minutes a walk on two cores: --knots 0.2 --iterations 25 is a first look.
 
     Finished parts are kept in DIR: the same command goes on where it stopped. With --shard, or as a task of a Slurm
     array, the members are spread over machines, and the last one writes what one machine would have written; --merge
@@ -306,4 +311,4 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_2 --ceiling --against cost_of_transport --knots 0.2 --iterations 25
     """
     again = "the same command, with config.yaml and --ensemble ensemble.yaml"
-    walk_rows(rivals, walk, output, "judge", again)
+    walk_rows(rivals, walk, output, "evaluate", again)

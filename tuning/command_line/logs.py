@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 
 @command("results/<config>-excite")
-def excite(walk: Annotated[Walk, "config", "hardware", "changes"], asked: Excitation, output: Output) -> None:
+def excite(
+    walk: Annotated[Walk, "config", "hardware", "changes", "slope", "roof"], asked: Excitation, output: Output
+) -> None:
     """Find what to command so that the robot's own log tells its parameters.
 
     Candidates are scaled, stretch by stretch, until joint limits, torque, speed and reach (free: pull of the grippers)
@@ -96,11 +98,12 @@ class Recorded(Options):
         asked = self.model_dump(mode="json", exclude={"log", "signals"})
         return {**asked, "log": log.digest}
 
-    def say_guess(self, log: "Log", shell: "Session") -> None:
-        """Say where each signal was found, where that was guessed."""
+    def say_read(self, log: "Log", shell: "Session") -> None:
+        """Say where each signal was found, where that was guessed, and what seems wrong with the log."""
         if log.guessed is not None:
             how = "guessed where each signal stands (save this as signals.yaml, correct it, --signals signals.yaml):"
             shell.say(f"{self.log}: {how}", log.guessed.to_yaml().rstrip())
+        shell.say(*(f"warning: {line}" for line in log.warnings))
 
 
 class Fitted(Recorded):
@@ -112,7 +115,9 @@ class Fitted(Recorded):
 
 
 @command("none: nothing is written")
-def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes"], output: Output) -> None:
+def identify(
+    asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes", "slope", "roof"], output: Output
+) -> None:
     """Fit parameters of a scenario to what the robot itself recorded, on a stand or as it sways on shut grippers.
 
     The log holds the commands of the joints and what came of them, as excite asks for. KEY is one of a scenario's
@@ -138,7 +143,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         from tuning.command_line.session import from_page
         from tuning.identification.fit import identify as fitting
         from tuning.identification.fit.output import FILE
-        from tuning.identification.fit.report import table
+        from tuning.identification.fit.report import findings, table
         from tuning.methods.parts import FOLDER
         from tuning.writing.record import check_own, settings_of
 
@@ -147,7 +152,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         loaded = fitted(walk, "identify")
         scenario = loaded.scenario
         log = asked.read(scenario)
-        asked.say_guess(log, shell)
+        asked.say_read(log, shell)
         if output.out is not None:
             settings = settings_of(loaded, "identify", asked=asked.settings(log))
             if (shell.claim(FILE, walk.config.stem, settings=settings) / FOLDER).exists():
@@ -155,8 +160,7 @@ def identify(asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes
         keeping = contextlib.nullcontext() if output.out is None else shell.keeping("iterations")
         with keeping, shell.stage("fit", unit="iterations", keeps=True) as show:
             found = fitting.identify(scenario, progress=show, out=output.out, **dict(asked) | {"log": log})
-        shell.show(from_page(table(found)), *(f"warning: {line}" for line in found.warnings), *found.combined)
-        shell.show(f"{found.sentence}.")
+        shell.show(from_page(table(found)), *findings(found).lines)
         if output.out is not None:
             from tuning.kinds import write  # with all searches
 
@@ -214,8 +218,7 @@ def replay(
         prepared = replays.prepare(log, loaded.scenario, asked.base, asked.mass)
         settings = settings_of(loaded, "replay", asked=asked.settings(log))
         shell.claim("replay.json", walk.config.stem, "replay", *walk.words, settings=settings, varied=walk.varied)
-        asked.say_guess(log, shell)
-        shell.say(*(f"warning: {line}" for line in log.warnings))
+        asked.say_read(log, shell)
         shell.opening()
         with shell.stage("replay"):
             found = replays.simulate(prepared, loaded.engine)

@@ -5,7 +5,8 @@ import os
 import platform
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from importlib import metadata
 from json import dumps
 from pathlib import Path
 from typing import Annotated
@@ -89,13 +90,16 @@ def bench(asked: Bench, output: Annotated[Output, "json_only"]) -> None:
         shell.show(
             figures,
             waits,
-            f"batch {asked.batch}, engine {asked.engine}, {result['threads']} threads of {result['processor']}, "
+            f"batch {asked.batch}, engine {asked.engine}, beside mujoco {result['versions']['mujoco']}, "
+            f"{result['threads']} threads of {result['processor']}, "
             f"JAX on {', '.join(sorted(set(result['devices'])))}; load average at the end {result['load_average']:.1f}",
         )
         shell.print_json(numbers.to_json(result))
 
 
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy")
+MUJOCO, MJX = ((3, 17), (5, 0)), (3, 17)  # as pyproject.toml lets in: from, below; the release of MJX
+OF_MUJOCO_4 = ("mujoco-core", "mujoco-studio")  # write into the folder that was all mujoco's up to 3
 NVIDIA = Path("/proc/driver/nvidia/version")  # there where the driver is loaded
 
 
@@ -103,10 +107,33 @@ def versions() -> Iterator[Part]:
     """Yield the versions of what computes."""
     found = {"python": platform.python_version(), **versions_of("mjx-climb", *PACKAGES)}
     findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in PACKAGES if not found[name]]
-    engine, mjx = found["mujoco"], found["mujoco-mjx"]
-    if not findings and engine != mjx:
-        findings.append(f'mujoco {engine} with mujoco-mjx {mjx}: python -m pip install "mujoco=={mjx}"')
+    parts = {name: version for name, version in versions_of(*OF_MUJOCO_4).items() if version}
+    if not findings:
+        findings += _of_mujoco(str(found["mujoco"]), str(found["mujoco-mjx"]), parts)
+    found |= parts
     yield Part("versions", in_words(found), found, findings)
+
+
+def _of_mujoco(engine: str, mjx: str, parts: Mapping[str, str]) -> Iterator[str]:
+    """Yield what is wrong with the releases of MuJoCo and MJX, and with MuJoCo's files.
+
+    An upgrade in place from 3 to 4 installs the new parts, then removes the old package with the files that they share.
+    """
+    (low, high), (release, of_mjx) = MUJOCO, ((*map(int, text.split(".")[:2]),) for text in (engine, mjx))
+    wanted = f"mujoco=={engine}"
+    if not low <= release < high:
+        wanted = f"mujoco>={'.'.join(map(str, low))},<{high[0]}"
+        yield f'mujoco {engine}: python -m pip install "{wanted}"'
+    if of_mjx != MJX:
+        yield f'mujoco-mjx {mjx}: python -m pip install "mujoco-mjx=={".".join(map(str, MJX))}.*"'
+    expected = {} if release < (4,) else dict.fromkeys(OF_MUJOCO_4, engine)
+    files = [file for name in ("mujoco", *parts) for file in metadata.files(name) or () if file.suffix != ".pyc"]
+    lost = sum(not os.path.exists(file.locate()) for file in files)
+    if lost or parts != expected:
+        beside = f" beside {in_words(parts)}" * (parts != expected)
+        remedy = f'python -m pip uninstall -y mujoco {" ".join(OF_MUJOCO_4)}; python -m pip install "{wanted}"'
+        damage = f"{lost} of {len(files)} files lost, as a change of release in place leaves it"
+        yield f"mujoco {engine}{beside}, {damage}: {remedy}"
 
 
 def devices() -> Iterator[Part]:
@@ -241,6 +268,8 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
       mjx-climb doctor --schema --out scenario.schema.json
     """
     with reserved_stdout() as stdout:
+        from mjx_climb.scenario.messages import printable
+
         begin, parts = time.perf_counter(), examine()
         wrong = [part.name for part in parts if part.findings]
         said = "All is well: physics and gradients on this machine are those stored with the package."
@@ -251,8 +280,8 @@ def doctor(output: Annotated[Output, "json_only"]) -> None:
             print(dumps({"sound": not wrong, "verdict": said, "parts": found}, indent=2, allow_nan=False), file=stdout)
         else:
             for part in parts:
-                print(f"{part.name:9} {part.text}", file=stdout)
+                print(printable(f"{part.name:9} {part.text}", "\n"), file=stdout)
                 for finding in part.findings:
-                    print(f"{'':9} ! {finding}", file=stdout)
+                    print(printable(f"{'':9} ! {finding}", "\n"), file=stdout)
             print(f"\n{said} ({time.perf_counter() - begin:.0f} s)", file=stdout)
     raise typer.Exit(1 if wrong else 0)

@@ -40,6 +40,9 @@ OLD = {
     "schema": Old("doctor --schema"),
     "tune": Old("tune", {"--judges": lambda count: ["--test-members", count]}),
     "replay": Old("replay", flags={"--judge": "--with-law"}),
+    "run": Old("run", flags={"--ceiling": "--roof"}),
+    "robot": Old("robot", flags={"--ceiling": "--roof"}),
+    "plot": Old("plot", {"--size": lambda size: ["--figure-size", size]}),
 }
 
 

@@ -66,6 +66,8 @@ SHARD = setting(
     "walk this shard alone, as 3/16; the last one writes the result; 1/1: all; null: a Slurm array's task",
     metavar="I/N",
 )
+SLOPE = setting(None, "slope of the ground, degrees; 90 is a cliff", metavar="DEG", ge=0, le=180)
+ROOF = setting(False, "walk under a roof: a slope of 180 degrees")
 ENGINE = setting("limb", "dynamics: limb (fast) or mjx (MJX's own stages)")
 
 
@@ -88,6 +90,8 @@ class Walk(Options):
         metavar="KEY=VALUE",
         complete="key",
     )
+    slope: float | None = SLOPE
+    roof: bool = ROOF
     gains: Path | None = setting(None, "gains file in place of the config's gains", metavar="FILE")
     law: str | None = LAW
     metrics: tuple[str, ...] = METRICS
@@ -116,13 +120,15 @@ class Walk(Options):
     @property
     def varied(self) -> bool:
         """Whether what walks is changed by more than `words` say."""
-        return bool(self.changes or self.gains or self.contact or self.drive or self.disturbances)
+        ground = self.roof or self.slope is not None
+        return bool(ground or self.changes or self.gains or self.contact or self.drive or self.disturbances)
 
     def load(self) -> "Problem":
         """Return scenario, law, metrics and engine, from options or the config, without the gains file but for its law.
 
         A change of `control.NAME`, a gain of your own law, is the law's.
         """
+        from mjx_climb.control import SHIPPED, is_shipped
         from mjx_climb.inputs.from_scenario import own_parameters
         from mjx_climb.scenario.yaml_text import pairs
         from mjx_climb.walk.structure import structure
@@ -134,6 +140,9 @@ class Walk(Options):
         if named is None and self.gains is not None and self.controller is None:
             named = gains_file.shipped_law(self.gains)
             named = None if gains_file.of_scenarios(named) else named
+        if named is not None and ":" not in named and not is_shipped(named):
+            known = ", ".join([*get_args(ControllerName), *SHIPPED])
+            raise InputError(f"--law: expected one of {known}, or FILE.py:NAME, got {named!r}")
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(named, self.metrics)
         changes = self._components() | dict(pairs(self.changes, source))
         if self.controller is not None:
@@ -154,6 +163,7 @@ class Walk(Options):
             except (TypeError, ValueError) as error:
                 raise InputError(f"--set {', '.join(mine)}: {error}") from None
         scenario = without(scenario_from(Path(source), changes, self.hardware, self.controller))
+        scenario = scenario.with_overrides({"gravity": inclined(scenario.gravity, self.slope, self.roof)})
         structure(scenario, self.engine, own_parameters(scenario, source))  # refuses what cannot walk
         if self.gains is not None and self.law is None:
             scenario, law = self._of_file(self.gains, scenario, law, changes)
@@ -218,23 +228,20 @@ def fitted(walk: Walk, command: str) -> "Problem":
     return loaded
 
 
-class Incline(Options):
-    """How the ground lies: x is up the slope."""
+def inclined(gravity: tuple[float, float, float], slope: float | None, roof: bool) -> tuple[float, float, float]:
+    """Return gravity in the axes of ground that lies as --slope and --roof say, m/s^2, x up the slope.
 
-    slope: float | None = setting(None, "slope of the ground, degrees; 90 is a cliff", metavar="DEG", ge=0, le=180)
-    ceiling: bool = setting(False, "walk on a ceiling: a slope of 180 degrees")
-
-    def gravity(self, own: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Return gravity on such ground, as strong as `own`, m/s^2 in the ground's axes; without options `own`."""
-        if self.ceiling and self.slope is not None:
-            raise InputError(f"--ceiling: expected none with --slope {self.slope:g}")
-        slope = 180.0 if self.ceiling else self.slope
-        if slope is None:
-            return own
-        if not (strength := math.hypot(*own)):
-            raise InputError(f"{'--ceiling' if self.ceiling else '--slope'}: expected gravity, got none")
-        sine, cosine = (round(turn(math.radians(slope)), 12) for turn in (math.sin, math.cos))
-        return -strength * sine + 0.0, 0.0, -strength * cosine + 0.0
+    It is as strong as `gravity`, and the same where neither is given. Raises InputError: both are, or gravity is none.
+    """
+    if roof and slope is not None:
+        raise InputError(f"--roof: expected none with --slope {slope:g}")
+    slope = 180.0 if roof else slope
+    if slope is None:
+        return gravity
+    if not (strength := math.hypot(*gravity)):
+        raise InputError(f"{'--roof' if roof else '--slope'}: expected gravity, got none")
+    sine, cosine = (round(turn(math.radians(slope)), 12) for turn in (math.sin, math.cos))
+    return -strength * sine + 0.0, 0.0, -strength * cosine + 0.0
 
 
 def _formats(text: str) -> tuple[str, ...]:
@@ -276,7 +283,8 @@ class Output(Options):
                 from mjx_climb.execution import devices
 
                 devices.begin()
-            yield Session(stdout, self, sections)
+            with contextlib.closing(Session(stdout, self, sections)) as session:
+                yield session
 
 
 class Members(Options):

@@ -47,7 +47,8 @@ _MODULES = {"excite": "logs", "identify": "logs", "replay": "logs", "reproduce":
 _TRUE = ("1", "true", "t", "yes", "y", "on")  # as JAX reads its settings
 _LONGEST = 1000  # characters of a line
 _ALIKE = 0.75  # least likeness of two names of which one may be meant by the other
-_OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "Refused", "LostProcess", "RenderingError"}
+_OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "Refused", "LostProcess", "RenderingError",
+                "InstallationError"}  # fmt: skip
 _OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
 
 
@@ -139,6 +140,11 @@ def run(arguments: Sequence[str]) -> int:
     except (interruption.Interrupted, KeyboardInterrupt) as interrupt:
         _say(f"interrupted: {interrupt}" if str(interrupt) else NOTHING_KEPT)
         return interruption.CODE
+    except SystemExit as ended:
+        if {"typer", "click"} & {*_last_file(ended).split("/")}:  # which print what a shell completes, and end
+            raise
+        _say(f"error: expected own files that leave the program to its end, got sys.exit({ended.code!r})")
+        return 2
     except Exception as error:
         message = user_error(error)
         if interruption.requested():  # it broke what this went wrong on, a program that it had started for example
@@ -181,8 +187,10 @@ def _check_surroundings(arguments: Sequence[str]) -> None:
 
 
 def _say(text: str) -> None:
+    from mjx_climb.scenario.messages import printable
+
     with contextlib.suppress(OSError):  # nobody can read it
-        print(f"mjx-climb: {text}", file=sys.stderr, flush=True)
+        print(f"mjx-climb: {printable(text)}", file=sys.stderr, flush=True)
 
 
 def user_error(error: Exception) -> str | None:
@@ -214,18 +222,24 @@ def user_error(error: Exception) -> str | None:
         message = str(error)
     else:
         return None
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
+    from mjx_climb.scenario.messages import printable
+
+    line = printable(" ".join(message.split()))
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
 
 
 def _raised_in(error: Exception) -> str:
     """Return the file of JAX that an error was raised in, by its folder in the package; "" for any other file."""
+    _, folder, name = _last_file(error).rpartition("/jax/_src/")
+    return f"jax/_src/{name}" if folder else ""
+
+
+def _last_file(error: BaseException) -> str:
+    """Return the file that an error was raised in."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
-    file = trace.tb_frame.f_code.co_filename.replace(os.sep, "/") if trace else ""
-    _, folder, name = file.rpartition("/jax/_src/")
-    return f"jax/_src/{name}" if folder else ""
+    return trace.tb_frame.f_code.co_filename.replace(os.sep, "/") if trace else ""
 
 
 def _nearest(option: str, command: Any) -> str:

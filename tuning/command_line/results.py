@@ -1,6 +1,5 @@
 """`mjx-climb plot`, `reproduce` and `export`: pictures and other forms of what was found."""
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -63,7 +62,7 @@ class Plot(Options):
     )
     figures: Figures = FIGURES
     out: Path | None = setting(None, "folder for the pictures; null: FOLDER", metavar="DIR")
-    size: Annotated[tuple[float, float] | None, BeforeValidator(_inches)] = setting(
+    figure_size: Annotated[tuple[float, float] | None, BeforeValidator(_inches)] = setting(
         None, "width and height, mm; null: a column of a paper", metavar="WxH"
     )
     dpi: int = setting(300, "dots per inch of PNG", ge=20, le=2400)
@@ -76,13 +75,13 @@ class Plot(Options):
 def plot(asked: Plot) -> None:
     """Draw the pictures of a result again: any metric, format, size and style. Nothing is walked.
 
-    For what run, sweep, tune, pareto and schedule wrote.
+    For results of run, sweep, tune (--against and --over too) and evaluate.
 
     \b
     Examples:
       mjx-climb plot results/case_1_2-sweep --metric peak_pull_force --metric min_tsm
       mjx-climb plot results/case_1_2-tune-gradient-isotropic --figures svg,pdf --out paper
-      mjx-climb plot results/case_2-pd --size 180x200 --style journal.mplstyle
+      mjx-climb plot results/case_2-pd --figure-size 180x200 --style journal.mplstyle
     """
     from mjx_climb.viz import plots
     from tuning.pages import redrawn
@@ -91,8 +90,8 @@ def plot(asked: Plot) -> None:
     with plots.over_style(asked.style):
         try:
             for name, figure in redrawn.figures(folder, asked.metric):
-                if asked.size is not None:
-                    figure.set_size_inches(*asked.size)
+                if asked.figure_size is not None:
+                    figure.set_size_inches(*asked.figure_size)
                 for path in plots.save_figure(figure, out / name, asked.figures, dpi=asked.dpi):
                     typer.echo(path)
         except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
@@ -200,7 +199,7 @@ class Export(Options):
     )
     config: Path | None = setting(
         None,
-        f"scenario in which the gains must hold; null: {_BESIDE} beside GAINS",
+        f"scenario in which the gains must hold; null: {_BESIDE} beside GAINS, where it runs no file of Python",
         metavar="CONFIG",
         complete="config",
     )
@@ -246,6 +245,11 @@ class Export(Options):
             if self.hardware is not None:
                 raise InputError("--hardware: expected --config with it")
             return None
+        own = mc.load_scenario(config).own if self.config is None else None
+        for place, each in {} if own is None else own.components.items():
+            if each.file is not None:
+                expected = f"none in a config that was found, not given (--config {config} runs it)"
+                raise config_error(str(config), f"own.{place}.file", expected, each.file)
         scenario, _ = gains_file.walker(self.gains, scenario_from(config, {}, self.hardware))
         if self.rate is not None:
             period = 0.0 if self.rate == round(1 / scenario.time_step) else 1 / self.rate
@@ -323,8 +327,7 @@ def export(asked: Export) -> None:
             said = [f"note: {line}" for line in (*notes, *([of_servos] if of_servos else ()))]
             how: dict[str, Any] = {"law": law, "engine": asked.engine, "stage": session.stage}
             said += [f"warning: {line}" for line in deployment.check(scenario, gains, source, **how)]
-        for line in said:
-            print(f"mjx-climb: {line}", file=sys.stderr)
+        session.say(*(f"mjx-climb: {line}" for line in said))
         if asked.out is None:
             print(next(iter(files.values())), end="", file=stdout)
             return

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator
 
 import mjx_climb as mc
 from tuning.command_line.from_models import command
-from tuning.command_line.options import Incline, Output
+from tuning.command_line.options import ROOF, SLOPE, Output, inclined
 from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
@@ -20,6 +20,8 @@ class Robot(Options):
     file: Path = setting(..., "MJCF (.xml) or URDF (.urdf) of the robot", metavar="FILE", argument=True)
     write: Path | None = setting(None, "scenario to write, ready for run; null: print it", metavar="CONFIG")
     gravity: float = setting(9.81, "strength of gravity, m/s^2; on the Moon 1.62", metavar="M/S2")
+    slope: float | None = SLOPE
+    roof: bool = ROOF
     base: str | None = setting(None, "body that the limbs begin at; null: found", metavar="BODY")
     limbs: Annotated[tuple[str, ...], BeforeValidator(lambda text: text.split(","))] = setting(
         (), "limbs to stand on; others are held; null: all", metavar="NAME,NAME,..."
@@ -29,20 +31,21 @@ class Robot(Options):
         """Return the strength of gravity, m/s^2, refused where it has a sign."""
         if self.gravity < 0:
             raise InputError(
-                f"--gravity: expected its strength, 0 or more, got {self.gravity:g}; --ceiling turns it round"
+                f"--gravity: expected its strength, 0 or more, got {self.gravity:g}; --roof turns it round"
             )
         return self.gravity
 
 
 @command()
-def robot(asked: Robot, incline: Incline) -> None:
+def robot(asked: Robot) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 
     Limbs are the rows of two to seven joints that start at one base and end in what is called a foot, or the like. The
     stance is a keyframe's, or searched. Stride, grip and gains are HubRobo's in proportion to mass and reach. Prints
     what was taken from the file, changed and ignored, each with the reason; then the scenario, for you to look through.
-    Walks the proposal: under pd with 45 pairs of kp and kd, to take that of least force variation; with cycles twice
-    and four times as long, to take the first with which it holds; on a ceiling, to say what holding limit it takes.
+    Walks the proposal: under pd with 45 pairs of kp and kd, or 15 where time steps are short, to take that of least
+    force variation; with cycles twice and four times as long, to take the first with which it holds; on a ceiling, to
+    say what holding limit it takes.
 
     Beside CONFIG a picture shows the robot by its own shapes, and where its feet are taken to be.
 
@@ -59,14 +62,14 @@ def robot(asked: Robot, incline: Incline) -> None:
     from mjx_climb.inputs.time_step import largest_time_step
     from mjx_climb.scenario.model import validated
     from mjx_climb.viz import rendering
-    from tuning.command_line.session import Session
+    from tuning.command_line.session import Session, duration
     from tuning.comparisons import first_walks
     from tuning.proposal.propose import propose
 
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(f"{write}: expected another file than the robot's own")
-    gravity = incline.gravity((0.0, 0.0, -asked.strength()))
+    gravity = inclined((0.0, 0.0, -asked.strength()), asked.slope, asked.roof)
     proposal = propose(file, asked.gravity, asked.base, asked.limbs)
     scenario = validated(mc.Scenario, {**proposal.sections, "gravity": gravity, "time_step": 0.001}, str(file))
     step = min(0.001, largest_time_step(scenario, str(file)))
@@ -79,10 +82,20 @@ def robot(asked: Robot, incline: Incline) -> None:
     def tell(kind: str, name: str, why: str) -> None:
         typer.echo(f"{kind:7}  {name:{what}}  {why}")
 
-    with Session(sys.stdout, Output()).stage("walking it, with other joint gains and slower gaits beside"):
-        scenario, searched = first_walks.with_joint_gains(scenario)
-        scenario, walks, how, load = first_walks.slow_enough(scenario)
-        hung = first_walks.on_ceiling(scenario) if walks and any(gravity) and not incline.ceiling else None
+    done = 0
+
+    def told(walks: int) -> None:
+        nonlocal done
+        done += walks
+        show(done, max(done, total))
+
+    session, (total, seconds) = Session(sys.stdout, Output()), first_walks.expected(scenario)
+    steps = f"{scenario.duration / scenario.time_step:,.0f} time steps"
+    session.say(f"{total} walks of {steps}: about {duration(seconds)} on one core, once compiled")
+    with session.stage("walking it, with other joint gains and slower gaits beside") as show:
+        scenario, searched = first_walks.with_joint_gains(scenario, told)
+        scenario, walks, how, load = first_walks.slow_enough(scenario, told)
+        hung = first_walks.on_ceiling(scenario, told) if walks and any(gravity) and not asked.roof else None
     tell("changed", f"kp {scenario.control.kp:g}, kd {scenario.control.kd:g}", searched)
     tell("taken" if walks else "failed", "walk", how)
     if heavy := first_walks.heavy_load(scenario, load):

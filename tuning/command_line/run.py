@@ -1,6 +1,5 @@
 """`mjx-climb run`: one robot through one scenario, with pictures, video, snapshots and the viewer."""
 
-import dataclasses
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +11,7 @@ from pydantic import BeforeValidator
 import mjx_climb as mc
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
-from tuning.command_line.options import ControllerName, Incline, Output, Walk
+from tuning.command_line.options import ControllerName, Output, Walk
 from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
@@ -124,7 +123,6 @@ class Recording(Options):
 @command("results/<config>-<controller>")
 def run(
     walk: Walk,
-    incline: Incline,
     output: Annotated[Output, "-sections"],
     pictures: Pictures,
     recording: Recording,
@@ -153,7 +151,7 @@ def run(
       mjx-climb run case_1_2 --snapshots --at 2.5,4.6
       mjx-climb run case_1_2 --mcap
       mjx-climb run case_1_2 --rerun
-      mjx-climb run case_1_2 --ceiling --snapshots
+      mjx-climb run case_1_2 --roof --snapshots
     """
     with output.session() as shell:
         from mjx_climb.robot_import.load import load_robot
@@ -161,8 +159,6 @@ def run(
         from tuning.writing.record import settings_of
 
         loaded = walk.load_with_gains()
-        gravity = incline.gravity(loaded.scenario.gravity)
-        loaded = dataclasses.replace(loaded, scenario=loaded.scenario.with_overrides({"gravity": gravity}))
         law, scenario = loaded.law, loaded.scenario
         name = scenario.control.controller if law is None else type(law).__name__
         load_robot(scenario.robot)
@@ -182,14 +178,14 @@ def _walked(
     loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording
 ) -> tuple[Walks, dict[str, Any]]:
     """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
-    from tuning.numbers import to_json
+    from tuning.numbers import presentable, to_json
     from tuning.writing.record import walks_at_home
 
     with shell.whole() as place:
         walks, metrics, files = _written(loaded, name, shell, pictures, recording, place)
     walks = walks_at_home(walks, place, shell.out)
     _show(walks, metrics, loaded, shell)
-    shell.written(", ".join(files), to_json(metrics[name]))
+    shell.written(", ".join(files), to_json(presentable(metrics[name], None)))
     return walks, metrics[name]
 
 
@@ -200,7 +196,7 @@ def _written(
     from mjx_climb.files import dataset
     from mjx_climb.viz.recording import save_mcap
     from tuning import scenario_files
-    from tuning.numbers import to_json
+    from tuning.numbers import presentable, to_json
     from tuning.results.config_file import write_config
 
     scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
@@ -214,7 +210,7 @@ def _written(
             walks = {rival: mc.rollout(beside, engine=loaded.engine), **walks}
     metrics = {name: mc.metrics(walked, loaded.metrics) for name, walked in reversed(walks.items())}
     dataset.save(dataset.to_dataset(walks[name]), out / "trajectory.nc")
-    dataset.write_text_atomically(out / "metrics.json", to_json(metrics[name]) + "\n")
+    dataset.write_text_atomically(out / "metrics.json", to_json(presentable(metrics[name], None)) + "\n")
     with shell.stage("drawing", compiles=False):
         from mjx_climb.viz import plots  # matplotlib takes a third of a second
 

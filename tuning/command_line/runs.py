@@ -4,6 +4,7 @@ from json import dumps
 from pathlib import Path
 from typing import Annotated
 
+from tuning.command_line import interruption
 from tuning.command_line.from_models import command
 from tuning.command_line.options import Output
 from tuning.command_line.program import InputError
@@ -40,7 +41,7 @@ def runs(place: Place, output: Annotated[Output, "-figures", "-sections"]) -> No
 
         if not place.folder.is_dir():
             raise InputError(f"{place.folder}: expected a folder with results below it, got none")
-        found = pages.below(place.folder)
+        found = pages.below(place.folder, interruption.check)
         if not found:
             raise InputError(f"{place.folder}: expected results below it ({', '.join(RESULTS)}), got none")
         table = plain_table("when", "folder", "differs in", "verdict")

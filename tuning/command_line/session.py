@@ -11,11 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
 from rich.table import Table
 
 import mjx_climb as mc
+from mjx_climb.files.writing import check_folder
+from mjx_climb.scenario.messages import printable
 from tuning.command_line import interruption
 from tuning.command_line.interruption import Interrupted
 from tuning.command_line.program import origin
@@ -30,7 +34,8 @@ if TYPE_CHECKING:
     from tuning.pages.section import SectionOf
     from tuning.results.result import Result
 
-WIDTH = 100  # of tables in a file
+WIDTH = 100  # of tables in a file, unless their numbers need more
+_WIDEST = 100_000  # columns
 WORDS = ("", "metric", "unit", "measure", "signal", "command", "goal on two cores")  # columns that hold no numbers
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
@@ -150,6 +155,7 @@ class Session:
         self.sections = sections  # of the user's own, for the report
         self.lacks = ""  # what a result lacks that is in the folder before the command ends
         self.settings: Mapping[str, Any] | None = None  # what the command was asked for
+        self._held = contextlib.ExitStack()  # its folder
         self._json = stdout if output.json_only else None
 
     def claim(
@@ -161,17 +167,19 @@ class Session:
         varied: bool = False,
         team: "Team | None" = None,
         at: Path | None = None,
+        shard: bool = False,
     ) -> Path:
         """Take the folder of a result, which is known by a file in it: `at`, or that of --out, or one by its settings.
 
+        No other command has it until this one ends; shards of the same settings have it together.
+
         By default it is results/NAME-KIND, with a digest of the settings behind it where they are `varied`, not plain
-        to see in the name, or where that folder is another run's.
+        to see in the name, or where that folder is another run's, or is becoming one's.
 
         Raises:
-            OutputError: it cannot be written, or holds another run's result.
+            OutputError: it cannot be written, holds another run's result, or another command uses it.
         """
         from tuning.writing import record
-        from tuning.writing.record import check_own
 
         out, base = at or self.output.out, Path("results") / "-".join((name, *kind))
         if out is None:
@@ -179,16 +187,30 @@ class Session:
             if not varied and out != base and not out.exists():
                 self.say(f"{base} holds {record.another(base, settings)}: this one goes to {out}")
         self.name, self.settings, self.out = name, settings, out if team is None else team.folder(out)
-        check_own(self.out, file)
+        check_folder(self.out)
+        try:
+            self._held.enter_context(record.held(self.out, settings, shard=shard))
+        except record.InUse:
+            if out != base:
+                raise
+            self.out = record.own_folder(base, settings or {}, varied=True)
+            self._held.enter_context(record.held(self.out, settings, shard=shard))
+            self.say(f"another command uses {base}: this one goes to {self.out}")
+        record.check_own(self.out, file)
         record.check(self.out, settings)
         return self.out
 
-    def take(
-        self, walk: Walked, file: str, settings: Mapping[str, Any], *kind: str, team: "Team | None" = None
-    ) -> Path:
-        """Take the folder of a result of some walk, called by its config and what stands in place of the config's."""
+    def close(self) -> None:
+        """Let other commands have the folder."""
+        self._held.close()
+
+    def take(self, walk: Walked, file: str, settings: Mapping[str, Any], *kind: str, **how: Any) -> Path:
+        """Take the folder of a result of some walk, called by its config and what stands in place of the config's.
+
+        `how` as of `claim`.
+        """
         words = walk.config.stem, *kind, *walk.words
-        return self.claim(file, *words, settings=settings, varied=walk.varied, team=team)
+        return self.claim(file, *words, settings=settings, varied=walk.varied, **how)
 
     def whole(self) -> "contextlib.AbstractContextManager[Path]":
         """Give an empty folder, whose files become those of the result once the block ends well."""
@@ -204,20 +226,24 @@ class Session:
     def show(self, *results: "str | Table") -> None:
         """Print tables and lines of the result."""
         for result in results:
-            self.tables.print(result, soft_wrap=isinstance(result, str))
+            if isinstance(result, Table):  # no number is cut: a table that is wider than the terminal wraps
+                least = Measurement.get(self.tables, self.tables.options.update(max_width=_WIDEST), result).minimum
+                self.tables.print(result, width=max(self.tables.width, least), crop=False, no_wrap=True)
+            else:
+                self.tables.print(result, soft_wrap=True)
 
     def print_json(self, text: str) -> None:
         """Print JSON where it was asked for."""
         if self._json is not None:
             print(text, file=self._json)
 
-    def opening(self, scenario: "mc.Scenario | None" = None) -> None:
-        """Say where compiled programs are kept, and what to know of a scenario before it is walked."""
+    def opening(self, scenario: "mc.Scenario | None" = None, *lacks: str) -> None:
+        """Say where compiled programs are kept, and what to know of a scenario and a result before anything walks."""
         from tuning import numbers
         from tuning.command_line import cache
 
         (state,) = cache.cache()
-        warnings = numbers.ahead_of(scenario) if scenario else ()
+        warnings = [*(numbers.ahead_of(scenario) if scenario else ()), *lacks]
         own = scenario.own.components if scenario is not None and scenario.own is not None else {}
         named = {
             place: f"{Path(each.file).name}:{each.name}" if each.file else each.name for place, each in own.items()
@@ -358,9 +384,18 @@ class Session:
         self.console.print(text + (f", of which {spent}" if spent else ""))
 
 
+class Screen(Console):
+    """A console on which names, settings and verdicts of files cannot control the terminal."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield the segments of a text, a table or a bar, with all control characters but Rich's own spelt out."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=printable(segment.text, "\n"))
+
+
 def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
     """Return where people read: plain text of a fixed width unless it is a terminal."""
-    made = Console(file=file, stderr=stderr, highlight=False, markup=False, emoji=False)
+    made = Screen(file=file, stderr=stderr, highlight=False, markup=False, emoji=False)
     if not made.is_terminal:
         made.width = WIDTH
     return made

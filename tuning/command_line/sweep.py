@@ -23,7 +23,7 @@ RANGE = "LOW:HIGH:COUNT"
 ROWS = {  # by kind of result: file, word in the name of its folder, stage and unit
     "sweep": ("sweep.nc", "sweep", "grid", "walks"),
     "degrade": ("degraded.nc", "worse", "worse hardware", "walks"),
-    "judge": ("judged.nc", "evaluate", "fresh draw", "members"),
+    "evaluate": ("judged.nc", "evaluate", "fresh draw", "members"),
 }
 
 _End = Annotated[float, Field(ge=1e-30, le=1e30)]  # single precision, with room for squares of moderate gains
@@ -123,7 +123,8 @@ def merge(asked: Merge, output: Output) -> None:
         if target is None:
             raise InputError("--out: expected a folder for the result, as the shards lie in several places")
         settings = loads(about["settings"]) if "settings" in about else None
-        shell.claim(ROWS[kept[0].identity["kind"]][0], about.get("name", "the scenario"), settings=settings, at=target)
+        file, name = ROWS[kept[0].identity["kind"]][0], about.get("name", "the scenario")
+        shell.claim(file, name, settings=settings, at=target, shard=True)
         found = merged(kept, law, table)
         shell.result(found, about.get("repeat") or "the same command", before=f"{len(kept)} shards, ")
 
@@ -138,7 +139,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
 
         work, (file, word, stage, unit) = asked.work(walk), ROWS[kind]
         settings = record.settings_of(work.problem, kind, rows=record.without_machine(work.identity()))
-        out = shell.take(walk, file, settings, word, team=team)
+        out = shell.take(walk, file, settings, word, team=team, shard=part is not None)
         about = {"again": typed_but("--shard", shards.SHARD), "name": walk.config.stem, "repeat": again}
         about["settings"] = dumps(settings)  # for the folder of what is merged
         rows = shards.Rows(work, out, part, about)

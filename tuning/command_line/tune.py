@@ -147,6 +147,7 @@ def compare(
     with output.session(walks=True) as shell:
         from mjx_climb.scenario.messages import ConfigError
         from tuning.comparisons import compare as comparing
+        from tuning.comparisons import paired
         from tuning.problem.evaluation import Problem
         from tuning.searches import tune as searches
         from tuning.writing.record import settings_of
@@ -169,7 +170,7 @@ def compare(
         loaded = dataclasses.replace(loaded, own_method=method)
         settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "compare", **record)
         folder = shell.take(walk, "compared.nc", settings, "laws")
-        shell.opening(loaded.scenario)
+        shell.opening(loaded.scenario, *paired.without_interval(members, ensemble.worst))
         with shell.stage("baseline"), file.naming(search, walk.config):
             walks = {"metrics": loaded.metrics, "engine": loaded.engine, "own_method": method}
             problem = comparing.problem_of(loaded.scenario, laws, ensemble, **walks)
@@ -247,7 +248,7 @@ def tune(
     """
     with processes.joined() as team, output.session() as shell:
         from tuning.background import background
-        from tuning.comparisons import of_search
+        from tuning.comparisons import of_search, paired
         from tuning.searches import tune as searches
         from tuning.writing import record
 
@@ -275,7 +276,9 @@ def tune(
         own |= {"seeds": seeds} if seeds > 1 else {}
         settings = record.settings_of(dataclasses.replace(loaded, ensemble=drawn), kind, **own)
         folder = shell.take(walk, "search.nc", settings, kind, word, wanted.space, team=team)
-        shell.opening(loaded.scenario)
+        judges, worst = many.test_members or Judge().members, None if drawn is None else drawn.worst
+        lacks = [] if drawn is None else paired.without_interval(judges, worst, tails=False)
+        shell.opening(loaded.scenario, *lacks)
         shell.say(*filter(None, [team.said]))
         team.begin(folder, loaded.scenario.to_yaml())
         with shell.stage("baseline"), file.naming(search):

@@ -4,7 +4,7 @@ All of them are the walks of one compiled program, `WALKS` side by side, which d
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -22,10 +22,32 @@ _LIMIT = "contact.holding_limit"
 WALKS = 16
 SLOWER = ((1.0,), (2.0, 4.0, 4.0))  # times the cycle, walked together; the third with grips that never let go
 ROUNDS = 3  # grids of kp and kd, each about the best of the one before and half as wide
+ON_CEILING = 2  # walks there
+LONG = 100_000  # time steps of a walk from which on one grid must do
+STEP_TIME = 1e-6  # s on one core, of a time step of one joint of one walk
 GRID, TIMES = (5, 3), (5.0, 10.0)  # values of kp and kd; the first grid goes so many times lower and higher
 SAGS = 0.1  # of the stance's height, what the base may stray for less force variation
 MANY = 2.0  # times the robot's weight on Earth, in a single foot: worth a warning
 EARTH = 9.81  # m/s^2
+
+
+Told = Callable[[int], None]  # takes how many more walks are done
+
+
+def expected(scenario: Scenario) -> tuple[int, float]:
+    """Return how many walks a scenario gets where it holds at its own cycle, and the seconds they take on one core."""
+    grids, joints = _grids(scenario), load_robot(scenario.robot).joint_lower.size
+    batches = grids + len(SLOWER[0]) + 1
+    seconds = batches * WALKS * joints * _steps(scenario) * STEP_TIME
+    return grids * math.prod(GRID) + len(SLOWER[0]) + ON_CEILING, seconds
+
+
+def _steps(scenario: Scenario) -> int:
+    return round(scenario.duration / scenario.time_step)
+
+
+def _grids(scenario: Scenario) -> int:
+    return 1 if _steps(scenario) > LONG else ROUNDS
 
 
 class FirstWalk(NamedTuple):
@@ -65,20 +87,23 @@ def _walked(
     return found | {"upright": ~found["diverged"] & (found["base_deviation"] < robot.stance_position[2] / 2)}
 
 
-def with_joint_gains(scenario: Scenario) -> tuple[Scenario, str]:
+def with_joint_gains(scenario: Scenario, told: Told = lambda _: None) -> tuple[Scenario, str]:
     """Return a scenario with the kp and kd that give pd the least force variation, and in words what they change.
 
     Walked with grips that never let go, over the scenario's duration; among gains that its time step can follow, with
-    which the base strays no farther than a tenth of its height, or than with the scenario's own.
+    which the base strays no farther than a tenth of its height, or than with the scenario's own. A walk of more than
+    `LONG` time steps takes minutes: then one grid must do.
     """
     control, middle = scenario.control, math.prod(GRID) // 2  # the scenario's own, in the first grid
     own = best = np.log([control.kp, control.kd])
     half, first, allowed = np.log(TIMES), math.inf, SAGS * load_robot(scenario.robot).stance_position[2]
     offsets = np.stack(np.meshgrid(*(np.linspace(-1, 1, count) for count in GRID)), -1).reshape(-1, 2)
-    for number in range(ROUNDS):
+    count = (grids := _grids(scenario)) * len(offsets)
+    for number in range(grids):
         points = best + half * offsets
         kp, kd = np.exp(points).T
         walked = _walked(scenario, {"control.kp": kp, "control.kd": kd, _LIMIT: math.inf}, rigid=True)
+        told(len(points))
         if number == 0 and walked["upright"][middle]:
             first = float(walked["force_variation"][middle])
             allowed = max(allowed, float(walked["base_deviation"][middle]))
@@ -93,13 +118,13 @@ def with_joint_gains(scenario: Scenario) -> tuple[Scenario, str]:
             return scenario, "no others among those searched keep the base as near to its reference"
         best, half = points[place], half / 2
     if np.allclose(best, own) or not values[place] < first:
-        return scenario, f"none of {ROUNDS * math.prod(GRID) - 1} others gives pd less force variation"
+        return scenario, f"none of {count - 1} others gives pd less force variation"
     before = f"with kp {control.kp:g} and kd {control.kd:g}, HubRobo's in proportion"
     less = f"{100 * (1 - values[place] / first):.0f} % less than" if np.isfinite(first) else "which does not walk"
-    return changed, f"of {ROUNDS * math.prod(GRID)} short walks of pd that of least force variation, {less} {before}"
+    return changed, f"of {count} short walks of pd that of least force variation, {less} {before}"
 
 
-def slow_enough(scenario: Scenario) -> FirstWalk:
+def slow_enough(scenario: Scenario, told: Told = lambda _: None) -> FirstWalk:
     """Return a scenario with its cycle, or twice or four times that, whichever is the first at which it walks.
 
     It walks where all grips hold and the base strays by no more than half its height. Where it does at none, the words
@@ -111,6 +136,7 @@ def slow_enough(scenario: Scenario) -> FirstWalk:
         span = 2 * float(cycles[0])
         limits = np.where(endless, math.inf, own.contact.holding_limit)
         walked = _walked(scenario.with_overrides({"duration": span}), {"gait.cycle": cycles, _LIMIT: limits})
+        told(len(times))
         held = walked["upright"] & (walked["detached_limb"] < 0) & ~endless
         if held.any():
             found = float(cycles[np.argmax(held)])
@@ -131,7 +157,7 @@ def slow_enough(scenario: Scenario) -> FirstWalk:
     return FirstWalk(scenario, False, how, math.nan)
 
 
-def on_ceiling(scenario: Scenario) -> tuple[bool, str]:
+def on_ceiling(scenario: Scenario, told: Told = lambda _: None) -> tuple[bool, str]:
     """Return whether a walk holds on a ceiling, and in words the holding limit with which it would hold there.
 
     It is the largest pull on grips that never let go, rounded up: any limit above that changes nothing in the walk.
@@ -139,6 +165,7 @@ def on_ceiling(scenario: Scenario) -> tuple[bool, str]:
     strength, own = float(np.linalg.norm(scenario.gravity)), scenario.contact.holding_limit
     limit, gravity = math.inf if own is None else own, np.array([0.0, 0.0, strength])
     walked = _walked(scenario, {"gravity": gravity, _LIMIT: np.array([limit, math.inf])})
+    told(ON_CEILING)
     pull = float(walked["peak_pull_force"][1])
     robot = load_robot(scenario.robot)
     # it hangs away from the ground: what counts is how far the limbs hold the base

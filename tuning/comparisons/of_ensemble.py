@@ -1,6 +1,7 @@
 """Gains that a search over an ensemble found, on walks that it never saw, beside pd, pd retuned and the scenario's."""
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 
 import xarray as xr
@@ -9,6 +10,7 @@ import mjx_climb as mc
 from mjx_climb.inputs.from_scenario import gains as scenario_gains
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
+from tuning.comparisons import verdicts
 from tuning.comparisons.side_by_side import VARIATION, retuned
 from tuning.comparisons.worth import Worth, between, over_walks
 from tuning.problem.objectives import Objective
@@ -34,6 +36,8 @@ class RobustComparison:
     # walks that break each limit
     summed: xr.Dataset
     worth: Worth | None  # of a force sensor: the result against pd retuned
+    verdict: str  # the result against the best of the others
+    joint: Mapping[str, float]  # gains of pd retuned
     binding: list[str]  # limits that hold the gains where they are, in words
 
 
@@ -43,10 +47,10 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     assert isinstance(goal, Objective)
     with stage("retuned pd", unit="rounds") as told:
         rival = retuned(problem, found.search, found.seeds, out)(told)
-    walked, pd, step = problem, {}, None
+    walked, pd, step, joint = problem, {}, None, dict[str, float]()
     if rival is not None:  # as short a time step as it needs, for all that are compared
-        pd = {retuned_pd.NAME: rival.gains}
-        shortest = retuned_pd.time_step_for(found.scenario, retuned_pd.joint_of(rival))
+        pd, joint = {retuned_pd.NAME: rival.gains}, retuned_pd.joint_of(rival)
+        shortest = retuned_pd.time_step_for(found.scenario, joint)
         step = None if shortest == found.scenario.time_step else shortest
         walked = dataclasses.replace(problem, scenario=found.scenario.with_overrides({"time_step": shortest}))
     rivals = {"robust": found.gains, "config": problem.law or scenario_gains(found.scenario)}
@@ -69,4 +73,13 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
         values = [{"objective": float(scores.sel(gains=n)), VARIATION: mean[VARIATION]} for n, mean in both.items()]
         over = over_walks(walks, "robust", goal)
         worth = between(both.values(), values, retuned_pd.rival_of(rival, step), problem, over=over)
-    return RobustComparison(walks, summed, worth, judging.binding(seen, goal, "robust"))
+    most = broken.max("limit") if broken.size else xr.zeros_like(scores)
+    reached = {
+        name: verdicts.Walked(float(scores.sel(gains=name)), bool(most.sel(gains=name) <= most.sel(gains="robust")))
+        for name in walks["gains"].values.tolist()
+    }
+    said = verdicts.against_best(
+        "robust gains", reached, f"objective over {found.judges} unseen walks", joint=joint,
+        breaks="breaks a limit in more walks",
+    )  # fmt: skip
+    return RobustComparison(walks, summed, worth, said, joint, judging.binding(seen, goal, "robust"))

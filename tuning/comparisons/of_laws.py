@@ -37,5 +37,6 @@ def compare(found: Comparison, stage: Stage = silent) -> LawsComparison:
     with stage("intervals", compiles=False):
         of_laws, goal = shown(problem.metrics), problem.objective
         table = paired.compared(found.data, of_laws, retuned_pd.NAME, goal, shared=found.hardware)
-    verdict = paired.verdict(table, found.laws, reading, found.hardware, found.outside, found.unsettled)
+    joint = retuned_pd.joint_of(found.tuned[retuned_pd.NAME])
+    verdict = paired.verdict(table, found.laws, reading, found.hardware, found.outside, found.unsettled, joint)
     return LawsComparison(table, verdict, reading)

@@ -12,8 +12,17 @@ import mjx_climb as mc
 from mjx_climb.control import PD
 from mjx_climb.inputs.gait_values import GAIT, own_gait
 from tuning.background import Begin, Callback, Stage, Work, background, ignore, silent
-from tuning.comparisons import maps, margins, verification
-from tuning.comparisons.side_by_side import VARIATION, Compared, Values, beside_retuned, gains_of, one_walk, retuned
+from tuning.comparisons import maps, margins, verdicts, verification
+from tuning.comparisons.side_by_side import (
+    LEVEL,
+    VARIATION,
+    Compared,
+    Values,
+    beside_retuned,
+    gains_of,
+    one_walk,
+    retuned,
+)
 from tuning.comparisons.worth import Worth, between
 from tuning.gains.gains_file import replaced
 from tuning.methods import method_of
@@ -67,12 +76,13 @@ class TuneComparison:
     """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
 
     walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
-    rows: Compared  # tuned, retuned_pd, config, pd, all at one time step
+    rows: Compared  # tuned, retuned_pd, config, pd
     over: xr.Dataset | None  # the map around it
     hardware: margins.Found  # on worse hardware
     checked: verification.Verification
     worth: Worth | None  # of a force sensor: the result against pd retuned
-    step: float | None = None  # s, the time step of the rows, where it is not the scenario's
+    verdict: str  # the result against the best of the others
+    step: float | None = None  # s, the time step of pd retuned, where it is not the scenario's
 
 
 def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None) -> TuneComparison:
@@ -94,12 +104,13 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         with stage("retuned pd", unit="rounds") as told:
             rival = others.retuned(told)
         rivals = {"config": margins.Walker(problem.law, {})}
-        step, level = None, dict[str, Work[mc.Trajectory]]()
+        joint, step = {} if rival is None else retuned_pd.joint_of(rival), None
         if rival is not None:
-            joint = retuned_pd.joint_of(rival)
-            walkers = {"tuned": ours, "config": (scenario, found.law), "pd": (under_pd(scenario), None)}
-            walking[retuned_pd.NAME], step, level = beside_retuned(scenario, joint, walkers, engine, start)
-            if step is None:
+            beside = beside_retuned(scenario, joint, ours)
+            walking |= {name: start(one_walk(*walker, engine)) for name, walker in beside.items()}
+            if LEVEL in beside:
+                step = beside[LEVEL][0].time_step
+            else:
                 rivals["retuned pd"] = margins.Walker(PD(), joint)
 
         def find_margins(told: Callback) -> margins.Found:
@@ -107,7 +118,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             how: dict[str, Any] = {"law": found.law, "engine": engine}
             return margins.find(scenario, found.gains, others=rivals, walked=walked, progress=told, **how)
 
-        margin, walks = start(find_margins), {}
+        margin, walks, level = start(find_margins), {}, walking.pop(LEVEL, walking["tuned"])
         for name, walk in walking.items():
             with stage(name) as told:
                 walks[name] = walk(told)
@@ -120,17 +131,25 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             checked = verification.verify(
                 found, problem, metrics=own, walks=over, hardware=hardware, tested=tested(ignore)
             )
-        compared = walks | {name: walk(ignore) for name, walk in level.items()}
-    metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in compared.items()}
+        leveled = level(ignore)
+    metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in walks.items()}
     gains, worth = {name: _with_joint_gains(walk, problem) for name, walk in walks.items()}, None
     if rival is not None:
-        both = metrics["tuned"], metrics[retuned_pd.NAME]
+        both = mc.metrics(leveled, problem.metrics), metrics[retuned_pd.NAME]
         scored = [_scored(problem.objective, each) for each in both]
         worth = between(both, scored, retuned_pd.rival_of(rival, step), problem)
         gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     rows = {name: (gains[name], metrics[name]) for name in order}
-    return TuneComparison(walks, rows, over, hardware, checked, worth, step)
+    walked = {
+        name: verdicts.Walked(
+            _scored(problem.objective, each)["objective"], not verification.broken_limits(problem.objective, each)
+        )
+        for name, (_, each) in rows.items()
+    }
+    apart = None if step is None or worth is None else (step, worth.changes["objective"])
+    said = verdicts.against_best("tuned gains", walked, "objective", joint=joint, level=apart)
+    return TuneComparison(walks, rows, over, hardware, checked, worth, said, step)
 
 
 def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:

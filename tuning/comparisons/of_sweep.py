@@ -12,9 +12,18 @@ import mjx_climb as mc
 from mjx_climb.execution import devices
 from mjx_climb.inputs.resolve import AnyGains
 from tuning.background import Begin, Stage, Work, background, ignore, silent
-from tuning.comparisons import stability_limit
+from tuning.comparisons import stability_limit, verdicts
 from tuning.comparisons.remedies import remedies
-from tuning.comparisons.side_by_side import VARIATION, Compared, Walker, gains_of, walks_together
+from tuning.comparisons.side_by_side import (
+    LEVEL,
+    VARIATION,
+    Compared,
+    Values,
+    Walker,
+    beside_retuned,
+    gains_of,
+    walks_together,
+)
 from tuning.comparisons.worth import Worth, between
 from tuning.gains.gains_file import replaced
 from tuning.numbers import failed
@@ -67,13 +76,14 @@ class SweepComparison:
 
     data: xr.Dataset  # the grid, with the limit of stability
     best: xr.Dataset | None  # its cell, None where all failed
-    # best, pd retuned, gains file, config (or paper), pd: as far as there are such, all at one time step
+    # best, pd retuned, gains file, config (or paper), pd: as far as there are such
     walks: Mapping[str, mc.Trajectory]
     rows: Compared  # gains and metrics of these
     failed: int  # walks of the grid
     at_edge: list[str]  # gains whose end of the axis the best cell lies on
     worth: Worth | None  # of a force sensor: the best against pd retuned
-    step: float | None  # s, the time step of the walks, where it is not the scenario's
+    verdict: str  # the best against the best of the others
+    step: float | None  # s, the time step of pd retuned, where it is not the scenario's
     histories: xr.Dataset  # a grid with time histories: this one, or a coarser one of a large one
     remedies: Sequence[str] = ()  # where all failed: what would keep the grippers of the config's walk shut
 
@@ -98,12 +108,10 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
             if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
                 rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
         walkers, step = _walkers(found, best), None
-        if rival is not None:  # all at the time step that pd retuned needs
-            alone = retuned_pd.walker(problem.scenario, rival.joint)
-            changed = {"time_step": alone.time_step}
-            walkers = {name: (own.with_overrides(changed), each) for name, (own, each) in walkers.items()}
-            walkers[retuned_pd.NAME] = alone, None
-            step = None if alone.time_step == problem.scenario.time_step else alone.time_step
+        if rival is not None:
+            walkers |= beside_retuned(problem.scenario, rival.joint, walkers.get("best"))
+            own_step = walkers[retuned_pd.NAME][0].time_step
+            step = None if own_step == problem.scenario.time_step else own_step
         # side by side: most of the time goes to the compiler, where each has a program of its own
         with stage("walks alone"), ThreadPoolExecutor(devices.usable_cores()) as pool:
 
@@ -125,8 +133,8 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
     if rival is not None:
         rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])
         if best is not None:
-            both = rows["best"][1], theirs
-            scored = [{VARIATION: np.nan if failed(each) else each[VARIATION]} for each in both]
+            both = mc.metrics(walked.get(LEVEL, walked["best"]), problem.metrics), theirs
+            scored = [{VARIATION: _variation(each)} for each in both]
             worth = between(both, scored, rival._replace(step=step), problem, " on this grid")
     data = found.data.assign(spectral_radius=radius)
     failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
@@ -136,7 +144,20 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
     if best is None:
         with stage("what would help", compiles=False):
             remedied = _help(walks, law)
-    return SweepComparison(data, best, walks, rows, failures, edges, worth, step, histories, remedied)
+    said = f"none of the {data['diverged'].size} walks held: every one lost a gripper or diverged"
+    if best is not None:
+        at = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in found.axes)
+        apart = None if step is None or worth is None else (step, worth.changes[VARIATION])
+        each = {name: verdicts.Walked(_variation(metrics)) for name, (_, metrics) in rows.items()}
+        joint = None if rival is None else rival.joint
+        ours_in_words = f"best of {data['diverged'].size} walks, {at}"
+        said = verdicts.against_best(ours_in_words, each, "force variation", "N", joint, apart)
+    return SweepComparison(data, best, walks, rows, failures, edges, worth, said, step, histories, remedied)
+
+
+def _variation(metrics: Values) -> float:
+    """Return the force variation of a walk, NaN where it failed."""
+    return np.nan if failed(metrics) else float(metrics[VARIATION])
 
 
 def _help(walks: Mapping[str, mc.Trajectory], law: mc.Law | None) -> list[str]:

@@ -10,6 +10,8 @@ from scipy.special import betaincinv, stdtr, stdtrit
 
 from mjx_climb.files import dataset
 from tuning.comparisons import judge as judging
+from tuning.comparisons import verdicts
+from tuning.problem.ensemble import Worst
 from tuning.problem.objectives import Objective, Term
 
 RESAMPLES = 4000
@@ -237,6 +239,22 @@ def _lost_of_one_seed(failed: np.ndarray, baseline: int) -> tuple[np.ndarray, np
     return low, high
 
 
+def without_interval(walks: int, worst: Worst | None, *, tails: bool = True) -> list[str]:
+    """Return in a line which differences so many walks can give no interval of, and how many would; none where all do.
+
+    `tails`: whether the worst walks of each metric are compared too.
+    """
+    needed = {"the objective": _fewest(1.0 if worst is None else worst.share)}
+    needed |= {f"the worst {judging.WORST_SHARE:.0%}": _fewest(judging.WORST_SHARE)} if tails else {}
+    lacking = [f"{words} (from {least} on)" for words, least in needed.items() if walks < least]
+    return [f"{walks} test walks give no interval of {' and of '.join(lacking)}"] if lacking else []
+
+
+def _fewest(share: float) -> int:
+    """Return how many walks give an interval of the mean over a share of the worst of them."""
+    return 2 if share == 1 else math.ceil(FEWEST_WORST / share - 1e-9)
+
+
 def compared(
     walks: xr.Dataset, metrics: list[str], baseline: str, goal: Objective, *,
     shared: Collection[str] = (), count: int = RESAMPLES, seed: int = 0,
@@ -276,7 +294,7 @@ def compared(
             table[1, *key, places] = value - value[base]
         for column in range(len(STATISTICS)):
             shares = {(0, 0): _share_of(goal)} | {key: judging.WORST_SHARE for key in statistics if key[1] == 1}
-            enough = {key for key in statistics if shares.get(key, 1) == 1 or shares[key] * members >= FEWEST_WORST}
+            enough = {key for key in statistics if members >= _fewest(shares.get(key, 1.0))}
             family = {key: own for key, own in statistics.items() if key[1] == column and key in enough}
             for key, found in intervals(family, members, base, **how).items():
                 table[:, *key, places] = found
@@ -354,7 +372,7 @@ class Verdict(NamedTuple):
 
 def verdict(
     table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str],
-    outside: Collection[str] = (), unsettled: Collection[str] = (),
+    outside: Collection[str] = (), unsettled: Collection[str] = (), joint: Mapping[str, float] | None = None,
 ) -> Verdict:  # fmt: skip
     """Return which law is better than the baseline, what a force sensor is worth, and what hardware would be.
 
@@ -365,29 +383,32 @@ def verdict(
         hardware: names of the baseline's walks with better hardware.
         outside: those, of the laws and the baseline, of which a search found no gains that keep its limits.
         unsettled: those of which a search had not converged when it ended.
+        joint: the gains of the baseline.
     """
-    said = _verdict(table, laws, reading, hardware, outside)
+    base = verdicts.in_words(table.attrs["baseline"], joint)
+    said = _verdict(table, laws, reading, hardware, outside, base)
     if not unsettled:
         return said
     return said._replace(in_words=f"{said.in_words}; not every search of {', '.join(unsettled)} had converged")
 
 
 def _verdict(
-    table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str], outside: Collection[str]
-) -> Verdict:
+    table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str], outside: Collection[str],
+    base: str,
+) -> Verdict:  # fmt: skip
     if table.attrs["baseline"] in outside:
-        return Verdict(None, "no verdict: a search of retuned pd found no gains that keep its limits")
+        return Verdict(None, f"no verdict: a search of {base} found no gains that keep its limits")
     if not (laws := [name for name in laws if name not in outside]):
-        return Verdict(None, "none is better than retuned pd: of no law all searches found gains that keep the limits")
+        return Verdict(None, f"none is better than {base}: of no law all searches found gains that keep the limits")
     told = {name: _gain(table, name, "objective") for name in (*laws, *hardware)}
     better = [name for name in laws if told[name].real]
     best = max(better, key=lambda name: told[name].size, default=None)
     if best:
-        said = f"{best} is better than retuned pd, by {told[best]} of the objective"
+        said = f"{best} is better than {base}, by {told[best]} of the objective"
         worse = [metric.replace("_", " ") for metric in _metrics(table) if _worse(table, best, metric)]
         said += f", though worse in {', '.join(worse)}" if worse else ""
     else:
-        said = _none_better(table, laws)
+        said = _none_better(table, laws, told, base)
     said += f"; {_sensor(table, [name for name in laws if name in reading])}"
     if not hardware:
         return Verdict(best, said + "; the scenario has no delay, friction or rate to better")
@@ -429,13 +450,15 @@ def _worse(table: xr.Dataset, name: str, metric: str) -> bool:
     return bool(own["real"]) and (float(own["difference"]) > 0) != bool(own["larger_is_better"])
 
 
-def _none_better(table: xr.Dataset, laws: Sequence[str]) -> str:
+def _none_better(table: xr.Dataset, laws: Sequence[str], told: Mapping[str, _Gain], base: str) -> str:
     """Return in words that no law is, or can be told to be, better than the baseline."""
     own = table.sel(metric="objective", statistic="mean", gains=list(laws))
     open_ones = [name for name in laws if not own["real"].sel(gains=name) and not _worse(table, name, "failed")]
     if not open_ones:
-        return "none is better than retuned pd"
-    said = f"{', '.join(open_ones)} cannot be told apart from retuned pd in the objective with {_walks(table)}"
+        nearest = max(laws, key=lambda name: told[name].size)
+        how = f": the nearest, {nearest}, has {-told[nearest].size:.1%} more objective"
+        return f"none is better than {base}{how if np.isfinite(told[nearest].size) else ''}"
+    said = f"{', '.join(open_ones)} cannot be told apart from {base} in the objective with {_walks(table)}"
     seeming = [name for name in open_ones if own["difference"].sel(gains=name) < 0]
     if seeming:
         said += f" ({_needed(own.sel(gains=seeming))}, if the difference is what it seems)"

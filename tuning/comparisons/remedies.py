@@ -39,4 +39,5 @@ def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> 
         how = "it diverges" if found["diverged"] else f"{found['peak_pull_force']:.3g} N"
         pulls.append(f"{change} {how}".strip())
     limit = scenario.contact.holding_limit
-    return f"pull on grips that never let go: {', '.join(pulls)}; contact.holding_limit is {limit:g} N"
+    bears = "null" if limit is None else f"{limit:g} N"
+    return f"pull on grips that never let go: {', '.join(pulls)}; contact.holding_limit is {bears}"

@@ -15,6 +15,7 @@ from tuning.results.tuned import Tuned
 from tuning.searches import retuned_pd
 
 VARIATION = "force_variation"
+LEVEL = "at the time step of pd retuned"  # the name of a walk
 Values = Mapping[str, Any]
 Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
 Walker = tuple[mc.Scenario, mc.Law | None]
@@ -63,20 +64,17 @@ def walks_together(walkers: Mapping[str, Walker], engine: str, begin: Begin) -> 
     return {name: begin(walking(*walker)) for name, walker in walkers.items()}
 
 
-def beside_retuned(
-    scenario: mc.Scenario, joint: Mapping[str, float], walkers: Mapping[str, Walker], engine: str, begin: Begin
-) -> tuple[Work[mc.Trajectory], float | None, dict[str, Work[mc.Trajectory]]]:
-    """Begin the walks by which pd with joint gains of its own is compared with others, all at one time step.
+def beside_retuned(scenario: mc.Scenario, joint: Mapping[str, float], ours: Walker | None) -> dict[str, Walker]:
+    """Return pd with joint gains of its own, at as short a time step as it needs, and as `LEVEL` ours at that step.
 
-    Returns: its walk; the time step, as short as it needs, and the others' walks at this step by their names: None and
-        no walks where it is the scenario's own step.
+    The two are compared at one time step. There is no `LEVEL` where that step is the scenario's.
     """
     alone = retuned_pd.walker(scenario, joint)
-    step = None if alone.time_step == scenario.time_step else alone.time_step
-    level: dict[str, Work[mc.Trajectory]] = {}
-    for name, (own, law) in walkers.items() if step is not None else ():
-        level[name] = begin(one_walk(own.with_overrides({"time_step": step}), law, engine))
-    return begin(one_walk(alone, None, engine)), step, level
+    found: dict[str, Walker] = {retuned_pd.NAME: (alone, None)}
+    if ours is not None and alone.time_step != scenario.time_step:
+        own, law = ours
+        found[LEVEL] = own.with_overrides({"time_step": alone.time_step}), law
+    return found
 
 
 def retuned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None]:

@@ -41,7 +41,9 @@ def load_law(text: str) -> mc.Law:
         try:
             found = found()
         except TypeError as error:
-            raise ConfigError(f"{file}: expected {name} to have a default for every gain: {error}") from None
+            raise ConfigError(
+                f"{file}: expected {name} to have its methods and a default for every gain: {error}"
+            ) from None
     if not isinstance(found, mc.Law):
         raise ConfigError(f"{file}: expected {name} to be a law that inherits from mjx_climb.Law, got {found!r}")
     return found

@@ -1,14 +1,15 @@
 """What a search method is: a class whose generator asks for points and receives what they are worth."""
 
 import abc
+import contextlib
 import dataclasses
 import importlib
 from collections.abc import Callable, Generator
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 
-from mjx_climb.inputs.own_objects import load
+from mjx_climb.inputs.own_objects import in_one_line, load
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.search import METHODS, Search
@@ -82,6 +83,30 @@ class Function(Method):
 
     def run(self, task: Task) -> Points:
         return self.function(task)
+
+
+def own_points(method: Method, task: Task) -> Points:
+    """Yield the requests of a method of the user's own.
+
+    Raises:
+        ConfigError: in one line, the method fails, is no generator, or asks for no points.
+    """
+    named = getattr(method, "function", type(method))
+    name, answer = f"method {getattr(named, '__name__', type(named).__name__)}", cast(Any, None)
+    with in_one_line(name):
+        points = method.run(task)
+    if not isinstance(points, Generator):
+        raise ConfigError(f"{name}: expected a generator of Requests, got {type(points).__name__}")
+    with contextlib.closing(points):
+        while True:
+            with in_one_line(name):
+                try:
+                    request = points.send(answer)
+                except StopIteration:
+                    break
+            answer = yield request
+    if answer is None:
+        raise ConfigError(f"{name}: expected at least one Request of points, got none")
 
 
 def method_of(named: str | Method | type[Method] | Callable[[Task], Points]) -> Method:

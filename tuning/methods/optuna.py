@@ -14,6 +14,7 @@ from tuning.problem.spaces import Space
 
 BATCH = 16
 ROUNDS = 40
+IN_STEPS = ("bruteforce",)  # samplers of values in steps alone, which gains are not
 ENDING = "Sampler"  # of a sampler's class; its name here is the rest, in small letters
 # what a sampler is made with, as far as it takes it; `population_size` and `popsize` besides: one round a generation
 OPTIONS: dict[str, Any] = {"multivariate": True, "constant_liar": True}
@@ -54,6 +55,7 @@ class Optuna(Method):
             name
             for name, parameters in takes.items()
             if "seed" in parameters and all(each.default is not each.empty for each in parameters.values())
+            if name not in IN_STEPS
         ]
         if self.sampler not in alone:
             raise ConfigError(f"method: expected optuna:SAMPLER, one of {', '.join(alone)}, got {self.sampler!r}")

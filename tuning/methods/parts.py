@@ -19,7 +19,9 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
-from mjx_climb.files.writing import OutputError, write_bytes_atomically, write_text_atomically
+from mjx_climb.files.locks import alone, refused
+from mjx_climb.files.reading import read_found
+from mjx_climb.files.writing import OutputError, write_in_place
 from mjx_climb.robot_import.load import model_path
 from tuning import scenario_files
 from tuning.problem.evaluation import Problem
@@ -50,11 +52,15 @@ class Parts:
             return
         self.folder = self.out / FOLDER
         self._identity = json.dumps(identity() if callable(identity) else identity)
-        wanted, stored = json.loads(self._identity), identity_in(self.folder)
-        if stored is None:
-            sealed = {"sha256": _digest(self._identity), "of": wanted}
-            write_text_atomically(self.folder / IDENTITY, json.dumps(sealed, indent=1))
-        elif stored != wanted:
+        wanted = json.loads(self._identity)
+        with refused(self.out):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with alone(self.folder):
+                stored = identity_in(self.folder)
+                if stored is None:
+                    sealed = {"sha256": _digest(self._identity), "of": wanted}
+                    write_in_place(self.folder / IDENTITY, json.dumps(sealed, indent=1).encode())
+        if stored not in (None, wanted):
             differs = ", ".join(differences(stored, wanted)) or "its keys"
             raise OutputError(
                 f"{out}: expected no unfinished computation but this one, got another that differs in {differs} "
@@ -105,7 +111,7 @@ class Parts:
     def _write(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
         buffer = io.BytesIO()
         np.savez(buffer, **dict[str, Any](arrays))
-        write_bytes_atomically(self._file(number), self._sealed(number, buffer.getvalue()))
+        write_in_place(self._file(number), self._sealed(number, buffer.getvalue()))
 
     def _file(self, number: int) -> Path:
         return self.folder / f"part-{number:06d}.npz"
@@ -167,7 +173,7 @@ def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[st
 def identity_in(folder: Path) -> dict[str, Any] | None:
     """Return the identity that the parts in a folder have: None where there is none, empty where it is damaged."""
     try:
-        stored = json.loads((folder / IDENTITY).read_text())
+        stored = json.loads(read_found(folder / IDENTITY))
         found: dict[str, Any] = stored["of"]
         return found if isinstance(found, dict) and stored["sha256"] == _digest(json.dumps(found)) else {}
     except FileNotFoundError:

@@ -1,7 +1,6 @@
 """The page of `tuning.ceiling`: contestants from the best plan found to pd, one sentence, one table, two pictures."""
 
 import itertools
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,9 +8,10 @@ from matplotlib.figure import Figure
 
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
+from tuning.comparisons import verdicts
 from tuning.numbers import number, to_json, unit
-from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
-from tuning.pages.page import Origin, Page, Table
+from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.pages.page import Findings, Origin, Page, Table
 from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, RETUNED, Bounded
 
 BARS = "The objective of each contestant, pd's mean is 1: bars are means, dots the members' walks."
@@ -35,17 +35,18 @@ def noise(found: Bounded) -> float:
 
 def sentence(found: Bounded) -> str:
     """Return the most that a sensor can be worth, and the best law's share of it."""
-    worth, law, walks = found.sensor, best_law(found), found.data.sizes["member"]
-    means = {name: found.values(name).mean() for name in (BLIND, CLAIRVOYANT, law)}
+    worth, walks = found.sensor, found.data.sizes["member"]
+    means = {name: found.values(name).mean() for name in (BLIND, CLAIRVOYANT, best_law(found))}
+    law, reached, share = verdicts.in_words(best_law(found)), means[best_law(found)], found.share(best_law(found))
     if not np.isfinite(worth.mean):
         return "A walk was lost, so that the plans cannot be compared"
     over = f"{LEVEL:.0%} interval {100 * worth.low:.1f} to {100 * worth.high:.1f} over {walks} walks"
     over = "one walk" if walks < 2 else over
     ends = f"the best plan found without a sensor reaches {means[BLIND]:.3f}, with all known {means[CLAIRVOYANT]:.3f}"
     if worth.mean <= noise(found) or not (walks < 2 or worth.low > 0):
-        return f"What a sensor is worth cannot be told from nothing here ({over}): {ends}, {law} {means[law]:.3f}"
-    share = f"{law} reaches {means[law]:.3f}, {found.share(law):.0%} of the way from the one to the other"
-    return f"A sensor is worth at most {100 * worth.mean:.1f} % of pd's objective ({over}): {ends}; {share}"
+        return f"What a sensor is worth cannot be told from nothing here ({over}): {ends}, {law} {reached:.3f}"
+    way = f"{law} reaches {reached:.3f}, {share:.0%} of the way from the one to the other"
+    return f"A sensor is worth at most {100 * worth.mean:.1f} % of pd's objective ({over}): {ends}; {way}"
 
 
 def notes(found: Bounded) -> list[str]:
@@ -124,9 +125,13 @@ def front_table(found: Bounded) -> Table:
 
 
 def summary(found: Bounded) -> dict[str, Any]:
-    """Return it as plain data."""
+    """Return the result as plain data, as `summary.json` and `evaluate --ceiling --json` have it.
+
+    `ceiling`: objective (pd: 1), share and mean metrics of plans (clairvoyant, blind, ...), laws and pd by name;
+    `unseen`: those of blind plan and laws in unseen walks; `sensor`: what a sensor is worth at most, with its interval.
+    """
     worth = found.sensor
-    contestants = {
+    ceiling = {
         name: {"objective": found.values(name).mean(), "share": found.share(name),
                **{metric: float(np.mean(found.data[metric].sel(contestant=name))) for metric in _METRICS}}
         for name in found.contestants
@@ -142,7 +147,7 @@ def summary(found: Bounded) -> dict[str, Any]:
         "sensor": sensor,
         **({"front": {"metrics": [found.asked.better, found.asked.against], "points": front}} if front else {}),
         "unseen": unseen,
-        "contestants": contestants,
+        "ceiling": ceiling,
         "search_noise": noise(found),
         "starts_apart": found.spread,
     }
@@ -208,9 +213,10 @@ def plot_front(found: Bounded) -> Figure:
 
 def contents(found: Bounded, _: None, name: str) -> Contents:
     """Return every contestant's walks with the plans found, two pictures, the page."""
-    lines, text, shown = notes(found), to_json(summary(found)), table(found)
+    first, *more = notes(found)
+    said, text, shown = Findings.of(sentence(found), more, first), to_json(summary(found)), table(found)
     return Contents(
-        Written(data=found.data, outcome=[sentence(found), *lines], summary=text, tables=[shown]),
+        Written(data=found.data, outcome=said.lines, summary=text, tables=[shown]),
         found.problem,
         files_of(found, name)
         | {
@@ -220,19 +226,17 @@ def contents(found: Bounded, _: None, name: str) -> Contents:
             "first_walk": Picture(FORCES, lambda: plot_histories(found)),
         }
         | ({"front": Picture(FRONT, lambda: plot_front(found))} if "front" in found.data else {}),
-        lambda origin: page(found, lines, origin),
+        lambda origin: page(found, said, origin),
     )
 
 
-def page(found: Bounded, lines: Sequence[str], origin: Origin) -> Page:
-    """Return the page; warnings among the lines stand first."""
-    first, *more = lines
+def page(found: Bounded, said: Findings, origin: Origin) -> Page:
+    """Return the page."""
     front = [front_table(found)] if "front" in found.data else []
-    asked, warnings = found.asked, [line for line in more if line.startswith("warning")]
+    asked = found.asked
     return Page(
-        title=f"How good could any law be: {origin.name}", origin=origin, verdict=f"{sentence(found)}.",
-        scenario=found.scenario, notes=sentences([first, *warnings]),
-        more=sentences(line for line in more if line not in warnings),
+        title=f"How good could any law be: {origin.name}", origin=origin, findings=said,
+        scenario=found.scenario,
         tables=[table(found), *front, searches_table(found)],
         main=list(dict.fromkeys((CLAIRVOYANT, BLIND, best_law(found), RETUNED, PD))),
         facts={"precision": asked.precision, "seed": asked.seed, "limits": found.data.attrs["limits"],

@@ -6,6 +6,7 @@ import numpy as np
 
 from mjx_climb import METRICS, Law, MetricTable
 from mjx_climb.files.dataset import SIX
+from tuning.comparisons import verdicts
 from tuning.comparisons.side_by_side import Compared, Values
 from tuning.gains.gains_tables import JOINT_UNITS, labels
 from tuning.numbers import (
@@ -61,7 +62,7 @@ def table(
             for name, base in columns
         )
         rows.append([about.in_words(key), unit(key, about), *cells])
-    return Table(caption, ["metric", "unit", *heads], [("", gains), ("", rows)])
+    return Table(f"{caption}{verdicts.explained(compared)}", ["metric", "unit", *heads], [("", gains), ("", rows)])
 
 
 def gains_table(compared: Compared, law: Law | None = None) -> Table:
@@ -90,10 +91,9 @@ def gains_table(compared: Compared, law: Law | None = None) -> Table:
 
 def against(name: str, walk: str, walks: Mapping[str, Values], about: MetricTable = METRICS) -> str:
     """Return a metric of one of some walks as "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
-    whose = {"paper": "the paper's gains", "config": "the config's gains"}
     own = walks[walk]
     text = f"{number(presentable(own)[name])} {unit(name, about)}".strip()
     for other, values in walks.items():
         if other != walk and (percent := change_of(own, values, name)):
-            text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {whose.get(other, other)}"
+            text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {verdicts.in_words(other)}"
     return text

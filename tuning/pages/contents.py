@@ -1,7 +1,7 @@
 """What the folder of a result holds, as data, before anything is written."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import xarray as xr
@@ -13,6 +13,7 @@ from tuning.gains import gains_file
 from tuning.pages.page import Origin, Page, Table
 from tuning.problem.evaluation import Problem
 from tuning.results.result import Result
+from tuning.searches.retuned_pd import NAME
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure  # which takes long to import
@@ -63,14 +64,9 @@ def files_of(found: Result, name: str) -> dict[str, Any]:
     return files | {file: own.to_yaml() for file, own in settings.items() if own is not None}
 
 
-def sentences(lines: Iterable[str]) -> list[str]:
-    """Return lines with a capital in front and a full stop."""
-    return [f"{line[0].upper()}{line[1:]}".removesuffix(".") + "." for line in lines]
-
-
-def at_one_step(step: float | None, but: str) -> list[str]:
-    """Return at which time step the walks of a table are where it is not the scenario's, and what is not."""
-    return [] if step is None else [f"all walks of the table are at a time step of {step:g} s, {but}"]
+def at_own_step(step: float | None) -> list[str]:
+    """Return at which time step pd retuned walks where it is not the scenario's, in a line; none where it is."""
+    return [] if step is None else [f"{NAME} walks at a time step of {step:g} s, which its kp and kd need"]
 
 
 def worse_than_pd(metrics: Values, baseline: Values, about: mc.MetricTable) -> list[str]:

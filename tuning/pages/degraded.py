@@ -5,10 +5,11 @@ from matplotlib.figure import Figure
 
 from mjx_climb.viz import plots
 from tuning.comparisons import judge as judging
+from tuning.comparisons import verdicts
 from tuning.comparisons.degraded import AS_DRAWN, METRICS, Degradation
 from tuning.numbers import number, to_json
 from tuning.pages.contents import Contents, Picture, Written, files_of
-from tuning.pages.page import Page, Table
+from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import scaled
 from tuning.results.degraded import Degraded
 
@@ -21,17 +22,15 @@ def contents(found: Degraded, compared: Degradation, name: str) -> Contents:
     ensemble = found.ensemble
     assert ensemble is not None
     tables = [losses_table(found, compared), lead_table(found, compared)]
-    sentence, plain = in_words(found, compared), _plain(compared)
-    outcome = [sentence, *judging.lost_in_words(found.data)]
-    summary = to_json(plain)
+    said, summary = Findings(in_words(found, compared), judging.lost_in_words(found.data)), to_json(_plain(compared))
     return Contents(
-        Written(data=found.data, outcome=outcome, summary=summary, tables=tables),
+        Written(data=found.data, outcome=said.lines, summary=summary, tables=tables),
         found.problem,
         files_of(found, name)
         | {"summary.json": summary + "\n", "degraded": Picture(CHANGES, lambda: plot_degraded(found.data))},
         lambda origin: Page(
-            title=f"Gains on worse hardware, {origin.name}", origin=origin, verdict=f"{sentence}.",
-            scenario=found.scenario, notes=outcome[1:], tables=tables, facts={"seed": ensemble.seed},
+            title=f"Gains on worse hardware, {origin.name}", origin=origin, findings=said,
+            scenario=found.scenario, tables=tables, facts={"seed": ensemble.seed},
         ),
     )  # fmt: skip
 
@@ -96,7 +95,11 @@ def in_words(found: Degraded, compared: Degradation) -> str:
     share = table["value"].sel(metric="failed", statistic="mean", gains=settings)
     lost, most = settings[int(share.values.argmax())], round(float(share.max()) * found.data.sizes["member"])
     losing = "none of their walks is lost" if not most else f"{lost} loses {most} walks"
-    return f"{found.data.sizes['member']} walks in each of {len(settings)} settings: {taken}; {losing}"
+    shown, lead = [AS_DRAWN, worst or settings[-1]], ""
+    if name != compared.baseline:
+        each = " and ".join(f"{change(compared.lead[own], 'force_variation', name)} % {own}" for own in shown)
+        lead = f"; beside {verdicts.in_words(compared.baseline)} its force variation is {each}"
+    return f"{found.data.sizes['member']} walks in each of {len(settings)} settings: {taken}; {losing}{lead}"
 
 
 def _plain(compared: Degradation) -> dict[str, dict[str, dict[str, dict[str, float]]]]:

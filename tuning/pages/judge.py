@@ -11,10 +11,11 @@ import mjx_climb as mc
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.comparisons import judge as judging
+from tuning.comparisons import verdicts
 from tuning.comparisons.of_ensemble import shown
 from tuning.numbers import change, number, to_json, unit
 from tuning.pages.contents import Contents, Picture, Written, files_of
-from tuning.pages.page import Page, Table
+from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import COLORS, scaled
 from tuning.problem import ensemble
 from tuning.results.judged import Judged
@@ -26,19 +27,30 @@ def contents(found: Judged, summed: xr.Dataset, name: str) -> Contents:
     """Return every walk, means and worst, the picture, the page; `summed` as of `tuning.comparisons.judge.summary`."""
     ensemble, metrics = found.ensemble, found.problem.metrics
     assert ensemble is not None
-    sentence = f"{ensemble.members} walks each; {judging.failed_in_words(summed)}"
-    outcome = [sentence, *judging.lost_in_words(found.data)]
+    failed = f"{ensemble.members} walks each; {judging.failed_in_words(summed)}"
+    said = Findings.of(verdict(summed), judging.lost_in_words(found.data), failed)
     summary, table = to_json(judging.plain(summed, shown(metrics))), judged_table(summed, metrics)
     return Contents(
-        Written(data=found.data, summed=summed, outcome=outcome, summary=summary, tables=[table]),
+        Written(data=found.data, summed=summed, outcome=said.lines, summary=summary, tables=[table]),
         found.problem,
         files_of(found, name)
         | {"summary.json": summary + "\n", "judged": Picture(SHARES, lambda: plot_judged(found.data))},
         lambda origin: Page(
-            title=f"Gains on the walks of {origin.name}", origin=origin, verdict=f"{sentence}.",
-            scenario=found.scenario, notes=outcome[1:], tables=[table], facts={"seed": ensemble.seed},
+            title=f"Gains on the walks of {origin.name}", origin=origin, findings=said,
+            scenario=found.scenario, tables=[table], facts={"seed": ensemble.seed},
         ),
     )  # fmt: skip
+
+
+def verdict(summed: xr.Dataset) -> str:
+    """Return how the first gains do beside the best of the others that lose no more walks."""
+    first, *_ = names = summed["gains"].values.tolist()
+    means, lost = summed["force_variation"].sel(statistic="mean"), summed["failed"]
+    walked = {
+        name: verdicts.Walked(float(means.sel(gains=name)), bool(lost.sel(gains=name) <= lost.sel(gains=first)))
+        for name in names
+    }
+    return verdicts.against_best(first, walked, "mean force variation", "N", breaks="loses more walks")
 
 
 def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:
@@ -59,7 +71,7 @@ def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Ta
         about = metrics.in_words(name), unit(name, metrics)
         rows = [row(summed[name].sel(statistic=key), *about, label) for key, label in statistics.items()]
         sections.append(("", rows))
-    return Table("On the walks of a fresh draw", columns, sections, 3)
+    return Table(f"On the walks of a fresh draw{verdicts.explained(names)}", columns, sections, 3)
 
 
 @plots.style()

@@ -16,7 +16,7 @@ from mjx_climb.control import law_of
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.comparisons import judge as judging
-from tuning.comparisons import paired
+from tuning.comparisons import paired, verdicts
 from tuning.comparisons.compare import HARDWARE, file_name
 from tuning.comparisons.judge import PD
 from tuning.comparisons.of_laws import LawsComparison
@@ -24,11 +24,10 @@ from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import labels
 from tuning.numbers import gain, number, to_json, unit
-from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
-from tuning.pages.page import Origin, Page, Table
+from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.pages.page import Findings, Origin, Page, Table
 from tuning.results.judged import Comparison
 from tuning.results.tuned import Tuned
-from tuning.searches.retuned_pd import NAME
 
 LAWS = "Differences from retuned pd, with 95 % intervals over walks and seeds; grey where the interval holds 0."
 _NOT_METRICS = {"objective": "objective", "failed": "share lost"}
@@ -54,18 +53,16 @@ def contents(found: Comparison, compared: LawsComparison, name: str) -> Contents
         for law, own in found.tuned.items()
     }  # fmt: skip
     summary = to_json({"verdict": verdict.in_words, "best": verdict.best, "laws": searched, "table": rows})
-    notes = [*notes_of(found, table), *judging.lost_in_words(found.data)]
+    said = Findings.of(verdict.in_words, [*notes_of(found, table), *judging.lost_in_words(found.data)])
     side_by_side = laws_table(table, metrics)
     return Contents(
-        Written(
-            data=found.data, summed=table, outcome=[*notes, verdict.in_words], summary=summary, tables=[side_by_side]
-        ),
+        Written(data=found.data, summed=table, outcome=said.lines, summary=summary, tables=[side_by_side]),
         found.problem,
         files_of(found, name)
         | gains
         | {"compared.csv": to_csv(rows), "summary.json": summary + "\n"}
         | {"compared": Picture(LAWS, lambda: plot_laws(table))},
-        lambda origin: page_of(found, side_by_side, verdict.in_words, notes, origin),
+        lambda origin: page_of(found, side_by_side, said, origin),
     )
 
 
@@ -102,7 +99,7 @@ def laws_table(table: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table
     columns = ["metric", "law", "mean", versus, f"worst {table.attrs['worst_share']:.0%}", versus]
     for name in table["metric"].values.tolist():
         own = table.sel(metric=name)
-        words = [metrics.in_words(name), unit(name, metrics)] if name in metrics.names else [_NOT_METRICS[name], ""]
+        words = _NOT_METRICS.get(name) or f"{metrics.in_words(name)} {unit(name, metrics)}".strip()
         rows: list[list[str]] = []
         for law in table["gains"].values.tolist():
             if name in metrics.names and law in (*HARDWARE, PD):
@@ -112,10 +109,10 @@ def laws_table(table: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table
                 for key in ("mean", "worst")
                 for cell in _versus(own.sel(statistic=key, gains=law), own.sel(statistic=key, gains=base))
             ]
-            rows.append([words[len(rows)] if len(rows) < len(words) else "", law, *cells])
+            rows.append(["" if rows else words, law, *cells])
         sections.append(("", rows))
     caption = f"On {table.attrs['members_compared']} walks that no search saw; ~: no real difference"
-    return Table(caption, columns, sections, 2)
+    return Table(caption + verdicts.explained([base]), columns, sections, 2)
 
 
 def _versus(own: xr.Dataset, base: xr.Dataset) -> tuple[str, str]:
@@ -152,10 +149,8 @@ def notes_of(found: Comparison, table: xr.Dataset) -> list[str]:
         f"all rows of a column at once ({table.attrs['resamples']} resamples of the walks and of {seeds} seeds; lost "
         "walks: McNemar's exact test)",
     ]
-    pd, values = found.tuned[NAME], by_name(found.tuned[NAME].gains)
     if seeds == 1:
         notes.append("each law was searched once: another search may end elsewhere, which no interval here counts")
-    notes.append(f"retuned pd: {', '.join(f'{name} {gain(values, name)}' for name in pd.problem.space.gains)}")
     if found.unsettled:
         notes.append(f"warning: searches of {', '.join(found.unsettled)} ended before they had converged")
     if found.outside:
@@ -178,7 +173,7 @@ def _searches_table(found: Comparison) -> Table:
     return Table("Searches", ["law", "seed", "points", "objective", "converged", "keeps all limits"], [("", rows)], 1)
 
 
-def page_of(found: Comparison, table: Table, verdict: str, notes: Sequence[str], origin: Origin) -> Page:
+def page_of(found: Comparison, table: Table, said: Findings, origin: Origin) -> Page:
     """Return the page of a comparison of laws: what it says, the table, and the gains of each."""
     sections = []
     for name, own in found.tuned.items():
@@ -193,7 +188,7 @@ def page_of(found: Comparison, table: Table, verdict: str, notes: Sequence[str],
     assert found.search is not None
     return Page(
         title=f"Laws compared on {origin.name}: {', '.join(found.laws)} beside retuned pd", origin=origin,
-        verdict=sentences([verdict])[0], scenario=found.scenario, notes=sentences(notes),
+        findings=said, scenario=found.scenario, main=[rows[0][0] for _, rows in table.sections],
         tables=[table, _searches_table(found),
                 Table("Gains found by the best search", ["law", "gain", "unit", "value"], sections, 3)],
         facts={"precision": "float32", "seed": found.search.seed, "env-steps": steps},

@@ -15,14 +15,15 @@ from tuning.numbers import plain
 
 NAME = "report.html"
 HERE = Path(__file__).parent
-ROWS = 5  # of the table on the first screen
-MAIN = ("force variation", "peak foot force", "peak pull force", "cost of transport", "base deviation")
+ROWS = 5  # of the table on the first screen, each of one metric of all that walked
+MAIN = ("objective", "force variation", "peak foot force", "peak pull force", "cost of transport", "base deviation")
 ENVIRONMENT = jinja2.Environment(
     loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
     lstrip_blocks=True,
 )  # fmt: skip
 ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}  # keeps the order of keys
 ENVIRONMENT.filters["plain"] = plain
+ENVIRONMENT.filters["sentence"] = lambda line: f"{line[:1].upper()}{line[1:]}".removesuffix(".") + "."
 ENVIRONMENT.filters["base64"] = lambda file: base64.b64encode(file.read_bytes()).decode()
 
 
@@ -44,6 +45,28 @@ class Part(NamedTuple):
     pictures: Mapping[str, Path] = {}  # PNG files by their captions
 
 
+class Findings(NamedTuple):
+    """The verdict on a result and the lines around it: a terminal ends with the verdict, a page begins with it.
+
+    The lines beside the verdict stand open on the page, the notes are folded away.
+    """
+
+    verdict: str
+    beside: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, verdict: str, lines: Sequence[str], *beside: str) -> "Findings":
+        """Findings with the warnings among the lines beside the verdict, behind `beside`."""
+        warnings = [line for line in lines if line.startswith("warning")]
+        return cls(verdict, [*filter(None, beside), *warnings], [line for line in lines if line not in warnings])
+
+    @property
+    def lines(self) -> list[str]:
+        """All lines in the order of a terminal: the verdict last."""
+        return [*self.notes, *self.beside, self.verdict]
+
+
 class Origin(NamedTuple):
     """Where a page comes from."""
 
@@ -60,33 +83,34 @@ class Page:
 
     title: str
     origin: Origin
-    verdict: str  # one sentence
+    findings: Findings
     scenario: mc.Scenario
-    notes: Sequence[str] = ()  # sentences; warnings stand open, others are folded away
-    more: Sequence[str] = ()  # notes that come after these
     explorers: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)  # by heading
     tables: Sequence[Table] = ()
+    opened: Sequence[Table] = ()  # whole on the first screen
     main: Sequence[str] = MAIN  # the rows of the first table that stand on the first screen
     prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
     own: Sequence[Part] = ()  # sections of the user's
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
 
     @property
-    def warnings(self) -> list[str]:
-        """The notes that stand below the verdict."""
-        return [note for note in self.notes if note.lower().startswith("warning")]
-
-    @property
     def brief(self) -> Table | None:
-        """The `ROWS` of the first table on the first screen: the main ones, or its first; None without one."""
+        """The first table on the first screen: the rows of its main metrics, or its first; None without one.
+
+        A row without a name of its own belongs to the metric above it.
+        """
         if not self.tables:
             return None
-        table = self.tables[0]
-        rows = {row[0]: row for _, rows in reversed(table.sections) for row in reversed(rows)}  # the first of each name
-        chosen = [rows[name] for name in self.main if name in rows] or [
-            row for _, rows in table.sections for row in rows
-        ]
-        return table._replace(sections=[("", chosen[:ROWS])])
+        table, blocks, last = self.tables[0], list[tuple[str, list[Sequence[str]]]](), ""
+        for _, rows in table.sections:
+            for row in rows:
+                if row[0] and row[0] != last:
+                    blocks.append((row[0], []))
+                    last = row[0]
+                blocks[-1][1].append(row)
+        first = dict(reversed(blocks))
+        chosen = [first[name] for name in self.main if name in first] or [rows for _, rows in blocks]
+        return table._replace(sections=[("", [row for rows in chosen[:ROWS] for row in rows])])
 
     @property
     def first_pictures(self) -> dict[str, Path]:
@@ -96,7 +120,7 @@ class Page:
     @property
     def parts(self) -> list[Part]:
         """What is below the first screen, as far as there is any."""
-        notes = [note for note in (*self.notes, *self.more) if note not in self.warnings]
+        notes = self.findings.notes
         others = {caption: file for caption, file in self.origin.pictures.items() if caption not in self.first_pictures}
         parts = [
             Part(f"What else was found ({len(notes)})", notes),

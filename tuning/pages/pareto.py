@@ -11,11 +11,12 @@ from mjx_climb.viz import plots
 from tuning.comparisons.of_front import FrontComparison
 from tuning.numbers import gain, number, to_json, unit
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
+from tuning.pages.contents import Contents, Picture, Written, files_of
 from tuning.pages.explorer import explorer, listed_points
-from tuning.pages.page import Origin, Page, Table
+from tuning.pages.page import Findings, Origin, Page, Table
 from tuning.pages.pictures import COLORS, scaled
 from tuning.results.front import Front, knee, without_sensor
+from tuning.searches.retuned_pd import NAME
 
 FRONT = "The front, and all that was walked on the way."
 
@@ -36,33 +37,41 @@ def contents(found: Front, compared: FrontComparison, name: str) -> Contents:
             "force_sensor": {"in_words": compared.worth},
         }
     )  # fmt: skip
+    said = Findings(verdict(found, compared), [compared.worth])
     table = front_table(data, found.knee, asked.points, found.problem.metrics)
     again = "mjx-climb tune config.yaml --search search.yaml "
     again += f"--better {asked.better} --against {asked.against} --points {asked.points} --out again"
     return Contents(
-        Written(walks=compared.walks, data=data, outcome=[compared.worth], summary=summary, tables=[table]),
+        Written(walks=compared.walks, data=data, outcome=said.lines, summary=summary, tables=[table]),
         found.problem,
         files_of(found, name) | {"summary.json": summary + "\n", "front": Picture(FRONT, lambda: plot_front(data))},
-        lambda origin: page_of(found, compared, table, origin),
+        lambda origin: page_of(found, compared, table, said, origin),
         again,
     )
 
 
-def page_of(found: Front, compared: FrontComparison, table: Table, origin: Origin) -> Page:
+def verdict(found: Front, compared: FrontComparison) -> str:
+    """Return both metrics of the knee in a sentence, beside those of pd retuned, config and pd."""
+    about, front, knee = found.problem.metrics, found.data, found.knee
+    walks = {walk: mc.metrics(trajectory, about) for walk, trajectory in compared.walks.items()}
+    rival, texts = without_sensor(front, knee, about), []
+    for name in (found.asked.better, found.asked.against):
+        walked = {"knee": {name: front[name].values[knee].item()}}  # nothing fails on a front
+        walked |= {} if rival is None else {NAME: {name: rival[f"without_{name}"].item()}}
+        texts.append(f"{about.in_words(name)} {comparison.against(name, 'knee', walked | walks, about)}")
+    return f"the front of {front.sizes['front']} points bends at {'; '.join(texts)}"
+
+
+def page_of(found: Front, compared: FrontComparison, table: Table, said: Findings, origin: Origin) -> Page:
     """Return the page of a front, with the time histories on it, and config and pd walked in double precision."""
     about, front, knee = found.problem.metrics, found.data, found.knee
     better, against = found.asked.better, found.asked.against
     walks, histories = compared.walks, compared.histories
     metrics = {walk: mc.metrics(trajectory, about) for walk, trajectory in walks.items()}
-    texts = []
-    for name in (better, against):
-        walked = {"knee": {name: front[name].values[knee].item()}, **metrics}  # nothing fails on a front
-        texts.append(f"{about.in_words(name)} {comparison.against(name, 'knee', walked, about)}")
     points = listed_points(front, histories, knee, trade=(against, better), about=about)
     return Page(
         title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}", origin=origin,
-        verdict=f"The front of {front.sizes['front']} points bends at {'; '.join(texts)}.",
-        scenario=found.scenario, notes=sentences([compared.worth]),
+        findings=said, scenario=found.scenario,
         tables=[table],
         explorers={"The front": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
         facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},

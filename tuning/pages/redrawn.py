@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mjx_climb.files import dataset
+from mjx_climb.files.reading import read_found
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.viz import plots
 from tuning.comparisons import paired
@@ -86,7 +87,7 @@ def _compared(file: Path) -> Compared:
     """Return gains and metrics of the walks that a summary holds; none where it cannot be read."""
     try:
         found: dict[str, Any] = {}
-        for name, entry in json.loads(file.read_text()).items():
+        for name, entry in json.loads(read_found(file)).items():
             if isinstance(entry, dict) and "metrics" in entry:
                 gains = entry.get("gains")
                 arrays = None if gains is None else {n: np.asarray(v) for n, v in gains.items() if v is not None}

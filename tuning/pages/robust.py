@@ -1,20 +1,20 @@
 """Gains that a search over an ensemble found: page with the walks that test them."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import mjx_climb as mc
 from tuning.comparisons import judge as judging
 from tuning.comparisons.of_ensemble import RobustComparison, shown
-from tuning.comparisons.side_by_side import Compared
+from tuning.comparisons.side_by_side import Values
 from tuning.gains.gains_file import by_name
 from tuning.numbers import to_json
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
+from tuning.pages.contents import Contents, Picture, Written, files_of
 from tuning.pages.judge import SHARES, judged_table, plot_judged
-from tuning.pages.page import Origin, Page, Table
+from tuning.pages.page import Findings, Origin, Page, Table
 from tuning.pages.tune import CONVERGENCE, plot_convergence
 from tuning.results.tuned import AGREEMENT, Robust
+from tuning.searches.retuned_pd import NAME
 
 
 def contents(found: Robust, compared: RobustComparison, name: str) -> Contents:
@@ -28,10 +28,10 @@ def contents(found: Robust, compared: RobustComparison, name: str) -> Contents:
         "objective": found.value, "feasible": found.feasible, "env_steps": found.env_steps,
         "gains": by_name(found.gains),
     }  # fmt: skip
-    outcome, table = outcome_of(found, compared), judged_table(summed, metrics)
+    said, table = findings(found, compared), judged_table(summed, metrics)
     summary = to_json(plain if worth is None else plain | worth.summary)
     return Contents(
-        Written(data=walks, summed=summed, outcome=outcome, summary=summary, tables=[table]),
+        Written(data=walks, summed=summed, outcome=said.lines, summary=summary, tables=[table]),
         found.problem,
         files_of(found, name)
         | {"judged.nc": walks, "summary.json": summary + "\n"}
@@ -39,38 +39,34 @@ def contents(found: Robust, compared: RobustComparison, name: str) -> Contents:
             "convergence": Picture(CONVERGENCE, lambda: plot_convergence(found)),
             "judged": Picture(SHARES, lambda: plot_judged(walks)),
         },
-        lambda origin: page_of(found, table, outcome, origin),
+        lambda origin: page_of(found, compared, table, said, origin),
         "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again",
     )
 
 
-def outcome_of(found: Robust, compared: RobustComparison) -> list[str]:
-    """Return in lines how a result did on the walks that its search never saw."""
+def findings(found: Robust, compared: RobustComparison) -> Findings:
+    """Return the findings on the walks that the search never saw."""
     broken = compared.summed["broken"].sel(gains="robust").to_series()
-    outcome = [] if found.feasible else ["warning: no gains kept every limit in every member of the search"]
-    outcome += [f"warning: {share:.1%} of the fresh walks break {limit}" for limit, share in broken.items() if share]
+    lines = [] if found.feasible else ["warning: no gains kept every limit in every member of the search"]
+    lines += [f"warning: {share:.1%} of the fresh walks break {limit}" for limit, share in broken.items() if share]
     failed = judging.failed_in_words(compared.summed)
-    outcome += [f"{found.judges} walks each that the search never saw; {failed}"]
-    outcome += judging.lost_in_words(compared.walks)
-    outcome += [] if compared.worth is None else [compared.worth.in_words]
-    outcome += [found.data.attrs[AGREEMENT]] if AGREEMENT in found.data.attrs else []
-    return outcome + ([f"held by its limits: {'; '.join(compared.binding)}"] if compared.binding else [])
+    lines += [f"{found.judges} walks each that the search never saw; {failed}"]
+    lines += judging.lost_in_words(compared.walks)
+    lines += [found.data.attrs[AGREEMENT]] if AGREEMENT in found.data.attrs else []
+    lines += [f"held by its limits: {'; '.join(compared.binding)}"] if compared.binding else []
+    return Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
 
 
-def page_of(found: Robust, table: Table, outcome: Sequence[str], origin: Origin) -> Page:
-    """Return the page of a search over an ensemble.
-
-    `table` is of walks that the search never saw; `outcome` says in lines how it went on them, what a force sensor is
-    worth, which limits bind or break.
-    """
-    rivals: Compared = {"robust": (by_name(found.gains), {})}
+def page_of(found: Robust, compared: RobustComparison, table: Table, said: Findings, origin: Origin) -> Page:
+    """Return the page of a search over an ensemble; `table` is of walks that the search never saw."""
+    rivals: dict[str, tuple[Values | None, Values]] = {"robust": (by_name(found.gains), {})}
+    rivals |= {NAME: (compared.joint, {})} if compared.joint else {}
     if not found.law:
         control = found.scenario.control
-        rivals = {**rivals, "config": ({key: getattr(control, key) for key in mc.Gains.AXES}, {})}
-    verdict, *notes = sentences(outcome)
+        rivals |= {"config": ({key: getattr(control, key) for key in mc.Gains.AXES}, {})}
     return Page(
         title=f"Robust gains for {origin.name}: {found.method}, {found.search.space}", origin=origin,
-        verdict=verdict, scenario=found.scenario, notes=notes,
+        findings=said, scenario=found.scenario,
         facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
-        tables=[table, comparison.gains_table(rivals, found.law)],
+        tables=[table], opened=[comparison.gains_table(rivals, found.law)],
     )  # fmt: skip

@@ -1,15 +1,19 @@
 """The results below a folder, from what their folders hold: a page over them."""
 
+import contextlib
 import html
 import json
 import os
-import re
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from mjx_climb.files.dataset import check_folder, write_text_atomically
+from mjx_climb.files.reading import read_found
+from mjx_climb.scenario.messages import printable
 from tuning.numbers import number
 from tuning.pages.page import ENVIRONMENT
 from tuning.pages.page import NAME as REPORT
@@ -18,7 +22,8 @@ from tuning.results.result import RESULTS
 SETTINGS = "settings.json"
 NAME = "runs.html"
 _LONGEST = 40  # characters of a value
-_VERDICT = re.compile(r'<p class="verdict">(.*?)</p>', re.DOTALL)
+_VERDICT = '<p class="verdict">'
+_DAMAGED = f"{SETTINGS} is damaged"
 _COMMAND, _SCENARIO = "command", "scenario."
 
 
@@ -36,7 +41,8 @@ class Run(NamedTuple):
     @property
     def differs(self) -> str:
         """The settings in which it differs, in words."""
-        return ", ".join(f"{key.removeprefix(_SCENARIO)} {_short(value)}" for key, value in self.settings.items())
+        each = (f"{key.removeprefix(_SCENARIO)} {_short(value)}" for key, value in self.settings.items())
+        return printable(", ".join(each))
 
     @property
     def said(self) -> str:
@@ -50,26 +56,36 @@ class Run(NamedTuple):
         return told | {"settings": dict(self.settings)}
 
 
-def below(folder: Path) -> list[Run]:
-    """Return the results in a folder and below it, the newest first."""
+def below(folder: Path, check: Callable[[], None] = lambda: None) -> list[Run]:
+    """Return the results in a folder and below it, the newest first; `check` is called at each folder, to end it."""
     found = []
     for place, folders, files in os.walk(folder):
+        check()
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         marker = next((name for name in RESULTS if name in files), None)
         if marker is None and SETTINGS not in files:
             continue
-        where = Path(place)
-        record = _read(where / SETTINGS)
-        settings = record.get("settings") or {}
-        written = where / (SETTINGS if SETTINGS in files else marker or "")
-        when = datetime.fromtimestamp(written.stat().st_mtime)
-        known = dict(_flat(settings))
-        command = str(known.pop(_COMMAND, marker))
-        name = os.path.relpath(where, folder)
-        whole = record.get("whole", True) is True
-        found.append(Run(where, name, command, when, whole, known, verdict(where)))
+        with contextlib.suppress(OSError):  # removed just now, or not for this user
+            found.append(_run(Path(place), folder, SETTINGS if SETTINGS in files else marker, marker))
     found.sort(key=lambda run: (run.when, run.name), reverse=True)
     return _differing(found)
+
+
+def _run(where: Path, above: Path, written: str | None, marker: str | None) -> Run:
+    """Return the result in a folder; `written` is the file that is as old as the result, `marker` that of its kind."""
+    seconds = os.stat(where / str(written)).st_mtime
+    try:
+        when = datetime.fromtimestamp(seconds)
+    except (OverflowError, ValueError, OSError):  # of a damaged disk or archive
+        when = datetime.fromtimestamp(0)
+    record = _read(where / SETTINGS)
+    settings, said = record.get("settings"), verdict(where)
+    if written == SETTINGS and not ("settings" in record and isinstance(settings, dict | None)):
+        settings, said = {}, said or _DAMAGED
+    known, whole = dict(_flat(settings or {})), record.get("whole", True) is True
+    command = str(known.pop(_COMMAND, marker or "unknown"))
+    name, command, said = map(printable, (os.path.relpath(where, above), command, said))
+    return Run(where, name, command, when, whole, known, said)
 
 
 def _differing(runs: Sequence[Run]) -> list[Run]:
@@ -88,21 +104,21 @@ def _differing(runs: Sequence[Run]) -> list[Run]:
 
 def verdict(folder: Path) -> str:
     """Return the verdict of a result in a sentence, "" where its folder has none."""
-    try:
-        found = _VERDICT.search((folder / REPORT).read_text("utf-8"))
-        if found:
-            return html.unescape(found[1]).strip()
-    except (OSError, UnicodeDecodeError):
-        pass
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        _, _, after = read_found(folder / REPORT).partition(_VERDICT)
+        text, end, _ = after.partition("</p>")
+        if end:
+            return html.unescape(text).strip()
     metrics = _read(folder / "metrics.json")
+    limb, at, variation = (metrics.get(name) for name in ("detached_limb", "detached_at", "force_variation"))
     if "force_variation" in metrics:
-        limb, at = metrics.get("detached_limb"), metrics.get("detached_at")
-        lost = f"limb {limb} let go at {number(at)} s" if limb else "held all the way"
+        at, variation = (number(value) if _real(value) else str(value) for value in (at, variation))
+        lost = f"limb {limb} let go at {at} s" if limb else "held all the way"
         lost = "diverged" if metrics.get("diverged") else lost
-        return f"{lost}: force variation {number(metrics['force_variation'])} N"
-    if warnings := _read(folder / "margins.json").get("warnings"):
-        return "; ".join(map(str, warnings))
-    return ""
+        # of a walk that flew off there is none
+        return lost if metrics["force_variation"] is None else f"{lost}: force variation {variation} N"
+    warnings = _read(folder / "margins.json").get("warnings")
+    return "; ".join(map(str, warnings)) if isinstance(warnings, list) else ""
 
 
 def write(runs: Sequence[Run], folder: Path, out: Path) -> Path:
@@ -113,7 +129,8 @@ def write(runs: Sequence[Run], folder: Path, out: Path) -> Path:
     """
     check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
-    links = {run.name: os.path.relpath(run.folder / REPORT, out) for run in runs if (run.folder / REPORT).is_file()}
+    pages = {run.name: run.folder / REPORT for run in runs if (run.folder / REPORT).is_file()}
+    links = {name: quote(os.fsencode(os.path.relpath(page, out))) for name, page in pages.items()}
     text = ENVIRONMENT.get_template("runs.html.jinja").render(runs=runs, folder=folder, links=links)
     return write_text_atomically(out / NAME, text)
 
@@ -121,10 +138,16 @@ def write(runs: Sequence[Run], folder: Path, out: Path) -> Path:
 def _read(file: Path) -> dict[str, Any]:
     """Return the mapping of a JSON file, an empty one where it cannot be read."""
     try:
-        found = json.loads(file.read_text("utf-8"))
+        found = json.loads(read_found(file))
     except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return found if isinstance(found, dict) and _shallow(found) else {}
+
+
+def _shallow(value: Any, levels: int = 50) -> bool:
+    """Return whether a value of JSON nests no deeper than any result's does: functions here call themselves."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return levels > 0 and all(_shallow(each, levels - 1) for each in inner)
 
 
 def _flat(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
@@ -142,4 +165,5 @@ def _short(value: Any) -> str:
 
 
 def _real(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Return whether a value of JSON is a number that a float can be: an integer there has any length."""
+    return isinstance(value, float) or (type(value) is int and abs(value) < sys.float_info.max)

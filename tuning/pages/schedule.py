@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.numbers import change, gain, has_axes, number, to_json
-from tuning.pages.contents import Contents, Picture, Written, files_of, sentences
-from tuning.pages.page import Origin, Page, Table
+from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.pages.page import Findings, Origin, Page, Table
 from tuning.pages.pictures import plain_numbers
 from tuning.results.scheduled import Scheduled
 from tuning.searches import retuned_pd
@@ -32,16 +32,15 @@ def contents(found: Scheduled, worth: str, name: str) -> Contents:
     if loss < np.inf:
         one = f"the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
     files = {"schedule.csv": to_csv(data), "schedule.yaml": to_yaml(data)}
-    outcome, table = [worth, f"one for all: {one}"], table_of(data)
+    said, table = Findings(worth, [f"one for all: {one}"]), table_of(data)
 
     def page(origin: Origin) -> Page:
         assert found.search is not None
-        verdict, *notes = sentences(outcome)
         title, facts = f"Gains for each gravity and cargo: {origin.name}", {"seed": found.search.seed}
-        return Page(title, origin, verdict, found.scenario, notes, tables=[table], facts=facts)
+        return Page(title, origin, said, found.scenario, tables=[table], facts=facts)
 
     return Contents(
-        Written(data=data, outcome=outcome, summary=to_json(rows(data)), tables=[table]),
+        Written(data=data, outcome=said.lines, summary=to_json(rows(data)), tables=[table]),
         found.problem,
         files_of(found, name) | files | {"schedule": Picture(SCHEDULE, lambda: plot_schedule(data))},
         page,

@@ -3,13 +3,12 @@
 A function of a result and of its comparison (None without one) makes it.
 """
 
-import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import xarray as xr
 
-from mjx_climb.inputs.own_objects import load
+from mjx_climb.inputs.own_objects import in_one_line, load
 from mjx_climb.scenario.messages import ConfigError
 from tuning.pages.contents import Picture as Picture
 from tuning.pages.page import Table as Table
@@ -53,7 +52,7 @@ def sections_of(functions: Iterable[SectionOf], found: object, compared: object)
     sections = []
     for function in functions:
         name = getattr(function, "__name__", type(function).__name__)
-        with _in_one_line(name):
+        with in_one_line(f"section {name}"):
             section = function(found, compared)
         if section is not None:
             if not isinstance(section, Section):
@@ -65,16 +64,7 @@ def sections_of(functions: Iterable[SectionOf], found: object, compared: object)
 
 def _named(name: str, picture: Picture) -> "Callable[[], Figure]":
     def draw() -> "Figure":
-        with _in_one_line(name):
+        with in_one_line(f"section {name}"):
             return picture.draw()
 
     return draw
-
-
-@contextlib.contextmanager
-def _in_one_line(name: str) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else ""
-        raise ConfigError(f"section {name}: {type(error).__name__}: {reason}") from error

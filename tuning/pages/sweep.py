@@ -1,7 +1,7 @@
 """A sweep: its maps, page with the walks beside it."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,12 @@ from mjx_climb import trajectory
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
 from tuning.comparisons.of_sweep import SweepComparison, own_name
-from tuning.comparisons.side_by_side import VARIATION, Compared, Values
-from tuning.numbers import failed, number, remarks, to_json
+from tuning.comparisons.side_by_side import Compared, Values
+from tuning.numbers import presentable, remarks, to_json
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, Written, at_one_step, sentences, worse_than_pd
+from tuning.pages.contents import Contents, Picture, Written, at_own_step, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
-from tuning.pages.page import Origin, Page
+from tuning.pages.page import Findings, Origin, Page
 from tuning.problem.evaluation import Problem
 from tuning.results.swept import Swept, axes_of, best_cell
 
@@ -33,28 +33,26 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     walked = dataclasses.replace(found.problem, scenario=scenario)
     count, edges = data["diverged"].size, compared.at_edge
     walks = {
-        "config" if name == "paper" else name: {"gains": gains, "metrics": metrics}
+        "config" if name == "paper" else name: {"gains": gains, "metrics": presentable(metrics, None)}
         for name, (gains, metrics) in compared.rows.items()
     }
     sensor = {} if compared.worth is None else compared.worth.summary
     counts = {"walks": count, "failed": compared.failed, "best_at_edge_of": edges}
     summary = to_json({"best": None} | walks | sensor | {"grid": counts})
-    widen = [f"the best lies on the edge of the grid: widen {name}" for name in edges]
-    worth, own_step = [] if compared.worth is None else [compared.worth.in_words], scenario.time_step
-    cell = "" if best is None else f", where the best cell has {number(best[VARIATION].item())} N"
-    worth += at_one_step(compared.step, f"the maps at {own_step:g} s{cell}")
-    if best is None:
-        outcome = [f"no walk of the grid held: all {count} detached or diverged"]
-    else:
-        at = ", ".join(f"{name} {best[name].item():.4g}" for name in found.axes)
-        outcome = [f"best: {at} ({compared.failed} of {count} walks detached or diverged)", *widen]
-    outcome += worth + remarks({name: metrics for name, (_, metrics) in compared.rows.items()})
+    metrics = {name: own for name, (_, own) in compared.rows.items()}
+    lines = [f"warning: the best lies on the edge of the grid: widen {name}" for name in edges]
+    if best is not None:
+        missed = metrics["best"].get("missed_grips")
+        lines.append(f"{compared.failed} of {count} walks lost a gripper or diverged")
+        lines += [f"warning: {missed} grips of the best missed the ground"] if missed else []
+        lines += worse_than_pd(metrics["best"], metrics["pd"], found.problem.metrics)
+    lines += [*at_own_step(compared.step), *remarks(metrics), *compared.remedies]
+    said = Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
     listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
     call = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed})'
     return Contents(
         Written(
-            walks=compared.walks, compared=compared.rows, data=data, outcome=[*outcome, *compared.remedies],
-            summary=summary,
+            walks=compared.walks, compared=compared.rows, data=data, outcome=said.lines, summary=summary
         ),
         dataclasses.replace(walked, law=law),
         {
@@ -62,7 +60,7 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
             "maps": Picture(MAPS, lambda: sheet(data, compared.rows)),
             "comparison.json": summary + "\n",
         },
-        lambda origin: page_of(walked, compared, [*worth, *widen], origin),
+        lambda origin: page_of(walked, compared, said, origin),
         f'tuning.write({call}, "again")',
     )  # fmt: skip
 
@@ -85,7 +83,9 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     rows = {own_name(found.problem) if key == "config" else key: walk for key, walk in walks.items()}
     listed = ", ".join(f"{axis} {value:.4g}" for axis, value in at.items())
     outcome = f"best so far, in single precision: {listed}; {LACKS} are missing here"
-    summary = to_json({key: {"gains": values, "metrics": metrics} for key, (values, metrics) in walks.items()})
+    summary = to_json(
+        {key: {"gains": values, "metrics": presentable(metrics, None)} for key, (values, metrics) in walks.items()}
+    )
     baseline = named["pd"]["force_variation"] if "pd" in named else None
     table = comparison.table(rows, "Walks of the grid, in single precision", about, found.problem.law)
 
@@ -95,8 +95,7 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     def page(origin: Origin) -> Page:
         again = "The same command, as it stands below, goes on with them."
         return Page(
-            f"Sweep of {origin.name}, not yet compared", origin, sentences([outcome])[0], scenario, [again],
-            tables=[table],
+            f"Sweep of {origin.name}, not yet compared", origin, Findings(outcome, [again]), scenario, tables=[table],
         )  # fmt: skip
 
     return Contents(
@@ -111,25 +110,14 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     )  # fmt: skip
 
 
-def page_of(problem: Problem, compared: SweepComparison, notes: Sequence[str], origin: Origin) -> Page:
-    """Return the page of a sweep: its maps with gains marked on them, time histories, and notes that stand first."""
+def page_of(problem: Problem, compared: SweepComparison, said: Findings, origin: Origin) -> Page:
+    """Return the page of a sweep: its maps with gains marked on them, and time histories."""
     grid, best, rows, about = compared.data, compared.best, compared.rows, problem.metrics
     histories = compared.histories
     axes, metrics = axes_of(grid), {walk: numbers for walk, (_, numbers) in rows.items()}
-    count, kept, found = grid["diverged"].size, histories["diverged"].size, list(notes)
-    if best is None:
-        verdict = f"None of the {count} walks held: every one lost a gripper or diverged."
-    else:
-        name, won = "force_variation", metrics["best"]
-        gains = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in axes)
-        text, missed = comparison.against(name, "best", metrics, about), won.get("missed_grips")
-        grips = f"every grip holds, but {missed} missed the ground" if missed else "every gripper holds"
-        verdict = f"Of {count} walks, {gains} are best: force variation {text}; {failed(won) or grips}."
-        found.append(f"{compared.failed} of the {count} walks lost a gripper or diverged")
-        found += worse_than_pd(won, metrics["pd"], about)
-    found += remarks(metrics)
+    count, kept, notes = grid["diverged"].size, histories["diverged"].size, [*said.notes]
     if kept < count:
-        found.append(f"the page holds the time histories of {kept} of the cells; a click shows the nearest of them")
+        notes.append(f"the page holds the time histories of {kept} of the cells; a click shows the nearest of them")
     begin = best if best is not None else grid.isel(dict.fromkeys(axes, 0))
     points = grid_points(grid, histories, metrics["pd"], marks(grid, rows), begin)
     walks = {name: compared.walks[name] for name in reversed(list(compared.walks))}
@@ -140,7 +128,7 @@ def page_of(problem: Problem, compared: SweepComparison, notes: Sequence[str], o
     how: dict[str, Any] = {"shown": ("pd",), "about": about, "scenario": problem.scenario}
     return Page(
         title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", origin=origin,
-        verdict=verdict, scenario=problem.scenario, notes=sentences(found), facts=facts,
+        findings=said._replace(notes=notes), scenario=problem.scenario, facts=facts,
         explorers={"Maps and walks": explorer(walks, metrics, points=points, **how)},
         tables=[comparison.table(rows, "Walks in double precision", about, problem.law)],
     )  # fmt: skip

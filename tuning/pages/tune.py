@@ -1,7 +1,7 @@
 """Gains that a search found: page with the map around them and what their tests found, pictures of the search."""
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,12 @@ from tuning.comparisons import margins, verification
 from tuning.comparisons.of_search import TuneComparison
 from tuning.comparisons.side_by_side import Values
 from tuning.gains.gains_file import by_name
-from tuning.numbers import axis_values, number, remarks, to_json
+from tuning.numbers import axis_values, number, presentable, remarks, to_json
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, Written, at_one_step, files_of, sentences, worse_than_pd
+from tuning.pages.contents import Contents, Picture, Written, at_own_step, files_of, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
 from tuning.pages.margins import plot_margins
-from tuning.pages.page import Origin, Page, Table
+from tuning.pages.page import Findings, Origin, Page, Table
 from tuning.problem.spaces import kind_of
 from tuning.results.swept import axes_of
 from tuning.results.tuned import AGREEMENT, Tuned
@@ -40,18 +40,19 @@ def contents(found: Tuned, compared: TuneComparison, name: str) -> Contents:
     over, rows, checked, goal = compared.over, compared.rows, compared.checked, found.problem.objective
     broken = {name: verification.broken_limits(goal, metrics) for name, (_, metrics) in rows.items()}
     broken["tuned"] = checked.broken_limits
-    outcome = [f"warning: the tuned gains break limits: {'; '.join(broken['tuned'])}"] if broken["tuned"] else []
-    outcome += [] if compared.worth is None else [compared.worth.in_words]
-    outcome += [found.data.attrs[AGREEMENT]] if AGREEMENT in found.data.attrs else []
-    outcome += at_one_step(compared.step, f"search, map and limits are at {found.scenario.time_step:g} s")
-    outcome += [f"warning: {line}" for line in checked.warnings]
+    metrics = {name: own for name, (_, own) in rows.items()}
+    lines = [f"warning: the tuned gains break limits: {'; '.join(broken['tuned'])}"] if broken["tuned"] else []
+    lines += [found.data.attrs[AGREEMENT]] if AGREEMENT in found.data.attrs else []
+    lines += at_own_step(compared.step)
+    lines += [f"warning: {line}" for line in checked.warnings]
     if broken["config"]:
-        outcome.append(f"the config's own gains break limits: {'; '.join(broken['config'])}")
-    outcome += remarks({name: metrics for name, (_, metrics) in rows.items()})
-    tests = _outcome_of(checked, found) + _turns(found, compared.walks["tuned"])
+        lines.append(f"the config's own gains break limits: {'; '.join(broken['config'])}")
+    lines += remarks(metrics) + worse_than_pd(metrics["tuned"], metrics["pd"], found.problem.metrics)
+    lines += _outcome_of(checked, found) + _turns(found, compared.walks["tuned"])
+    said = Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
     plain: dict[str, Any] = {
-        name: {"gains": gains, "metrics": metrics, "broken_limits": broken[name]}
-        for name, (gains, metrics) in rows.items()
+        name: {"gains": gains, "metrics": presentable(own, None), "broken_limits": broken[name]}
+        for name, (gains, own) in rows.items()
     }
     plain["search"] = {
         **found.search.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
@@ -71,10 +72,10 @@ def contents(found: Tuned, compared: TuneComparison, name: str) -> Contents:
     if over is not None:
         files["path"] = Picture(PATH, lambda: plot_path(found, over))
     return Contents(
-        Written(walks=compared.walks, compared=rows, data=over, outcome=outcome + tests, summary=summary),
+        Written(walks=compared.walks, compared=rows, data=over, outcome=said.lines, summary=summary),
         found.problem,
         files,
-        lambda origin: page_of(found, compared, outcome, tests, origin),
+        lambda origin: page_of(found, compared, said, origin),
         "mjx-climb tune config.yaml --search search.yaml --out again",
     )
 
@@ -111,23 +112,15 @@ def _outcome_of(checked: verification.Verification, found: Tuned) -> list[str]:
     return lines
 
 
-def page_of(
-    found: Tuned, compared: TuneComparison, outcome: Iterable[str], tests: Iterable[str], origin: Origin
-) -> Page:
-    """Return the page of a search: what matters most in the lines of `outcome`, what else the tests found folded."""
+def page_of(found: Tuned, compared: TuneComparison, said: Findings, origin: Origin) -> Page:
+    """Return the page of a search."""
     search, about, checked, rows = found.search, found.problem.metrics, compared.checked, compared.rows
     metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
-    scores = []
-    for name in [name for name, weight in search.weights.items() if weight and found.problem.own_objective is None]:
-        three = {walk: metrics[walk] for walk in ("tuned", "pd", "config")}
-        scores.append(f"{about.in_words(name)} {comparison.against(name, 'tuned', three, about)}")
-    limits = "every limit is kept" if checked.passed else f"limits are broken: {', '.join(checked.broken_limits)}"
     points = None if compared.over is None else _points_of_map(found, compared.over, metrics["pd"])
     title = "Map: the same gains on all axes, around the result" if points else "Walks"
     walks = {name: compared.walks[name] for name in reversed(list(rows))}
     objective = {"tuned": {"objective": checked.value}, "pd": {"objective": found.of_pd}}
     values = {walk: {**numbers, **objective.get(walk, {})} for walk, numbers in metrics.items()}
-    open_notes, folded = ([line[0].upper() + line[1:] for line in lines] for lines in (outcome, tests))
     side_by_side = comparison.table(rows, "Walks in double precision", about, found.law)
     caption = "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more"
     around = []
@@ -141,9 +134,7 @@ def page_of(
     near = Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", around)], 1)
     return Page(
         title=f"Tuned gains for {origin.name}: {found.method}, {search.space}", origin=origin,
-        verdict=f"Tuned gains score {checked.value:.4f} of pd's {found.of_pd:.4g}: {'; '.join([*scores, limits])}.",
-        scenario=found.scenario, more=folded,
-        notes=[*open_notes, *sentences(worse_than_pd(metrics["tuned"], metrics["pd"], about))],
+        findings=said, scenario=found.scenario,
         explorers={
             title: explorer(walks, values, shown=("pd", "tuned"), opens_on="tuned", points=points, about=about)
         },

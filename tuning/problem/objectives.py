@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
+from mjx_climb.inputs.own_objects import in_one_line
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import PREFIX
 from tuning.problem.ensemble import Worst, worst_mean
@@ -235,12 +236,9 @@ def _with_companions(metrics: Metrics) -> Metrics:
 
 
 def _of_pd(function: Callable[[Metrics], Array], baseline: Mapping[str, Any]) -> float:
-    try:
-        known = _with_companions({name: jnp.asarray(each) for name, each in baseline.items()})
+    known = _with_companions({name: jnp.asarray(each) for name, each in baseline.items()})
+    with in_one_line("objective"):
         value = np.asarray(function(known), float)
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else ""
-        raise ConfigError(f"objective: {type(error).__name__}: {reason}") from error
     if not np.isfinite(value).all():
         raise ConfigError(f"objective: expected a number of pd's walk, got {value}")
     return float(value.mean())

@@ -110,6 +110,9 @@ class Search(Settings):
         for name, (low, high) in self.bounds.items():
             if not low < high:
                 raise ValueError(f"bounds.{name}: expected low < high, got {low:g}, {high:g}")
+        for one, other in itertools.combinations(("pins", "frozen", "bounds"), 2):
+            if both := [name for name in getattr(self, one) if name in getattr(self, other)]:
+                raise ValueError(f"{one}.{both[0]}: expected one setting of this gain, got {other}.{both[0]} too")
         return self
 
 

@@ -202,13 +202,16 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     own = own_values(scenario, law) | joint
     bounds: dict[str, tuple[float, float]] = {}
     known: set[str] = set()  # keys that the settings may name
+    used: set[str] = set()  # of these, those that decide about a number
 
     def number(keys: list[str], value: float, field: ValueField | None) -> str | float:
-        """Return a number's name, or its value where that is held, by its keys from the general to the particular."""
+        """Return a number's name, or its value where that is held, by its keys: the most particular one decides."""
         known.update(keys)
-        if pinned := [search.pins[key] for key in keys if key in search.pins]:
-            return pinned[-1]
-        if not {*search.frozen}.isdisjoint(keys):
+        named = next((key for key in reversed(keys) if key in {*search.pins, *search.frozen, *search.bounds}), "")
+        used.add(named)
+        if named in search.pins:
+            return search.pins[named]
+        if named in search.frozen:
             return value
         sources = search.bounds, defaults  # the user's before the defaults
         low, high = next(source[key] for source in sources for key in reversed(keys) if key in source)
@@ -227,6 +230,7 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
             entries[gain] = [*searched, *values[len(keys) :]]
         else:
             known.update({gain} & search.pins.keys())
+            used.add(gain)
             entries[gain] = [search.pins.get(gain, each) for each in values]
     numbered = {key for key in known if key.rpartition(".")[2].isdigit()}
     for section in ("bounds", "pins", "frozen"):
@@ -234,6 +238,8 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         for key in getattr(search, section):
             if key not in allowed:
                 raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(allowed - numbered))}")
+            if key not in used:
+                raise ConfigError(f"{section}.{key}: expected a gain with numbers of no other setting, got none")
     for key, value in search.pins.items():
         if not (value > 0 or signed(law.GAINS.get(kind_of(key)))):
             raise ConfigError(f"pins.{key}: expected a number above 0, got {value:g}")

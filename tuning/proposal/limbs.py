@@ -5,26 +5,28 @@ import os
 import re
 from collections.abc import Sequence
 from typing import NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot.constants import RobotError
-from mjx_climb.robot_import.bodies import at_zero, beginning, joints_of, rigid_parts, robot_in
-from mjx_climb.robot_import.description import SPECK, TURNED, bare, compiled, described, is_urdf, text_of
+from mjx_climb.robot_import.bodies import at_zero, beginning, robot_in
+from mjx_climb.robot_import.description import TURNED, bare, compiled, described
 from mjx_climb.scenario.model import MAX_LIMBS, MIN_LIMBS
+from tuning.proposal.tree import FEWEST_JOINTS, UPRIGHT, Tree, fixed_joints
 
-MOST_JOINTS, FEWEST_JOINTS = 7, 2  # of a limb
-# beyond `_ARM` joints, branches of `_FINGER` joints or fewer are the fingers of a hand
-_ARM, _FINGER = 3, 3
+MOST_JOINTS = 7  # of a limb
 # largest difference in joints from the number that three limbs or more of the robot have
 _ALIKE = 2
 # points at this share of the largest distance from the joint are part of a link's end
 _AS_FAR = 0.98
+# a body fixed to the last link is taken for its end from this share of the end that weights suggest
+_NEAR_END = 0.75
+_TILT = 0.2  # of the limbs' length, heights that are level all the same
 _SHORT = 1e-3  # m, shortest last link with an end of its own
 _FOOT = re.compile(
-    r"foot|feet|toe|grip|hand|palm|wheel|claw|magnet|hoof|(?<![a-z])(ee|end|tip|tool|tcp)(?![a-z])", re.IGNORECASE
+    r"foot|feet|toe|grip|hand|palm|wheel|claw|magnet|hoof|paw|suction|sucker|hook|spike|effector|tarsus|contact"
+    r"|(?<![a-z])(ee|eef|end|tip|tool|tcp|pad|sole|cup|pincer|anchor)(?![a-z])"
 )
 
 
@@ -64,13 +66,15 @@ class Found:
         if self.model.nbody < 2:
             raise RobotError(f"{self.path}: expected a robot, got a file without bodies")
         why = "as told" if base else "the link that floats, or that all limbs meet in"
-        if base is None and (base := _middle_of(self.model)):
+        tree = _tree(self.model)
+        if base is None and (base := tree.middle()):
             self.model = robot_in(self.path, base)
             why = "the middle of the one row of joints, from foot to foot; --base takes another"
-        elif base is None and (base := _below_dummies(self.model)):
+        elif base is None and (base := tree.below_dummies()):
             self.model = robot_in(self.path, base)
             why = "the link that all limbs meet in; those from the file's root to it weigh nothing"
-        hub = self.model.body(base).id if base else _hub_of(self.model)
+        self.tree = _tree(self.model) if base else tree
+        hub = self.model.body(base).id if base else tree.hub()
         self.root = base  # the body that was made the model's root; None: it is the file's
         self.base = int(self.model.body_rootid[hub])  # joints from there to the hub are of no limb
         self.note("taken", f"base {self.model.body(self.base).name!r}", why)
@@ -90,15 +94,14 @@ class Found:
     def _limbs(self, hub: int) -> list[Chain]:
         """Return the rows that end in feet, of about the commonest number of joints."""
         model = self.model
-        rows, part = _rows(model, hub), rigid_parts(model)
-        last = {body: [b for b in range(model.nbody) if part[b] == body] for body in (row[-1] for row in rows)}
-        names = {model.body(b).name for bodies in last.values() for b in bodies}
+        rows = self.tree.rows(hub)
+        names = {model.body(b).name for row in rows for b in self.tree.bodies[row[-1]]}
         try:
             shaped = compiled(self.path, bare(self.path, names))
         except RobotError as error:  # a mesh that cannot be read
             shaped = model
             self.note("ignored", "meshes of the last links", str(error))
-        chains = [_footed(model, row, last[row[-1]], shaped) for row in rows]
+        chains = [_footed(self.tree, row, shaped) for row in rows]
         if driven := driven_joints(self.described):
             chains = [chain for chain in chains if driven & {model.joint(j).name for j in chain.joints}]
         for number, chain in enumerate(chains):
@@ -126,84 +129,56 @@ class Found:
         return limbs
 
     def _check_level(self, limbs: dict[str, Chain]) -> None:
-        data = at_zero(self.model)
-        if self.model.nkey:
-            data.qpos[:] = self.model.key_qpos[0]
-            mujoco.mj_kinematics(self.model, data)
-        # of the first and the last joint of each limb, (limb, 2) m
-        anchors = data.xanchor[[[chain.joints[0], chain.joints[-1]] for chain in limbs.values()]]
-        heights = anchors @ data.xmat[self.base].reshape(3, 3)[:, 2]
+        anchors, _ = self._anchors(limbs)
+        heights = anchors[..., 2]
         above = heights - heights.min(0)
-        quarter = (heights[:, 0].max() - heights[:, 1].min()) / 4
+        length = np.linalg.norm(anchors[:, 1] - anchors[:, 0], axis=1).mean()
+        quarter = max(heights[:, 0].max() - heights[:, 1].min(), _TILT * length) / 4
         low, high = (
             [name for name, is_so in zip(limbs, so.all(1), strict=True) if is_so]
             for so in (above < quarter, above > quarter)
         )
         if len(low) >= MIN_LIMBS and high:
+            if advice := self.other_up(limbs):
+                raise RobotError(f"{self.path}: {advice}")
             got = f"{', '.join(high)} above {', '.join(low)}"
             choose = f"choose with --limbs {','.join(low)}, or --limbs {','.join(limbs)}"
             raise RobotError(f"{self.path}: expected limbs that stand on the ground, got {got}: {choose}")
 
+    def _anchors(self, limbs: dict[str, Chain]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first and the last joints of limbs (limb, 2, 3) m, and axes of the first, in the base's axes.
 
-def _hub_of(model: mujoco.MjModel) -> int:
-    """Return the body that limbs begin at: the floating one, or the first one from the root outwards."""
-    part = rigid_parts(model)
-    rows = {body: len(_beyond(model, body)) for body in range(1, model.nbody) if part[body] == body}
-    floating = [int(model.jnt_bodyid[joint]) for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)]
-    if floating and rows[most := max(floating, key=lambda body: rows[body])] >= MIN_LIMBS:
-        return most
-    hubs = [body for body, count in rows.items() if count >= MIN_LIMBS]
-    return next((body for body in hubs if model.body_rootid[body] in floating), hubs[0] if hubs else 1)
+        They are as the file's first keyframe has them, or else with the joints at zero.
+        """
+        data = at_zero(self.model, self.tree.fixed)
+        if self.model.nkey:
+            data.qpos[:] = self.model.key_qpos[0]
+            mujoco.mj_kinematics(self.model, data)
+        ends = [[chain.joints[0], chain.joints[-1]] for chain in limbs.values()]
+        axes = data.xmat[self.base].reshape(3, 3)
+        return data.xanchor[ends] @ axes, data.xaxis[[first for first, _ in ends]] @ axes
 
+    def other_up(self, limbs: dict[str, Chain]) -> str | None:
+        """Return in words that another axis of the base than z seems to be up; None where none does.
 
-def _middle_of(model: mujoco.MjModel) -> str | None:
-    """Return the body in the middle of a robot that is one row of joints, from foot to foot; None of any other."""
-    rows = _rows(model, 1)
-    joints = [body for body in rows[0] for _ in joints_of(model, body)] if len(rows) == 1 else []
-    floats = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any()
-    if floats or len(joints) < 2 * FEWEST_JOINTS or any(len(_beyond(model, body)) > 1 for body in joints):
-        return None
-    return str(model.body(joints[len(joints) // 2 - 1]).name)
-
-
-def _below_dummies(model: mujoco.MjModel) -> str | None:
-    """Return the body that all limbs hang on, where it is not the root and what is above it weighs nothing; else None.
-
-    Many a URDF has such a root, `base_footprint`, on the floor (ROS REP 120). A file with keyframes keeps its root,
-    which these place.
-    """
-    hub = _hub_of(model)
-    rows = []  # of bodies, from the hub to what each limb hangs on
-    for body in model.body_parentid[_beyond(model, hub)].tolist():
-        row = [body]
-        while row[0] not in (0, hub):
-            row.insert(0, int(model.body_parentid[row[0]]))
-        rows.append(row)
-    shared = [bodies[0] for bodies in zip(*rows, strict=False) if len(set(bodies)) == 1]
-    if model.nkey or len(shared) < 2 or model.body_rootid[hub] != hub or (model.body_mass[shared[:-1]] > SPECK).any():
-        return None
-    return str(model.body(shared[-1]).name)
-
-
-def _beyond(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return the jointed bodies that hang on the rigid part that begins with a body."""
-    part = rigid_parts(model)
-    return [b for b in range(1, model.nbody) if model.body_jntnum[b] and part[model.body_parentid[b]] == body != b]
-
-
-def _rows(model: mujoco.MjModel, base: int) -> list[list[int]]:
-    """Return rows of bodies from the base outwards, at each fork along the longest branch, as far as to fingers."""
-
-    def count(row: list[int]) -> int:
-        return int(model.body_jntnum[row].sum())
-
-    def longest(body: int, before: int) -> list[int]:
-        joints = before + int(model.body_jntnum[body])
-        branches = [longest(b, joints) for b in _beyond(model, body)]
-        fingers = len(branches) > 1 and joints >= _ARM and all(count(branch) <= _FINGER for branch in branches)
-        return [body] if fingers else [body, *max(branches, key=count, default=[])]
-
-    return [longest(body, 0) for body in _beyond(model, rigid_parts(model)[base])]
+        All limbs hang along it, or all begin with a joint that turns about it.
+        """
+        anchors, axes = self._anchors(limbs)
+        ways = anchors[:, 1] - anchors[:, 0]
+        hang = ways.mean(0) / max(float(np.linalg.norm(ways, axis=1).mean()), 1e-9)
+        along = int(np.abs(hang).argmax())
+        if abs(hang[along]) > UPRIGHT:
+            got = f"limbs that hang along its {'+' if hang[along] > 0 else '-'}{'xyz'[along]}"
+            upright = along == 2 and hang[2] < 0
+        else:
+            common = np.abs(axes).min(0)
+            along = int(common.argmax())
+            got, upright = f"limbs that all yaw about its {'xyz'[along]}", along == 2 or common[along] < UPRIGHT
+        if upright:
+            return None
+        name = self.model.body(self.base).name
+        mend = f"fix {name!r} to a link without a mass that has z up, and choose that with --base"
+        return f"expected a base link whose z axis is up, got {name!r} with {got}: {mend}"
 
 
 def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
@@ -219,22 +194,31 @@ def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
     return {f"limb{n + 1}": chain for n, chain in enumerate(limbs)}
 
 
-def _footed(model: mujoco.MjModel, row: list[int], last: list[int], shaped: mujoco.MjModel) -> Chain:
+def _is_foot(name: str) -> bool:
+    """Return whether a name is a foot's, also in the middle of one such as LegTip2."""
+    return _FOOT.search(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()) is not None
+
+
+def _footed(tree: Tree, row: list[int], shaped: mujoco.MjModel) -> Chain:
     """Return a row of joints with its foot: a site or body called so, or else the far end of its last link.
 
-    `last` are the bodies of the last link; `shaped` is the robot with the shapes of these.
+    `shaped` is the robot with the shapes of the last links.
     """
-    joints = [joint for body in row for joint in joints_of(model, body)]
-    data = at_zero(model)
+    model, last = tree.model, tree.bodies[row[-1]]
+    joints = [joint for body in row for joint in tree.joints[body]]
+    data = at_zero(model, tree.fixed)
     anchor, place, axes = data.xanchor[joints[-1]], data.xpos[row[-1]], data.xmat[row[-1]].reshape(3, 3)
+
+    def away(named: tuple[str, np.ndarray]) -> float:
+        return float(np.linalg.norm(named[1] - anchor))
+
     sites = [s for s in range(model.nsite) if model.site_bodyid[s] in last]
     places = [(model.site(s).name, data.site_xpos[s]) for s in sites if model.site(s).name]
     places += [(model.body(b).name, data.xpos[b]) for b in last if b != row[-1]]
-    called = [each for each in places if _FOOT.search(each[0])]
+    called = [each for each in places if _is_foot(each[0])]
     end, what = _far_end(shaped, {model.body(b).name for b in last}, anchor)
-    if called or (places and end is None):
-        name, _ = max(called or places, key=lambda each: float(np.linalg.norm(each[1] - anchor)))
-        return Chain(tuple(joints), name, (0.0, 0.0, 0.0), bool(called))
+    if called:
+        return Chain(tuple(joints), max(called, key=away)[0], (0.0, 0.0, 0.0), True)
     local = 2 * model.body_ipos[row[-1]] if end is None else axes.T @ (end - place)
     own = axes.T @ (anchor - place)
     turns = model.jnt_type[joints[-1]] == mujoco.mjtJoint.mjJNT_HINGE
@@ -243,6 +227,10 @@ def _footed(model: mujoco.MjModel, row: list[int], last: list[int], shaped: mujo
         axis, link = data.xaxis[joints[-1]], anchor - data.xanchor[joints[-2 if joints[1:] else -1]]
         across = link - axis * (axis @ link)
         local = own + axes.T @ across * (np.linalg.norm(link) / (np.linalg.norm(across) or 1.0))
+    if end is None and places:  # something small may be fixed anywhere on the link
+        farthest = max(places, key=away)
+        if away(farthest) > _NEAR_END * np.linalg.norm(local - own):
+            return Chain(tuple(joints), farthest[0], (0.0, 0.0, 0.0), False, "", True)
     x, y, z = (round(float(v), 5) + 0.0 for v in local)  # no -0.0
     named = bool(what) and " mesh " not in what  # many a head ends in a mesh
     return Chain(tuple(joints), model.body(row[-1]).name, (x, y, z), named, what, end is None)
@@ -254,7 +242,7 @@ def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tup
     Of shapes that collide, or else of those that are looked at; the middle of what is about as far as the farthest, as
     are the tips of fingers, or the rim of a wheel.
     """
-    data = at_zero(model)
+    data = at_zero(model, fixed_joints(model))
     geoms = [geom for geom in range(model.ngeom) if model.body(model.geom_bodyid[geom]).name in bodies]
     colliding = [geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]]
     kinds, points, owners = mujoco.mjtGeom, [np.empty((0, 3))], []
@@ -285,6 +273,10 @@ def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tup
     return ends[away >= _AS_FAR * away.max()].mean(0), what
 
 
+def _tree(model: mujoco.MjModel) -> Tree:
+    return Tree(model, fixed_joints(model))
+
+
 def driven_joints(described: mujoco.MjSpec) -> set[str]:
     """Return the joints that an actuator drives, itself or by a tendon; none where the file has no actuators."""
     joints = set()
@@ -294,13 +286,3 @@ def driven_joints(described: mujoco.MjSpec) -> set[str]:
         elif actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and (tendon := described.tendon(actuator.target)):
             joints |= {wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
     return joints
-
-
-def urdf_limits(file: str, attribute: str) -> dict[str, float]:
-    """Return an attribute of the limits of a URDF's joints, by joint, where it is given; nothing of an MJCF."""
-    try:
-        joints = ElementTree.fromstring(text_of(file)).iter("joint") if is_urdf(file) else ()
-    except ElementTree.ParseError:  # MuJoCo is less strict
-        return {}
-    given = ((joint.get("name", ""), limit.get(attribute)) for joint in joints for limit in joint.iter("limit"))
-    return {name: float(value) for name, value in given if value is not None}

@@ -7,11 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.robot.constants import RobotError
 from mjx_climb.robot_import.bodies import at_zero, foot_of
-from mjx_climb.robot_import.description import JOINTS, SPECK, SPECK_MOMENT, impossible, is_urdf, one_limit
+from mjx_climb.robot_import.description import JOINTS, SPECK, SPECK_MOMENT, impossible, one_limit
+from mjx_climb.robot_import.markup import is_urdf, urdf_limits
 from mjx_climb.robot_import.robot_file import REACH
-from tuning.proposal.limbs import Found, Note, driven_joints, urdf_limits
+from tuning.proposal.limbs import Found, Note, driven_joints
 from tuning.proposal.stance import STANDING, Section, Stance, Standing, checked, searched
+from tuning.proposal.tree import UPRIGHT
 
 EARTH = 9.81  # m/s^2
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
@@ -26,7 +29,8 @@ _FIRM = {"rotational_stiffness": 10.0, "kp": 10.0, "rotational_damping": 3.0, "k
 _ATTITUDE = 6  # joints of a limb that can keep its foot's attitude
 # divisor of the stride of limbs with fewer joints, which turn their feet as the base moves
 _SHORT_STRIDE = 8
-_UPRIGHT = 0.7  # least z component of the z axis of a base that stands upright
+# largest difference between the heights of a keyframe's feet, over the base's height; one that goes without a word, m
+_LEVEL, _SAME = 0.25, 1e-3
 _HALVINGS = 5  # of a stride that is too long
 _CRAWLING = 4  # limbs of a robot whose cycle has one second for each
 _NAMED = 5  # links in a note
@@ -55,7 +59,7 @@ def propose(
     """
     robot = Found(file, base, stand_on)
     model, limbs = robot.model, robot.limbs
-    data = at_zero(model)
+    data = at_zero(model, robot.tree.fixed)
     points = [
         np.array([*data.xanchor[list(chain.joints)], foot_of(model, data, chain.foot, chain.at)])
         for chain in limbs.values()
@@ -74,10 +78,16 @@ def propose(
     more = {"locked": _held(robot, key), "springs": _springs(robot, proportions["control"]), "base": robot.root}
     section |= {key: value for key, value in more.items() if value}
     _note_the_rest(robot)
+    _note_wide_inertias(robot, reach, float(np.linalg.norm(hips, axis=1).max()))
     stance = None if key is None else _of_keyframe(robot, key, section)
     if stance is None:
         robot.note("changed", "stance", "searched: joints off their limits, limbs as far from singular as they get")
-        stance = searched(section, hips, float(lengths.min()))
+        try:
+            stance = searched(section, hips, float(lengths.min()))
+        except RobotError:
+            if advice := robot.other_up(limbs):
+                raise RobotError(f"{robot.path}: {advice}") from None
+            raise
     section["height"] = stance.height
     for limb, foothold in zip(section["limbs"].values(), stance.footholds.tolist(), strict=True):
         limb["foothold"] = foothold
@@ -87,7 +97,7 @@ def propose(
     if len(limbs) <= STANDING:
         _hold_turns(robot, section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2)
     _note_drives(robot)
-    robot.note("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity, --slope and --ceiling take another")
+    robot.note("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity, --slope and --roof take another")
     walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"], **proportions}
     return Proposal({"robot": section, **walk}, tuple(robot.notes))
 
@@ -99,11 +109,16 @@ def _of_keyframe(robot: Found, key: int, section: Section) -> Stance | None:
     mujoco.mj_kinematics(robot.model, data)
     feet = np.array([foot_of(robot.model, data, chain.foot, chain.at) for chain in robot.limbs.values()])
     feet = (feet - data.xpos[robot.base]) @ data.xmat[robot.base].reshape(3, 3)
-    height = -float(feet[:, 2].mean())
-    if height > 0 and (stance := checked(section, Stance(height, feet[:, :2]))):
-        robot.note("taken", f"stance of {what}", "the feet stand where it puts them")
+    height, apart = -float(feet[:, 2].mean()), float(np.ptp(feet[:, 2]))
+    level = feet[:, 2].max() < 0 and apart <= _LEVEL * height
+    if level and (stance := checked(section, Stance(height, feet[:, :2]))):
+        why = f", but for {apart * 1e3:.2g} mm between their heights" if apart > _SAME else ""
+        robot.note("taken", f"stance of {what}", f"the feet stand where it puts them{why}")
         return stance
-    why = "no stance: feet above the base, or with them level limbs singular or joints at their limits"
+    why = "no stance: limbs singular or joints at their limits with the feet there, made level"
+    if not level:
+        heights = f"{feet[:, 2].min() * 1e3:.2g} to {feet[:, 2].max() * 1e3:.2g} mm"
+        why = f"no stance: its feet are at heights of {heights} from the base, not level below it"
     robot.note("ignored", what, why)
     return None
 
@@ -120,9 +135,13 @@ def _held(robot: Found, key: int | None) -> dict[str, float]:
     for joint in np.flatnonzero(own & np.isin(model.jnt_type, JOINTS)):
         if joint not in robot.joints:
             value = 0.0 if key is None else float(model.key_qpos[key][model.jnt_qposadr[joint]])
-            name = model.joint(joint).name
+            name, why = model.joint(joint).name, "of no limb: held"
+            if int(joint) in robot.tree.fixed:
+                value, apart = robot.tree.fixed[int(joint)], float(np.ptp(model.jnt_range[joint]))
+                unit = "m" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
+                why = f"its limits are {round(apart, 8):.2g} {unit} apart: held"
             held[name] = _resting(model, int(joint), value)
-            robot.note("changed", f"joint {name!r}", f"of no limb: held at {held[name]:.3g}")
+            robot.note("changed", f"joint {name!r}", f"{why} at {held[name]:.3g}")
     return held
 
 
@@ -162,7 +181,7 @@ def _note_the_rest(robot: Found) -> None:
         (len(full.actuators), "changed", "{} actuators", "the joint loop's torques take their place"),
         (model.body_gravcomp.any(), "ignored", "gravity compensation", "all links weigh what they weigh"),
         (len(mended), "changed", "moments of inertia", f"no body can have those of {named}: made equal"),
-        (up[2] < _UPRIGHT, "changed", f"z axis of {model.body(robot.base).name!r}",
+        (up[2] < UPRIGHT, "changed", f"z axis of {model.body(robot.base).name!r}",
          "is taken as up, although the file stands it otherwise"),
         (len(full.keys) - model.nkey, "ignored", "{} keyframes",
          "they begin at the file's own root" if robot.root else lost),
@@ -175,6 +194,25 @@ def _note_the_rest(robot: Found) -> None:
             robot.note("changed", what, "has no mass: it gets a speck of one")
         elif model.body_inertia[body].max() <= SPECK_MOMENT:
             robot.note("taken", what, "as a point: the file gives it a mass alone")
+
+
+def _note_wide_inertias(robot: Found, reach: float, hips: float) -> None:
+    """Warn of links whose inertia is that of something larger than they can be.
+
+    A rod as long as a whole limb, `reach` m, has a radius of gyration of 0.29 times that; a base ends some way beyond
+    the limbs' beginnings, `hips` m from its middle.
+    """
+    model = robot.model
+    limbs = {int(body) for body in model.jnt_bodyid[robot.joints]}
+    own = np.flatnonzero((model.body_rootid == model.body_rootid[robot.base]) & (model.body_mass > SPECK))
+    radii = {int(body): float(np.sqrt(model.body_inertia[body].max() / model.body_mass[body])) for body in own}
+    wide = [body for body, radius in radii.items() if radius > (reach / 2 if body in limbs else reach + hips)]
+    if wide:
+        worst = max(wide, key=lambda body: radii[body])
+        others = f", as of {len(wide) - 1} others" if len(wide) > 1 else ""
+        weight = f"{model.body_inertia[worst].max():.3g} kg m^2 with {model.body_mass[worst]:.3g} kg"
+        why = f"{weight}, a radius of gyration of {radii[worst]:.3g} m{others}; a limb is {reach:.3g} m long: units?"
+        robot.note("warning", f"inertia of {model.body(worst).name!r}", why)
 
 
 def _note_drives(robot: Found) -> None:

@@ -11,7 +11,7 @@ from mjx_climb.viz import plots
 from tuning.background import Stage
 from tuning.numbers import number, unit
 from tuning.pages.explorer import explorer
-from tuning.pages.page import Origin, Page, Table
+from tuning.pages.page import Findings, Origin, Page, Table
 from tuning.reproduce import claims
 from tuning.reproduce.claims import BASELINE, CASES, CLAIMS, METHODS, READINGS, Case, Verdict, Walk
 
@@ -230,8 +230,7 @@ def page(found: Found, folder: Path, origin: Origin) -> Page:
     return Page(
         title="The paper's three cases, walked again",
         origin=origin._replace(config="\n".join(configs), pictures=pictures),
-        verdict=verdict(found),
-        notes=overall(found),
+        findings=Findings(verdict(found), notes=overall(found)),
         scenario=next(iter(found.values())).walks[BASELINE].trajectory.scenario,
         explorers=explorers,
         tables=tables(found),

@@ -15,7 +15,7 @@ class Judged(Result):
     """
 
     FILE = "judged.nc"
-    KIND = "judge"
+    KIND = "evaluate"
 
 
 @dataclasses.dataclass(frozen=True)

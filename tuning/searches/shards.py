@@ -17,6 +17,7 @@ import numpy as np
 
 from mjx_climb import execution
 from mjx_climb.files.dataset import OutputError, write_text_atomically
+from mjx_climb.files.reading import read_found
 from mjx_climb.scenario.messages import ConfigError
 from tuning.methods import parts as finished_parts
 from tuning.methods.parts import Parts
@@ -257,7 +258,7 @@ def _folders_in(folder: Path) -> list[Path]:
 def _read(folder: Path) -> Kept:
     try:
         identity = finished_parts.identity_in(folder / finished_parts.FOLDER) or {}
-        about = json.loads((folder / FILE).read_text())
+        about = json.loads(read_found(folder / FILE))
         if not all(isinstance(about[name], str) for name in ("again", *about)):
             raise TypeError
         return Kept(folder, Shard(*identity["shard"]), identity, about)

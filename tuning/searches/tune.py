@@ -1,5 +1,6 @@
 """The search for the gains of a law: `tuning.tune`, and over an ensemble of walks `tuning.robust`."""
 
+import contextlib
 import dataclasses
 import functools
 import itertools
@@ -17,10 +18,11 @@ from mjx_climb.control import law_of
 from mjx_climb.execution.batch_axes import batch_shape
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.inputs.gait_values import own_gait
-from mjx_climb.inputs.own_objects import load, reference_to
+from mjx_climb.inputs.own_objects import in_one_line, load, reference_to
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.methods import Method, Points, Task, cmaes, method_of
+from tuning.methods.method import own_points
 from tuning.methods.parts import FOLDER, identity_of
 from tuning.methods.rounds import Callback, Progress, Rounds, follow, settled
 from tuning.problem import ensemble as ensembles
@@ -200,7 +202,8 @@ def own_objective(
 
 def check_method(search: Search, own: Method | None, space: spaces.Space) -> None:
     """Refuse by a ConfigError, before anything walks, a method that cannot search a space or is not installed."""
-    (own or method_of(search.method)).check(space, search)
+    with in_one_line("method") if own is not None else contextlib.nullcontext():
+        (own or method_of(search.method)).check(space, search)
 
 
 def from_seeds(
@@ -240,6 +243,7 @@ def run(
     """
     start = start_of(problem)
     task, method = Task(problem, search, start, known.others(problem, start)), problem.own_method
+    points = method_of(search.method).run(task) if method is None else own_points(method, task)
     method = method or method_of(search.method)
     more = {} if patience is None else {"patience": patience}
     own, interrupted = functools.partial(search_identity, problem, search, **more), False
@@ -249,7 +253,7 @@ def run(
             return patience is not None and settled(rounds.evaluated["value"] + rounds.evaluated["penalty"], patience)
 
         try:
-            ended = follow(method.run(task), lambda request: rounds.evaluate(problem, request), enough)
+            ended = follow(points, lambda request: rounds.evaluate(problem, request), enough)
         except KeyboardInterrupt:
             if not rounds.done:
                 raise

@@ -10,6 +10,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
+from mjx_climb.files.reading import leaving
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.viz import plots
 from tuning.background import Stage, silent
@@ -89,6 +90,8 @@ def fill(
         if taken := (every.keys() | {page.NAME, "config.yaml", record.FILE}) & own.keys():
             expected = "expected other files than those of the result"
             raise ConfigError(f"section {section.heading}: {expected}, got {min(taken)}")
+        if (outside := leaving(place, own)) is not None:
+            raise ConfigError(f"section {section.heading}: expected files in the result's folder, got {outside!r}")
         every |= own
     drawing = any(isinstance(content, Picture) for content in every.values())
     with stage("drawing", compiles=False) if drawing else contextlib.nullcontext():

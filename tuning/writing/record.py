@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import shutil
+import stat
 import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -21,7 +22,10 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.execution.contents import Unidentifiable
-from mjx_climb.files.dataset import OutputError, check_folder, write_text_atomically
+from mjx_climb.files.dataset import OutputError, check_folder
+from mjx_climb.files.locks import alone, is_held, refused
+from mjx_climb.files.reading import leaving, read_found
+from mjx_climb.files.writing import write_in_place
 from tuning.methods import parts
 from tuning.problem.evaluation import Problem
 from tuning.results.result import RESULTS, WITHOUT_PARTS
@@ -67,12 +71,22 @@ def without_machine(identity: Settings) -> dict[str, Any]:
 def read(folder: Path) -> Record | None:
     """Return the record of a folder, None without one; one that is damaged has neither settings nor files."""
     try:
-        found = json.loads((folder / FILE).read_text(encoding="utf-8"))
-        return Record(found["settings"], tuple(map(str, found["files"])), found["whole"] is True)
+        found = json.loads(read_found(folder / FILE))
+        settings, files, whole = found["settings"], found["files"], found["whole"] is True
+        if not isinstance(settings, dict | None) or not isinstance(files, list):
+            raise TypeError
+        return Record(settings, tuple(map(str, files)), whole)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, TypeError, LookupError, RecursionError):
         return Record(None)
+
+
+def check_names(folder: Path, record: Record | None) -> None:
+    """Raise OutputError where a record names files that are not in a folder: they would be removed, or replaced."""
+    if record is not None and (outside := leaving(folder, record.files)) is not None:
+        got = f"{outside!r}, which leaves it (correct {FILE} or the link, or choose another folder)"
+        raise OutputError(f"{folder}: expected results with files in this folder, got {got}")
 
 
 def begin(folder: Path, settings: Settings) -> None:
@@ -118,6 +132,7 @@ def check_own(folder: Path, result: str) -> None:
     """
     check_folder(folder)
     recover(folder)
+    check_names(folder, read(folder))
     kept = (parts.FOLDER,) if result in WITHOUT_PARTS else ()
     there = next((name for name in (*kept, *RESULTS) if (folder / name).exists()), result)
     if there != result:
@@ -131,10 +146,45 @@ def own_folder(base: Path, settings: Settings, *, varied: bool = False) -> Path:
 
     `varied`: what was asked for is not plain to see in the name, which takes the digest at once.
     """
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:6]
-    by_digest = base.with_name(f"{base.name}-{digest}")
+    by_digest = base.with_name(f"{base.name}-{_digest(settings)}")
     taken = varied or by_digest.exists() or another(base, settings)
     return by_digest if taken else base
+
+
+def _digest(settings: Settings | None) -> str:
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:6]
+
+
+class InUse(OutputError):
+    """A folder that another command uses."""
+
+
+@contextlib.contextmanager
+def held(folder: Path, settings: Settings | None, *, shard: bool = False) -> Iterator[None]:
+    """Hold a folder for a command until the block ends, or the process does: no other command uses it.
+
+    A folder beside it says so, which `recover` removes where its process was killed. Shards of the same settings hold
+    it together.
+
+    Raises:
+        InUse: another command has it.
+        OutputError: the folder cannot be written.
+    """
+    target = Path(os.path.realpath(folder))
+    there, name = _nearest(target), f"{glob.escape(_prefix(target))}.*.*.part"
+    kind = f"{_prefix(target)}.shard_{_digest(settings)}." if shard else f"{_prefix(target)}.alone."
+    place = there / f"{kind}{_unique()}.part"
+    with contextlib.ExitStack() as until:
+        with refused(folder), alone(there):
+            place.mkdir()
+            until.enter_context(alone(place))
+            until.callback(shutil.rmtree, place, ignore_errors=True)
+            for other in (other for above in (target, *target.parents) for other in above.glob(name)):
+                beside = other == place or (shard and other.name.startswith(kind))
+                if not beside and is_held(other):
+                    got = "one that uses it now (wait until it ends, or choose another --out)"
+                    raise InUse(f"{folder}: expected a folder that no other command uses, got {got}")
+        yield
 
 
 @contextlib.contextmanager
@@ -149,17 +199,17 @@ def whole(folder: Path, settings: Settings | None = None, *, finished: bool = Tr
         OutputError: the folder cannot be written.
     """
     target = Path(os.path.realpath(folder))
-    there = next(each for each in (target, *target.parents) if each.is_dir())
-    place = there / f"{_prefix(target)}.{uuid.uuid4().hex[:12]}.part"
+    there = _nearest(target)
+    place = there / f"{_prefix(target)}.{_unique()}.part"
     recover(folder)
     try:
-        with contextlib.ExitStack() as held:
-            with _refused(folder), _alone(there):
+        with contextlib.ExitStack() as until:
+            with refused(folder), alone(there):
                 place.mkdir()
-                held.enter_context(_alone(place))  # by which `recover` knows that somebody writes it
+                until.enter_context(alone(place))  # by which `recover` knows that somebody writes it
             yield place
             files = tuple(sorted(f.relative_to(place).as_posix() for f in place.rglob("*") if not f.is_dir()))
-            with _refused(folder):
+            with refused(folder):
                 _write(place, Record(settings, files, finished))
                 _move(place, target)
     finally:
@@ -167,25 +217,44 @@ def whole(folder: Path, settings: Settings | None = None, *, finished: bool = Tr
 
 
 def recover(folder: Path) -> None:
-    """End what a killed process began: move a result that was all written, remove one that was not.
+    """End what a killed process of this user's began: move a result that was all written, remove one that was not.
 
     Raises:
         OutputError: the folder cannot be written.
     """
     target = Path(os.path.realpath(folder))
     name = f"{glob.escape(_prefix(target))}.*.part"
-    with contextlib.ExitStack() as held, _refused(folder):
+    with contextlib.ExitStack() as until, refused(folder):
         left: list[Path] = []
-        for each in (each for each in (target, *target.parents[:3]) if any(each.glob(name))):
-            with _alone(each):  # a folder that is made there is held before this can see it
-                for place in each.glob(name):
+        for each in (each for each in (target, *target.parents[:3]) if any(map(_own, each.glob(name)))):
+            with alone(each):  # a folder that is made there is held before this can see it
+                for place in filter(_own, each.glob(name)):
                     with contextlib.suppress(BlockingIOError, FileNotFoundError):  # written, or moved, just now
-                        held.enter_context(_alone(place, wait=False))
+                        until.enter_context(alone(place, wait=False))
                         left.append(place)
         for place in left:
             if (record := read(place)) is not None and record.files:
                 _move(place, target)
             shutil.rmtree(place, ignore_errors=True)
+
+
+def _own(place: Path) -> bool:
+    """Return whether a folder is this user's, and no other user may write to it."""
+    try:
+        about = place.lstat()
+    except FileNotFoundError:
+        return False
+    own = not hasattr(os, "geteuid") or about.st_uid == os.geteuid()
+    return stat.S_ISDIR(about.st_mode) and own and not about.st_mode & stat.S_IWOTH
+
+
+def _nearest(target: Path) -> Path:
+    """Return the folder itself, or the first above it that is there."""
+    return next(each for each in (target, *target.parents) if each.is_dir())
+
+
+def _unique() -> str:
+    return uuid.uuid4().hex[:12]
 
 
 def _prefix(target: Path) -> str:
@@ -198,11 +267,11 @@ def _move(place: Path, target: Path) -> None:
     record = read(place)
     assert record is not None
     target.parent.mkdir(parents=True, exist_ok=True)
-    with _alone(target.parent):
+    with alone(target.parent):
         if fresh := not target.is_dir():
             os.rename(place, target)
     if not fresh:
-        with _alone(target):
+        with alone(target):
             _replace(place, target, record)
     if record.whole:
         parts.clear(target)
@@ -220,44 +289,14 @@ def walks_at_home(walks: Mapping[str, mc.Trajectory], place: Path, home: Path) -
     }
 
 
-@contextlib.contextmanager
-def _refused(folder: Path) -> Iterator[None]:
-    """Raise OutputError in one line where the system refuses what is done with a folder."""
-    try:
-        yield
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise OutputError(f"{folder}: expected a folder that can be written to, got {reason}") from None
-
-
-@contextlib.contextmanager
-def _alone(folder: Path, *, wait: bool = True) -> Iterator[None]:
-    """Hold a folder as the only one; of a process that is killed the system lets go.
-
-    Raises:
-        BlockingIOError: another holds it, where this does not `wait` for it.
-    """
-    try:
-        import fcntl
-    except ModuleNotFoundError:  # Windows has none
-        if not wait:
-            raise BlockingIOError from None
-        yield
-        return
-    held = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(held, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(held)
-
-
 def _replace(place: Path, target: Path, record: Record) -> None:
     """Move the files of a result to their folder; until all are there its record says that it is not whole.
 
     Repeated after it was cut short, it does what is left.
     """
     before = read(target) or Record(None)
+    for each in (record, before):
+        check_names(target, each)
     own = record.settings is not None and before.settings == record.settings
     if not own:
         _write(target, before._replace(whole=False))
@@ -272,4 +311,4 @@ def _replace(place: Path, target: Path, record: Record) -> None:
 
 
 def _write(folder: Path, record: Record) -> None:
-    write_text_atomically(folder / FILE, json.dumps(record._asdict(), indent=1) + "\n")
+    write_in_place(folder / FILE, (json.dumps(record._asdict(), indent=1) + "\n").encode())

@@ -1,5 +1,6 @@
 """The seam of the choice of footholds: how much a point is worth to a limb that is about to swing."""
 
+import abc
 from typing import NamedTuple
 
 import jax
@@ -47,16 +48,16 @@ class Prospects(NamedTuple):
         return cls(nothing - jnp.inf, nothing)
 
 
-class Footholds(Component):
+class Footholds(Component, abc.ABC):
     """Base of the rules: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `parameter` are its values. `score` is written for one robot and one point; the planner calls it for
     each point in turn. Derivatives pass with the choice frozen.
     """
 
+    @abc.abstractmethod
     def score(self, situation: Situation, candidate: Candidate) -> Array:
         """How much a point is worth to each limb, (limb,); of several the largest is chosen, -inf is never chosen."""
-        raise NotImplementedError(f"{type(self).__name__}.score")
 
     def limb_worth(self, prospects: Prospects) -> Array:
         """How much it is worth that each limb is next, (limb,), where the order is free: of equal ones the first is."""

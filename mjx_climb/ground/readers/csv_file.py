@@ -1,26 +1,42 @@
 """Tables of points: a header with x, y, z and, where known, nx, ny, nz and limit, then a line for each point."""
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.ground.table import Table
 
 SUFFIXES = (".csv",)
 
 
-def read(path: Path, topic: str | None) -> dict[str, np.ndarray]:
+def read(path: Path, topic: str | None) -> Table:
     """The columns of the table by the names in its header."""
+    header, *rows = cells(path) or [(1, [])]
+    names = [name.strip() for name in header[1]]
+    return Table(str(path), list(zip(names, numbers(rows, len(names)).T, strict=True)))
+
+
+def cells(path: Path) -> list[tuple[int, list[str]]]:
+    """The rows that are not empty, each with its line in the file."""
     with path.open(encoding="utf-8-sig", newline="") as lines:
-        header, *rows = [row for row in csv.reader(lines) if row] or [[]]
-    names, values = [name.strip() for name in header], []
-    for number, row in enumerate(rows, 2):
-        if len(row) != len(names):
-            raise config_error(str(path), f"row {number}", f"{len(names)} numbers", str(len(row)))
+        rows = csv.reader(lines)
+        return [(rows.line_num, row) for row in rows if row]
+
+
+def numbers(rows: Sequence[tuple[int, list[str]]], width: int) -> np.ndarray:
+    """The numbers of rows, (rows, width).
+
+    Raises:
+        ValueError: naming the row, one of another width, or with words.
+    """
+    values = []
+    for line, row in rows:
+        if len(row) != width:
+            raise ValueError(f"row {line}: expected {width} numbers, got {len(row)}")
         try:
             values.append([float(cell) for cell in row])
         except ValueError as error:
-            raise config_error(str(path), f"row {number}", "numbers", str(error).rpartition(": ")[2]) from None
-    table = np.array(values, float).reshape(-1, len(names))
-    return dict(zip(names, table.T, strict=True))
+            raise ValueError(f"row {line}: expected numbers, got {str(error).rpartition(': ')[2]}") from None
+    return np.array(values, float).reshape(len(values), width)

@@ -4,30 +4,41 @@ A grid has vectors `x` (N,) and `y` (M,) and a matrix `z` (M, N), m, with NaN wh
 matrix (3, N), m, by any name, as `graspable_points_on_full_testfield`.
 """
 
+import io
 from pathlib import Path
 
 import numpy as np
 
+from mjx_climb.child_process import read_apart
+from mjx_climb.ground.table import Table, real
 from mjx_climb.scenario.messages import config_error
 
 SUFFIXES = (".mat",)
+# SciPy crashes on damaged files
+_READ = """
+import sys, numpy, scipy.io
+held = scipy.io.loadmat(sys.argv[1])
+held = {"_" + name: value for name, value in held.items() if isinstance(value, numpy.ndarray)}
+numpy.savez(sys.stdout.buffer, **{name: value for name, value in held.items() if value.dtype.kind in "biufc"})
+"""
 
 
-def read(path: Path, topic: str | None) -> dict[str, np.ndarray]:
-    """Columns x, y, z of all points that can be held."""
-    from scipy.io import loadmat
-
-    held = {name: value for name, value in loadmat(path).items() if not name.startswith("__")}
+def read(path: Path, topic: str | None) -> Table:
+    """Columns x, y, z of all points; what cannot be held is NaN."""
+    done = read_apart(_READ, path)
+    if done.returncode:
+        raise ValueError(done.stderr.decode(errors="replace").strip().rpartition("\n")[2])
+    with np.load(io.BytesIO(done.stdout)) as arrays:
+        held = {name[1:]: array for name, array in arrays.items()}
     if {"x", "y", "z"} <= {*held}:
-        x, y = (np.asarray(held[name], float).reshape(-1) for name in "xy")
-        z = np.asarray(held["z"], float)
+        x, y, z = (real(held[name], str(path), name) for name in "xyz")
         if z.shape != (y.size, x.size):
             raise config_error(str(path), "z", f"a matrix of {y.size} x {x.size}, as y and x have it", str(z.shape))
         points = np.stack([*np.meshgrid(x, y), z]).reshape(3, -1)
     else:
-        lists = [value for value in held.values() if isinstance(value, np.ndarray) and value.shape[:1] == (3,)]
+        lists = [value for value in held.values() if value.shape[:1] == (3,)]
         if len(lists) != 1:
             expected = "x, y and z, or one matrix with three rows"
             raise config_error(str(path), "", expected, ", ".join(held) or "nothing")
-        points = np.asarray(lists[0], float).reshape(3, -1)
-    return dict(zip("xyz", points[:, np.isfinite(points).all(0)], strict=True))
+        points = lists[0].reshape(3, -1)
+    return Table(str(path), list(zip("xyz", points, strict=True)))

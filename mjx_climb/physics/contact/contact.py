@@ -1,5 +1,6 @@
 """The seam of contacts: the forces between feet and ground, and the loss of a grip."""
 
+import abc
 from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -52,7 +53,7 @@ class Springs(NamedTuple):
     rotational_damping: Array | float = 0.0  # N m s/rad
 
 
-class Contact(Component):
+class Contact(Component, abc.ABC):
     """Base of contacts: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `parameter` are its values. `init` and `step` are written for one robot.
@@ -63,6 +64,7 @@ class Contact(Component):
         """Whether the contact turns the feet: `step` is then given how they are turned."""
         return False
 
+    @abc.abstractmethod
     def init(self, grip_point: Array, rotation: Array) -> PyTree:
         """The memory of contacts whose grippers are all shut and rest.
 
@@ -70,8 +72,8 @@ class Contact(Component):
             grip_point: (limb, 3) m, world, where the feet are.
             rotation: (limb, 3, 3), of the links that end in feet, to world axes.
         """
-        raise NotImplementedError(f"{type(self).__name__}.init")
 
+    @abc.abstractmethod
     def step(
         self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array
     ) -> tuple[PyTree, Grip]:
@@ -84,7 +86,6 @@ class Contact(Component):
             closed: (limb,) bool, which grippers are commanded shut.
             ground: (limb,) m, height of the ground below each foot.
         """
-        raise NotImplementedError(f"{type(self).__name__}.step")
 
     def tear_off(self, memory: PyTree, grip: Grip, torn: Array) -> tuple[PyTree, Grip]:
         """Memory and contacts of a step in which some grips (limb,) are torn off by holds that bear less than they."""

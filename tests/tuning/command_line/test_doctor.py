@@ -87,10 +87,6 @@ def without_plugins(name, version=importlib.metadata.version):
     return version(name)
 
 
-def another_mujoco(name, version=importlib.metadata.version):
-    return "4.0.0" if name == "mujoco" else version(name)
-
-
 @pytest.mark.parametrize(
     ("damage", "setting", "part", "said", "cured"),
     [
@@ -103,16 +99,12 @@ def another_mujoco(name, version=importlib.metadata.version):
         ),
         ({}, ("MJX_CLIMB_CACHE", f"{__file__}/cache"), "cache", "MJX_CLIMB_CACHE", "off"),
         ({(backend, "find"): no_opengl}, ("MUJOCO_GL", ""), "renderer", "install", "off"),
-        (
-            {(importlib.metadata, "version"): another_mujoco},
-            ("MUJOCO_GL", ""), "versions", "mujoco 4.0.0 with mujoco-mjx 3.17.0: python -m pip", None,
-        ),
     ],
 )  # fmt: skip
 def test_what_a_machine_lacks_is_seen_and_what_is_switched_off_is_fine(
     doctor, monkeypatch, damage, setting, part, said, cured
 ):
-    """A GPU that JAX does not use, a cache that cannot be written, no renderer, two releases of MuJoCo."""
+    """A GPU that JAX does not use, a cache that cannot be written, no renderer."""
     for (module, name), value in damage.items():
         monkeypatch.setattr(module, name, value)
     monkeypatch.setenv(*setting)
@@ -120,9 +112,60 @@ def test_what_a_machine_lacks_is_seen_and_what_is_switched_off_is_fine(
     assert (code, list(wrong(found))) == (1, [part])
     assert said in found["parts"][part]["findings"][0]
     assert part != "cache" or found["parts"]["cache"]["writable"] is False
-    if cured is not None:
-        monkeypatch.setenv(setting[0], cured)
-        assert doctor()[0] == 0
+    monkeypatch.setenv(setting[0], cured)
+    assert doctor()[0] == 0
+
+
+WHOLE = dict.fromkeys(["mujoco", "mujoco-core", "mujoco-studio"], "4.0.0") | {"mujoco-mjx": "3.17.0"}
+AGAIN = 'python -m pip uninstall -y mujoco mujoco-core mujoco-studio; python -m pip install "mujoco=='
+CHANGED = "as a change of release in place leaves it"
+
+
+@pytest.mark.parametrize(
+    ("changed", "lost", "finding"),
+    [
+        ({}, [], None),
+        # an upgrade in place from 3.17, and a downgrade
+        ({}, ["mujoco-core", "mujoco-studio"], f"4.0.0, 2 of 4 files lost, {CHANGED}: {AGAIN}4"),
+        ({"mujoco": "3.17.0"}, [], f"{AGAIN}3.17.0"),
+        ({"mujoco-core": "4.0.1"}, [], "mujoco 4.0.0 beside mujoco-core 4.0.1, mujoco-studio 4.0.0, 0 of 4 files lost"),
+        (dict.fromkeys(WHOLE, "5.0.0") | {"mujoco-mjx": "3.17.0"}, [], 'pip install "mujoco>=3.17,<5"'),
+        (dict.fromkeys(WHOLE, "3.16.0") | {"mujoco-mjx": "3.17.0"}, [], 'pip install "mujoco>=3.17,<5"'),
+        ({"mujoco-mjx": "3.18.0"}, [], 'mujoco-mjx 3.18.0: python -m pip install "mujoco-mjx==3.17.*"'),
+    ],
+)
+def test_a_mujoco_that_is_damaged_or_not_known_to_work_is_seen(doctor, monkeypatch, tmp_path, changed, lost, finding):
+    """Installed packages: each has one file, and a compiled one that may be gone; the first has two."""
+    for name, version in (WHOLE | changed).items():
+        about, module = (tmp_path / f"{name.replace('-', '_')}{end}" for end in (f"-{version}.dist-info", ".py"))
+        about.mkdir()
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        files = [module.name, f"{module.stem}.pyc", *([f"{about.name}/METADATA"] if name == "mujoco" else [])]
+        (about / "RECORD").write_text("".join(f"{file},,\n" for file in files))
+        if name not in lost:
+            module.touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    code, found = doctor()
+    assert (code, list(wrong(found))) == ((0, []) if finding is None else (1, ["versions"]))
+    assert found["parts"]["versions"]["mujoco-core"] == (WHOLE | changed)["mujoco-core"]
+    assert finding is None or finding in found["parts"]["versions"]["findings"][0]
+
+
+def test_the_releases_of_mujoco_that_doctor_knows_are_those_that_are_installed():
+    packages = (ROOT / "pyproject.toml").read_text()
+    (low, high), mjx = machine.MUJOCO, ".".join(map(str, machine.MJX))
+    assert f'"mujoco>={low[0]}.{low[1]},<{high[0]}"' in packages
+    assert f'"mujoco-mjx=={mjx}.0"' in packages
+
+
+def test_a_mujoco_that_cannot_be_imported_is_one_line(tmp_path):
+    """As the missing parts of MuJoCo 4 are; in a process of its own, where it is not imported yet."""
+    (tmp_path / "mujoco.py").write_text("raise ImportError('its core is missing or corrupted. Repair it')")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    command = [sys.executable, "-m", "tuning.command_line", "run", "case_2"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    said = "mjx-climb: error: mujoco: its core is missing or corrupted; mjx-climb doctor says what to do\n"
+    assert (done.returncode, done.stderr) == (2, said)
 
 
 def test_the_cache_is_counted(doctor, monkeypatch, tmp_path):

@@ -141,6 +141,7 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "weights": "--weight force_variation=1",
     "with_tune": "--with-tune",
     "rerun": "--rerun",
+    "roof": "--roof",
     "worse": "--worse force_sensor.noise=2",
 }  # fmt: skip
 LINES = {  # a command, and what asks for another form of it: one that works, the options that its own need beside them
@@ -181,7 +182,7 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     "evaluate ceiling against": ["--against base_deviation"],
     "evaluate ceiling better": ["--against base_deviation --better peak_foot_force"],
     "evaluate ceiling points": ["--against base_deviation --points 3"],
-    "evaluate ceiling members": ["--ensemble ensemble --members 3"],
+    "evaluate ceiling members": ["--members 3"],
     "evaluate worse law": [
         "{config} --gains {folder}/mine.yaml --worse force_sensor.bias=1 --law {folder}/mine.py:Mine"
     ],
@@ -194,7 +195,7 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     "identify sections": ["--out elsewhere --section {folder}/mine.py:Mine"],
     "plot metric": ["--metric min_tsm"],
     "runs folder": ["{folder}"],
-    "plot size": ["--size 60x60"],
+    "plot figure_size": ["--figure-size 60x60"],
     "excite family": ["--family chirp"],
     "excite duration": ["--duration 3"],
     "excite low": ["--low 0.2"],
@@ -304,7 +305,7 @@ def traced(monkeypatch, tmp_path, folder):
         "tuning.comparisons.first_walks.on_ceiling": None,
         "tuning.comparisons.first_walks.slow_enough": (scenario, True, "as it is", 0.5),
         "tuning.comparisons.first_walks.with_joint_gains": (scenario, "as they are"),
-        "tuning.benchmarks.measure.measure": defaultdict(float, devices=["cpu"]),
+        "tuning.benchmarks.measure.measure": defaultdict(float, devices=["cpu"], versions={"mujoco": ""}),
         "tuning.command_line.cache.cache": [SimpleNamespace(text="")],
         "tuning.command_line.machine.examine": [],
         "tuning.command_line.evaluate._margins_in_words": ("", "{}"),
@@ -405,7 +406,7 @@ def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_
     """Typed are all defaults, in the file is another value for each."""
     others = {
         "method": "lbfgs", "space": "split", "inertia": True, "also": ("inertia",), "joint_gains": True,
-        "bounds": {"damping": (1.0, 2.0)}, "pins": {"stiffness": 1.0}, "frozen": ("damping",),
+        "bounds": {"damping": (1.0, 2.0)}, "pins": {"stiffness": 1.0}, "frozen": ("inertia",),
         "weights": {"peak_foot_force": 2.0}, "limits": {"travel": 1.0}, "deviation_factor": 2.0,
         "no_worse_than_pd": False, "starts": 3, "iterations": 2, "seed": 7, "precision": "float64",
     }  # fmt: skip

@@ -8,6 +8,7 @@ import xarray as xr
 from PIL import Image
 
 import mjx_climb as mc
+from mjx_climb import child_process
 from mjx_climb.files import dataset
 from tuning.pages import redrawn
 
@@ -42,7 +43,18 @@ def folder(tmp_path):
 def test_a_metric_is_drawn_as_it_is_asked_for(plot, folder, tmp_path):
     (tmp_path / "large.mplstyle").write_text("axes.labelsize: 20")
     out = tmp_path / "out"
-    asked = ("--metric", "peak_foot_force", "--figures", "png,svg", "--size", "100x80", "--dpi", 127, "--out", out)
+    asked = (
+        "--metric",
+        "peak_foot_force",
+        "--figures",
+        "png,svg",
+        "--figure-size",
+        "100x80",
+        "--dpi",
+        127,
+        "--out",
+        out,
+    )
     assert plot(folder, *asked) == (0, ["maps-peak_foot_force.png", "maps-peak_foot_force.svg"], "")
     with Image.open(out / "maps-peak_foot_force.png") as picture:
         assert picture.size == (500, 400)
@@ -96,7 +108,7 @@ def test_a_damaged_file_on_which_hdf5_hangs_gets_one_line(plot, folder, monkeypa
     assert plot(folder)[:2] == (0, ["maps.png"])
     at = content.index(b"GCOL") + 48  # the size of its second object
     (folder / "sweep.nc").write_bytes(content[:at] + bytes(8) + content[at + 8 :])
-    monkeypatch.setattr(dataset, "PATIENCE", 3.0)
+    monkeypatch.setattr(child_process, "PATIENCE", 3.0)
     code, out, err = plot(folder)
     assert (code, out) == (2, [])
     assert err.endswith("sweep.nc: expected a netCDF4 file, got another file, or a damaged one")

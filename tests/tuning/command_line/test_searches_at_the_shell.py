@@ -1,7 +1,9 @@
 """The commands that search, from start to end: what they write, that it can be read back, and kills in between."""
 
 import functools
+import html
 import json
+import re
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.scenario.shipped import config_path
 from tests.shell import ROOT, finish, killed
+from tuning.pages import runs
 from tuning.problem import ensemble
 from tuning.results import tuned
 from tuning.searches.tune import tune
@@ -63,7 +66,16 @@ def test_a_limit_that_fresh_walks_break_is_named_and_what_the_force_sensor_is_wo
     assert f"100.0% of the fresh walks break {asked}" in page
     worth, scores = told["force_sensor"], [told[name]["objective"] for name in ("robust", "retuned_pd", "pd")]
     assert worth["objective"] == pytest.approx(scores[0] / scores[1] - 1) and scores[2] == pytest.approx(1)
-    assert worth["in_words"].startswith("the force sensor") and worth["in_words"][1:] in page
+    assert worth["in_words"].startswith("the force sensor")
+    verdict, *beside = re.findall(r'<p class="verdict">(.*?)</p>|<li>(.*?)</li>', page.partition("<main>")[0])
+    best = min(("config", "retuned_pd", "pd"), key=lambda name: told[name]["objective"])
+    change = 100 * abs(scores[0] / told[best]["objective"] - 1)
+    assert f"objective over 4 unseen walks {scores[0]:.4g}, {change:.1f} % " in verdict[0]
+    assert verdict[0].endswith(f": {told[best]['objective']:.4g}.") and page.count(worth["in_words"][1:40]) == 1
+    assert worth["in_words"][1:40] in beside[0][1] and f"break {asked}." in beside[1][1]
+    assert re.search(r"<caption>Gains by axis.*>stiffness<", page.partition('<details class="part">')[0], re.DOTALL)
+    (listed,) = runs.below(quiet("ensemble"))
+    assert listed.verdict == html.unescape(verdict[0])
 
 
 def from_python(search, folder):
@@ -96,8 +108,8 @@ def test_tuned_gains_go_from_file_to_file(quiet, tmp_path):
     folder = quiet("tune")
     told = json.loads((folder / "printed.json").read_text())
     assert told == json.loads((folder / "summary.json").read_text())
-    # what is compared may walk at the shorter time step of pd retuned; this walked at the config's
     of_the_best = told["verification"]["metrics"]
+    assert told["tuned"]["metrics"] == of_the_best
     assert told["search"]["objective"] < 1 < told["search"]["env_steps"]
     pictures = [f"{name}.png" for name in ("convergence", "path", "walks")]
     for name in (*pictures, "report.html", "config.yaml", "search.yaml", "map.nc"):

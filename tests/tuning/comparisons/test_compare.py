@@ -306,7 +306,7 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     xr.testing.assert_identical(found.data, whole.data)
     written = tuning.write(found, tmp_path)
     assert not (tmp_path / "parts").exists()
-    assert " is better than retuned pd, by " in written.outcome[-1]
+    assert " is better than pd with its own kp and kd searched (retuned_pd, kp " in written.outcome[-1]
     assert found.laws == ["base_admittance", "Shared"] and found.hardware == list(compare.HARDWARE)
     table = written.summed["value"].sel(metric="force_variation", statistic="mean")
     walks = found.data["force_variation"]

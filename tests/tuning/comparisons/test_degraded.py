@@ -45,6 +45,13 @@ def test_members_differ_between_settings_in_what_is_made_worse_alone():
     np.testing.assert_array_equal(np.reshape(parameters.mass_scale, (4, 4)), np.tile(np.ravel(own.mass_scale), (4, 1)))
 
 
+@pytest.mark.parametrize(("factor", "period"), [("x1.2", 0.002), ("x1.3", 0.003), ("x0.1", 0.001), ("x2", 0.004)])
+def test_a_period_is_scaled_to_whole_time_steps_one_at_least(factor, period):
+    scenario = CASE.with_overrides({"hardware.control_period": 0.002})
+    changed = degraded.worsened(scenario, mc.parameters(scenario), degraded.setting(f"period={factor}"))
+    assert float(changed.control_period) == pytest.approx(period, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("worse", "said"),
     [
@@ -92,7 +99,8 @@ def test_tables_say_what_worse_hardware_takes_and_what_is_left_of_the_lead():
     assert lead.sections[0][1] == [["force variation", "mine", "-20", "+20"]]
     said = pages.in_words(found, compared)
     assert said == (
-        "64 walks in each of 1 settings: dead takes most from mine, +50 % force variation; dead loses 16 walks"
+        "64 walks in each of 1 settings: dead takes most from mine, +50 % force variation; dead loses 16 walks; beside "
+        "pd as the config has it its force variation is -20 % as drawn and +20 % dead"
     )
     swapped = degraded.Degraded(walks.isel(gains=[1, 0]), Problem(CASE), ensemble=DRAW)
     said = pages.in_words(swapped, degraded.summary(swapped.data))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from tuning.comparisons.first_walks import heavy_load, on_ceiling, slow_enough, with_joint_gains
+from tuning.comparisons import first_walks
+from tuning.comparisons.first_walks import expected, heavy_load, on_ceiling, slow_enough, with_joint_gains
 
 HASTY = mc.load_scenario("case_1_2").with_overrides({"gait.cycle": 0.4, "disturbance.cargo.mass": 0.0})
 
@@ -46,12 +47,30 @@ def short(**changes):
 def test_joint_gains_are_those_of_a_better_pd():
     """Walked by pd itself they give as much less force variation as is said, and the scenario is else as it was."""
     stiff = short(**{"control.kp": 200.0, "control.kd": 0.05})
-    found, how = with_joint_gains(stiff)
+    batches = []
+    found, how = with_joint_gains(stiff, batches.append)
+    assert batches == [15, 15, 15]
     assert found == stiff.with_overrides({"control.kp": found.control.kp, "control.kd": found.control.kd})
     endless = {"control.controller": "pd", "contact.holding_limit": None}
     before, after = (mc.metrics(mc.rollout(each.with_overrides(endless)))["force_variation"] for each in (stiff, found))
     less = int(re.search(r"(\d+) % less than with kp 200 and kd 0.05", how)[1])
     assert less > 5 and 100 * (1 - after / before) == pytest.approx(less, abs=2)
+
+
+@pytest.mark.slow
+def test_long_walks_get_one_grid(monkeypatch):
+    """It says how many walks it rests on."""
+    monkeypatch.setattr(first_walks, "LONG", 100)
+    batches = []
+    _, how = with_joint_gains(short(**{"control.kp": 200.0, "control.kd": 0.05}), batches.append)
+    assert batches == [15] and how.startswith("of 15 short walks")
+
+
+def test_the_walks_are_counted_before_they_begin():
+    """Fewer where they have many steps, and the time in proportion to steps and joints."""
+    (few, brief), (fewer, longer) = (expected(short(**{"time_step": step})) for step in (1e-3, 2e-6))
+    assert (few, fewer) == (48, 18)
+    assert longer / brief == pytest.approx(500 * 3 / 5)
 
 
 @pytest.mark.slow

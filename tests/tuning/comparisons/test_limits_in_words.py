@@ -4,6 +4,7 @@ import types
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mjx_climb as mc
 from tuning.comparisons import maps, verification
@@ -64,6 +65,56 @@ def test_a_cliff_is_named_by_what_breaks_off():
     lost = around._replace(value=np.full(1 + 2 * n, 0.5), feasible=np.zeros(1 + 2 * n, bool))
     besides = verify(found, problem, metrics=walk, tested=verification.Tests(lost, np.zeros(n), 0.99))
     assert set(besides.shape.values()) == {"plateau"}  # where the result breaks a limit itself, so may its neighbours
+
+
+def test_each_doubt_about_a_result_is_a_warning_of_its_own():
+    """Flat or steep to either side, gains without response, bounds, a better grid, an unstable loop, rounding."""
+    goal = Objective((Term("force_variation", 1.0, 2.0, 2.0),), (PULL,))
+    problem = Problem(mc.Scenario(), spaces.space(mc.Scenario(), Search(space="split")), goal)
+    names, n = problem.space.names, problem.space.size
+    # less of each, then more
+    value = np.array([0.5, 0.505, 0.49, 0.5, 0.35, 0.505, 0.515, 0.59, 0.5])
+    force = 1 + np.array([0, 0.01, 0, 0.0005, 0.01, 0, 0.01, 0.0009, 0.01])
+    metrics = dict.fromkeys(mc.METRICS.names, np.zeros(1 + 2 * n)) | {"force_variation": force}
+    feasible, none = np.arange(1 + 2 * n) != 6, np.zeros((1 + 2 * n, 0))
+    around = Evaluation(value, value, 0 * value, np.ones(1 + 2 * n, bool), none, none, metrics)
+    theta = (problem.space.lower + problem.space.upper) / 2
+    theta[1] = problem.space.upper[1]
+    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5, of_pd=1.0)
+    cells = {"objective": ("stiffness", [0.52, 0.45, 0.4]), "feasible": ("stiffness", [True, True, False])}
+    grid = xr.Dataset(cells, {"stiffness": [1.0, 2.0, 3.0]})
+
+    def checked(around=around, radius=1.0, force=1.0, **changes):
+        own = types.SimpleNamespace(**vars(found) | changes)
+        walk = {**HELD, "peak_pull_force": 30.0, "force_variation": force}
+        return verify(own, problem, metrics=walk, walks=grid, tested=verification.Tests(around, np.arange(n), radius))
+
+    first = checked()
+    assert [first.shape[name] for name in names] == ["plateau", "slope", "slope", "slope"]
+    assert [first.less[name] for name in names] == pytest.approx([0.005, -0.01, 0.0, -0.15])
+    assert [first.more[name] for name in names] == pytest.approx([0.005, 0.015, 0.09, 0.0])
+    assert (first.value, first.grid_value, first.grid_gains) == (0.5, 0.45, {"stiffness": 2.0})
+    assert list(first.slopes.values()) == [0, 1, 2, 3] and first.passed
+    assert first.warnings == [
+        f"{names[1]} lies on a bound: widen bounds.{names[1]}",
+        f"{names[2]}: no metric responds to it here (less than 0.1% for 20%)",
+        "a coarse grid found better: 0.4500 at stiffness 2",
+    ]
+    broken = checked(around._replace(feasible=feasible))
+    assert broken.more[names[1]] is None and broken.shape[names[1]] == "cliff" and broken.less[names[1]] is not None
+    beyond = checked(around._replace(value=np.where(np.arange(1 + 2 * n) == 7, 0.61, value)))
+    assert beyond.shape[names[2]] == "cliff"
+    more = {
+        "the closed loop is unstable in a stance of the gait: a disturbance grows by 1.001000 a step": {
+            "radius": 1.001
+        },
+        "alone in float64 the objective is 0.5200, in the search 0.5000": {"force": 1.04},
+        "no point of the search keeps every limit: these gains are the nearest to it": {"feasible": False},
+    }
+    for line, changes in more.items():
+        assert {*checked(**changes).warnings} - {*first.warnings} == {line}
+    # what pd's value is not 1 of is relative to it
+    assert set(checked(of_pd=100.0).shape.values()) == {"plateau"}
 
 
 def test_a_walk_without_a_metric_that_counts_keeps_no_limit():

@@ -6,7 +6,6 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer, Recovering
 from mjx_climb.inputs.time_step import short_enough
-from tuning.background import ignore
 from tuning.comparisons import side_by_side
 from tuning.comparisons.worth import OverWalks, between, worth_of
 from tuning.problem.evaluation import Problem
@@ -169,12 +168,8 @@ def test_what_a_recovery_saves_is_not_put_down_to_the_sensor_alone(law, what):
 
 
 @pytest.mark.parametrize(("kd", "expected"), [(0.2, None), (1.0, 5e-4)])
-def test_all_that_is_compared_with_pd_walks_at_the_time_step_that_it_needs(kd, expected, monkeypatch):
-    monkeypatch.setattr(mc, "rollout", lambda scenario, **_: scenario.time_step)
-    walkers = {"best": (CASE, None), "pd": (CASE.with_overrides({"control.controller": "pd"}), None)}
-    joint = {"kp": 17.0, "kd": kd}
-    own, step, level = side_by_side.beside_retuned(CASE, joint, walkers, "limb", lambda work: work)
-    assert step == expected and own(ignore) == (step or CASE.time_step)
-    assert {name: walk(ignore) for name, walk in level.items()} == (
-        {} if step is None else dict.fromkeys(walkers, step)
-    )
+def test_what_is_compared_with_pd_walks_at_the_time_step_that_it_needs_too(kd, expected):
+    found = side_by_side.beside_retuned(CASE, {"kp": 17.0, "kd": kd}, (CASE, None))
+    steps = {name: scenario.time_step for name, (scenario, _) in found.items()}
+    both = (retuned_pd.NAME, side_by_side.LEVEL)
+    assert steps == (dict.fromkeys(both, expected) if expected else {retuned_pd.NAME: CASE.time_step})

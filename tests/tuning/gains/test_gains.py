@@ -20,7 +20,7 @@ from mjx_climb.control.virtual_mass import Motion, advance, at_rest
 from mjx_climb.inputs import gait_values
 from mjx_climb.scenario.load import load_hardware
 from mjx_climb.scenario.shipped import config_path
-from tuning.comparisons import margins, stability_limit
+from tuning.comparisons import deployment, margins, stability_limit
 from tuning.gains import admittance_control, gains_file, gains_tables, own_section, ros2_control
 
 SIX = [1.0, 2.0, 0.5, 0.1, 0.3, 0.02]
@@ -513,3 +513,27 @@ def test_a_law_of_each_foots_force_has_no_moment_in_the_cpp_librarys_file():
     for law, kinds in laws.items():
         text = admittance_control.write(SPLIT, 0.01, law=law)
         assert list(yaml.safe_load(text)["admittance_control"]) == kinds
+
+
+RUN = ("contact", "drive", "footholds", "disturbances")  # files that a walk in a config runs
+
+
+@pytest.mark.parametrize(
+    ("place", "asked"),
+    [*((name, False) for name in (*RUN, "law", "metrics", "objective", "method")), ("contact", True)],
+)
+def test_a_config_that_was_found_beside_the_gains_runs_nothing(export, tmp_path, monkeypatch, place, asked):
+    """In somebody else's folder; one that is given runs the files of its contact, drive, footholds and disturbances."""
+    monkeypatch.setattr(deployment, "check", lambda *_, **__: [])
+    ran, file = tmp_path / "ran", tmp_path / "theirs.py"
+    file.write_text(f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n")
+    named = {"file": str(file), "name": "Theirs"}
+    own = {place: [named] if place in ("metrics", "disturbances") else named}
+    config = mc.load_scenario("case_1_2").with_overrides({"own": own})
+    code, _, err = export(GAINS, *(["--config", tmp_path / "config.yaml"] if asked else []), config=config)
+    assert ran.exists() is asked
+    if place in RUN:
+        assert code == 2 and err.count("\n") == 1
+        assert asked or re.search(
+            rf"own\.{place}(\.0)?\.file: expected none in a config that was found, not given", err
+        )

@@ -102,7 +102,10 @@ def test_options_take_the_place_of_a_configs_and_set_comes_last(file):
             {"drive": {"name": "VelocityCommanded", "values": {"p": [1.0, 2.0]}}},
             "values.p: expected that of one robot",
         ),
-        ({"drive": {"name": "VelocityCommanded", "values": {"p": -1.0}}}, "values.p: expected finite numbers above 0"),
+        (
+            {"drive": {"name": "VelocityCommanded", "values": {"p": -1.0}}},
+            "values.p: expected numbers from 0.1 to 1000",
+        ),
         (
             {"drive": {"name": "VelocityCommanded", "values": {"p": "x"}}},
             "own.drive.values.p: expected a ",

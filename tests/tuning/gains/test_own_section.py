@@ -81,7 +81,7 @@ def test_set_reaches_a_law_of_ones_own(file, tmp_path, given):
         ("control.controller=pd", "expected one of inertia"),
         ("control.stiffness=-1", "expected finite numbers above 0, got -1"),
         ("control.share=[1, 2]", "expected the gains of one law, got 2 of share"),
-        ("control.share=much", "could not convert"),
+        ("control.share=much", "gains.share: expected real numbers"),
     ],
 )
 def test_what_a_law_of_ones_own_cannot_take_is_refused(file, change, said):

@@ -1,5 +1,6 @@
 """What is wrong with a log is said in one line each, with how to say otherwise; of a sound log nothing is."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -74,6 +75,69 @@ def rates(columns):
     }
 
 
+def zeros(columns, every=50):
+    none = np.arange(1000) % every == 7 % every
+    return columns | {name: np.where(none, 0.0, columns[name]) for name in POSITIONS}
+
+
+def every_stamp_twice(columns):
+    return {
+        name: np.repeat(values, 2) + 0.05 * (name != "time") * (np.arange(2000) % 2) for name, values in columns.items()
+    }
+
+
+def zeros_every_other_row(columns):
+    return zeros(columns, 2)
+
+
+def zeros_before_the_first_read(columns):
+    return columns | {name: np.where(np.arange(1000) < 30, 0.0, columns[name]) for name in POSITIONS}
+
+
+def lost_reads_of_one_joint(columns):
+    return columns | {"RH.tibia.position": np.where(np.arange(1000) % 90 == 5, 0.0, columns["RH.tibia.position"])}
+
+
+def spikes(columns):
+    return columns | {"LF.coxa.position": columns["LF.coxa.position"] + 0.9 * (np.arange(1000) % 111 == 60)}
+
+
+def two_publishers(columns):
+    """Of the robot, and of a copy of it that stands still 0.5 rad away."""
+    other = np.arange(1000) % 2 == 1
+    return columns | {name: np.where(other, columns[name][0] + 0.5, columns[name]) for name in POSITIONS}
+
+
+def currents(bits=16, sign_bit=None):
+    """Return columns with whole efforts whose negative ones lost their sign."""
+
+    def of(columns):
+        current = np.round(30 * np.sin(np.arange(1000) / 50) + 3)
+        lost = 2.0**sign_bit - current if sign_bit else current + 2.0**bits
+        return columns | {f"{joint}.effort": np.where(current < 0, lost, current) for joint in JOINTS}
+
+    of.__name__ = f"current_{bits}_{sign_bit}"
+    return of
+
+
+CURRENTS = {bits: currents(bits) for bits in (12, 16, 32)}
+SIGN_BIT = currents(sign_bit=10)
+
+
+def loads(columns):
+    """As AX-12 give them: 11 bits, of which the highest is the sign."""
+    load = np.round(900 * np.sin(np.arange(1000) / 50))
+    return columns | {"LF.coxa.effort": np.where(load < 0, 1024 - load, load)}
+
+
+def small_degrees(columns):
+    """Motions that stay within the joint's limits in either unit."""
+    middle = {name: columns[name].mean() for name in columns}
+    small = {name: middle[name] + (columns[name] - middle[name]) / 100 for name in columns if name != "time"}
+    small |= {name: middle[name] + np.degrees(small[name] - middle[name]) for name in POSITIONS}
+    return columns | {name: small[name] for name in small}
+
+
 WRONG = {
     gap: "LF.coxa.command and 23 more: 1 gaps, the longest from 2.99 to 4.2 s, where samples come every 0.01 s",
     flipped: "RH.femur.position: goes against its command, .*sign: -1",
@@ -89,6 +153,20 @@ WRONG = {
     early: "positions: come 0.22 s before their commands, suspected to be another clock .shift: 0.22",
     rates: "LF.coxa.velocity and 11 more: 57 times the angle's rate, suspected to be deg/s .unit: deg/s",
 }
+WRONG |= {
+    zeros: "LF.coxa.position and 11 more: 20 of 1000 samples are 0 and none beside them is near, .*outliers: drop",
+    zeros_every_other_row: "LF.coxa.position and 11 more: 500 of 1000 samples are 0 and none beside them is near",
+    zeros_before_the_first_read: "LF.coxa.position and 11 more: 30 of 1000 samples are 0 and none beside",
+    lost_reads_of_one_joint: "RH.tibia.position: 12 of 1000 samples are 0 and none beside them is near",
+    every_stamp_twice: "LF.coxa.command and 23 more: 1000 of 2000 samples come no later than one before them: left out",
+    spikes: "LF.coxa.position: 9 of 1000 samples jump away from those beside them and back, .*outliers: drop",
+    two_publishers: "LF.coxa.position and 11 more: 9.. of 1000 samples .*suspected to be of two publishers .take one",
+    **{of: f"LF.coxa.effort and 11 more: suspected to be numbers of {bits} bits read without .*bits: {bits} in"
+       for bits, of in CURRENTS.items()},
+    SIGN_BIT: "LF.coxa.effort and 11 more: suspected to be .* 11 bits read without their sign .sign_bit: 10 in",
+    loads: "LF.coxa.effort: suspected to be numbers of 11 bits read without their sign .sign_bit: 10 in signals.yaml",
+    small_degrees: "LF.coxa.position and 11 more: moves 57 times as far as its command, suspected to be degrees",
+}  # fmt: skip
 ONLY = {swapped: 2, degrees: 1}
 
 
@@ -124,7 +202,7 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, break_it):
         assert "\n" not in line and line.startswith(str(tmp_path / "log.csv")) and len(line) < 400
     assert all(re.search(WRONG[break_it], line) for line in log.warnings), log.warnings
     # never a silent correction
-    for name in set(log.signals) & set(columns):
+    for name in set(log.signals) & set(columns) if break_it != every_stamp_twice else ():
         np.testing.assert_array_equal(log.signals[name].value, columns[name])
 
 
@@ -189,6 +267,13 @@ def test_a_position_that_is_a_turn_off_its_command_is_named(tmp_path):
     (early, {name: {"shift": 0.25} for name in POSITIONS}, {}),
     (rates, {f"{joint}.velocity": {"unit": "deg/s"} for joint in JOINTS}, {}),
     (gap, {}, {"longest_gap": 200}),
+    (degrees, {f"{joint}.command": {"column": f"{joint}.command", "unit": "rad"} for joint in JOINTS}, {"unit": "deg"}),
+    (zeros, {}, {"outliers": "drop"}),
+    (zeros_every_other_row, {}, {"outliers": "keep"}),
+    (spikes, {}, {"outliers": "drop"}),
+    (two_publishers, {}, {"outliers": "keep"}),
+    *((of, {f"{joint}.effort": {"bits": bits} for joint in JOINTS}, {}) for bits, of in CURRENTS.items()),
+    (SIGN_BIT, {f"{joint}.effort": {"sign_bit": 10} for joint in JOINTS}, {}),
     (swapped, {f"{a}.{joint}.position": {"column": f"{b}.{joint}.position"} for a, b in (("LF", "RF"), ("RF", "LF"))
                for joint in ROBOT.joint_names}, {}),
 ])  # fmt: skip
@@ -196,3 +281,83 @@ def test_the_answer_that_a_line_asks_for_settles_it(tmp_path, break_it, answer, 
     columns = break_it(recorded())
     sources = {name: {"column": name, **answer.get(name, {})} for name in columns if name != "time"}
     assert read(tmp_path, columns, Signals.make({"time": "time", "signals": sources, **top})).warnings == ()
+
+
+def test_dropped_zeros_leave_the_rest_of_their_messages_as_it_was(tmp_path):
+    columns = recorded()
+    broken = zeros(columns | {"LF.coxa.velocity": np.gradient(columns["LF.coxa.position"], columns["time"])})
+    none = broken["RH.femur.position"] == 0
+    broken |= {"LF.coxa.velocity": np.where(none, 0.0, broken["LF.coxa.velocity"])}
+    log = read(tmp_path, broken, Signals.make({"outliers": "drop"}))
+    assert log.warnings == () and none.sum() == 20
+    for name in (*POSITIONS, "LF.coxa.velocity"):
+        np.testing.assert_array_equal(log.signals[name].value, broken[name][~none])
+        np.testing.assert_array_equal(log.signals[name].time, columns["time"][~none])
+    assert len(log.signals["LF.coxa.command"].time) == 1000
+
+
+@pytest.mark.parametrize("of", [*CURRENTS.values(), SIGN_BIT], ids=lambda of: of.__name__)
+def test_signs_come_back_to_the_last_bit(tmp_path, of):
+    key = {"sign_bit": 10} if of is SIGN_BIT else {"bits": next(bits for bits in CURRENTS if CURRENTS[bits] is of)}
+    source = {"column": "LF.coxa.effort", "unit": "mA", "torque_constant": 2.0, "zero": 3, **key}
+    columns = of(recorded())
+    log = read(tmp_path, columns, Signals.make({"time": "time", "signals": {"LF.coxa.effort": source}}))
+    expected = 2e-3 * np.round(30 * np.sin(np.arange(1000) / 50))
+    np.testing.assert_allclose(log.signals["LF.coxa.effort"].value, expected, atol=1e-12)
+
+
+def test_counts_of_32_bits_are_both_counts_and_without_their_sign(tmp_path):
+    columns = recorded()
+    turned = np.round((columns["LF.coxa.position"] - columns["LF.coxa.position"].mean()) / (2 * np.pi) * 4096)
+    said = read(tmp_path, columns | {"LF.coxa.position": np.where(turned < 0, turned + 2.0**32, turned)}).warnings
+    assert any("bits: 32" in line for line in said) and any("unit: counts" in line for line in said)
+
+
+@pytest.mark.parametrize(("efforts", "expected"), [(0.6, ()), (4.0, ("more than 3 times",)), (600.0, ("than 100 ",))])
+def test_torques_that_no_drive_has_are_of_another_unit(tmp_path, efforts, expected):
+    columns = recorded()
+    columns |= {f"{joint}.effort": efforts * np.sin(9 * columns["time"]) for joint in JOINTS}
+    write_csv(tmp_path / "log.csv", columns)
+    robot = dataclasses.replace(ROBOT, torque_limit=np.ones((4, 3)))
+    said = read_log(tmp_path / "log.csv", robot).warnings
+    assert len(said) == len(expected) and all(f" {words}" in line for words, line in zip(expected, said, strict=True))
+
+
+@pytest.mark.parametrize("form", ["{}.{}", "{}_{}_pos"])
+def test_one_unit_does_for_a_whole_file(tmp_path, form):
+    """By the names of signals, and guessed; rates are in degrees a second then, and no force is."""
+    columns = recorded()
+    columns |= {f"{joint}.velocity": np.gradient(columns[f"{joint}.position"], columns["time"]) for joint in JOINTS}
+    names = {f"{joint}.{what}": f"{joint}.{what}" if "{}.{}" == form else f"{joint.replace('.', '_')}_{what}"
+             for joint in JOINTS for what in ("command", "position", "velocity")}  # fmt: skip
+    file = {"time": columns["time"]} | {names[name]: np.degrees(columns[name]) for name in names}
+    (tmp_path / "signals.yaml").write_text("unit: deg\n")
+    log = read(tmp_path, file | {"LF.force.z" if form == "{}.{}" else "LF_force_z": columns["time"]},
+               tmp_path / "signals.yaml")  # fmt: skip
+    assert log.warnings == ()
+    for name in names:
+        np.testing.assert_allclose(log.signals[name].value, columns[name], rtol=1e-12, err_msg=name)
+    np.testing.assert_array_equal(log.signals["LF.force.z"].value, columns["time"])
+    assert log.guessed is None or log.guessed.to_yaml().startswith("time: time\nunit: deg\n")
+
+
+@pytest.mark.parametrize("steps", ["square", "rest"])
+def test_commands_of_zero_and_joints_at_rest_there_are_no_outliers(tmp_path, steps):
+    time = np.arange(1000) / 100
+    command = np.where(time % 2 < 1, 0.5, 0.0) if steps == "square" else np.where(time < 5, 0.0, 0.5)
+    late = np.concatenate([np.full(8, command[0]), np.convolve(command, np.ones(8) / 8, "valid")])[:1000]
+    columns = {"time": time}
+    for joint in JOINTS:
+        columns |= {f"{joint}.command": command, f"{joint}.position": late}
+    said = [line for line in read(tmp_path, columns).warnings if "samples" in line and "repeat" not in line]
+    assert said == []
+
+
+def test_what_is_suspected_is_said_before_anything_is_fitted(tmp_path, capsys):
+    from tuning.command_line import program
+
+    write_csv(tmp_path / "log.csv", degrees(recorded()))
+    typed = ["identify", "case_1_1", "--log", str(tmp_path / "log.csv"), "--fit", "no.such.key"]
+    assert program.run(typed) == 2
+    warned, _, refused = capsys.readouterr().err.partition("error: ")
+    assert "suspected to be degrees (unit: deg in signals.yaml" in warned and "no.such.key" in refused

@@ -285,6 +285,7 @@ def test_what_the_log_cannot_see_is_said(fit, unseen, words):
 def test_a_truth_that_the_model_does_not_have_is_never_a_narrow_wrong_answer(change):
     found = identified(dataclasses.replace(TRUE, **change))
     told = [line for line in found.warnings if "the model is wrong" in line]
+    assert bool(told) == ("; the residuals refute the model in " in found.sentence)
     given = {key: each for key, each in found.estimates.items() if each.low is not None}
     wrong = [key for key, each in given.items() if not each.low < VALUES[key] < each.high]
     assert not wrong or (told and found.posterior.widening.min() > 3)

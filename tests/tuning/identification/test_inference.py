@@ -9,6 +9,7 @@ import pytest
 from tuning.identification.fit.conclusions import trusted
 from tuning.identification.fit.inference import Whiteness, covariance_of, is_seen, posterior, unmodelled, useless
 from tuning.identification.fit.least_squares import Fitted, LeastSquares, Normal
+from tuning.identification.fit.report import findings
 from tuning.identification.fit.result import Estimate
 from tuning.identification.fit.stamps import Stamped
 from tuning.identification.model.variables import Variable
@@ -146,3 +147,14 @@ def test_few_blocks_count_by_students_quantile():
 ])  # fmt: skip
 def test_a_parameter_is_told_where_its_interval_is_well_inside_the_prior_and_off_its_bounds(x, sd, seen):
     assert is_seen(ARMATURE, x, sd) == seen
+
+
+def test_no_warning_of_a_fit_is_folded_away_on_its_page():
+    told = {
+        "sentence": "log.csv tells 1 of 2 parameters",
+        "warnings": ("on its bound", "stuck"),
+        "combined": ("a + b",),
+    }
+    said = findings(SimpleNamespace(**told))
+    assert (said.verdict, said.beside) == (told["sentence"], ["warning: on its bound", "warning: stuck"])
+    assert said.lines == ["a + b", *said.beside, told["sentence"]]

@@ -17,7 +17,7 @@ from tuning.methods.rounds import follow
 from tuning.problem import spaces
 from tuning.problem.search import METHODS, OWN_METHOD, Search
 from tuning.results import tuned
-from tuning.searches.tune import own_method, start_of, tune
+from tuning.searches.tune import check_method, own_method, run, start_of, tune
 
 SCRIPT = Path(__file__).parents[3] / "docs" / "guides" / "closing_in.py"
 NAMED = f"{SCRIPT}:ClosingIn"
@@ -102,6 +102,69 @@ def test_what_is_no_method_is_refused_in_one_line(named, said):
     assert "\n" not in str(refused.value)
 
 
+def nothing(task):
+    yield from ()
+
+
+def listing(task):
+    return [Request(task.start[None], None, "")]
+
+
+def failing(task):
+    raise KeyError("no such thing\nand more")
+
+
+def later(task):
+    yield Request(task.start[None], None, "")
+    return task.nothing
+
+
+def ending(task):
+    yield Request(task.start[None], None, "")
+    sys.exit(3)
+
+
+def asking_for_none(task):
+    yield Request(task.start[None], None, "")
+    yield None
+
+
+class Refusing(Once):
+    def check(self, space, search):
+        raise mc.ConfigError("method: expected a smaller space")
+
+
+class Unchecked(Once):
+    def check(self, space, search):
+        sys.exit()
+
+
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [
+        (nothing, "method nothing: expected at least one Request of points, got none"),
+        (listing, "method listing: expected a generator of Requests, got list"),
+        (failing, "method failing: KeyError: 'no such thing\\nand more'"),
+        (later, "method later: AttributeError: 'Task' object has no attribute 'nothing'"),
+        (ending, "method ending: SystemExit: 3"),
+        (asking_for_none, "method: expected a Request of finite theta (B, 2), got a NoneType"),
+        (Refusing, "method: expected a smaller space"),
+        (Unchecked, "method: SystemExit: "),
+    ],
+)
+def test_a_method_that_fails_is_refused_in_one_line(bowl, method, said, tmp_path):
+    own = method_of(method)
+    problem = dataclasses.replace(bowl, own_method=own)
+    with pytest.raises(mc.ConfigError, match=f"^{re.escape(said)}$"):
+        check_method(Search(method=OWN_METHOD), own, bowl.space)
+        run(problem, Search(method=OWN_METHOD), out=tmp_path)
+
+
+def test_a_search_by_a_method_of_ones_own_has_each_of_its_points(bowl):
+    found = run(dataclasses.replace(bowl, own_method=method_of(bare)), Search(method=OWN_METHOD))
+    np.testing.assert_array_equal(found.data["theta"], start_of(bowl)[None])
+
+
 def test_settings_and_scenario_name_a_method_of_ones_own(tmp_path):
     scenario = mc.Scenario()
     assert [own_method(Search(method=name), scenario)[1] for name in METHODS] == [None] * len(METHODS)
@@ -164,8 +227,44 @@ def test_a_sampler_of_optuna_by_its_name(bowl, sampler):
     np.testing.assert_array_equal(requests, searched(bowl, method_of(f"optuna:{sampler}"), starts=8, iterations=30)[0])
 
 
-@pytest.mark.parametrize("sampler", ["nothing", "grid", "partialfixed", "base"])
+def test_cmaes_draws_about_the_best_of_its_first_points(bowl):
+    """Whichever that is, here the one nearest to the middle of the box."""
+    requests = []
+
+    def evaluate(request):
+        requests.append((request.theta - bowl.space.lower) / (bowl.space.upper - bowl.space.lower))
+        worth = abs(requests[0] - 0.5).max(1)
+        return bowl.evaluate(request.theta)._replace(value=worth, penalty=0 * worth)
+
+    settings = Search.make({"method": "cmaes", "starts": 600, "iterations": 2})
+    follow(method_of("cmaes").run(Task(bowl, settings, start_of(bowl))), evaluate)
+    first, second = requests
+    assert min(map(np.min, requests)) >= 0 and max(map(np.max, requests)) <= 1
+    best = first[abs(first - 0.5).max(1).argmin()]
+    np.testing.assert_allclose(np.median(second, axis=0), best, atol=0.05)
+    np.testing.assert_allclose(np.std(second, axis=0), 0.2, rtol=0.15)
+    assert abs(best - first[0]).max() > 0.1
+
+
+@pytest.mark.parametrize("sampler", ["nothing", "grid", "partialfixed", "base", "bruteforce"])
 def test_samplers_that_need_more_than_a_seed_are_refused(bowl, sampler):
     pytest.importorskip("optuna")
     with pytest.raises(mc.ConfigError, match=rf"^method: expected optuna:SAMPLER, one of .*nsgaii.*, got '{sampler}'$"):
         method_of(f"optuna:{sampler}").check(bowl.space, Search())
+
+
+def test_each_sampler_that_is_offered_can_be_asked_for_gains(bowl):
+    """Optuna's new ones too; one that needs another package may say so."""
+    pytest.importorskip("optuna")
+    with pytest.raises(mc.ConfigError) as refused:
+        method_of("optuna:nothing").check(bowl.space, Search())
+    offered = re.search("one of (.*), got", str(refused.value))[1].split(", ")
+    assert {"tpe", "cmaes"} < {*offered}
+    for name in offered:
+        method = method_of(f"optuna:{name}")
+        try:
+            method.check(bowl.space, Search())
+        except mc.ConfigError as error:
+            assert f"expected what optuna:{name} needs" in str(error)
+            continue
+        assert next(method.run(Task(bowl, Search(), start_of(bowl)))).theta.shape == (16, 2)

@@ -3,13 +3,14 @@
 import json
 import shutil
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
-from tuning.methods.parts import IDENTITY, Parts
+from tuning.methods.parts import IDENTITY, Parts, identity_in
 from tuning.searches import shards
 
 
@@ -101,3 +102,24 @@ def test_a_damaged_identity_is_said_in_one_line(tmp_path):
             shards.find([tmp_path])
         with pytest.raises(OutputError, match="differs in shard, a "):
             Parts(tmp_path / "shard-1-of-1", {"shard": [1, 1], "a": 1.5})
+
+
+def test_of_two_computations_that_begin_together_one_has_the_folder(tmp_path):
+    """Often, as they meet at a barrier: threads that wait for each other by the folder alone."""
+    for number in range(40):
+        meeting = threading.Barrier(2)
+
+        def begin(name, meeting=meeting, out=tmp_path / str(number)):
+            def identity():
+                meeting.wait(20)
+                return {"name": name}
+
+            try:
+                return Parts(out, identity) and name
+            except OutputError as error:
+                assert "that differs in name" in str(error)
+                return None
+
+        with ThreadPoolExecutor(2) as pool:
+            (winner,) = filter(None, pool.map(begin, "ab"))
+        assert identity_in(tmp_path / str(number) / "parts") == {"name": winner}

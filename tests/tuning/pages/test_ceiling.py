@@ -11,7 +11,7 @@ import xarray as xr
 import mjx_climb as mc
 import tuning
 from tuning.pages import ceiling as pages
-from tuning.pages.page import Origin
+from tuning.pages.page import Findings, Origin
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
@@ -114,7 +114,10 @@ def test_a_blind_plan_is_told_by_walks_that_it_was_not_searched_on():
     unseen = {row[0]: row[shown.columns.index("unseen")] for row in shown.sections[0][1]}
     assert unseen == {"clairvoyant": "-", "causal 5 ms": "-", "blind": "0.9000", "mine": "0.7500", "retuned_pd": "-",
                       "pd": "1.0000"}  # fmt: skip
-    assert pages.summary(found)["unseen"]["mine"]["objective"] == pytest.approx(0.75)
+    summary = pages.summary(found)
+    assert summary["unseen"]["mine"]["objective"] == pytest.approx(0.75)
+    assert list(summary["ceiling"]) == found.contestants
+    assert summary["ceiling"]["blind"]["objective"] == pytest.approx(found.values("blind").mean())
     assert bounded().tested == {} and "unseen" not in pages.table(bounded()).columns
 
 
@@ -135,7 +138,7 @@ def test_one_walk_has_no_interval():
 
 
 def test_the_first_screen_goes_from_the_best_plan_to_pd():
-    page = pages.page(bounded(), ["what it rests on"], Origin("case_2", "", ""))
+    page = pages.page(bounded(), Findings("a sentence"), Origin("case_2", "", ""))
     shown = [row[0] for _, rows in page.brief.sections for row in rows]
     assert shown == ["clairvoyant", "blind", "mine", "retuned_pd", "pd"]
 
@@ -156,6 +159,6 @@ def test_its_folder_holds_the_sentence_the_table_and_the_plans(tmp_path):
     assert Ceiling.load(tmp_path / "ceiling.yaml").knots == (0.2, 0.1)
     assert json.loads(written.summary)["sensor"]["at_most"] == pytest.approx(0.2)
     text = html.unescape((tmp_path / "report.html").read_text("utf-8"))
-    assert written.outcome[0] in text and all(name in text for name in MEANS)
+    assert written.outcome[-1] in text and all(name in text for name in MEANS)
     with xr.open_dataset(tmp_path / "ceiling.nc", engine="h5netcdf") as data:
         assert data["joint_targets"].dims == ("plan", "member", "time", "limb", "joint")

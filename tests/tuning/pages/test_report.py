@@ -2,6 +2,7 @@
 
 import base64
 import dataclasses
+import io
 import json
 import re
 
@@ -13,6 +14,9 @@ import mjx_climb as mc
 from mjx_climb.walks import LINES, histories
 from tests.shell import finish
 from tuning import numbers
+from tuning.command_line import session
+from tuning.command_line.options import Output
+from tuning.command_line.session import Session
 from tuning.comparisons import verification
 from tuning.comparisons.of_ensemble import SHOWN
 from tuning.comparisons.of_front import FrontComparison
@@ -25,6 +29,7 @@ from tuning.problem.evaluation import Problem
 from tuning.results import front as fronts
 from tuning.results import tuned
 from tuning.results.front import Front
+from tuning.results.swept import Swept
 from tuning.searches.pareto import nondominated
 from tuning.writing.folder import without_folders
 
@@ -271,12 +276,13 @@ def test_the_first_screen_is_a_sentence_five_rows_and_a_picture_and_the_rest_is_
     rows = [[name, "1"] for name in ("stiffness", *reversed(page.MAIN), "travel", page.MAIN[0])]
     every = page.Table("every number", ["metric", "value"], [("", rows[:2]), ("", rows[2:])])
     made = page.Page(
-        "", origin, "verdict", mc.Scenario(), ["Warning: it breaks.", "It is so."], ["Test."], tables=[every]
+        "", origin, page.Findings("it won", ["warning: it breaks"], ["it is so"]), mc.Scenario(), tables=[every]
     )
     open_part, *folded = page.render(made).split('<details class="part">')
     assert re.findall("<li>(.*)</li>", open_part) == ["Warning: it breaks."]
-    assert re.findall("<li>(.*)</li>", folded[0]) == ["It is so.", "Test."]
-    assert re.findall(r'<th scope="row" class="word">(.*)</th>', open_part) == [*page.MAIN]
+    assert '<p class="verdict">It won.</p>' in open_part
+    assert re.findall("<li>(.*)</li>", folded[0]) == ["It is so."]
+    assert re.findall(r'<th scope="row" class="word">(.*)</th>', open_part) == [*page.MAIN[: page.ROWS]]
     assert re.findall("<figcaption>(.*)</figcaption>", open_part) == ["one"]
     assert re.findall(r'<th scope="row" class="word">(.*)</th>', folded[1]) == [row[0] for row in rows]
     assert re.findall("<figcaption>(.*)</figcaption>", folded[2]) == ["two"]
@@ -327,9 +333,9 @@ def tuned_page(named):
     data = xr.Dataset({name: ("point", [value]) for name, value in point.items()})
 
     def made(over, **changed):
-        compared = TuneComparison(walks, rows, over, None, CHECKED, None)
+        compared = TuneComparison(walks, rows, over, None, CHECKED, None, "")
         found = tuned.Tuned(data, Problem(scenario), gains=mc.Gains(**gains | changed))
-        return tune.page_of(found, compared, ["a line"], ["a test"], ORIGIN)
+        return tune.page_of(found, compared, page.Findings("0.9 of pd"), ORIGIN)
 
     return made
 
@@ -348,9 +354,8 @@ def test_the_page_of_a_search(tuned_page, over):
     for grid in (None, over):
         made = tuned_page(grid)
         text = page.render(made)
-        for words in ("Tuned gains score 0.9000 of pd", "every limit is kept", "breaks a limit", "mjx-climb again"):
+        for words in ("0.9 of pd.", "breaks a limit", "mjx-climb again"):
             assert words in text
-        assert made.notes[0] == "A line" and list(made.more) == ["A test"]
         (cells,) = made.explorers.values()
         assert [walk["name"] for walk in cells["walks"]] == ["pd", "config", "tuned"]
         assert (cells["points"] is None) == (grid is None)
@@ -380,9 +385,8 @@ def test_the_page_of_a_search_opens_on_its_result(chromium, tuned_page, over, tm
 
 @pytest.mark.slow
 @pytest.mark.parametrize("held", [True, False])
-def test_the_page_of_a_sweep_says_which_walk_is_best(held):
-    """Or that none held; what a reader should know stands first, a sentence each."""
-    failures = {"detached_limb": None, "diverged": False, "min_tsm": 0.1}
+def test_the_page_of_a_sweep_begins_with_its_verdict_and_folds_what_else_was_found(held):
+    failures = {"detached_limb": None, "diverged": False, "min_tsm": 0.1, "missed_grips": 0}
     values = {"best": (40.0, 0.02), "pd": (80.0, 0.01)} if held else {"pd": (80.0, 0.01)}
     rows = {name: (None, {"force_variation": v, "base_deviation": d, **failures}) for name, (v, d) in values.items()}
     grid = grid_of({"force_variation": np.zeros(4)}, stiffness=[1e2, 1e3], damping=[1.0, 2.0])
@@ -391,17 +395,15 @@ def test_the_page_of_a_sweep_says_which_walk_is_best(held):
     scenario = mc.Scenario().with_overrides({"duration": 0.3, "control.controller": "pd"})
     walks = dict.fromkeys(rows, mc.rollout(scenario))
     lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))
-    compared = SweepComparison(grid, best, walks, rows, 1, [], None, None, lines)
-    made = sweep.page_of(Problem(scenario), compared, ["widen it"], ORIGIN)
-    expected = []
+    compared = SweepComparison(grid, best, walks, rows, 1, ["damping"], None, "the verdict", 5e-4, lines)
+    made = sweep.contents(Swept(grid, Problem(scenario)), compared, "").page(ORIGIN)
+    expected = ["1 of 4 walks lost a gripper or diverged", "worse than pd: base deviation +100 %"] if held else []
+    cells = "the page holds the time histories of 2 of the cells; a click shows the nearest of them"
+    step = "retuned_pd walks at a time step of 0.0005 s, which its kp and kd need"
+    warning = "warning: the best lies on the edge of the grid: widen damping"
+    assert made.findings == page.Findings("the verdict", [warning], [*expected, step, cells])
     if held:
-        expected = ["1 of the 4 walks lost a gripper or diverged.", "Worse than pd: base deviation +100 %."]
-        assert "stiffness 1000 and damping 1 are best: force variation 40 N, 50.0 % below pd" in made.verdict
         assert made.explorers["Maps and walks"]["points"]["begin"] == 2
-    else:
-        assert made.verdict == "None of the 4 walks held: every one lost a gripper or diverged."
-    cells = "The page holds the time histories of 2 of the cells; a click shows the nearest of them."
-    assert made.notes == ["Widen it.", *expected, cells]
 
 
 @pytest.mark.slow
@@ -421,9 +423,11 @@ def test_the_page_of_a_front(swept, named):
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
     found = Front(front, Problem(named[0]))
     compared = FrontComparison(named[1], kept, of_front(found))
-    made = pareto.page_of(found, compared, pareto.front_table(front, bend, found.asked.points), ORIGIN)
-    assert "The front of 9 points bends at" in page.render(made)
-    assert made.notes[0].endswith(", at no more base deviation.")
+    table = pareto.front_table(front, bend, found.asked.points)
+    made = pareto.page_of(found, compared, table, page.Findings(pareto.verdict(found, compared)), ORIGIN)
+    assert made.findings.verdict.startswith("the front of 9 points bends at")
+    assert "% above pd with its own kp and kd searched" in made.findings.verdict
+    assert compared.worth.endswith(", at no more base deviation")
     (_, on), (_, below) = made.tables[0].sections
     assert [row[0] for row in on] == ["knee" if i == bend else "" for i in range(9)] and len(on[0]) == 5
     assert [row[0] for row in below] == ["config", "pd", "pd, kp 30, kd 0.5"]
@@ -484,7 +488,7 @@ def test_what_failed_says_so_and_nothing_is_compared_with_it():
 
 def test_words_say_which_way_metrics_went():
     forces = {name: {"peak_foot_force": force} for name, force in {"best": 3.0, "pd": 4.0, "paper": None}.items()}
-    assert comparison.against("peak_foot_force", "best", forces) == "3 N, 25.0 % below pd"
+    assert comparison.against("peak_foot_force", "best", forces) == "3 N, 25.0 % below pd as the config has it"
     metrics, baseline = {"force_variation": 1.0, "base_deviation": 2.0}, {"force_variation": 2.0, "base_deviation": 1.0}
     worse, better = differences(metrics, baseline)
     assert (worse, better) == (["base deviation +100 %"], ["force variation -50.0 %"])
@@ -560,4 +564,39 @@ def test_a_difference_of_too_few_walks_has_no_interval():
     about = {"baseline": "retuned_pd", "worst_share": 0.05, "members_compared": 4}
     table = xr.Dataset({name: (tuple(names), [each]) for name, each in numbers.items()}, names, about)
     [(_, [own, _])] = laws.laws_table(table).sections
-    assert own == ["force variation", "mine", "4.5", "-10.0 [-20.0, 5.0]~", "5", "+5.0 [no interval]~"]
+    assert own == ["force variation N", "mine", "4.5", "-10.0 [-20.0, 5.0]~", "5", "+5.0 [no interval]~"]
+
+
+def test_the_first_screen_shows_every_law_and_every_statistic():
+    """A row without a name belongs to the metric above it; rows of one name stay together."""
+    rows = [[("force variation N", "", "")[place], law, "1"] for place, law in enumerate(("mine", "other", "pd"))]
+    more = [["objective", "mine", "2"], ["", "other", "3"]]
+    laws = page.Table("", ["metric", "law", "mean"], [("", rows), ("", more)])
+    made = page.Page("", ORIGIN, page.Findings(""), mc.Scenario(), tables=[laws], main=["objective", rows[0][0]])
+    assert made.brief.sections == [("", more + rows)]
+    means = [["force variation", "mean"], ["force variation", "worst 5%"], ["travel", "mean"]]
+    both = dataclasses.replace(made, tables=[page.Table("", ["", ""], [("", means)])], main=page.MAIN)
+    assert both.brief.sections == [("", means[:2])]
+
+
+def test_a_terminal_ends_with_what_a_page_begins_with():
+    said = page.Findings.of("it won", ["a note", "warning: on a bound"], "the sensor does not pay", "")
+    assert said.lines == ["a note", "the sensor does not pay", "warning: on a bound", "it won"]
+    made = page.render(page.Page("", ORIGIN, said, mc.Scenario()))
+    places = [
+        made.index(f"{words}.<") for words in ("It won", "The sensor does not pay", "Warning: on a bound", "A note")
+    ]
+    assert places == sorted(places) and made[: places[-1]].count("<details") == 1
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_no_number_of_a_table_is_cut(terminal):
+    """Of a table of laws a file of 100 columns had "+18.1 [no inter"."""
+    cells = [f"{18.1 + place:+.1f} [no interval]~" for place in range(6)]
+    names = [f"a_law_of_a_long_name_{place}" for place in range(6)]
+    made = page.Table("", ["metric", "law", *names], [("", [["force variation N", "end_effector_admittance", *cells]])])
+    file = io.StringIO()
+    file.isatty = lambda: terminal
+    shell = Session(file, Output())
+    shell.show(session.from_page(made))
+    assert all(cell in file.getvalue() for cell in cells)

@@ -2,10 +2,14 @@
 
 import json
 import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 import mjx_climb as mc
+from tuning.command_line.options import Output
+from tuning.command_line.session import Session
 from tuning.pages import runs
 
 CASE = mc.Scenario().model_dump(mode="json")
@@ -54,7 +58,68 @@ def test_a_result_without_a_record_is_known_by_its_file(tmp_path):
     (tmp_path / "sweep.nc").write_text("")
     (tmp_path / "settings.json").write_text("{")
     (run,) = runs.below(tmp_path)
-    assert (run.name, run.command, run.differs, run.said) == (".", "sweep.nc", "", "")
+    assert (run.name, run.command, run.differs, run.said) == (".", "sweep.nc", "", "settings.json is damaged")
+
+
+DEEP = "[" * 900 + "]" * 900
+DAMAGED = {
+    "a list": ("settings.json", '{"settings": [1], "files": [], "whole": true}'),
+    "text": ("settings.json", '{"settings": "tune", "files": [], "whole": true}'),
+    "deep": ("settings.json", f'{{"settings": {{"a": {DEEP}}}, "files": []}}'),
+    "long": ("settings.json", f'{{"settings": {{"a": 1{"0" * 400}}}, "files": []}}'),
+    "half": ("settings.json", '{"settings": {"a": "\\ud800"'),
+    "half a letter": ("settings.json", '{"settings": {"a": "\\ud800"}, "files": []}'),
+    "lists": ("metrics.json", f'{{"force_variation": [1], "detached_limb": [2], "detached_at": 1{"0" * 400}}}'),
+    "a number": ("margins.json", '{"warnings": 3}'),
+    "other text": ("report.html", "\udcff"),
+}
+
+
+@pytest.mark.parametrize("named", DAMAGED)
+def test_a_damaged_file_hides_no_other_result(call, results, named):
+    file, text = DAMAGED[named]
+    left(results / "damaged", "tune", 2500)
+    (results / "damaged" / file).write_text(text, errors="surrogateescape")
+    code, out, err = call("runs", results, "--out", results / "page")
+    assert code == 0, err
+    assert all(name in out for name in ("a/again", "a/tuned", "walk", "damaged"))
+    said = {run.name: run.said for run in runs.below(results)}
+    assert ("settings.json is damaged" in said["damaged"]) is (named in ("a list", "text", "deep", "half"))
+
+
+def test_times_of_no_calendar_and_results_that_vanish_hide_no_other(results):
+    left(results / "late", "run", 2**62)
+    (results / "gone").mkdir()
+    (results / "gone" / "settings.json").symlink_to(results / "nowhere")
+    assert {run.name for run in runs.below(results)} == {"a/again", "walk", "a/tuned", "late"}
+
+
+@pytest.mark.parametrize("name", ["settings.json", "report.html", "metrics.json"])
+def test_a_pipe_among_the_files_is_not_waited_for(results, name):
+    left(results / "piped", "run", 2500)
+    (results / "piped" / name).unlink(missing_ok=True)
+    os.mkfifo(results / "piped" / name)
+    with ThreadPoolExecutor(1) as pool:
+        found = pool.submit(runs.below, results)
+        try:
+            assert len(found.result(timeout=20)) == 4
+        finally:
+            if not found.done():
+                os.close(os.open(results / "piped" / name, os.O_WRONLY))
+
+
+def test_a_page_of_many_beginnings_is_read_in_one_pass(results):
+    """4 MB: the time of a search that begins anew at each of them grows with its square, to minutes."""
+    (results / "a" / "tuned" / "report.html").write_text('<p class="verdict">' * 200_000)
+    assert len(runs.below(results)) == 3
+
+
+def test_a_list_of_many_folders_ends_where_it_is_asked_to(results):
+    def asked():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        runs.below(results, asked)
 
 
 def test_the_page_links_to_the_pages_of_the_results(results):
@@ -72,3 +137,24 @@ def test_the_command_lists_prints_json_and_refuses_in_one_line(call, results, tm
     for folder in ("empty", "none"):
         code, out, err = call("runs", tmp_path / folder)
         assert (code, out) == (2, "") and err.count("\n") == 1 and str(tmp_path / folder) in err
+
+
+EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202eback\r"
+
+
+def test_no_name_setting_or_verdict_controls_the_terminal(call, tmp_path):
+    left(tmp_path / f"a{EVIL}", "run", 2000, report=f"Found {EVIL}", law=EVIL)
+    left(tmp_path / "b", "run", 1000, law="pd")
+    code, out, err = call("runs", tmp_path)
+    shown = out.replace("\n", "")
+    assert code == 0 and "b" in out and shown.isprintable() and err.isprintable()
+
+
+def test_no_line_beside_the_results_controls_the_terminal(capsys):
+    shell = Session(sys.stdout, Output())
+    with shell.stage(f"search {EVIL}", compiles=False) as show:
+        show(1, 2, f"best {EVIL}\nsecond line")
+    shell.say(f"laws: {EVIL}")
+    shell.show(f"outcome {EVIL}")
+    lines = [*capsys.readouterr().err.splitlines()]
+    assert len(lines) == 4 and all(line.isprintable() for line in lines)

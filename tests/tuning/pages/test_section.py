@@ -13,7 +13,7 @@ import mjx_climb as mc
 import tuning
 from tuning.kinds import KINDS, Kind
 from tuning.pages.contents import Contents, Written
-from tuning.pages.page import Page
+from tuning.pages.page import Findings, Page
 from tuning.pages.section import Picture, Section, Table, load_section, sections_of
 from tuning.problem.evaluation import Problem
 from tuning.results.judged import Judged
@@ -46,6 +46,10 @@ def same_file(found, compared):
     return Section("Mine", files={"config.yaml": "mine"})
 
 
+def outside(found, compared):
+    return Section("Mine", files={"../mine.txt": "mine"})
+
+
 def without_picture(found, compared):
     return Section("Mine", pictures={"mine": Picture("", lambda: [].pop())})
 
@@ -56,7 +60,9 @@ def written(tmp_path, monkeypatch):
     scenario = mc.load_scenario("case_1_2")
 
     def contents(found, compared, name):
-        return Contents(Written(), found.problem, {}, lambda origin: Page("", origin, "", scenario, ["A note."]))
+        return Contents(
+            Written(), found.problem, {}, lambda origin: Page("", origin, Findings("", notes=["A note."]), scenario)
+        )
 
     monkeypatch.setitem(KINDS, Judged, Kind(lambda *_: "walks", contents))
     return lambda *sections: tuning.write(Judged(xr.Dataset(), Problem(scenario)), tmp_path, sections=sections)
@@ -80,6 +86,7 @@ def test_sections_of_ones_own_stand_on_the_page_and_in_the_folder(written, tmp_p
     ("section", "said"),
     [
         (same_file, "section Mine: expected other files than those of the result, got config.yaml"),
+        (outside, "section Mine: expected files in the result's folder, got '../mine.txt'"),
         (without_picture, "section without_picture: IndexError: pop from empty list"),
     ],
 )

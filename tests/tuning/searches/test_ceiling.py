@@ -1,13 +1,17 @@
 """The search of joint targets: plans that know more are no worse; what a plan may depend on; refused settings."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import mjx_climb as mc
 import tuning
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Cargo, Ensemble
+from tuning.problem.plans import RATE, SWING, Scored
 from tuning.searches import ceiling as search
 
 SHORT = {"duration": 0.1, "disturbance.cargo.start": 0.02}
@@ -110,3 +114,80 @@ def test_the_first_disturbance_of_a_walk_is_what_tells():
         {"force": [1.0, 0.0, 0.0], "start": 0.7, "stop": 0.9},
     ]
     assert onset(**{"disturbance.pushes": pushes}) == pytest.approx(0.7)
+
+
+def ended(name, merit, targets):
+    """Return an end of plans whose members have merits and targets (member,), and parameters of the same numbers."""
+    each = np.asarray(targets, float)
+    scored = Scored(np.array(merit), np.array(merit), np.array(merit) < 9, {"travel": each})
+    return search.Ended(search.Start(name, each[:, None, None, None], {"kp": each}), scored, [])
+
+
+def test_a_plan_that_knows_more_takes_that_of_one_that_knows_less_where_that_is_better():
+    """Each member by itself, or all of them by their mean; targets, parameters and scores go together."""
+    own, less = ended("causal", [1.0, 5.0, 3.0], [1, 2, 3]), ended("blind", [2.0, 1.0, 3.0], [10, 20, 30])
+    for alone, wanted in ((True, [1, 20, 3]), (False, [10, 20, 30])):
+        found = search._no_worse(own, less, alone=alone)
+        assert found.plan.name == "causal"
+        for values in (found.plan.targets.ravel(), found.plan.parameters["kp"], found.scored.metrics["travel"]):
+            np.testing.assert_array_equal(values, wanted)
+    assert search._no_worse(less, own, alone=False).plan.targets.ravel().tolist() == [10, 20, 30]
+
+
+def test_limits_of_plans_are_pd_s_and_as_wide_as_the_contestants_need():
+    """Travel may be a hundredth less or more than any contestant's that walked to its end; a user's own limit stays."""
+    table = mc.MetricTable((*mc.METRICS, SWING, RATE))
+    asked = Ceiling.make({"deviation_factor": 2.0, "limits": {"peak_joint_torque": 3.0}})
+    pd = {name: np.array([1.0, 3.0]) for name in table.names} | {"diverged": np.zeros(2)}
+    goal = search._objective(mc.Scenario(), asked, pd, table)
+    value = {limit.metric: limit.value for limit in goal.limits}
+    assert value["base_deviation"] == 6.0 and value[SWING.name] == value[RATE.name] == 6.0
+    assert value["peak_joint_torque"] == 3.0 and {term.baseline for term in goal.terms} == {2.0}
+    walked = [pd | {"base_deviation": np.array([7.0, 4.0]), "travel": np.array([0.2, 0.4])},
+              pd | {"base_deviation": np.array([1.0, 99.0]), "travel": np.array([0.3, 9.0]),
+                    "peak_joint_torque": np.array([5.0, 99.0]), "diverged": np.array([0.0, 1.0])}]  # fmt: skip
+    for stride, way in ((0.1, 0.4), (2.0, 2.0)):
+        limits = search._widened(goal, asked, walked, stride).limits
+        value = {limit.metric: limit.value for limit in limits if limit.metric != "travel"}
+        assert value["base_deviation"] == 7.0 and value[SWING.name] == 6.0 and value["peak_joint_torque"] == 3.0
+        travel = {limit.larger_is_better: (limit.value, limit.scale) for limit in limits if limit.metric == "travel"}
+        assert travel == {True: pytest.approx((0.2 - 0.01 * way, way)), False: pytest.approx((0.4 + 0.01 * way, way))}
+
+
+class Springs:
+    """Walks whose merit is the squared distance of their targets from each member's aim, and a price of the start."""
+
+    def __init__(self, aim, steps):
+        self.aim, self.steps, self.seen = aim, steps, []
+
+    def evaluate(self, freedom, x, parameters, *, sharp):
+        off = freedom.targets(x) - self.aim[:, None, None, None]
+        merit = (off**2).mean((2, 3, 4)) + parameters["price"].reshape(off.shape[:2])
+        self.seen.append((freedom.knots.every, sharp, parameters["push_force"].any()))
+        return Scored(merit.ravel(), merit.ravel(), merit.ravel() < 9, {}), freedom.slopes(x, 2 * off / self.steps)
+
+
+@pytest.mark.parametrize("common", [True, False])
+def test_a_search_of_plans_goes_on_from_the_best_start_with_finer_knots(common):
+    """One start for all members, or the best one of each; a plan that is shared ends in the middle of the aims."""
+    scenario = mc.load_scenario("case_2").with_overrides({"duration": 0.1})
+    asked, robot = Ceiling.make({"knots": (0.05, 0.025), "iterations": 30}), load_robot(scenario.robot)
+    walks: Any = Springs(np.array([0.1, 0.3]), scenario.steps)
+    draws, said = search.Draws(2, 0, None, {}), []
+    contest = search.Contest(scenario, asked, walks, draws, 0.05, lambda *progress: said.append(progress))
+    shape = (2, scenario.steps, *robot.joint_lower.shape)
+    begun = np.zeros(shape) + np.clip(0.0, robot.joint_lower, robot.joint_upper)
+
+    def start(name, price):
+        return search.Start(name, begun, {"price": np.array(price), "push_force": np.ones(2)})
+
+    starts = [start("one", [1.0, 0.0]), start("other", [0.0, 0.5])]
+    found = search._search(contest, "plan", starts, common=common, since=None if common else np.zeros(2))
+    assert found.plan.targets.shape == shape
+    free = (robot.joint_lower < 0.0) & (robot.joint_upper > 0.4)
+    ends = found.plan.targets[:, :, free].mean((1, 2))
+    np.testing.assert_allclose(ends, [0.2, 0.2] if common else [0.1, 0.3], atol=0.02)
+    np.testing.assert_array_equal(found.plan.parameters["price"], [0.0, 0.5] if common else [0.0, 0.0])
+    assert {record["knots"] for record in found.records} == {0.05, 0.025}
+    assert said[-1] == ("plan", 60, 60) and {every for every, *_ in walks.seen} == {50, 25}
+    assert walks.seen[-1][1] == 0.0 and walks.seen[0][2]

@@ -33,7 +33,7 @@ def search(**how):
 
 
 def method(*requests):
-    return search(method=lambda task: iter(requests))
+    return search(method=lambda task: (request for request in requests))
 
 
 def schedule(**points):
@@ -58,6 +58,22 @@ def draw(**hardware):
         (search(weights={"lowest_base": 1.0}), "search: 'lowest_base' is no metric to weigh or limit"),
         (search(weights={"lost": 1.0}), "search: 'lost' is no metric to weigh or limit"),  # of a single walk
         (search(bounds={"damping": [2, 1]}), "search: bounds.damping: expected low < high, got 2, 1"),
+        (
+            search(pins={"damping": 5}, bounds={"damping": [100, 200]}),
+            "search: pins.damping: expected one setting of this gain, got bounds.damping too",
+        ),
+        (
+            search(pins={"damping": 3}, frozen=["damping"]),
+            "search: pins.damping: expected one setting of this gain, got frozen.damping too",
+        ),
+        (
+            search(frozen=["damping"], bounds={"damping": [100, 200]}),
+            "search: frozen.damping: expected one setting of this gain, got bounds.damping too",
+        ),
+        (
+            space(space="split", bounds={"damping": [1, 9]}, pins={"damping.translation": 1, "damping.rotation": 1}),
+            "bounds.damping: expected a gain with numbers of no other setting, got none",
+        ),
         (search(metrics=(OWN,)), "metrics: expected the shipped peak_foot_force among them"),
         (search(method="grid", space="diagonal"), "method: expected at most 4 numbers to search by grid, got 12: pin"),
         (search(method="magic"), "method: expected gradient, lbfgs, grid, cmaes, optuna, optuna:SAMPLER or FILE.py:"),
@@ -98,3 +114,23 @@ def test_errors_name_file_and_key(tmp_path, text, where):
     with pytest.raises(ConfigError, match=r"e\.yaml") as error:
         ensembles.Ensemble.load(tmp_path / "e.yaml")
     assert where in str(error.value)
+
+
+def test_the_most_particular_setting_of_a_number_decides():
+    """A part may be searched, held or left alone beside the whole."""
+    found = spaces.space(
+        CASE,
+        Search.make(
+            {
+                "space": "diagonal",
+                "pins": {"damping": 7.0, "stiffness.x": 9.0},
+                "frozen": ["damping.rx", "stiffness"],
+                "bounds": {"damping.z": (1.0, 2.0)},
+            }
+        ),
+    )
+    gains = found.to_gains(found.lower)
+    damping, stiffness = (np.broadcast_to(each, 6) for each in (CASE.control.damping, CASE.control.stiffness))
+    assert found.names == ("damping.z",)
+    np.testing.assert_allclose(gains.damping, [7.0, 7.0, 1.0, damping[3], 7.0, 7.0])
+    np.testing.assert_allclose(gains.stiffness, [9.0, *stiffness[1:]])

@@ -349,6 +349,15 @@ def test_gradients_of_the_robust_objective(ensemble):
     np.testing.assert_allclose(found.gradient[0], (values[1:3] - values[3:5]) / (2 * step), rtol=1e-3, atol=1e-7)
 
 
+def test_gains_that_diverge_in_most_walks_of_a_search_are_left_out_and_else_the_walks():
+    """In more than half, of one search; the members in which any of the others diverges are none of all."""
+    diverged = np.zeros((3, 2, 4), bool)
+    diverged[0, 1, :3] = diverged[1, 0, :2] = diverged[2, 1, 1] = True
+    walks = xr.Dataset({"diverged": (("gains", "seed", "member"), diverged)}, {"gains": [*"abc"], "member": range(4)})
+    kept = judge.held(walks)
+    assert kept["gains"].values.tolist() == ["b", "c"] and kept["member"].values.tolist() == [2, 3]
+
+
 def test_walks_that_fail_are_counted():
     names = [n for n in mc.METRICS.names if n not in ("detached_limb", "diverged")]
     values = np.array([[1.0, 2.0, 16.0], [4.0, 5.0, np.nan]])

@@ -1,14 +1,18 @@
 """A folder belongs to one run's settings, and its result appears whole or not at all."""
 
+import json
 import os
 import shutil
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor, wait
 
 import pytest
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
-from tests.shell import ROOT
+from mjx_climb.files.locks import alone
+from tests.shell import ROOT, environment
 from tuning.command_line.session import Session
 from tuning.methods.parts import Parts
 from tuning.problem.evaluation import Problem
@@ -63,6 +67,45 @@ def test_of_another_runs_files_none_is_left_and_of_foreign_ones_all(tmp_path):
     assert (tmp_path / "report.html").read_text() == "new"
 
 
+@pytest.mark.parametrize("way", ["dots", "root", "link"])
+def test_a_list_of_files_that_leaves_the_folder_is_refused_and_nothing_is_removed(tmp_path, way):
+    """Somebody else's settings.json, in a folder that is written to from Python, or taken by a command."""
+    home, thesis = tmp_path / "home", tmp_path / "thesis.tex"
+    fill(home, "gains.yaml", settings=None)
+    thesis.write_text("mine")
+    (home / "inputs").symlink_to(tmp_path)
+    name = {"dots": "inner/../../thesis.tex", "root": str(thesis), "link": "inputs/thesis.tex"}[way]
+    (home / record.FILE).write_text(json.dumps({"settings": None, "files": ["gains.yaml", name], "whole": True}))
+    for attempt in (lambda: fill(home, "report.html", settings=None), lambda: record.check_own(home, "search.nc")):
+        with pytest.raises(OutputError, match=f"^{home}: expected results with files in this folder, got '.*{name}'"):
+            attempt()
+    assert thesis.read_text() == "mine" and (home / "gains.yaml").exists() and not (home / "report.html").exists()
+
+
+def test_no_file_of_a_result_is_written_through_a_link_that_leaves_the_folder(tmp_path):
+    home, theirs = tmp_path / "home", tmp_path / "theirs"
+    theirs.mkdir()
+    fill(home, "gains.yaml")
+    (home / "inputs").symlink_to(theirs)
+    with pytest.raises(OutputError, match=r"got 'inputs/robot\.xml', which leaves it"):
+        fill(home, "inputs/robot.xml")
+    assert not [*theirs.iterdir()]
+
+
+def test_records_and_parts_are_written_in_place_of_links(tmp_path):
+    """Somebody else's, to a file of this user's that is there, or is not yet."""
+    home, thesis, absent = tmp_path / "home", tmp_path / "thesis.tex", tmp_path / "absent"
+    (home / "parts").mkdir(parents=True)
+    thesis.write_text("mine")
+    (home / record.FILE).symlink_to(absent)
+    (home / "parts" / "identity.json").symlink_to(absent)
+    (home / "parts" / "part-000000.npz").symlink_to(thesis)
+    record.begin(home, OURS)
+    Parts(home, {"a": 1}).save(0, {})
+    assert thesis.read_text() == "mine" and not absent.exists()
+    assert record.read(home).settings == OURS and Parts(home, {"a": 1}).load(0) == {}
+
+
 def test_unfinished_work_keeps_its_parts_and_is_no_whole_result(tmp_path):
     Parts(tmp_path, {"a": 1})
     fill(tmp_path, "gains.yaml", finished=False)
@@ -89,7 +132,7 @@ def test_a_kill_between_two_files_shows(tmp_path, monkeypatch):
 def test_two_that_write_one_folder_take_turns(tmp_path):
     fill(tmp_path, "a", text="first")
     with ThreadPoolExecutor(1) as pool:
-        with record._alone(tmp_path):
+        with alone(tmp_path):
             second = pool.submit(fill, tmp_path, "a", text="second")
             assert wait([second], timeout=0.2).not_done and (tmp_path / "a").read_text() == "first"
         second.result()
@@ -116,6 +159,10 @@ def test_each_run_has_a_folder_of_its_own(tmp_path):
         (lambda at: fill(at, "gains.yaml", settings=None), "the result of unknown settings"),
         (lambda at: (at / "sweep.nc").write_text(""), r"a result without settings.json \(sweep.nc\)"),
         (lambda at: (at / record.FILE).write_text("{"), "unfinished work of unknown settings"),
+        (
+            lambda at: (at / record.FILE).write_text('{"settings": [1], "files": [], "whole": true}'),
+            "unfinished work of unknown settings",
+        ),
     ],
 )
 def test_a_folder_of_another_run_is_refused(tmp_path, prepare, got):
@@ -319,3 +366,101 @@ def test_two_that_end_at_one_moment_leave_the_result_of_one(tmp_path):
         for work in works:
             work.result()
     assert len({*settled(tmp_path / "one").values()}) == 1 and not list(tmp_path.glob("**/.*.part"))
+
+
+COMMAND = """
+import sys
+from pathlib import Path
+from mjx_climb.files.writing import OutputError
+from tuning.command_line.options import Output
+
+def command(folder, name):
+    with Output(out=folder).session() as shell:
+        shell.claim("trajectory.nc", "walk", settings={"command": "run", "name": name})
+        with shell.whole() as place:
+            (place / "trajectory.nc").write_text(name)
+
+name, home = sys.argv[1:]
+print("ready", flush=True)
+for line in sys.stdin:  # the barrier
+    try:
+        command(Path(home, line.strip(), "one"), name)
+        print("written", flush=True)
+    except OutputError as error:
+        print(f"refused: {error}", flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_of_two_commands_that_begin_together_one_is_refused(tmp_path):
+    """Twenty times, each with one --out and other settings: nobody is told that a result is there which is gone."""
+    pipes, rounds = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}, 20
+    pair = [
+        subprocess.Popen([sys.executable, "-c", COMMAND, name, tmp_path], env=environment(), **pipes) for name in "ab"
+    ]
+    assert [each.stdout.readline() for each in pair] == ["ready\n"] * 2
+    for number in range(rounds):
+        if number % 2:
+            (tmp_path / str(number) / "one").mkdir(parents=True)
+        for each in pair:
+            each.stdin.write(f"{number}\n")
+            each.stdin.flush()
+        said = dict(zip("ab", (each.stdout.readline() for each in pair), strict=True))
+        (winner,) = (name for name, text in said.items() if text == "written\n")
+        (refused,) = (text for name, text in said.items() if name != winner)
+        assert "expected a folder that no other command uses" in refused or "of this run alone" in refused
+        assert (tmp_path / str(number) / "one" / "trajectory.nc").read_text() == winner
+    for each in pair:
+        each.communicate()
+    assert not [*tmp_path.glob("**/.*")]
+
+
+def test_a_folder_is_held_until_the_command_ends_by_all_but_shards_of_the_same(tmp_path):
+    one, inner = tmp_path / "one", tmp_path / "more" / "one"
+    for folder in (one, inner):
+        with record.held(folder, OURS):
+            (tmp_path / "more").mkdir(exist_ok=True)  # which is nearer to the second
+            for settings, how in ((THEIRS, {}), (OURS, {}), (OURS, {"shard": True})):
+                with pytest.raises(record.InUse, match="expected a folder that no other command uses"):
+                    record.held(folder, settings, **how).__enter__()
+        with record.held(folder, OURS, shard=True), record.held(folder, OURS, shard=True):
+            for settings, how in ((OURS, {}), (THEIRS, {"shard": True})):
+                with pytest.raises(record.InUse):
+                    record.held(folder, settings, **how).__enter__()
+        with record.held(folder, THEIRS):
+            pass
+    assert listed(tmp_path) == [] and not [*tmp_path.glob("**/.*")]
+
+
+def test_what_a_killed_command_leaves_hinders_nobody_and_is_removed(tmp_path, kill):
+    def command():
+        with record.held(tmp_path / "one", OURS):
+            os.mkdir(tmp_path / "one")
+
+    assert kill(command, 2)
+    assert [*tmp_path.glob(".one.*.part")]
+    with record.held(tmp_path / "one", THEIRS):
+        record.recover(tmp_path / "one")
+    assert not [*tmp_path.glob(".one.*.part")]
+
+
+@pytest.mark.parametrize("whose", ["another's", "everybody's"])
+def test_a_result_that_another_user_planted_is_not_taken(tmp_path, monkeypatch, whose):
+    """Beside the folder, or above it, under the name that this user's own unfinished move would have."""
+    home = tmp_path / "above" / "one"
+    fill(home, "gains.yaml", text="mine")
+    with record.whole(home, OURS) as place:
+        planted = tmp_path / place.name
+        (place / "gains.yaml").write_text("mine")
+    shutil.copytree(home, planted)
+    (planted / "gains.yaml").write_text("theirs")
+    if whose == "another's":
+        monkeypatch.setattr(os, "geteuid", lambda: planted.stat().st_uid + 1)
+    else:
+        planted.chmod(0o777)
+    record.recover(home)
+    assert (home / "gains.yaml").read_text() == "mine" and planted.exists()
+    monkeypatch.undo()
+    planted.chmod(0o755)
+    record.recover(home)
+    assert (home / "gains.yaml").read_text() == "theirs" and not planted.exists()

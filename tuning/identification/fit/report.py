@@ -67,12 +67,16 @@ def residual_table(found: Identified) -> page.Table:
     return page.Table("Residuals by joint", columns, list(rows.items()))
 
 
+def findings(found: Identified) -> page.Findings:
+    """The findings of a fit; all its warnings bear on the verdict."""
+    return page.Findings(found.sentence, [f"warning: {line}" for line in found.warnings], found.combined)
+
+
 def page_of(found: Identified, origin: page.Origin) -> page.Page:
     """Return the page of a result."""
-    prose = {"What the log tells of combinations": list(found.combined)} if found.combined else {}
     return page.Page(
-        title=f"Identified from {Path(found.log.source).name}", origin=origin, verdict=f"{found.sentence}.",
-        scenario=found.scenario, notes=found.warnings, tables=[table(found), residual_table(found)], prose=prose,
+        title=f"Identified from {Path(found.log.source).name}", origin=origin, findings=findings(found),
+        scenario=found.scenario, tables=[table(found), residual_table(found)],
         facts={
             "search": found.fitted.ended, "iterations": found.fitted.iterations,
             "windows": len(found.model.windows.begin),

@@ -13,7 +13,7 @@ from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from tuning.identification.fit.inference import Posterior, Whiteness
+from tuning.identification.fit.inference import Posterior, Whiteness, suspicious
 from tuning.identification.fit.least_squares import Fitted, LeastSquares
 from tuning.identification.model.predicted import PRESLIDING, Fit
 from tuning.identification.model.variables import applied, begin
@@ -56,7 +56,9 @@ class Identified:
         seen = sum(each.seen for each in self.estimates.values())
         held = self.held_out.get("error_over_noise")
         predicted = "" if held is None else f", and predicts what it has not seen within {held:.3g} of the noise"
-        return f"{self.log.source} tells {seen} of {len(self.estimates)} parameters{predicted}"
+        wrong = len(suspicious(self.tests))
+        refuted = f"; the residuals refute the model in {wrong} of {len(self.tests)} signals" if wrong else ""
+        return f"{self.log.source} tells {seen} of {len(self.estimates)} parameters{predicted}{refuted}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as `mjx-climb identify --json` prints it."""

@@ -18,7 +18,7 @@ from tuning.identification.readers.formats.csv_file import csv_of
 from tuning.identification.readers.log import joints_of
 from tuning.numbers import to_json
 from tuning.pages.contents import Files, Picture
-from tuning.pages.page import Origin, Page, Table
+from tuning.pages.page import Findings, Origin, Page, Table
 from tuning.results.config_file import write_config
 
 FILE = "excitation.csv"  # by it the folder is known
@@ -43,8 +43,9 @@ def contents(found: Excited, place: Path, origin: Origin | None) -> tuple[Files,
 def page_of(found: Excited, scenario: mc.Scenario, origin: Origin) -> Page:
     """Return the page of an excitation."""
     return Page(
-        title=f"What to command to identify {origin.name}", origin=origin, verdict=found.best.information.unseen(),
-        scenario=scenario, notes=notes(found), tables=[table(found), limits(found)],
+        title=f"What to command to identify {origin.name}", origin=origin,
+        findings=Findings(found.best.information.unseen(), notes=notes(found)), scenario=scenario,
+        tables=[table(found), limits(found)],
         facts={"seed": found.asked.seed, "candidates": len(found.candidates)},
     )  # fmt: skip
 

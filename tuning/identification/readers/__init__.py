@@ -12,12 +12,15 @@ from mjx_climb.scenario.messages import ConfigError, config_error
 from tuning.identification.readers.doubts import doubts, several
 from tuning.identification.readers.formats import record
 from tuning.identification.readers.formats.csv_file import write_csv as write_csv
-from tuning.identification.readers.guess import guess
-from tuning.identification.readers.log import BASE, JOINT, Log, Signal, names, unit_of
-from tuning.identification.readers.repairs import cleaned, without_turns, without_unmeasured
+from tuning.identification.readers.guess import clock_of, guess
+from tuning.identification.readers.log import BASE, JOINT, Log, Signal, joints_of, names, unit_of
+from tuning.identification.readers.outliers import without_outliers
+from tuning.identification.readers.repairs import cleaned, increasing, without_turns, without_unmeasured
 from tuning.identification.readers.signals import SECONDS, UNITS, Signals, Source
 from tuning.identification.readers.table import Recording, Table
 
+_IN_DEGREES = {"rad": "deg", "rad/s": "deg/s"}
+_LARGEST = 1e100  # of a number: squares and sums are finite
 _SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N"}  # of a prismatic joint
 
 
@@ -29,9 +32,8 @@ def read_log(
     Arguments:
         path: CSV, netCDF, MCAP (.mcap), an sqlite bag (.db3), or the folder of a bag.
         robot: whose limbs and joints the signals are named by.
-        signals: where each signal stands, or the file that says so. Without it columns are read by the names of
-            `tuning.identification.readers.log`; where there are none, it is guessed from what names there are, and
-            `Log.guessed` says how.
+        signals: where each signal stands, or the file that says so. Where it names no signal, columns are read by the
+            names of `tuning.identification.readers.log`; without such names it is guessed, and `Log.guessed` says how.
 
     Raises:
         ConfigError: no such file, another format, or no signal of this robot in it; a signal where there is none; in
@@ -39,40 +41,53 @@ def read_log(
     """
     recording = record(path)
     there, missing, place, guessed, notes = recording, "", "signals", None, recording.warnings
+    doubtful: tuple[str, ...] = ()
     if isinstance(signals, str | os.PathLike):
         place, signals = os.fspath(signals), Signals.load(signals)
-    if signals is None:
+    if signals is None or not signals.signals:
+        given = {} if signals is None else signals.model_dump(exclude_unset=True, exclude={"signals"})
         place = recording.source
-        there, missing = _recorded(recording)
-        signals, unknown = _by_own_names(there, robot)
+        there, missing = _recorded(recording, robot)
+        found, unknown = _by_own_names(there, robot)
         notes += (*(f"{recording.source}: {line}" for line in [missing] if line), *unknown)
-        if not signals.signals:
-            guessed, doubtful = guess(there, robot)
-            signals, notes = guessed, notes + tuple(f"{recording.source}: {note}" for note in doubtful)
+        if not found.signals:
+            found, doubtful = guess(there, robot)
+            guessed = found.changed(given)
+            notes += tuple(f"{recording.source}: {note}" for note in doubtful)
+        signals = found.changed(given)
     if not signals.signals:
-        got = f"{_columns(there)} ({missing})" if missing else _columns(there)
+        why = "; ".join(filter(None, [missing, *doubtful]))
+        got = f"{_columns(there)} ({why})" if why else _columns(there)
         raise ConfigError(f"{recording.source}: expected signals such as {_some(names(robot))}, got {got}")
+    signals = _in_degrees(signals, robot)
     raw = {name: _taken(recording, signals, name, robot, place) for name in signals.signals}
     read, said = cleaned(raw, signals)
+    read, more = without_outliers(read, robot, signals)
+    said += more
     repairs = (without_unmeasured, without_turns) if signals.turns == "unwrap" else (without_unmeasured,)
     for repair in repairs:
         read, more = repair(read, robot)
         said += more
     start = min(float(signal.time[0]) for signal in read.values())
     read = {name: Signal(signal.time - start, signal.value) for name, signal in read.items()}
-    said += doubts(read, {name: signal for name, (signal, _) in raw.items()}, robot, signals)
+    said += doubts(read, {name: increasing(signal) for name, (signal, _) in raw.items()}, robot, signals)
     return Log(read, recording.source, notes + tuple(f"{recording.source}: {line}" for line in said), guessed)
 
 
-def _recorded(recording: Recording) -> tuple[Recording, str]:
-    """Return a recording without the columns that hold no two numbers, and which these are in words, "" for none."""
-    tables, empty = {}, []
+def _recorded(recording: Recording, robot: Robot) -> tuple[Recording, str]:
+    """Return a recording without the columns that hold no two numbers, and which signals these are, "" for none."""
+    tables, empty = {}, dict[tuple[str, str], None]()
     for topic, table in recording.tables.items():
         fields = {name: column for name, column in table.fields.items() if np.isfinite(column).sum() >= 2}
-        empty += [f"{topic} {name}".strip() for name in table.fields if name not in fields]
-        tables[topic] = dataclasses.replace(table, fields=fields)
-    said = f"{several(empty)}: fewer than two numbers were recorded, left out" if empty else ""
-    return dataclasses.replace(recording, tables=tables), said
+        empty |= dict.fromkeys((topic, name) for name in table.fields if name not in fields)
+        times = {name: column for name, column in table.times.items() if (topic, name) not in empty}
+        tables[topic] = dataclasses.replace(table, fields=fields, times=times)
+    if empty:
+        known, sources = {*names(robot)}, guess(recording, robot)[0].signals.values()
+        guessed = {(source.topic or "", source.column or source.field) for source in sources}
+        found = [f"{topic} {name}".strip() for topic, name in empty if name in known or (topic, name) in guessed]
+        said = f"{several(found)}: fewer than two numbers were recorded, left out" if found else ""
+    return dataclasses.replace(recording, tables=tables), said if empty else ""
 
 
 def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
@@ -89,7 +104,22 @@ def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[st
         if (last in JOINT or last == "support" or before in ("force", *BASE)) and name.count(".") in (1, 2):
             said.append(f"{recording.source}: {name}: not read, the robot has no such signal{_nearest(name, known)}")
     own = {name: Source(column=name) for name in known if name in table.fields}
-    return Signals(time="time", signals=own), tuple(sorted(said))
+    time, unit, _ = clock_of(recording)
+    return Signals(time=time, time_unit=unit, signals=own), tuple(sorted(said))
+
+
+def _in_degrees(signals: Signals, robot: Robot) -> Signals:
+    """Return where signals stand, with the unit of the file at those of turning joints that name none."""
+    if signals.unit == "rad":
+        return signals
+    sliding = {joint for joint, place in joints_of(robot).items() if robot.sliding is not None and robot.sliding[place]}
+    turning = {f"{joint}.{what}" for joint in joints_of(robot).keys() - sliding for what in JOINT}
+    units = {name: _IN_DEGREES.get(unit_of(name)) for name in signals.signals.keys() & turning}
+    sources = {
+        name: source.changed({"unit": units[name]}) if source.unit is None and units.get(name) else source
+        for name, source in signals.signals.items()
+    }
+    return signals.model_copy(update={"signals": sources})
 
 
 def _taken(recording: Recording, signals: Signals, name: str, robot: Robot, place: str) -> tuple[Signal, str]:
@@ -114,16 +144,28 @@ def _taken(recording: Recording, signals: Signals, name: str, robot: Robot, plac
         which = "field" if topic else "column"
         where = f"a {which} of numbers in {topic or recording.source}"
         raise config_error(place, f"{key}.{which}", where, f"{field}{_nearest(field, table.fields)}")
-    time, group = _times(table, source, signals, recording, f"{place}: {key}")
+    time, clock = _times(table, source, signals, recording, f"{place}: {key}")
+    group = f"{table.topic} {clock}"
     value = table.fields[field]
     recorded = np.isfinite(time) & np.isfinite(value)
     if recorded.sum() < 2:
         raise config_error(place, key, "two samples or more", f"{recorded.sum()} in {field}")
-    return Signal(time[recorded], source.factor * (value[recorded] - source.zero)), group
+    time, value = time[recorded], value[recorded]
+    for what, numbers in ((f"{field}: numbers", value), (f"{group.strip()}: times", time)):
+        if not np.abs(numbers).max() < _LARGEST:
+            raise config_error(recording.source, what, f"below {_LARGEST:g}", f"{np.abs(numbers).max():g}")
+    later = np.count_nonzero(time[1:] > np.maximum.accumulate(time)[:-1])
+    if later == 0 or 3 * later < len(time) - 1:
+        pair = next((name for name in table.times if clock in name.split("+") and name != clock), "")
+        raise config_error(
+            recording.source, f"time: {clock}", "times that increase" + f" (time: {pair} in signals.yaml)" * bool(pair),
+            f"{len(time) - 1 - later} of {len(time)} that come no later than one before them",
+        )  # fmt: skip
+    return Signal(time, source.factor * (source.signed(value) - source.zero)), group
 
 
 def _times(table: Table, source: Source, signals: Signals, recording: Recording, place: str) -> tuple[np.ndarray, str]:
-    """Return the times of a table's samples, s, and a name for what is recorded together."""
+    """Return the times of a table's samples, s, and the name of their clock."""
     clock = source.time or signals.time
     if table.topic:
         clock = clock if clock in table.times else "log"
@@ -134,7 +176,7 @@ def _times(table: Table, source: Source, signals: Signals, recording: Recording,
             expected = f"a column of times in {recording.source} (time: NAME in signals.yaml)"
             got = f"{clock}{_nearest(clock, table.times)}"
             raise config_error(place if source.time else recording.source, "time", expected, got)
-    return unit * table.times[clock] + source.shift, f"{table.topic} {clock}"
+    return unit * table.times[clock] + source.shift, clock
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

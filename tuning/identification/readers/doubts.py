@@ -3,13 +3,13 @@
 Nothing is corrected here: the user does, in `signals.yaml`.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.robot.constants import Robot
-from tuning.identification.readers.log import Signal, joints_of
+from tuning.identification.readers.log import KP, OFF, Signal, joints_of
 from tuning.identification.readers.signals import Signals
 
 MOVES = 0.02  # rad: a command that moves by less tells nothing
@@ -20,8 +20,13 @@ PENALTY = 0.05  # of a second of lag, in correlation
 SHORTEST = 5 * LONGEST_LAG  # s, of a log in which commands and positions are set beside each other
 SLOWEST, FASTEST = 2.0, 2e4  # samples per second that logs have
 DEGREES = 180 / np.pi
+_STRONGEST, _STRONGER = 100.0, 3.0  # N m, of a joint that has no torque limit; times its limit
+_FEWEST = 8  # bits
+_SWITCHED = (".support", KP, OFF)  # whole numbers that jump
 _MOST = 8192  # samples that are correlated
 _IS_STUCK = "suspected to be stuck (leave it out in signals.yaml)"
+_IS_DEGREES = "suspected to be degrees (unit: deg in signals.yaml, of the signal or of all)"
+_IS_OTHER = "suspected to be of another unit (unit in signals.yaml)"
 
 Read = Mapping[str, Signal]
 
@@ -36,7 +41,11 @@ def doubts(read: Read, recorded: Read, robot: Robot, signals: Signals) -> tuple[
         signals: where they stand, for the rates that the user knows.
     """
     joints = list(joints_of(robot))
-    found = [*_spacing(recorded, signals), *_clock_unit(recorded), *_beyond_limits(read, robot), *_rates(read, joints)]
+    unsigned, beyond = dict(_without_sign(recorded, signals)), dict(_beyond_limits(read, robot))
+    known = unsigned.keys() | beyond.keys()
+    beyond |= dict(_beyond_torque(read, robot, known)) | dict(_scaled(read, joints, known))
+    found = [*_spacing(recorded, signals), *_clock_unit(recorded)]
+    found += [*_together(unsigned.items()), *_together(beyond.items()), *_rates(read, joints)]
     return (*found, *_stuck(read, robot), *_against_commands(read, joints))
 
 
@@ -89,17 +98,14 @@ def _clock_unit(recorded: Read) -> Iterator[str]:
         yield f"times: a sample every {usual:.3g} s, suspected to be of a larger unit (time_unit in signals.yaml)"
 
 
-def _beyond_limits(read: Read, robot: Robot) -> Iterator[str]:
-    def lines() -> Iterator[tuple[str, str]]:
-        for joint, place in joints_of(robot).items():
-            if robot.sliding is not None and robot.sliding[place]:
-                continue
-            for name in (f"{joint}.position", f"{joint}.command"):
-                if (signal := read.get(name)) is not None:
-                    if words := _range(signal.value, float(robot.joint_lower[place]), float(robot.joint_upper[place])):
-                        yield name, words
-
-    return _together(lines())
+def _beyond_limits(read: Read, robot: Robot) -> Iterator[tuple[str, str]]:
+    for joint, place in joints_of(robot).items():
+        if robot.sliding is not None and robot.sliding[place]:
+            continue
+        for name in (f"{joint}.position", f"{joint}.command"):
+            if (signal := read.get(name)) is not None:
+                if words := _range(signal.value, float(robot.joint_lower[place]), float(robot.joint_upper[place])):
+                    yield name, words
 
 
 def _range(value: Float[np.ndarray, " samples"], low: float, high: float) -> str:
@@ -112,11 +118,68 @@ def _range(value: Float[np.ndarray, " samples"], low: float, high: float) -> str
             "whole numbers far beyond the joint's limits, suspected to be encoder counts (unit: counts in signals.yaml)"
         )
     if least / DEGREES >= low - 0.1 * span and most / DEGREES <= high + 0.1 * span and max(-least, most) > 2 * np.pi:
-        return "beyond the joint's limits by some 57 times, suspected to be degrees (unit: deg in signals.yaml)"
+        return f"beyond the joint's limits by some 57 times, {_IS_DEGREES}"
     return (
         "beyond the joint's limits by more than a tenth of its range, suspected to have another zero or axis (zero, "
         "sign in signals.yaml)"
     )
+
+
+def _without_sign(recorded: Read, signals: Signals) -> Iterator[tuple[str, str]]:
+    """Yield which whole numbers are smooth, or small, only where the highest bit is taken for their sign."""
+    for name, signal in recorded.items():
+        source = signals.signals[name]
+        number = signal.value / source.factor + source.zero
+        whole = number.round()
+        if name.endswith(_SWITCHED) or source.bits or source.sign_bit or np.abs(number - whole).max() > 1e-6:
+            continue
+        if whole.min() < 0 or not 2.0 ** (_FEWEST - 1) <= whole.max() < 2.0**63:
+            continue
+        bits = int(whole.max()).bit_length()
+        if source.counts_per_turn == 2**bits:
+            continue
+        as_read = float(np.abs(np.diff(whole)).max())
+        for key in ({"bits": bits}, {"sign_bit": bits - 1}):
+            signed = source.model_copy(update=key).signed(whole)
+            smooth = np.abs(np.diff(signed)).max() < as_read / 4
+            if smooth or ("bits" in key and bits >= 16 and np.abs(signed).max() < whole.max() / 10):
+                (words,) = (f"{each}: {value}" for each, value in key.items())
+                yield name, f"suspected to be numbers of {bits} bits read without their sign ({words} in signals.yaml)"
+                break
+
+
+def _beyond_torque(read: Read, robot: Robot, known: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield which efforts no drive has, but for those of which the fault is known."""
+    for joint, place in joints_of(robot).items():
+        if (name := f"{joint}.effort") not in read or name in known:
+            continue
+        limit = _STRONGEST if robot.torque_limit is None else float(robot.torque_limit[place])
+        limit = limit if 0 < limit < np.inf else _STRONGEST
+        times = float(np.abs(read[name].value).max()) / limit
+        if times > _STRONGER:
+            least = max(_STRONGER, 10.0 ** np.floor(np.log10(times)))
+            yield (
+                name,
+                f"more than {least:g} times the torque that the joint's drive can have, suspected to be of another "
+                "unit (unit: mA or A with torque_constant, mN m in signals.yaml)",
+            )
+
+
+def _scaled(read: Read, joints: Iterable[str], known: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield which positions move by a multiple of their commands, or by a part, but for those of a known fault."""
+    for joint in joints:
+        command, position = f"{joint}.command", f"{joint}.position"
+        if not {command, position} <= read.keys() or {command, position} & {*known}:
+            continue
+        moved = {name: float(np.std(read[name].value)) for name in (command, position)}
+        for name, other in ((position, command), (command, position)):
+            if moved[other] < STILL:
+                continue
+            times = moved[name] / moved[other]
+            if 0.8 < times / DEGREES < 1.25:
+                yield name, f"moves 57 times as far as its {other.rpartition('.')[2]}, {_IS_DEGREES}"
+            elif times > 10 and moved[name] > MOVES:
+                yield name, f"moves more than 10 times as far as its {other.rpartition('.')[2]}, {_IS_OTHER}"
 
 
 def _rates(read: Read, joints: Iterable[str]) -> Iterator[str]:

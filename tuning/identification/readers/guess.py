@@ -5,17 +5,16 @@ What is guessed is shown: `Signals.to_yaml` is a file to save and correct.
 
 import dataclasses
 import itertools
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from mjx_climb.robot.constants import Robot
 from tuning.identification.readers.log import names
+from tuning.identification.readers.named import words_of
 from tuning.identification.readers.signals import Signals, Source, TimeUnit
 from tuning.identification.readers.table import Recording, Table
 
-_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+|[^\W\d_A-Za-z]+")
 _MEANING = {
     "command": "command commands commanded cmd target targets goal goals desired des reference references ref setpoint",
     "velocity": "velocity velocities vel rate rates speed speeds qd dq",
@@ -38,19 +37,17 @@ _OF_BASE = {
 _TIMES = ("time", "timestamp", "stamp", "t", "secs", "seconds")
 _UNITS = {"deg": "deg", "degrees": "deg", "degree": "deg", "rpm": "rpm", "mnm": "mN m", "mm": "mm"}
 _TIME_UNITS: dict[str, TimeUnit] = {
-    "ms": "ms",
-    "msec": "ms",
-    "us": "us",
-    "usec": "us",
-    "ns": "ns",
-    "nsec": "ns",
-    "nanosec": "ns",
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "usec", "usecs", "utime", "micros", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), "ns"),
 }
 _EPOCHS: tuple[tuple[float, TimeUnit], ...] = (
     (1e17, "ns"),
     (1e14, "us"),
     (1e11, "ms"),
 )  # numbers beyond are so many since 1970
+_NO_EPOCH = 1e20
+_SPARE = 4  # numbers for each joint, in a list with empty places
 _APART = 5.0  # s between the clocks of header and recording: not the same clock
 
 
@@ -74,11 +71,13 @@ class _Place:
 
 def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
     """Return where the signals of a recording seem to stand, and what is doubtful about that, a line each."""
-    time, unit, notes = _clock(recording)
+    time, unit, notes = clock_of(recording)
     ordered = sorted(recording.tables.values(), key=lambda table: "transforms" in next(iter(table.fields), ""))
     places = [place for table in ordered for place in _places(table, robot, time)]
     found: dict[str, Source] = {}
-    for name, place in (*_named(places), *_numbered(places, robot, notes)):
+    in_file = {words_of(name) for name in robot.places_in_file()}
+    words = {table.topic for table in ordered if not in_file.isdisjoint(map(words_of, table.words))}
+    for name, place in (*_named(places), *_numbered(places, robot, words, notes)):
         if name not in found:
             found[name] = place.source
         elif (first := found[name].topic) != place.source.topic and "transforms" not in place.words:
@@ -95,12 +94,7 @@ def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]
     return Signals(time=time, time_unit=unit, signals=in_order), tuple(dict.fromkeys(notes))
 
 
-def words_of(text: str) -> tuple[str, ...]:
-    """Return the words and numbers in a name, in small letters."""
-    return tuple(word.lower() for word in _WORD.findall(text))
-
-
-def _clock(recording: Recording) -> tuple[str, TimeUnit, list[str]]:
+def clock_of(recording: Recording) -> tuple[str, TimeUnit, list[str]]:
     """Return where times stand, their unit, and what is doubtful about that."""
     table = recording.tables.get("")
     if table is None:
@@ -109,13 +103,23 @@ def _clock(recording: Recording) -> tuple[str, TimeUnit, list[str]]:
         if apart > _APART and len(stamped) < len(recording.tables):
             return "log", "s", [f"time: log, since headers have another clock, {apart:.3g} s away"]
         return "header", "s", []
-    named = [name for word in _TIMES for name in table.times if word in words_of(name)]
-    column = "time" if "time" in table.times or not named else named[0]
-    unit: TimeUnit = next((_TIME_UNITS[word] for word in words_of(column) if word in _TIME_UNITS), "s")
+    words = {name: words_of(name) for name in table.times}
+    named = [name for word in (*_TIMES, *_TIME_UNITS) for name in words if word in words[name]]
+    # dates, and pairs of columns, are times and nothing else
+    named = [name for name in ("time", *(each for each in words if each not in table.fields), *named) if name in words]
+    column = next((name for name in named if _increases(table.times[name])), named[0] if named else "time")
+    said = words_of(column) if column in table.fields else ()
+    unit: TimeUnit = next((_TIME_UNITS[word] for word in said if word in _TIME_UNITS), "s")
     if unit == "s" and column in table.times:
         largest = float(np.nanmax(table.times[column]))
-        unit = next((unit for least, unit in _EPOCHS if largest > least), "s")
+        unit = next((unit for least, unit in _EPOCHS if least < largest < _NO_EPOCH), "s")
     return column, unit, []
+
+
+def _increases(time: np.ndarray) -> bool:
+    """Whether a third of some times or more come after those before them."""
+    time = time[np.isfinite(time)]
+    return bool(3 * np.count_nonzero(time[1:] > time[:-1]) >= len(time) > 1)
 
 
 def _places(table: Table, robot: Robot, time: str) -> Iterator[_Place]:
@@ -126,7 +130,7 @@ def _places(table: Table, robot: Robot, time: str) -> Iterator[_Place]:
         if (words := words_of(name))
     }
     for field in table.fields:
-        if field == time:
+        if field == time or field in table.renamed:
             continue
         source = Source(topic=table.topic, field=field) if table.topic else Source(column=field)
         topic = words_of(table.topic)
@@ -215,10 +219,13 @@ def _named(places: Sequence[_Place]) -> Iterator[tuple[str, _Place]]:
                 yield f"base.{what}.{axis}", place
 
 
-def _numbered(places: Sequence[_Place], robot: Robot, notes: list[str]) -> Iterator[tuple[str, _Place]]:
+def _numbered(
+    places: Sequence[_Place], robot: Robot, with_names: Collection[str], notes: list[str]
+) -> Iterator[tuple[str, _Place]]:
     """Yield the joints that have numbers: within a limb that is named, or limb after limb in the file's order.
 
-    Columns that are alike but for their numbers, and of which some have the names of joints, are read by names alone.
+    Columns that are alike but for their numbers, and of which some have the names of joints, are read by names alone;
+    so are those of a topic of `with_names`, in which the names of joints stand as words.
     """
     groups: dict[tuple[str | None, str, str], dict[int, _Place]] = {}
     named = {place.pattern for place in places if place.own}
@@ -231,6 +238,12 @@ def _numbered(places: Sequence[_Place], robot: Robot, notes: list[str]) -> Itera
             which = ", ".join(str(number) for number in sorted(numbered))
             notes.append(
                 f"{pattern}: {which} not read, since others of these are names of joints and none of a limb is"
+            )
+            continue
+        if limb is None and (next(iter(numbered.values())).source.topic or "") in with_names:
+            notes.append(
+                f"{pattern}: {len(numbered)} numbers not read: names of joints stand in the file, but not as many "
+                "beside them (signals.yaml says whose they are)"
             )
             continue
         if not (widths := _widths(len(numbered), limbs)):
@@ -254,8 +267,12 @@ def _numbered(places: Sequence[_Place], robot: Robot, notes: list[str]) -> Itera
 
 
 def _widths(count: int, limbs: Mapping[str, int]) -> Mapping[str, int]:
-    """Return how many of some numbers each limb has, whose joints are given: those, or as many each; or none."""
+    """Return how many of some numbers each limb has, whose joints are given: those, or as many each; or none.
+
+    Of spare ones a limb has a few: more numbers are no joints.
+    """
     if count == sum(limbs.values()):
         return limbs
     each, rest = divmod(count, len(limbs))
-    return {} if rest or each < max(limbs.values()) else dict.fromkeys(limbs, each)
+    most = max(limbs.values())
+    return {} if rest or not most <= each <= _SPARE * most else dict.fromkeys(limbs, each)

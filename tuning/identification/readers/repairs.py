@@ -24,16 +24,21 @@ _MEASURED = ("position", "velocity", "effort")
 Repaired = tuple[dict[str, Signal], tuple[str, ...]]  # signals, and what was changed of them
 
 
+def increasing(signal: Signal) -> Signal:
+    """Return a signal without the samples that come no later than one before them."""
+    later = np.r_[True, signal.time[1:] > np.maximum.accumulate(signal.time)[:-1]]
+    return Signal(signal.time[later], signal.value[later])
+
+
 def cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[dict[str, Signal], tuple[str, ...]]:
     """Return signals with increasing times and without stale repeats, and what was left out."""
     said: dict[str, list[str]] = {}
     clean = {}
     for name, (signal, _) in raw.items():
-        later = np.r_[True, signal.time[1:] > np.maximum.accumulate(signal.time)[:-1]]
-        if not later.all():
-            words = f"{(~later).sum()} of {len(later)} samples come no later than one before them: left out"
+        clean[name] = increasing(signal)
+        if fewer := len(signal.time) - len(clean[name].time):
+            words = f"{fewer} of {len(signal.time)} samples come no later than one before them: left out"
             said.setdefault(words, []).append(name)
-        clean[name] = Signal(signal.time[later], signal.value[later])
     if signals.repeats == "drop":
         together: dict[tuple[str, str, int], list[str]] = {}
         for name, (_, group) in raw.items():

@@ -3,6 +3,8 @@
 import math
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
+from jaxtyping import Float
 from pydantic import Field, model_validator
 
 from mjx_climb.scenario.messages import failure
@@ -31,6 +33,15 @@ class Source(Settings):
     field: str = setting("data", "path in the message, with dots; an entry of a list by its name or its number")
     column: str | None = setting(None, "column of a table; of a cell with a list: name.0, name.1 ...")
     unit: Unit | None = setting(None, "unit of the numbers; null: SI")
+    bits: int | None = setting(
+        None,
+        "bits of numbers that were read without their sign, 1: of 16 bits 65527 is -9; null: read with it",
+        ge=2,
+        le=64,
+    )
+    sign_bit: int | None = setting(
+        None, "bit that makes the number in the bits below it negative, 1: of 10, 1033 is -9; null: none", ge=1, le=63
+    )
     sign: Literal[1, -1] = setting(1, "-1: the axis is the other way round")
     zero: Finite = setting(0.0, "number at zero, in the unit")
     counts_per_turn: Positive | None = setting(None, "encoder counts of one turn, 1")
@@ -47,7 +58,17 @@ class Source(Settings):
         for units, key in (("counts counts/s", "counts_per_turn"), ("A mA", "torque_constant")):
             if self.unit in units.split(" ") and getattr(self, key) is None:
                 raise failure(f"{key} with the unit {self.unit}", got=None)
+        if self.bits is not None and self.sign_bit is not None:
+            raise failure("bits or sign_bit, one of the two", got=f"bits {self.bits}, sign_bit {self.sign_bit}")
         return self
+
+    def signed(self, numbers: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+        """Return the recorded numbers with their signs."""
+        if self.bits is not None:
+            return np.where(numbers >= 2.0 ** (self.bits - 1), numbers - 2.0**self.bits, numbers)
+        if self.sign_bit is not None:
+            return np.where(numbers >= 2.0**self.sign_bit, 2.0**self.sign_bit - numbers, numbers)
+        return numbers
 
     @property
     def factor(self) -> float:
@@ -63,11 +84,15 @@ class Signals(Settings):
 
     time: str = setting("header", "column of the times; of topics header, the stamp where there is one, or log")
     time_unit: TimeUnit = setting("s", "unit of the times in columns")
+    unit: Literal["rad", "deg"] = setting("rad", "unit of joint angles, and of their rates, that name none")
     repeats: Literal["drop", "keep"] = setting(
         "drop", "what is done with measured samples that repeat the one before to the last bit, all of one message"
     )
     turns: Literal["unwrap", "keep"] = setting(
         "unwrap", "what is done with joint angles that jump by whole turns between neighbours"
+    )
+    outliers: Literal["suspect", "drop", "keep"] = setting(
+        "suspect", "what is done with samples of 0, or others, that jump away from those beside them and back"
     )
     longest_gap: Annotated[NonNegative, Field(gt=1)] = setting(
         5.0, "spacing that is called a gap, in usual spacings, 1"

@@ -20,6 +20,8 @@ class Table:
     fields: Mapping[str, Float[np.ndarray, " samples"]]  # NaN: not recorded
     frame: str = ""  # of the messages' header
     unnamed: Set[str] = frozenset()  # fields whose path has an entry's number for want of a name
+    renamed: Set[str] = frozenset()  # fields that stand there by the names of their entries too
+    words: Set[str] = frozenset()  # all that stands in columns of words
 
 
 @dataclasses.dataclass(frozen=True)

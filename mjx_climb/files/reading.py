@@ -1,0 +1,38 @@
+"""Files that are found, not given: somebody else may have put them there."""
+
+import errno
+import os
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+
+
+def read_found(path: str | os.PathLike[str]) -> str:
+    """Return the UTF-8 text of a regular file.
+
+    Raises:
+        OSError: it is not there, cannot be read, or is a pipe or a device, which could have a reader wait forever.
+        UnicodeDecodeError: other text.
+    """
+    with open(path, encoding="utf-8", opener=_without_waiting) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "no regular file", os.fspath(path))
+        return file.read()
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe opens, whether or not anybody writes to it
+
+
+def leaving(folder: str | os.PathLike[str], names: Iterable[str]) -> str | None:
+    """Return the first of some names of files in a folder that leads out of it, by dots, a root or a link, or None."""
+    home = Path(os.path.realpath(folder))
+    for name in names:
+        above, last = os.path.split(name)
+        try:
+            inside = Path(os.path.realpath(home / above)).is_relative_to(home)
+        except ValueError:  # a null byte
+            return name
+        if last in ("", os.curdir, os.pardir) or "\0" in last or not inside:
+            return name
+    return None

@@ -1,0 +1,114 @@
+"""A user's law, contact or actuator without a method, or with values out of bounds: one line each, before a walk."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control import VirtualModelAdmittance
+from mjx_climb.hardware.velocity_commanded import VelocityCommanded
+from mjx_climb.physics.contact.gripper import Gripper
+from mjx_climb.physics.contact.uncertain import UncertainGripper
+from mjx_climb.scenario.messages import ConfigError
+from tuning.gains.own_section import load_law
+
+SHORT = {"duration": 0.01, "gait.cycle": 4.0}
+
+
+@pytest.fixture(scope="module")
+def scenario(case):
+    return case("case_1_2", "virtual_model", SHORT)
+
+
+def begun(scenario, gains=None, **own):
+    """Begin a walk as an abstract one: checked, and not compiled."""
+    return jax.eval_shape(mc.Simulation(scenario, **own).reset, gains)
+
+
+OUTSIDE = {  # contact, and the line that refuses it
+    "above": (UncertainGripper(spread=50.0, gripper=Gripper()), "contact.spread: expected numbers from 0 to 1, got 50"),
+    "below": (UncertainGripper(tries=0.5, gripper=Gripper()), "contact.tries: expected numbers from 1 to 100, got 0.5"),
+    "nan": (
+        UncertainGripper(seed=np.nan, gripper=Gripper()),
+        "contact.seed: expected numbers from 0 to 1.67772e+07, got nan",
+    ),
+    "within": (
+        UncertainGripper(gripper=Gripper(damping=-1.0)),
+        "contact.gripper.damping: expected numbers from 0 to 1e+12, got -1",
+    ),
+}
+
+
+@pytest.mark.parametrize("case_of", OUTSIDE)
+def test_values_of_a_component_outside_of_their_bounds_are_refused(scenario, case_of):
+    contact, said = OUTSIDE[case_of]
+    for walk in (mc.Simulation(scenario, contact=contact).metrics, lambda: begun(scenario, contact=contact)):
+        with pytest.raises(ValueError) as refused:
+            walk()
+        assert str(refused.value) == said
+
+
+def test_the_ends_of_bounds_are_within_in_either_precision(scenario):
+    """0.1 of single precision is above 0.1."""
+    for value in (np.float32(0.1), np.float64(0.1), jnp.asarray(0.1, np.float32)):
+        begun(scenario, drive=VelocityCommanded(p=value))
+    begun(scenario, contact=UncertainGripper(spread=np.array(1.0), gripper=Gripper()))
+
+
+def test_gains_go_beyond_the_bounds_of_searches(scenario):
+    """They say where searches look."""
+    (_, most) = VirtualModelAdmittance.GAINS["damping"].bounds
+    state = begun(scenario, {"damping": 100 * most})
+    assert state.law.damping.shape == (6,)
+
+
+class WithoutStep(mc.Law):
+    """It has a start alone."""
+
+    def init(self, start):
+        return ()
+
+
+class Stiff(mc.Actuator):
+    """It does not say by which spring it holds joints."""
+
+    stiffness: object = mc.parameter("N m/rad", bounds=(1.0, 1e3), default=50.0)
+
+    def init(self, angles):
+        return ()
+
+    def step(self, memory, targets, gains, joints, period):
+        torque = self.stiffness * (targets - joints.angles) - 0.2 * joints.rates
+        return memory, mc.Drive(torque, torque)
+
+
+class Bound(Gripper):
+    """Its springs are its own affair."""
+
+    def springs(self):
+        return None
+
+
+@pytest.mark.parametrize("base", [mc.Law, mc.Contact, mc.Actuator, mc.Disturbance, mc.Footholds])
+def test_a_class_without_its_methods_has_no_instance(base):
+    """The line names the class and the methods."""
+    kind = type("Mine", (base,), {"__annotations__": {}})
+    with pytest.raises(TypeError, match=r"^Can't instantiate abstract class Mine .*(init|act|score)"):
+        kind()
+
+
+def test_a_law_without_its_step_is_refused_in_one_line(tmp_path):
+    with pytest.raises(TypeError, match=r"^Can't instantiate abstract class WithoutStep .*step'?$"):
+        WithoutStep()
+    text = "import mjx_climb as mc\n\nclass Mine(mc.Law):\n    def init(self, start):\n        return ()\n"
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(ConfigError, match=r"mine\.py: expected Mine to have its methods .*step") as refused:
+        load_law(f"{tmp_path / 'mine.py'}:Mine")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("own", "name"), [({"drive": Stiff()}, "Stiff"), ({"contact": Bound()}, "Bound")])
+def test_a_time_step_that_is_not_checked_is_said(scenario, own, name):
+    with pytest.warns(UserWarning, match=rf"^{name} has no method spring.?: the time step of 0\.001 s is not checked"):
+        begun(scenario, **own)

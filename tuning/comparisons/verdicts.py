@@ -1,0 +1,75 @@
+"""The verdict on gains in one sentence: against the best rival that walked, by name and numbers."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+from tuning.numbers import number
+from tuning.searches.retuned_pd import NAME
+
+OWN_SEARCH = "pd with its own kp and kd searched"
+_NAMES = {"pd": "pd as the config has it", "config": "the config's gains", "paper": "the paper's gains",
+          "gains file": "the gains file"}  # fmt: skip
+_EQUAL = 5e-4  # relative; what is closer has the same first three digits
+
+
+class Walked(NamedTuple):
+    """The score of gains, and whether they keep every limit."""
+
+    value: float  # less is better; NaN: the walk failed
+    keeps: bool = True
+
+
+def in_words(name: str, joint: Mapping[str, float] | None = None) -> str:
+    """Return the name of a rival for people who have not seen a table; `joint` are the gains that were searched."""
+    if name != NAME:
+        return _NAMES.get(name, name)
+    own = ", ".join(f"{key.removeprefix('gait.')} {number(value)}" for key, value in (joint or {}).items())
+    return f"{OWN_SEARCH} ({', '.join(filter(None, [NAME, own]))})"
+
+
+def explained(names: Iterable[str]) -> str:
+    """Return the meaning of the column `retuned_pd`, to end a caption; nothing where a table has none."""
+    return f"; {NAME}: {OWN_SEARCH}" if NAME in names else ""
+
+
+def against_best(
+    ours: str, walked: Mapping[str, Walked], what: str, unit: str = "",
+    joint: Mapping[str, float] | None = None, level: tuple[float, float] | None = None,
+    breaks: str = "breaks a limit",
+) -> str:  # fmt: skip
+    """Return by how much gains are better or worse than the best of their rivals, which keeps limits where any does.
+
+    Arguments:
+        ours: the gains in words.
+        walked: their score, then the score of each rival, by name.
+        what: the name of the score, in words, and its `unit`.
+        joint: the gains of pd retuned.
+        breaks: words for a rival that does not keep every limit.
+        level: where pd retuned walked at a time step of its own: that step, s, and the relative change at it.
+    """
+    (_, own), *others = walked.items()
+    sound = {name: each for name, each in others if math.isfinite(each.value)}
+    best = min(sound, key=lambda name: (not sound[name].keeps, sound[name].value), default=None)
+    reached = f"{ours}: {_with_unit(what, own.value, unit)}" if math.isfinite(own.value) else f"{ours}: the walk failed"
+    if best is None:
+        return f"{reached}; no rival held"
+    rival, breaks = sound[best], "" if sound[best].keeps else f", which {breaks}"
+    name = in_words(best, joint)
+    if not math.isfinite(own.value):
+        return f"{reached}; the best rival that walked is {name}: {_with_unit(what, rival.value, unit)}{breaks}"
+    at, change = "", own.value / rival.value - 1 if rival.value > 0 else math.nan
+    if level is not None and best == NAME:
+        at, change = f", both at a time step of {level[0]:g} s,", level[1]
+    if not math.isfinite(change):
+        how = "beside"
+    elif abs(change) < _EQUAL:
+        how = f"the same{at} as"
+    else:
+        how = f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'}{at} than"
+    value = _with_unit("", rival.value, unit)
+    return f"{reached}, {how} the best rival that walked, {name}: {value}{breaks}"
+
+
+def _with_unit(what: str, value: float, unit: str) -> str:
+    return " ".join(filter(None, [what, number(value), unit]))
