@@ -70,7 +70,7 @@ def structure(
         points = [list(point) for point in scenario.gait.way_points]
         raise ConfigError(f"gait.way_points: expected none with planned footholds, got {points}")
     contact = parameters.contact
-    limited = parameters.ground.holds is not None and parameters.holds.limit_bound.shape[-1] > 0
+    limited = parameters.ground.holds is not None and parameters.ground.holds.limit_bound.shape[-1] > 0
     if limited and contact is not None and type(contact).tear_off is Contact.tear_off:
         raise ValueError(f"{type(contact).__name__}: expected a method tear_off, as the holds have limits, got none")
     table = MetricTable(metrics)

@@ -206,7 +206,7 @@ def test_loads_leave_a_foot_before_it_lifts_off():
 def test_a_limb_at_its_torque_limit_is_not_wound_up():
     """The offset of its foot grows no longer, that of others does; it still may shrink."""
     reference, measured = scene()
-    law = KINDS["LoadTransfer"].law.replace({"hardware.servo.torque_limit": 1.0})
+    law = dataclasses.replace(KINDS["LoadTransfer"].law, torque_limit=1.0)
     state, start = started(law, measured, reference)
     saturated = measured._replace(joint_torque=jnp.zeros((4, 3)).at[0, 2].set(-1.0))
     _, free = after(law, state, measured, reference, 20)

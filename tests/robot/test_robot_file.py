@@ -385,6 +385,15 @@ class Bare(mc.Contact):
         raise AssertionError("nobody walks")
 
 
+class Springy(Bare):
+    """It says by which springs it holds."""
+
+    stiff: object = mc.parameter("N/m", bounds=(0.0, np.inf))
+
+    def springs(self):
+        return Springs(self.stiff, np.asarray(20.0))
+
+
 @pytest.mark.filterwarnings("ignore:Bare has no method springs")
 def test_a_contact_and_an_actuator_of_ones_own_are_checked_by_their_own_springs():
     scenario = mc.Scenario()
@@ -396,7 +405,11 @@ def test_a_contact_and_an_actuator_of_ones_own_are_checked_by_their_own_springs(
     soft = {"contact": Gripper(), "drive": VelocityCommanded(velocity_gain=np.array([1.0, 5.0]))}
     check_time_step(stiff, parameters=dataclasses.replace(own_parameters(stiff), **soft))
     for changes, said in (
-        ({"contact": Gripper(stiffness=np.array([9e3, 1e6]))}, "with Gripper of 1e+06 N/m and 20 N s/m, control.kp"),
+        ({"contact": Springy(np.array([9e3, 1e6]))}, "with Springy of 1e+06 N/m and 20 N s/m, control.kp"),
+        (
+            {"contact": Gripper(stiffness=np.array([9e3, 1e6]))},
+            "with contact.stiffness 1e+06, contact.damping 20, control.kp",
+        ),
         (
             {"contact": Bare(), "joint_loop": JointLoop(kp=np.asarray(2e3), kd=np.asarray(30.0))},
             "with Bare, whose springs are not known, control.kp 2000 and",

@@ -40,7 +40,7 @@ def changed(parameters: mc.Parameters, changes: Mapping[str, Change]) -> mc.Para
 def _times(parameters: mc.Parameters, path: str, factor: Factor) -> np.ndarray:
     value, axes = np.asarray(parameters.at(path), float), len(parameters.paths[path].shape)
     by = np.asarray(factor.by, float)
-    return np.asarray(value * by.reshape(*by.shape, *[1] * axes))
+    return np.asarray(value * by.reshape((*by.shape, *[1] * axes)))
 
 
 def scalable(parameters: mc.Parameters, paths: Iterable[str]) -> list[str]:

@@ -74,10 +74,10 @@ def test_what_has_no_interval_is_known_before_anything_walks(walks):
     values = rng.uniform(1, 2, (3, walks))
     data = {
         "force_variation": (("gains", "member"), values, {"larger_is_better": 0}),
-        "peak_pull_force": (("gains", "member"), values, {"larger_is_better": 0}),
+        "peak_utilization": (("gains", "member"), values / 10, {"larger_is_better": 0}),
         "diverged": (("gains", "member"), np.zeros(values.shape, bool)),
     }
-    drawn = xr.Dataset(data, {"gains": names}, {"holding_limit": 10.0})
+    drawn = xr.Dataset(data, {"gains": names})
     goal = Objective((Term("force_variation", 1.0, 1.0, 1.0),), (), worst=Worst(share=0.2))
     table = paired.compared(drawn, ["force_variation"], "retuned_pd", goal, count=200)
     low = table["low"].sel(gains="mine")

@@ -49,7 +49,7 @@ def test_members_differ_between_settings_in_what_is_made_worse_alone():
 def test_a_period_is_scaled_to_whole_time_steps_one_at_least(factor, period):
     scenario = CASE.with_overrides({"hardware.control_period": 0.002})
     changed = degraded.worsened(scenario, mc.parameters(scenario), degraded.setting(f"period={factor}"))
-    assert float(changed.control_period) == pytest.approx(period, rel=1e-6)
+    assert float(changed.bus.control_period) == pytest.approx(period, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_a_period_is_scaled_to_whole_time_steps_one_at_least(factor, period):
         ("delay=x-1", "delay: expected a factor above 0"),
         (
             "delay",
-            "expected delay|period|friction|backlash|noise|bias|armature=xFACTOR or a key of the section hardware",
+            "expected delay|period|friction|backlash|noise|bias|armature=xFACTOR, PATH=xFACTOR or a key of the section hardware",
         ),
         ("nothing=3", "nothing"),
         ("delay=x2,delay=x2", ""),

@@ -74,7 +74,7 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
         np.testing.assert_array_equal(np.delete(values, row, 0), own)
     np.testing.assert_array_equal(given.force_sensor.delay[0], given.base_estimate.delay[0])
     np.testing.assert_allclose(given.joint_loop.kd / given.joint_loop.kp, 0.1 / 20)
-    np.testing.assert_allclose(pd.kp / given.joint_loop.kp, 50 / 20)  # pd has the scenario's own
+    np.testing.assert_allclose(pd.joint_loop.kp / given.joint_loop.kp, 50 / 20)  # pd has the scenario's own
     assert given.bus.seed == 3
 
 

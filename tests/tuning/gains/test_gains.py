@@ -246,7 +246,7 @@ SCALE = {"p": 5e-3, "i": 0.02, "d": 4e-5}  # the share of the voltage for a unit
 
 def test_gains_of_the_joint_loop_are_written_as_registers(export, judged):
     """They stand for the gains to half a unit of a register; a register that cannot hold its gain says so."""
-    gains = SPLIT.replace({"control.kp": 41.0, "control.kd": 0.3, "control.ki": 12.0})
+    gains = dataclasses.replace(SPLIT, kp=41.0, kd=0.3, ki=12.0)
     config = mc.load_scenario("case_1_2", {"hardware.servo": VOLTAGE | {"register_scale": SCALE}})
     code, text, err = export(gains, config=config)
     assert code == 0, err
@@ -255,7 +255,7 @@ def test_gains_of_the_joint_loop_are_written_as_registers(export, judged):
     assert line.split("In ")[1] in err
     for register, unit, gain in zip(found, SCALE.values(), (41.0, 12.0, 0.3), strict=True):
         assert abs(register * unit * 8.0 - gain) <= unit * 8.0 / 2
-    _, text, _ = export(gains.replace({"control.kd": 30.0}), config=config)
+    _, text, _ = export(dataclasses.replace(gains, kd=30.0), config=config)
     assert f"D Gain 16383 (kd {16383 * 4e-5 * 8:.3g} in place of 30)" in text
     assert "registers" not in "".join(export(gains, config=mc.load_scenario("case_1_2"))[1:])
 
@@ -281,7 +281,7 @@ def test_registers_of_shipped_servos_are_those_of_the_published_fits(export, jud
 def test_no_register_is_written_for_a_servo_whose_scale_is_not_known(export, judged):
     """Neither as a comment nor as a note: both say which key is missing."""
     config = mc.load_scenario("case_1_2", {"hardware.servo": VOLTAGE})
-    code, text, err = export(SPLIT.replace({"control.kp": 41.0, "control.kd": 0.3}), config=config)
+    code, text, err = export(dataclasses.replace(SPLIT, kp=41.0, kd=0.3), config=config)
     assert code == 0 and "Gain" not in text + err
     assert all(
         "no registers for kp 41, ki 0, kd 0.3: hardware.servo.register_scale does" in said for said in (text, err)
@@ -440,7 +440,7 @@ def test_a_file_holds_the_limits_of_its_law_and_a_config_too(tmp_path):
     assert named["law"]["limits"] == {"max_offset": 0.01, "torque_limit": 1.5}
     found.append(own_section.taken(scenario.with_overrides({"own": named}))[1])
     for own in found:
-        assert (own.max_offset, own.max_rate, own.drive.torque_limit) == (0.01, 0.1, 1.5)
+        assert (own.max_offset, own.max_rate, own.torque_limit) == (0.01, 0.1, 1.5)
     assert gains_file.whole(path, scenario, read).law is read
     other = mc.control.InternalForce()
     assert gains_file.limited(path, other) is other  # which `load` refuses

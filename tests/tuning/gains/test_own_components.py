@@ -62,7 +62,8 @@ def test_a_config_reaches_contact_drive_and_disturbances_and_comes_back():
     np.testing.assert_array_equal(found.contact.normals, ROWS["normals"])
     assert found.contact.only_pulled and found.contact.stiffness == 7e3  # that of the contact section
     assert isinstance(found.drive, VelocityCommanded) and (found.drive.velocity_gain, found.drive.p) == (4.0, 10.0)
-    first, second = found.disturbances
+    *shipped, first, second = found.disturbances
+    assert [type(each).__name__ for each in shipped] == ["Cargo"]
     assert (first.frame, second.frame) == ("link", "world") and first.limb == 1
     assert mc.Scenario.from_yaml(scenario.to_yaml()) == scenario and hash(scenario) is not None
     for other in (under_pd(scenario), mc.Scenario.from_yaml(scenario.to_yaml())):
@@ -88,7 +89,7 @@ def test_options_take_the_place_of_a_configs_and_set_comes_last(file):
     ).load()
     found = own_parameters(loaded.scenario)
     assert type(found.contact).__name__ == "Weak" and (found.contact.holding_limit, found.contact.damping) == (0.5, 11)
-    assert [float(each.limb) for each in found.disturbances] == [0, 2] and type(found.drive) is VelocityCommanded
+    assert [float(each.limb) for each in found.disturbances[-2:]] == [0, 2] and type(found.drive) is VelocityCommanded
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ def test_the_log_of_a_commanded_sway_by_the_command(tmp_path, call):
     assert code == 0, errors
     sent = np.genfromtxt(tmp_path / "e" / "excitation.csv", delimiter=",", names=True)
     targets = np.stack([sent[name] for name in sent.dtype.names[1:13]], axis=1)
-    write_csv(tmp_path / "log.csv", columns_of(log_of(TRUE.replace({"hardware.servo.armature": 0.0}), targets=targets)))
+    write_csv(tmp_path / "log.csv", columns_of(log_of(dataclasses.replace(TRUE, armature=0.0), targets=targets)))
     fit = ("contact.stiffness", "contact.damping", "robot.base.mass", "hardware.command_delay")
     code, out, errors = call(
         "identify", "case_1_1", "--log", tmp_path / "log.csv", "--base", "free", "--starts", 1,

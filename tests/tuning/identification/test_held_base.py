@@ -29,7 +29,7 @@ def state_at(angles, rates):
 @pytest.mark.slow
 def test_accelerations_are_those_of_mujoco_with_the_base_welded():
     rng = np.random.default_rng(0)
-    model = welded("hubrobo_v3_2", TRUTH.replace({"gravity": (1.0, -2.0, -9.0)}))
+    model = welded("hubrobo_v3_2", dataclasses.replace(TRUTH, gravity=(1.0, -2.0, -9.0)))
     model.dof_damping[:], model.dof_frictionloss[:], model.actuator_gainprm[:], model.actuator_biasprm[:] = 0, 0, 0, 0
     data = mujoco.MjData(model)
     robot = dataclasses.replace(ROBOT, armature=np.full((4, 3), TRUTH.armature))

@@ -1,12 +1,15 @@
 """The search of joint targets: plans that know more are no worse; what a plan may depend on; refused settings."""
 
+import dataclasses
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
 import mjx_climb as mc
 import tuning
+from mjx_climb.disturbances import Push
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.ceiling import Ceiling
@@ -139,7 +142,7 @@ def test_limits_of_plans_are_pd_s_and_as_wide_as_the_contestants_need():
     table = mc.MetricTable((*mc.METRICS, SWING, RATE))
     asked = Ceiling.make({"deviation_factor": 2.0, "limits": {"peak_joint_torque": 3.0}})
     pd = {name: np.array([1.0, 3.0]) for name in table.names} | {"diverged": np.zeros(2)}
-    goal = search._objective(mc.Scenario(), asked, pd, table)
+    goal = search._objective(asked, pd, table)
     value = {limit.metric: limit.value for limit in goal.limits}
     assert value["base_deviation"] == 6.0 and value[SWING.name] == value[RATE.name] == 6.0
     assert value["peak_joint_torque"] == 3.0 and {term.baseline for term in goal.terms} == {2.0}
@@ -154,6 +157,15 @@ def test_limits_of_plans_are_pd_s_and_as_wide_as_the_contestants_need():
         assert travel == {True: pytest.approx((0.2 - 0.01 * way, way)), False: pytest.approx((0.4 + 0.01 * way, way))}
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Priced:
+    """Parameters of `Springs`."""
+
+    price: Any  # (member,)
+    disturbances: tuple[Push, ...]
+
+
 class Springs:
     """Walks whose merit is the squared distance of their targets from each member's aim, and a price of the start."""
 
@@ -162,8 +174,8 @@ class Springs:
 
     def evaluate(self, freedom, x, parameters, *, sharp):
         off = freedom.targets(x) - self.aim[:, None, None, None]
-        merit = (off**2).mean((2, 3, 4)) + parameters["price"].reshape(off.shape[:2])
-        self.seen.append((freedom.knots.every, sharp, parameters["push_force"].any()))
+        merit = (off**2).mean((2, 3, 4)) + parameters.price.reshape(off.shape[:2])
+        self.seen.append((freedom.knots.every, sharp, bool(parameters.disturbances)))
         return Scored(merit.ravel(), merit.ravel(), merit.ravel() < 9, {}), freedom.slopes(x, 2 * off / self.steps)
 
 
@@ -179,7 +191,7 @@ def test_a_search_of_plans_goes_on_from_the_best_start_with_finer_knots(common):
     begun = np.zeros(shape) + np.clip(0.0, robot.joint_lower, robot.joint_upper)
 
     def start(name, price):
-        return search.Start(name, begun, {"price": np.array(price), "push_force": np.ones(2)})
+        return search.Start(name, begun, Priced(np.array(price), (Push(force=np.ones((2, 3))),)))
 
     starts = [start("one", [1.0, 0.0]), start("other", [0.0, 0.5])]
     found = search._search(contest, "plan", starts, common=common, since=None if common else np.zeros(2))
@@ -187,7 +199,7 @@ def test_a_search_of_plans_goes_on_from_the_best_start_with_finer_knots(common):
     free = (robot.joint_lower < 0.0) & (robot.joint_upper > 0.4)
     ends = found.plan.targets[:, :, free].mean((1, 2))
     np.testing.assert_allclose(ends, [0.2, 0.2] if common else [0.1, 0.3], atol=0.02)
-    np.testing.assert_array_equal(found.plan.parameters["price"], [0.0, 0.5] if common else [0.0, 0.0])
+    np.testing.assert_array_equal(found.plan.parameters.price, [0.0, 0.5] if common else [0.0, 0.0])
     assert {record["knots"] for record in found.records} == {0.05, 0.025}
     assert said[-1] == ("plan", 60, 60) and {every for every, *_ in walks.seen} == {50, 25}
     assert walks.seen[-1][1] == 0.0 and walks.seen[0][2]

@@ -175,10 +175,8 @@ def _of_log_step(model: Fit, found: Fitted, beside: Mapping[str, Estimate]) -> I
     if abs(late.value) < _SHOWN * sd or abs(late.value) < model.windows.time_step / 2:
         return
     own = dict(zip((v.key for v in model.variables), found.x.tolist(), strict=True))
-    kd, viscous = (
-        float(own.get(key, np.asarray(getattr(model.parameters, field))))
-        for key, field in (("control.kd", "kd"), ("hardware.servo.viscous_friction", "viscous_friction"))
-    )
+    values = {**model.parameters.values, **own}
+    kd, viscous = (float(np.asarray(values.get(key, 0.0))) for key in ("control.kd", "hardware.servo.viscous_friction"))
     size = abs(late.value)
     doubts = {DELAY: f"{size:.2g} s", "hardware.servo.armature": f"{(kd + viscous) * size:.2g} kg m^2"}
     named = [f"{key} by {doubt}" for key, doubt in doubts.items() if key in own]
