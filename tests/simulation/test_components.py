@@ -27,15 +27,15 @@ def begun(scenario, gains=None, **own):
 
 
 OUTSIDE = {  # contact, and the line that refuses it
-    "above": (UncertainGripper(spread=50.0), "contact.spread: expected numbers from 0 to 1, got 50"),
-    "below": (UncertainGripper(tries=0.5), "contact.tries: expected numbers from 1 to 100, got 0.5"),
+    "above": (UncertainGripper(spread=50.0), "parameters.contact.spread: expected numbers from 0 to 1, got 50"),
+    "below": (UncertainGripper(tries=0.5), "parameters.contact.tries: expected numbers from 1 to 100, got 0.5"),
     "nan": (
         UncertainGripper(seed=np.nan),
-        "contact.seed: expected numbers from 0 to 1.67772e+07, got nan",
+        "parameters.contact.seed: expected numbers from 0 to 1.67772e+07, got nan",
     ),
     "within": (
         UncertainGripper(damping=-1.0),
-        "contact.damping: expected numbers from 0 to 1e+12, got -1",
+        "parameters.contact.damping: expected finite numbers of 0 or more, got -1",
     ),
 }
 

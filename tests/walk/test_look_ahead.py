@@ -11,6 +11,7 @@ import mjx_climb as mc
 from mjx_climb.control import law_of
 from mjx_climb.gait import planner
 from mjx_climb.gait.footholds import Nearest
+from mjx_climb.ground.ground import Ground
 from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.physics.kinematics import center_of_mass, limb_frames
 from mjx_climb.robot_import.load import load_robot
