@@ -27,10 +27,10 @@ def _watched(readings, support):
 def heard(readings, support=True, others=2.0):
     """Return forces, whether they are known, whether the first sensor is lost, and how far kp has risen, step by step.
 
-    The first sensor reads newtons along z; others stand.
+    The first sensor reads newtons along z; others stand, and each reads so many in each axis together.
     """
-    first, stands = np.broadcast_arrays(readings, support)
-    force, standing = np.full((len(first), 4, 3), others / 3), np.ones((len(first), 4), bool)
+    first, stands, of_others = np.broadcast_arrays(readings, support, others)
+    force, standing = np.tile(of_others[:, None, None] / 3, (1, 4, 3)), np.ones((len(first), 4), bool)
     force[:, 0], standing[:, 0] = 0.0, stands
     force[:, 0, 2] = first
     force, known, lost, kp_rise = map(np.asarray, _watched(force, standing))
@@ -60,6 +60,16 @@ def test_a_dead_sensor_stays_dead_over_a_swing_and_one_that_never_read_anything_
     assert not known[60:].any() and lost[60:].all()
     _, known, lost, _ = heard([0.0] * 60)
     assert not known.any() and not lost[:18].any() and lost[22:].all()
+
+
+def test_a_silent_sensor_is_doubted_in_stances_alone_and_whatever_the_others_bear_by_then():
+    """Silent for 0.15 s, it counts for nothing in the air, is not believed of the foot that stands again, then lost."""
+    _, known, lost, _ = heard([5.0] + [0.0] * 79, [True] * 31 + [False] * 20 + [True] * 29)
+    assert not known[22:31].any() and known[31:51].all() and not known[51:].any()
+    assert not lost[:58].any() and lost[64:].all()
+    # the robot lies down: that the others bear nothing any more does not excuse it
+    _, known, lost, _ = heard([5.0] + [0.0] * 79, others=np.where(np.arange(80) < 30, 2.0, 0.1))
+    assert not known[22:].any() and lost[44:].all()
 
 
 def test_where_nothing_bears_anything_no_reading_says_nothing():

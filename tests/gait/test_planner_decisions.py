@@ -219,10 +219,11 @@ def stops_by_loops(recovery, body, landing, position):
 
 def test_a_landing_is_worth_the_moment_that_stops_the_robot():
     random, recovery, found = np.random.default_rng(0), doubles(Recovery(landing_time=0.3)), []
+    worth = jax.jit(stopping_margin)
     for landing in (np.arange(4) == 1, np.arange(4) == 3) * 6:
         body = random_body(random, support=~landing)
         position = FEET + random.normal(0, 0.03, (4, 3))
-        own = stopping_margin(recovery, body, jnp.asarray(landing), jnp.asarray(position))
+        own = worth(recovery, body, jnp.asarray(landing), jnp.asarray(position))
         found.append(stops_by_loops(recovery, body, landing, position))
         np.testing.assert_allclose(own, found[-1], atol=1e-9)
     assert np.count_nonzero(found) > 6
@@ -505,7 +506,7 @@ def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name
         bound = jnp.column_stack([jnp.array(own["limits"]), jnp.full(4, jnp.inf)])
         before = before._replace(held=planning.Held(jnp.asarray(UP), rows, bound))
     pull = 15 * UP if with_holds else 15.0
-    body = body_of(velocity=[0.2, -0.1, 0.05], support=support, foot_force=force, pull=pull)
+    body = body_of(velocity=[0.8, -0.6, 0.2], support=support, foot_force=force, pull=pull)
     place = BASE + np.array([0.0, 0.02, 0.0])
     found, now, reference = tick(given, before, step, body=body, place=place)
     shift = place - reference.base_position
@@ -542,6 +543,13 @@ def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name
         "rise": 0,
     }
     assert_swings(found, before, LF, **new, touched=before.touched)
+    if with_holds:
+        # from level ground, as it is above the middle of a swing
+        best = int(np.argmax(worth))
+        np.testing.assert_array_equal(found.left[LF], UP[LF])
+        np.testing.assert_array_equal(found.held.normal[LF], given["holds"].normal[best])
+        np.testing.assert_array_equal(found.held.bound[LF], given["holds"].limit_bound[best])
+        np.testing.assert_array_equal(found.held.bound[1:], before.held.bound[1:])
     # a gait that stands still goes on when its time has come, and counts as one interruption
     again, *_ = tick(given, found, step + 20, body=body, place=place)
     assert again.interruptions == 1

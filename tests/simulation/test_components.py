@@ -1,5 +1,7 @@
 """A user's law, contact or actuator without a method, or with values out of bounds: one line each, before a walk."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.physics.contact.uncertain import UncertainGripper
 from mjx_climb.scenario.messages import ConfigError
@@ -112,3 +115,24 @@ def test_a_law_without_its_step_is_refused_in_one_line(tmp_path):
 def test_a_time_step_that_is_not_checked_is_said(scenario, own, name):
     with pytest.warns(UserWarning, match=rf"^{name} has no method spring.?: the time step of 0\.001 s is not checked"):
         begun(scenario, **own)
+
+
+class Fixed(mc.Contact):
+    """It has no `tear_off`."""
+
+    def init(self, grip_point, rotation):
+        return ()
+
+    def step(self, memory, feet, turning, closed, ground):
+        raise AssertionError("nobody walks")
+
+    def springs(self):
+        return mc.Springs(1e4, 20.0)
+
+
+def test_holds_with_limits_ask_for_a_contact_that_can_be_torn_off(scenario):
+    limits = {"limit_matrix": np.ones((1, 2, 3)), "limit_bound": np.ones((1, 2))}
+    point = {"position": np.zeros((1, 3)), "normal": np.array([[0.0, 0.0, 1.0]]), "valid": np.ones(1)}
+    parameters = dataclasses.replace(own_parameters(scenario), holds=mc.Holds(**point, **limits))
+    with pytest.raises(ValueError, match=r"^Fixed: expected a method tear_off, as the holds have limits, got none$"):
+        mc.Simulation(scenario, contact=Fixed()).reset(None, parameters)

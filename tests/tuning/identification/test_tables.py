@@ -113,7 +113,7 @@ def date(stamp, form="{}Z", between="T"):
     (["nanoseconds"], lambda t: (t,)),
     (["stamp_ns"], lambda t: (t - EPOCH,)),
     (["utime"], lambda t: (t // 1000,)),
-], ids=str)  # fmt: skip
+], ids=range(10))  # fmt: skip
 def test_clocks_of_loggers_are_read_to_a_microsecond(tmp_path, heads, cells):
     rows = [(*cells(stamp), *angles) for stamp, angles in zip(STAMPS, ANGLES, strict=True)]
     log = read_log(written(tmp_path, [*heads, *(f"{name}.position" for name in NAMES)], rows), ROBOT)
