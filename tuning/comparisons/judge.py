@@ -237,8 +237,9 @@ def _of_members(drawn: mc.Parameters, members: int) -> dict[str, np.ndarray]:
         if paths[path].shape == () and np.ndim(value) and not path.startswith("disturbance.pushes."):
             found[path] = np.broadcast_to(np.reshape(value, -1), members)
     found["gravity"] = np.broadcast_to(np.linalg.norm(drawn.gravity, axis=-1).reshape(-1), members)
-    pushes = [np.linalg.norm(each.force, axis=-1).reshape(-1) for each in drawn.disturbances if isinstance(each, Push)]
-    found["largest_push"] = np.broadcast_to(np.max([np.zeros(1), *pushes], axis=0), members)
+    forces = [each.force for each in drawn.disturbances if isinstance(each, Push)]
+    pushes = [np.broadcast_to(np.linalg.norm(force, axis=-1).reshape(-1), members) for force in forces]
+    found["largest_push"] = np.max([np.zeros(members), *pushes], axis=0)
     return found
 
 

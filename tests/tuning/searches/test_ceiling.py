@@ -108,7 +108,8 @@ def test_knots_are_whole_time_steps():
 def test_the_first_disturbance_of_a_walk_is_what_tells():
     def onset(**changes):
         scenario = mc.load_scenario("case_2").with_overrides(changes)
-        return float(search._onset(mc.parameters(scenario), scenario.duration))
+        members = jax.tree.map(lambda value: np.asarray(value)[None], mc.parameters(scenario))
+        return search._onset(members, scenario.duration).item()
 
     assert onset() == 1.0 and onset(duration=0.5) == np.inf
     assert onset(**{"disturbance.cargo.mass": 1.0, "disturbance.cargo.start": 0.4}) == pytest.approx(0.4)
@@ -117,6 +118,8 @@ def test_the_first_disturbance_of_a_walk_is_what_tells():
         {"force": [1.0, 0.0, 0.0], "start": 0.7, "stop": 0.9},
     ]
     assert onset(**{"disturbance.pushes": pushes}) == pytest.approx(0.7)
+    touch = {"name": "LinkWrench", "values": {"force": [1.0, 0.0, 0.0], "start": 0.3}}
+    assert onset(**{"own.disturbances": [touch]}) == pytest.approx(0.3)
 
 
 def ended(name, merit, targets):
@@ -190,8 +193,10 @@ def test_a_search_of_plans_goes_on_from_the_best_start_with_finer_knots(common):
     shape = (2, scenario.steps, *robot.joint_lower.shape)
     begun = np.zeros(shape) + np.clip(0.0, robot.joint_lower, robot.joint_upper)
 
+    push = Push(force=np.ones((2, 3)), moment=np.zeros((2, 3)), start=np.zeros(2), stop=np.ones(2))
+
     def start(name, price):
-        return search.Start(name, begun, Priced(np.array(price), (Push(force=np.ones((2, 3))),)))
+        return search.Start(name, begun, Priced(np.array(price), (push,)))
 
     starts = [start("one", [1.0, 0.0]), start("other", [0.0, 0.5])]
     found = search._search(contest, "plan", starts, common=common, since=None if common else np.zeros(2))
