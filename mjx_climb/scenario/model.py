@@ -319,6 +319,10 @@ class Contact(v.Section):
     capture_distance: v.Limit = setting(
         None, "how far off the ground a foot may be for its shutting gripper to hold, m; null: any distance"
     )
+    closing_time: v.NonNegative = setting(
+        0.0, "time in which a gripper that shuts off the ground closes two thirds of the gap, s; 0: at once"
+    )
+    closing_force: v.PositiveOrNull = setting(None, "pull at which a closing gripper stalls, N; null: none")
 
 
 class Recovery(v.Section):

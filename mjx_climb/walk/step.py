@@ -103,7 +103,8 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     geometry = limb_geometry(robot, setup.parameters.contact.transmits_moments)
     robot, geometry = _in_precision((robot, geometry), setup.parameters.gravity.dtype)
     robot = execution.of_limbs(robot)  # from here on execution knows which arrays have the limbs first
-    parameters, contact, actuator = setup.parameters, setup.parameters.contact, setup.parameters.drive
+    parameters, actuator = setup.parameters, setup.parameters.drive
+    contact = parameters.contact.set_up(structure.time_step)
     if isinstance(actuator, Servos):
         actuator = dataclasses.replace(actuator, hardware=setup.hardware)
     controller = control_loop.Controller(setup.law, geometry, setup.hardware, actuator)

@@ -59,6 +59,10 @@ class Contact(Component, abc.ABC):
     Fields made by `parameter` are its values. `init` and `step` are written for one robot.
     """
 
+    def set_up(self: AnyContact, time_step: float) -> AnyContact:
+        """This contact for walks of a time step, s."""
+        return self
+
     @property
     def transmits_moments(self) -> bool:
         """Whether the contact turns the feet: `step` is then given how they are turned."""

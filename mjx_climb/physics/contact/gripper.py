@@ -12,12 +12,13 @@ import numpy as np
 from jax import Array
 from jaxtyping import PyTree
 
-from mjx_climb.component import NONNEGATIVE, POSITIVE, UNLIMITED, given, parameter
+from mjx_climb.component import NONNEGATIVE, POSITIVE, POSITIVE_OR_INFINITE, UNLIMITED, given, parameter
 from mjx_climb.physics.contact.contact import Contact, Grip, Springs, along_normal, clearance
 from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
 
 _TINY = 1e-30  # N, of a limit of zero
+_UP = np.array([0.0, 0.0, 1.0])
 _NORMAL = np.array([False, False, True])  # of the ground, among the axes of the world
 
 
@@ -43,6 +44,15 @@ class GripperMemory(NamedTuple):
     detached: Array  # (limb,) bool: the gripper was torn off, for good
     reach: Reach | None = None  # where grippers have a capture distance
     attitude: Attitude | None = None  # where grips transmit moments
+    closing: "Closing | None" = None  # where grippers take time to close
+
+
+class Closing(NamedTuple):
+    """What grippers that take time to close remember."""
+
+    held: Array  # (limb,) bool: the gripper held at the last step
+    pressed: Array  # (limb,) bool: the ground acted on the foot when the gripper shut
+    closure: Array  # (limb,) 1, how far the gripper has closed
 
 
 class SpringGrip(Contact):
@@ -53,6 +63,10 @@ class SpringGrip(Contact):
     the ground only pushes a foot whose gripper is open, along its normal. A grip with a rotational stiffness also keeps
     its foot from turning, by the sine of the angle from the attitude in which it shut (the gradient of a potential of
     1 - cos) and by the rate; it lets go by its force alone.
+
+    With a closing time a gripper that shuts off the ground holds its foot where it is, without force. The grip point is
+    then drawn to the ground: its gap falls to 1/e in this time, while the pull on the foot stays below the closing
+    force, and the damper comes in alike.
     """
 
     stiffness: Array = parameter("N/m", bounds=POSITIVE, default=1e4, long_name="contact stiffness")
@@ -64,15 +78,26 @@ class SpringGrip(Contact):
         "N m s/rad", bounds=NONNEGATIVE, default=0.0, long_name="turning damping of a grip"
     )
     capture_distance: Array = parameter("m", bounds=UNLIMITED, default=np.inf, long_name="reach of a gripper")
+    closing_time: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="closing time of a gripper")
+    closing_force: Array = parameter(
+        "N", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="closing force of a gripper"
+    )
     limited_reach: bool = False  # some gripper has a capture distance
     rotational: bool = False  # grips transmit moments
+    closes: bool = False  # some gripper takes time to close
+    time_step: float = 1e-3  # s, of the walk
     breaks: bool = True  # grips are torn off
 
     def compiled_for(self, moving: Collection[str] = ()) -> Self:
         """Grippers with a reach, and with moments, where some robot has them."""
         reach = "capture_distance" in moving or bool(np.isfinite(np.asarray(self.capture_distance)).any())
         turns = "rotational_stiffness" in moving or given(self.rotational_stiffness)
-        return dataclasses.replace(self, limited_reach=reach, rotational=turns)
+        closes = "closing_time" in moving or given(self.closing_time)
+        return dataclasses.replace(self, limited_reach=reach, rotational=turns, closes=closes)
+
+    def set_up(self, time_step: float) -> Self:
+        """Grippers that know the time step of a walk, s."""
+        return dataclasses.replace(self, time_step=time_step) if self.closes else self
 
     @property
     def transmits_moments(self) -> bool:
@@ -83,7 +108,9 @@ class SpringGrip(Contact):
         """The memory of grippers that are shut at their grip points and rest."""
         shut = jnp.ones(len(grip_point), bool)
         reach = Reach(shut, ~shut) if self.limited_reach else None
-        return GripperMemory(grip_point, shut, ~shut, reach, Attitude(rotation, ~shut) if self.rotational else None)
+        attitude = Attitude(rotation, ~shut) if self.rotational else None
+        closing = Closing(shut, shut, jnp.ones_like(grip_point[:, 0])) if self.closes else None
+        return GripperMemory(grip_point, shut, ~shut, reach, attitude, closing)
 
     def step(
         self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array
@@ -102,10 +129,19 @@ class SpringGrip(Contact):
         # a gripper with a capture distance anchors anew when it shuts, though its foot touched before
         fresh = (touching & ~memory.touching) | caught
         # ClimbLab takes the nearest point of a map of 0.98 mm pitch, and contacts begin with a kick (departure 4)
-        grip_point = jnp.where(fresh[:, None], below, memory.grip_point)
+        anchor, closing = below, memory.closing
+        if closing is not None:
+            slow = jnp.asarray(self.closing_time) > 0
+            anchor = jnp.where((support & slow & (off > 0))[:, None], feet.position, below)
+        grip_point = jnp.where(fresh[:, None], anchor, memory.grip_point)
+        if closing is not None:
+            grip_point, closing = self._closed(closing, grip_point, feet, ground, support, fresh | ~memory.touching)
         # paper Eq. 5, with the true velocity of the foot: ClimbLab's damper takes the free-floating Jacobian's, which
         # adds energy (docs/explanation/departures.md, 3)
-        force = self.stiffness * (grip_point - feet.position) - self.damping * feet.velocity
+        drag = self.damping * feet.velocity
+        if closing is not None:
+            drag = _with_closure(drag, feet, closing)
+        force = self.stiffness * (grip_point - feet.position) - drag
         force = jnp.where(touching[:, None], force, 0.0)
         if reach is not None:
             push = jnp.where(_NORMAL, jnp.maximum(force, 0.0), 0.0)
@@ -115,7 +151,7 @@ class SpringGrip(Contact):
         moment = jnp.zeros_like(force)
         if attitude is not None and turning is not None:
             moment, attitude = self._held_attitude(attitude, turning, support)
-        after = GripperMemory(grip_point, touching, memory.detached, reach, attitude)
+        after = GripperMemory(grip_point, touching, memory.detached, reach, attitude, closing)
         none = jnp.zeros_like(support)
         grip = Grip(force, moment, grip_point, support, touching, memory.detached, none, missed, force[:, 2] * 0)
         return after, grip
@@ -139,6 +175,23 @@ class SpringGrip(Contact):
         """Grips that never let go."""
         return dataclasses.replace(self, breaks=False)
 
+    def _closed(
+        self, closing: Closing, grip_point: Array, feet: Feet, ground: Array, support: Array, fresh: Array
+    ) -> tuple[Array, Closing]:
+        """The grip points (limb, 3) m of grippers that close a little further in a step, and what they remember."""
+        shuts, slow = support & ~closing.held, jnp.asarray(self.closing_time) > 0
+        share = jnp.where(slow, -jnp.expm1(-self.time_step / jnp.where(slow, self.closing_time, 1.0)), 1.0)
+        gap, below = clearance(feet._replace(position=grip_point), ground)
+        off, _ = clearance(feet, ground)
+        # the lowest grip point at which the spring pulls no harder than the gripper closes
+        lowest = off - self.closing_force / self.stiffness
+        drawn = jnp.maximum(gap * (1 - share), jnp.minimum(gap, lowest))
+        draws = support & ~shuts & slow & (gap > 0)
+        moved = below + (grip_point - below) * jnp.where(gap > 0, drawn / jnp.where(gap > 0, gap, 1.0), 1.0)[:, None]
+        closure = jnp.where(shuts, jnp.where(slow & fresh, 0.0, 1.0), closing.closure + (1 - closing.closure) * share)
+        pressed = jnp.where(shuts, off <= 0, closing.pressed)
+        return jnp.where(draws[:, None], moved, grip_point), Closing(support, pressed, jnp.where(support, closure, 1.0))
+
     def _held_attitude(self, attitude: Attitude, turning: Turning, support: Array) -> tuple[Array, Attitude]:
         """The moments that keep feet from turning, (limb, 3) N m, and the attitudes that they hold."""
         held = (support & attitude.held)[:, None, None]
@@ -146,6 +199,14 @@ class SpringGrip(Contact):
         moment = self.rotational_stiffness * turn_between(turning.rotation, rotation)
         moment = jnp.where(support[:, None], moment - self.rotational_damping * turning.velocity, 0.0)
         return moment, Attitude(rotation, support)
+
+
+def _with_closure(drag: Array, feet: Feet, closing: Closing) -> Array:
+    """The drag (limb, 3) N of dampers that come in as grippers close; along the normal pressed feet feel all of it."""
+    along = along_normal(drag, feet)
+    normal = jnp.broadcast_to(_UP, drag.shape) if feet.surface is None else feet.surface.normal
+    whole = jnp.where(closing.pressed, along * (1 - closing.closure), 0.0)
+    return closing.closure[:, None] * drag + whole[:, None] * normal
 
 
 class Gripper(SpringGrip):

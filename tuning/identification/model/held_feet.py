@@ -150,6 +150,6 @@ def _held(gripped: Gripped, frames: LimbFrames, state: State, turning: Turning |
     """Return the forces of the grips (limb, 3) N in a state, and all that they do."""
     feet, contact = foot_kinematics(gripped.robot, frames, state), gripped.contact
     shut = jnp.ones(len(gripped.robot.limbs), bool)
-    gripper = dataclasses.replace(gripped.hardware.parameters.contact, limited_reach=False)
+    gripper = dataclasses.replace(gripped.hardware.parameters.contact, limited_reach=False, closes=False)
     _, held = gripper.step(contact, feet, turning, shut, contact.grip_point[:, 2])
     return held.foot_force, held
