@@ -68,8 +68,8 @@ def test_a_silent_sensor_is_doubted_in_stances_alone_and_whatever_the_others_bea
     assert not known[22:31].any() and known[31:51].all() and not known[51:].any()
     assert not lost[:58].any() and lost[64:].all()
     # the robot lies down: that the others bear nothing any more does not excuse it
-    _, known, lost, _ = heard([5.0] + [0.0] * 79, others=np.where(np.arange(80) < 30, 2.0, 0.1))
-    assert not known[22:].any() and lost[44:].all()
+    _, known, lost, _ = heard([0.0] * 80, others=np.where(np.arange(80) < 5, 2.0, 0.1))
+    assert not known.any() and not lost[:18].any() and lost[22:].all()
 
 
 def test_where_nothing_bears_anything_no_reading_says_nothing():

@@ -9,6 +9,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance
+from mjx_climb.ground.ground import Ground
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.contact.gripper import Gripper
@@ -133,6 +134,6 @@ class Fixed(mc.Contact):
 def test_holds_with_limits_ask_for_a_contact_that_can_be_torn_off(scenario):
     limits = {"limit_matrix": np.ones((1, 2, 3)), "limit_bound": np.ones((1, 2))}
     point = {"position": np.zeros((1, 3)), "normal": np.array([[0.0, 0.0, 1.0]]), "valid": np.ones(1)}
-    parameters = dataclasses.replace(own_parameters(scenario), holds=mc.Holds(**point, **limits))
+    parameters = dataclasses.replace(own_parameters(scenario), ground=Ground(holds=mc.Holds(**point, **limits)))
     with pytest.raises(ValueError, match=r"^Fixed: expected a method tear_off, as the holds have limits, got none$"):
         mc.Simulation(scenario, contact=Fixed()).reset(None, parameters)

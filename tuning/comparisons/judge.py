@@ -231,7 +231,7 @@ def through(
 
 
 def _of_members(drawn: mc.Parameters, members: int) -> dict[str, np.ndarray]:
-    """Return the values that differ among members, (members,) each by its path, and their largest push, N."""
+    """Return the values that differ among members, (members,) each by its path, and the largest push of each, N."""
     found, paths = {}, drawn.paths
     for path, value in drawn.values.items():
         if paths[path].shape == () and np.ndim(value) and not path.startswith("disturbance.pushes."):
