@@ -109,7 +109,9 @@ class Gait:
 class Grips:
     """Springs and dampers between feet and ground."""
 
-    def __init__(self, contact, feet, turned):
+    def __init__(self, contact, feet, turned, time_step):
+        self.kept = np.exp(-time_step / contact.closing_time) if contact.closing_time else 0.0  # of a gap, in a step
+        self.closure, self.pressed = np.ones(len(feet)), np.ones(len(feet), bool)
         self.contact, self.point, limbs = contact, feet.copy(), len(feet)
         self.touched, self.shut = np.ones((2, limbs), bool)
         self.missing, self.held, self.detached = np.zeros((3, limbs), bool)
@@ -129,9 +131,23 @@ class Grips:
         # a foot that is at the ground to rounding may be on either side of it
         touching = support | np.where(np.abs(above) < 1e-14, walked, above <= 0)
         fresh = touching & ~self.touched | shuts
-        self.point[fresh] = np.column_stack([feet[:, :2], ground])[fresh]
+        begins, slow = support & ~self.held, own.closing_time > 0
+        self.point[fresh] = np.column_stack([feet[:, :2], np.where(slow & support & (above > 0), feet[:, 2], ground)])[
+            fresh
+        ]
+        for limb in np.flatnonzero(support) if slow else ():
+            gap = self.point[limb, 2] - ground[limb]
+            if begins[limb]:
+                self.closure[limb], self.pressed[limb] = 1.0 - (fresh | ~self.touched)[limb], above[limb] <= 0
+                continue
+            self.closure[limb] = 1 - (1 - self.closure[limb]) * self.kept
+            if gap > 0:
+                stalled = above[limb] - number(own.closing_force) / own.stiffness
+                self.point[limb, 2] = ground[limb] + max(gap * self.kept, min(gap, stalled))
+        self.closure[~support] = 1.0
         self.touched = touching
-        force = touching[:, None] * (-own.stiffness * (feet - self.point) - own.damping * velocity)
+        share = np.column_stack([self.closure, self.closure, np.where(self.pressed, 1.0, self.closure)])
+        force = touching[:, None] * (-own.stiffness * (feet - self.point) - own.damping * share * velocity)
         if np.isfinite(reach):
             force[~support] = np.maximum(force[~support] @ Z, 0)[:, None] * Z
         moment = np.zeros_like(force)
@@ -446,7 +462,7 @@ def again(walk, law=None):
     still = np.zeros(3)
     after = start, reference.as_quat(scalar_first=True), still, still, angles, np.zeros_like(angles)
     body.place(body.data, *after[:2], angles)
-    grips = Grips(scenario.contact, feet, body.data.site_xmat.reshape(-1, 3, 3))
+    grips = Grips(scenario.contact, feet, body.data.site_xmat.reshape(-1, 3, 3), h)
     law = Law(scenario, reference, body.limbs) if law is None else law(scenario, reference, body.limbs)
     drive = walk.parameters.drive
     velocity = isinstance(drive, VelocityCommandedDrive)

@@ -38,6 +38,11 @@ WALKS = {  # changes, and what is to happen
     "torn off at once": (
         PD | {"contact.holding_limit": 1e-3, "gravity": [0.1, 0.0, 2.0]}, lambda walk: walk.torn_off.sum(1).max() > 1
     ),
+    "grips that close": (
+        PD | {"contact.closing_time": 0.01, "contact.closing_force": 0.5, "contact.capture_distance": 2e-3,
+              "ground.footholds": {"LF": [0.0, 0.001], "LH": [0.0, -0.001]}},
+        lambda walk: np.ptp(walk.grip_point[walk.support][:, 2]) > 1e-4,
+    ),
     "hardware on uneven ground": (
         {
             "contact.capture_distance": 1e-3,
