@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -100,18 +99,6 @@ def evaluate_shard(
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
     return walk_shard(draw_of(Problem(scenario, **walks), gains, ensemble, members), shard, out, progress)
-
-
-def judge(*given: Any, **named: Any) -> Judged:
-    """The name of `evaluate` in the last version."""
-    warnings.warn("tuning.judge is tuning.evaluate now, and goes with the next release", DeprecationWarning, 2)
-    return evaluate(*given, **named)
-
-
-def judge_shard(*given: Any, **named: Any) -> Path:
-    """The name of `evaluate_shard` in the last version."""
-    warnings.warn("tuning.judge_shard is tuning.evaluate_shard now", DeprecationWarning, 2)
-    return evaluate_shard(*given, **named)
 
 
 @dataclasses.dataclass(frozen=True)

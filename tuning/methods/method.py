@@ -59,7 +59,7 @@ class Method(abc.ABC):
     def check(self, space: Space, search: Search) -> None:
         """Refuse by a ConfigError, before anything walks, what the method cannot search or is not told right."""
         if self.most is not None and space.size > self.most:
-            cure = "pin or freeze some, or choose gradient or lbfgs"
+            cure = "pin or freeze some, or choose gradient"
             expected = f"at most {self.most} numbers to search by {search.method}"
             raise ConfigError(f"method: expected {expected}, got {space.size}: {cure}")
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mjx_climb.walk.metrics import MetricTable
 
 SpaceName = Literal["isotropic", "split", "diagonal"]
-METHODS = ("gradient", "lbfgs", "grid", "cmaes", "optuna")  # each a file of tuning/methods/ with its METHOD
+METHODS = ("gradient", "grid", "cmaes", "optuna")  # each a file of tuning/methods/ with its METHOD
 OWN_METHOD = "own"  # one that the caller brought, or that `own.method` of the scenario names
 LAYOUTS: tuple[str, ...] = get_args(SpaceName)
 WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}

@@ -8,7 +8,6 @@ import pytest
 import scipy.stats
 import xarray as xr
 
-import tuning
 from tuning.comparisons import judge, paired
 from tuning.problem import ensemble
 from tuning.problem.ensemble import Worst
@@ -313,11 +312,3 @@ def test_a_table_comes_back_from_beside_the_walks():
     data = walks()
     table = compared(data)
     xr.testing.assert_equal(paired.taken(paired.beside(data, table)), table)
-
-
-def test_names_of_the_last_version_say_the_new_ones(monkeypatch):
-    for name in ("evaluate", "evaluate_shard"):
-        monkeypatch.setattr(judge, name, lambda *given, **named: (given, named))
-    for old, new in ((tuning.judge, "evaluate"), (tuning.judge_shard, "evaluate_shard")):
-        with pytest.warns(DeprecationWarning, match=rf"is tuning\.{new} now"):
-            assert old("scenario", members=2) == (("scenario",), {"members": 2})
