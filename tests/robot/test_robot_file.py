@@ -443,7 +443,7 @@ def test_each_robot_of_a_batch_counts_for_the_time_step(given):
     replaced = numbers.replace({f"control.{name}": value for name, value in stiff.items()})
     call = {"gains": stiff} if given == "gains" else {"parameters": replaced}
     simulation = mc.Simulation(scenario)
-    for method in (simulation.metrics, simulation.histories, simulation.simulate, mc.Environment(scenario).reset):
+    for method in (simulation.metrics, simulation.histories, simulation.simulate, simulation.reset):
         with pytest.raises(mc.ConfigError, match=STIFF):
             method(**call)
     with pytest.raises(mc.ConfigError, match=STIFF):

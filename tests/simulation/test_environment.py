@@ -22,12 +22,12 @@ def scenario(case):
 
 @pytest.fixture(scope="module")
 def env(scenario):
-    return mc.Environment(scenario)
+    return mc.Simulation(scenario)
 
 
 @pytest.fixture(scope="module")
 def walked(env):
-    """Return what steps an environment from a state to the end of a walk, and returns all samples too."""
+    """Return what steps robots from a state to the end of a walk, and returns all samples too."""
     return jax.jit(lambda state, actions=None: jax.lax.scan(env.step, state, actions, length=env.scenario.steps))
 
 
@@ -46,7 +46,7 @@ def test_one_robot_walks_as_in_a_rollout(scenario, alone):
 
 @pytest.mark.nightly
 def test_a_simulation_steps_one_robot(scenario, alone):
-    """And `vmap` makes a batch of it, as `Environment` does."""
+    """And `vmap` makes a batch of it, as batch axes do."""
     simulation, first = mc.Simulation(scenario), alone[1].joint_torque[0]
     starts = jax.vmap(lambda k: simulation.reset({"stiffness": k}))(jnp.array([1e3, 5e4]))
     _, sample = jax.jit(jax.vmap(simulation.step))(starts)
@@ -54,15 +54,14 @@ def test_a_simulation_steps_one_robot(scenario, alone):
     assert sample.joint_angles.shape == (2, 4, 3) and starts.robot.joint_angles.shape == (2, 12)
     one = jax.jit(simulation.step)(simulation.reset())[1]
     np.testing.assert_allclose(one.joint_torque, first, rtol=0, atol=1e-12)
-    for many in ({"kp": np.ones(2)}, {"stiffness": np.ones((2, 6))}):
-        with pytest.raises(ValueError, match="one robot"):
-            simulation.reset(many)
+    both = simulation.reset({"stiffness": np.array([[1e3], [5e4]])})
+    np.testing.assert_allclose(simulation.step(both)[1].joint_torque, sample.joint_torque, rtol=0, atol=1e-12)
     with pytest.raises(dataclasses.FrozenInstanceError):
         simulation.engine = "mjx"
 
 
 def test_robots_have_the_precision_that_is_asked_for(scenario):
-    carry = jax.eval_shape(mc.Environment(scenario, dtype=np.float32).reset).carry
+    carry = jax.eval_shape(lambda: mc.Simulation(scenario).reset(dtype=np.float32)).carry
     assert {value.dtype for value in vars(carry.state).values()} == {np.dtype(np.float32)}
 
 
@@ -125,11 +124,11 @@ def test_derivatives_by_an_action(env):
 
 
 @pytest.mark.slow
-def test_equal_environments_are_compiled_once(scenario, env):
+def test_equal_simulations_are_compiled_once(scenario, env):
     env.step(env.reset())
     compiled = []
     monitoring.register_event_duration_secs_listener(lambda event, *_, **__: compiled.append(event))
-    mc.Environment(scenario).step(mc.Environment(scenario).reset())
+    mc.Simulation(scenario).step(mc.Simulation(scenario).reset())
     assert not [event for event in compiled if "compile" in event]
 
 
@@ -150,7 +149,7 @@ def test_stepping_by_hand_is_nearly_as_fast_as_a_rollout(case):
     by_hand, simulate = jax.jit(walk), jax.jit(lambda gains: simulation.simulate(gains, parameters))
     gains = {"stiffness": np.geomspace(1e4, 1e5, robots, dtype=np.float32)[:, None]}
     parameters = mc.parameters(scenario, np.float32)
-    start = mc.Environment(scenario, dtype=np.float32).reset(gains)
+    start = simulation.reset(gains, dtype=np.float32)
 
     def seconds(run, *arguments):
         run(*arguments)
