@@ -356,5 +356,5 @@ def start_of(problem: Problem) -> np.ndarray:
 
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
     """Return all that determines a search, bit by bit; `more`: what else does."""
-    packages = {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}
+    packages = {**PACKAGES, "cmaes": "cmaes", "optuna": "optuna"}
     return {**identity_of(problem, packages), "search": search.model_dump(mode="json"), **more}
