@@ -1,11 +1,11 @@
 """The settings of a search for the best joint targets over time: what bounds every control law from below."""
 
 import itertools
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import BeforeValidator, model_validator
 
-from tuning.problem.search import OF_LIMITS, OF_WEIGHTS, numbers_of
+from tuning.problem.search import OF_LIMITS, OF_WEIGHTS, Precision, numbers_of
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
 
@@ -43,7 +43,7 @@ class Ceiling(Settings):
     random: int = setting(1, "random starts beside those of pd and of each law", ge=0, le=100)
     step: Positive = setting(0.05, "first step of the descent, as a share of pd's peak joint torque over kp, 1")
     seed: int = setting(0, "of the random starts", ge=0, lt=2**31)
-    precision: Literal["float32", "float64"] = setting("float32", "precision of the simulations")
+    precision: Precision = setting("float32", "precision of the simulations")
 
     @model_validator(mode="after")
     def _knots_are_nested(self) -> Self:

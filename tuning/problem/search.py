@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mjx_climb.walk.metrics import MetricTable
 
 SpaceName = Literal["isotropic", "split", "diagonal"]
+Precision = Literal["float32", "float64"]
 METHODS = ("gradient", "grid", "cmaes", "optuna")  # each a file of tuning/methods/ with its METHOD
 OWN_METHOD = "own"  # one that the caller brought, or that `own.method` of the scenario names
 LAYOUTS: tuple[str, ...] = get_args(SpaceName)
@@ -101,7 +102,7 @@ class Search(Settings):
     )
     iterations: int | None = setting(None, "rounds of the search; null: the method's", ge=1, le=1_000_000)
     seed: int = setting(0, "seed of all random draws", ge=0, le=2**31 - 1)
-    precision: Literal["float32", "float64"] = setting("float32", "precision of the search's simulations")
+    precision: Precision = setting("float32", "precision of the search's simulations")
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:

@@ -5,12 +5,12 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, DTypeLike
+from numpy.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb import execution, trajectory
@@ -25,6 +25,7 @@ from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.methods.parts import identity_of
 from tuning.problem.evaluation import RIGID, Problem
+from tuning.problem.search import Precision
 from tuning.problem.spaces import INTEGRAL, JOINT
 from tuning.results.config_file import write_config
 from tuning.results.swept import HISTORIES, Swept
@@ -48,7 +49,7 @@ def sweep(
     gains: AnyGains | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
-    dtype: DTypeLike = np.float32,
+    precision: Precision = "float32",
     batch_size: int | None = None,
     out: str | os.PathLike[str] | None = None,
     progress: Counted | None = None,
@@ -66,7 +67,7 @@ def sweep(
             compare with.
         metrics: of the walks, as `mjx_climb.METRICS + (mine,)`.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
-        dtype: precision of the simulation.
+        precision: of the simulation, "float32" or "float64".
         batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
         out: a folder that keeps each finished part, so that an interrupted sweep goes on from there, bit by bit; until
             the result is written there, or `tuning.methods.parts.clear(out)`.
@@ -74,11 +75,11 @@ def sweep(
             then after each part.
 
     Raises:
-        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
+        ValueError: another precision, axes that are no lists of positive numbers, too many, or no gains of the law.
         OutputError: `out` cannot be written, or holds an unfinished sweep of something else.
     """
     how: dict[str, Any] = {"law": law, "metrics": mc.MetricTable(metrics), "engine": engine}
-    grid = grid_of(Problem(scenario, dtype=np.dtype(dtype).type, **how), axes, gains, batch_size)
+    grid = grid_of(_problem(scenario, precision, **how), axes, gains, batch_size)
     return grid.result(Rows(grid, out).walk(progress))
 
 
@@ -89,6 +90,7 @@ def sweep_shard(
     *,
     out: str | os.PathLike[str],
     gains: AnyGains | None = None,
+    precision: Precision = "float32",
     batch_size: int | None = None,
     progress: Counted | None = None,
     **walks: Any,
@@ -108,7 +110,14 @@ def sweep_shard(
         ValueError, OutputError: as of `sweep`.
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
-    return walk_shard(grid_of(Problem(scenario, **walks), axes, gains, batch_size), shard, out, progress)
+    grid = grid_of(_problem(scenario, precision, **walks), axes, gains, batch_size)
+    return walk_shard(grid, shard, out, progress)
+
+
+def _problem(scenario: mc.Scenario, precision: Precision, **walks: Any) -> Problem:
+    if precision not in (known := get_args(Precision)):
+        raise ValueError(f"precision: expected {' or '.join(known)}, got {precision!r}")
+    return Problem(scenario, dtype=np.dtype(precision).type, **walks)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,7 +206,7 @@ class Grid:
         axes = {name: values.tolist() for name, values in self.axes.items()}
         how: dict[str, Any] = {
             "order": [*axes],
-            "dtype": np.dtype(self.walked.dtype).name,
+            "precision": np.dtype(self.walked.dtype).name,
             "batch_size": self.size,
             "histories": self.rows <= HISTORIES,
         }
@@ -215,8 +224,7 @@ def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: m
     file, asked = kept.folder / GAINS_FILE, kept.identity
     gains = gains_file.load(file, law) if file.is_file() else None
     how: dict[str, Any] = {"law": law, "metrics": metrics, "engine": asked["engine"]}
-    problem = Problem(scenario, dtype=np.dtype(asked["dtype"]).type, **how)
-    return grid_of(problem, asked["axes"], gains, asked["batch_size"])
+    return grid_of(_problem(scenario, asked["precision"], **how), asked["axes"], gains, asked["batch_size"])
 
 
 def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_size: int | None = None) -> Grid:

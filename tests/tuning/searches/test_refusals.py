@@ -91,6 +91,7 @@ def draw(**hardware):
         *((grid(axis), "stiffness: expected a list of finite numbers above 0")
           for axis in ([], [0.0, 1.0], [1.0, np.nan], [1.0, np.inf], [[1.0]])),
         (grid(inertia=[1.0]), "axes: expected two gains, got 3"),
+        (lambda: tuning.sweep(CASE, {}, precision="half"), "precision: expected float32 or float64, got 'half'"),
         (grid(speed=[1.0]), "axes.speed: expected a gain of the law, one of "),
         (lambda: tuning.sweep(CASE.with_overrides(["control.controller=pd"]), {}), "an admittance law, got pd"),
         (draw(friction=(0.5, 2.0)), "hardware.friction: expected friction in the scenario"),
