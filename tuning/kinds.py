@@ -15,9 +15,8 @@ from tuning.pages.contents import Contents, Written, files_of
 from tuning.pages.page import Origin
 from tuning.pages.section import SectionOf, load_section, sections_of
 from tuning.results.ceiling import Bounded
-from tuning.results.degraded import Degraded
 from tuning.results.front import Front
-from tuning.results.judged import Comparison, Judged
+from tuning.results.judged import Comparison, Degraded, Judged
 from tuning.results.result import Result
 from tuning.results.scheduled import Scheduled
 from tuning.results.swept import Swept

@@ -22,7 +22,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
 from tuning.problem.variations import Change, Factor, changed, scalable
-from tuning.results.degraded import Degraded
+from tuning.results.judged import Degraded
 from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Counted, Rows
 from tuning.searches.sweep import default_batch_size

@@ -11,7 +11,7 @@ from tuning.numbers import number, to_json
 from tuning.pages.contents import Contents, Picture, Written, files_of
 from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import scaled
-from tuning.results.degraded import Degraded
+from tuning.results.judged import Degraded
 
 LEAST = 0.1  # N of pull, and of every other metric, that can be compared in per cent
 CHANGES = "Mean force variation on worse hardware, of each gains."

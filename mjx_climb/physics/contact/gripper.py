@@ -174,10 +174,6 @@ class Gripper(SpringGrip):
         # ClimbLab's rule with the 15 N of the paper (docs/explanation/departures.md, 11)
         return jnp.where(normal < 0, norm(force) / jnp.maximum(self.holding_limit, _TINY), 0.0)
 
-    def overloaded(self, force: Array, normal: Array) -> Array:
-        """Whether such forces are more than a grip holds, (limb,) bool."""
-        return self.utilization(force, normal) > 1
-
     def holding_force(self) -> Array:
         """The holding limit, () N; 0 where grippers are never torn off: margins are then those of bare feet."""
         return jnp.where(jnp.isfinite(self.holding_limit), self.holding_limit, 0.0)
