@@ -95,6 +95,15 @@ def reference_to(named: OwnObject, key: str, source: str) -> str:
     return f"{named.file}:{named.name}"
 
 
+def key_of(scenario: Scenario, path: str) -> str:
+    """Return the key of a config that has the value at a path of the parameters."""
+    place, _, name = path.rpartition(".")
+    places = {"contact": "contact", "hardware.servo": "drive", "gait.footholds": "footholds"}
+    own = places.get(place, place.replace("disturbance.others", "disturbances"))
+    there = scenario.own is not None and own in scenario.own.components
+    return f"own.{own}.values.{name}" if there else path
+
+
 def components_of(scenario: Scenario, numbers: Parameters, source: str = "scenario") -> dict[str, Any]:
     """Return contact, drive and disturbances that a scenario names, as fields of `Parameters`; files are run.
 

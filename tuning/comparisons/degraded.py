@@ -15,13 +15,14 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Scenario
 from tuning.comparisons import judge as judging
 from tuning.comparisons import paired
 from tuning.gains.gains_file import Whole
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
-from tuning.problem.variations import Change, Factor, changed, scalable
+from tuning.problem.variations import Change, Factor, checked, scalable
 from tuning.results.judged import Degraded
 from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Counted, Rows
@@ -39,7 +40,7 @@ SCALED = {  # what a word scales: sections, and the ends of the paths in them
 }
 METRICS = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
 SECTION = "hardware."
-_PERIOD = "hardware.control_period"
+_PERIOD, _MASSES = "hardware.control_period", "mass_scale"
 
 
 class Setting(NamedTuple):
@@ -47,11 +48,12 @@ class Setting(NamedTuple):
 
     name: str  # as it was typed
     factors: Mapping[str, float]  # by words of `SCALED`, or paths
-    keys: Mapping[str, Any]  # of a scenario, with the values that take the place of the config's and the draw's
+    keys: Mapping[str, Any]  # of the section hardware, with values in place of the config's and the draw's
+    values: Mapping[str, Any]  # numbers by path, likewise
 
 
 def setting(text: str) -> Setting:
-    """Return a change of the hardware, read from "delay=x2", "force_sensor.dead.LF=3.0", or several with commas.
+    """Return a change, read from "delay=x2", "force_sensor.dead.LF=3.0", "contact.spread=0.5", or several with commas.
 
     Raises:
         ValueError: in a few words, what was expected.
@@ -63,7 +65,7 @@ def setting(text: str) -> Setting:
         key, equals, value = (each.strip() for each in part.partition("="))
         if not equals:
             words = "|".join(SCALED)
-            raise ValueError(f"expected {words}=xFACTOR, PATH=xFACTOR or a key of the section hardware, got {part!r}")
+            raise ValueError(f"expected {words}|PATH=xFACTOR, PATH=VALUE or a key of hardware, got {part!r}")
         if key in SCALED or value.startswith("x"):
             try:
                 factors[key] = float(value.removeprefix("x"))
@@ -72,8 +74,11 @@ def setting(text: str) -> Setting:
             if not (value.startswith("x") and 0 < factors[key] < np.inf):
                 raise ValueError(f"{key}: expected a factor above 0, as x2, got {value!r}")
         else:
-            changes.append(f"{SECTION * (not key.startswith(SECTION))}{key}={value}")
-    return Setting(text, factors, dict(pairs(changes, "worse")))
+            of_hardware = key.partition(".")[0] not in Scenario.model_fields and key != _MASSES
+            changes.append(f"{SECTION * of_hardware}{key}={value}")
+    given = dict(pairs(changes, "worse"))
+    keys = {key: value for key, value in given.items() if key.startswith(SECTION)}
+    return Setting(text, factors, keys, {key: value for key, value in given.items() if key not in keys})
 
 
 def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.Parameters:
@@ -96,7 +101,11 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
                 f"worse: expected {quantity} in the config or the draw to scale, got none (drive: {drive})"
             )
         found |= dict.fromkeys(there, Factor(factor))
-    worsened = changed(drawn, found)
+    for path, value in worse.values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigError(f"worse: {path}: expected a number, got {value!r}")
+        found[path] = value
+    worsened = checked(scenario, drawn, found, "worse: {}")
     if _PERIOD in found:  # of whole time steps
         steps = np.maximum(np.round(np.asarray(worsened.at(_PERIOD), float) / scenario.time_step), 1)
         worsened = worsened.replace({_PERIOD: steps * scenario.time_step})
@@ -181,7 +190,8 @@ def degrade(
 
     Arguments:
         worse: settings, see `setting`: factors on delay, period, friction, backlash, noise, bias and armature as the
-            config has them or a member drew them, or values of keys of the section `hardware`.
+            config has them or a member drew them, values of keys of the section `hardware`, or factors and values of
+            paths, as "contact.spread=0.5".
 
     Raises:
         ConfigError: a setting that changes nothing, or an ensemble that the scenario does not allow.

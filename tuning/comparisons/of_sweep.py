@@ -28,6 +28,7 @@ from tuning.comparisons.worth import Worth, between
 from tuning.gains.gains_file import replaced
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.variations import is_path
 from tuning.results.swept import HISTORIES, MOST_CELLS, Swept, axes_of, best_cell, coarser_grid
 from tuning.searches import retuned_pd
 from tuning.searches import sweep as sweeps
@@ -128,7 +129,12 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
             with stage("histories"):
                 histories = walking_again(ignore)
     names = [name for name in ("best", retuned_pd.NAME, GIVEN, own_name(problem), "pd") if name in walked]
-    rows = {name: (gains_of(walked[name]), mc.metrics(walked[name], problem.metrics)) for name in names}
+    paths = [name for name in found.axes if is_path(name)]
+    rows: dict[str, tuple[Values | None, Values]] = {}
+    for name in names:
+        gains, there = gains_of(walked[name]), {path: walked[name].parameters.at(path) for path in paths}
+        gains = {**(gains or {}), **there} if there else gains
+        rows[name] = gains, mc.metrics(walked[name], problem.metrics)
     worth = None
     if rival is not None:
         rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])

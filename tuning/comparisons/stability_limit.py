@@ -57,6 +57,7 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.walk import control_loop
 from mjx_climb.walk.step import Carry, Walk, advance, begin, constants_of_law, prepare
 from mjx_climb.walk.structure import Structure, structure
+from tuning.problem.variations import as_walked
 
 ROUNDING = 1e-9  # a radius above 1 by less is 1
 _ENTRIES = 512 * 50**2  # of the matrices that are made at once, about: 10 MB
@@ -326,7 +327,7 @@ def _coupled(acts: np.ndarray) -> np.ndarray:
 def over_axes(
     scenario: mc.Scenario, axes: Mapping[str, ArrayLike], *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
 ) -> xr.DataArray:
-    """Return the radius over values of two gains, the same on all axes of one.
+    """Return the radius over values of two gains, the same on all axes of one, or at paths.
 
     Of more than 16 values along an axis (8 with delays in the loop) so many are taken.
     """
@@ -337,10 +338,9 @@ def over_axes(
     for name, values in axes.items():  # the first and the last among them
         places = np.linspace(0, np.size(values) - 1, min(np.size(values), finest)).round().astype(int)
         some[name] = np.asarray(values, float)[np.unique(places)]
-    lengths = (law_of(scenario) if law is None else law).AXES
-    mesh = zip(some, np.meshgrid(*some.values(), indexing="ij"), strict=True)
-    gains = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
-    radius = spectral_radius(scenario, gains, law=law, engine=engine).reshape([v.size for v in some.values()])
+    mesh = zip(some, (values.ravel() for values in np.meshgrid(*some.values(), indexing="ij")), strict=True)
+    robots = as_walked(scenario, law_of(scenario) if law is None else law, dict(mesh))
+    radius = spectral_radius(scenario, *robots, law=law, engine=engine).reshape([v.size for v in some.values()])
     return xr.DataArray(radius, some, list(some), attrs={"units": "1", "long_name": "largest eigenvalue of one step"})
 
 

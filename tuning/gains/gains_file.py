@@ -17,6 +17,7 @@ from mjx_climb.component import with_values
 from mjx_climb.control import LAWS, PD, SHIPPED, is_shipped, law_of
 from mjx_climb.files.dataset import write_text_atomically
 from mjx_climb.inputs.gait_values import GAIT, gait_of, own_gait, scenario_with_gait
+from mjx_climb.inputs.own_objects import key_of
 from mjx_climb.inputs.resolve import AnyGains, with_gains
 from mjx_climb.inputs.resolve import by_name as by_name
 from mjx_climb.scenario import registers
@@ -230,12 +231,13 @@ def apart(scenario: mc.Scenario, gains: AnyGains) -> tuple[mc.Scenario, AnyGains
 
 
 def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
-    """Return the scenario with these gains in its control section, and their gait, as far as it has them."""
+    """Return the scenario with gains in its control section, their gait and values at paths, as far as it has them."""
     values = by_name(gains)
     control = {f"control.{name}": value for name, value in values.items() if name in REQUIRED + OPTIONAL}
     if "kp" in values and scenario.control.safe_kp is None:  # the scenario's own kp, not that of the gains
         control = {"control.safe_kp": scenario.control.kp} | control
-    return scenario_with_gait(scenario.with_overrides(control), values)
+    there = {key_of(scenario, name): value for name, value in values.items() if "." in name and name not in GAIT}
+    return scenario_with_gait(scenario.with_overrides(control | there), values)
 
 
 def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tuple[mc.Scenario, mc.Law | None]:
@@ -243,7 +245,8 @@ def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tupl
     values = by_name(gains)
     if law is None:
         return applied(scenario, values), None
-    return applied(scenario, {n: v for n, v in values.items() if n not in law.GAINS}), with_gains(law, values)
+    own = with_gains(law, {name: value for name, value in values.items() if "." not in name})
+    return applied(scenario, {name: value for name, value in values.items() if name not in law.GAINS}), own
 
 
 def registers_in_words(scenario: mc.Scenario, gains: AnyGains) -> str:

@@ -20,6 +20,7 @@ from tuning.pages.explorer import explorer, grid_points
 from tuning.pages.page import Findings, Origin, Page
 from tuning.problem.evaluation import Problem
 from tuning.results.swept import Swept, axes_of, best_cell
+from tuning.searches.sweep import own_values
 
 FIRST_MAP = "Force variation over both gains; brighter is better."
 LACKS = "pd retuned, the walks in double precision and the limit of stability"  # of what stands there first
@@ -77,7 +78,7 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     at = {axis: best[axis].item() for axis in found.axes}
     limbs = load_robot(scenario.robot).limbs
     own = trajectory.named({key: best[key].item() for key in about.names}, limbs)
-    configs = {axis: getattr(scenario.control, axis, None) for axis in found.axes}
+    configs = own_values(dataclasses.replace(found.problem, scenario=scenario), found.axes)
     gains = {"best": at, "pd": None}
     walks = {key: (gains.get(key, configs), metrics) for key, metrics in {"best": own, **named}.items()}
     rows = {own_name(found.problem) if key == "config" else key: walk for key, walk in walks.items()}
@@ -146,7 +147,9 @@ def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]
     """Return the two gains of the walks that have one of each."""
     found = {}
     for name, (gains, _) in compared.items():
-        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in axes_of(data)):
+        if gains is not None and all(
+            gains.get(key) is not None and np.unique(gains[key]).size == 1 for key in axes_of(data)
+        ):
             x, y = (float(np.ravel(gains[key])[0]) for key in axes_of(data))
             found[name] = x, y
     return found

@@ -23,7 +23,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
-from tuning.problem.variations import Change, Factor, changed, ending, refused, scalable
+from tuning.problem.variations import Change, Factor, changed, checked, ending, refused, scalable
 
 _Share = Annotated[float, Field(gt=0, le=1)]
 Range = tuple[NonNegative, NonNegative]
@@ -96,6 +96,27 @@ _OF_HARDWARE = {  # path of a quantity of the section
 }
 
 
+class Drawn(_Section):
+    """One number of a walk, drawn from a range, or the scenario's own times a factor."""
+
+    range: AnyRange | None = setting(None, "values, in the unit of the path")
+    factor: PositiveRange | None = setting(None, "factor on the scenario's own value")
+    log: bool = setting(False, "even in the logarithm")
+
+    @model_validator(mode="after")
+    def _one_span(self) -> Self:
+        if (self.range is None) == (self.factor is None):
+            raise ValueError(f"expected a range or a factor, got {'none' if self.range is None else 'both'}")
+        if self.log and not self.span[0] > 0:
+            raise ValueError(f"range: expected numbers above 0 with log, got {self.span[0]:g}")
+        return self
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The ends of the range, or of the factor."""
+        return self.range or self.factor or (1.0, 1.0)
+
+
 class Posterior(Settings):
     """Parameters as `mjx-climb identify` left them: normal in their coordinates, cut at bounds."""
 
@@ -151,9 +172,14 @@ class Ensemble(_Section):
     pushes: Pushes | None = setting(Pushes(), "what hits the robot")
     cargo: Cargo | None = setting(Cargo(), "what it carries")
     gravity: Gravity | None = setting(Gravity(), "where it climbs")
-    grip_stiffness: PositiveRange = setting((0.5, 2.0), "factor on the contact stiffness, even in its logarithm")
+    grip_stiffness: PositiveRange = setting(
+        (0.5, 2.0), "factor on contact.stiffness, if there is one, even in its logarithm"
+    )
     robot_mass: PositiveRange = setting((0.9, 1.1), "factor on the masses and inertias of all links")
     hardware: Hardware | None = setting(None, "what stands between the law and the joints")
+    draw: dict[str, Drawn] = setting(
+        {}, "numbers of the walk by path, as contact.damping: {range: [10, 30]}, drawn last"
+    )
     posterior: Posterior | None = setting(None, "what identify left of parameters, before all others are drawn")
     worst: Worst = setting(Worst(), "the worst members in the objective")
 
@@ -183,7 +209,7 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     changes: dict[str, Change] = {}
     if _STIFFNESS in own.paths:
         changes[_STIFFNESS] = grip
-    elif "grip_stiffness" in ensemble.model_fields_set:
+    elif ensemble.grip_stiffness != Ensemble().grip_stiffness:
         raise refused(_STIFFNESS, own, "grip_stiffness")
     changes["mass_scale"] = uniform(ensemble.robot_mass)
     if (cargo := ensemble.cargo) is not None:
@@ -196,7 +222,34 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     if ensemble.hardware is not None:
         changes |= _hardware(scenario, ensemble.hardware, own, uniform)
         changes["hardware.seed"] = rng.integers(0, 2**24, (ensemble.members, 1)).astype(float)
-    return changed(own, changes)
+    drawn = changed(own, changes)
+    return drawn if not ensemble.draw else _at_paths(scenario, drawn, own, ensemble)
+
+
+def _at_paths(scenario: mc.Scenario, drawn: mc.Parameters, own: mc.Parameters, ensemble: Ensemble) -> mc.Parameters:
+    """Return a draw with the numbers that are drawn by path, factors on the scenario's own.
+
+    Raises:
+        ConfigError: a path that the walk does not have, or values that it cannot have.
+    """
+    # of a generator of its own: other draws stay as they are
+    rng, paths, changes = np.random.default_rng([ensemble.seed, 2]), drawn.paths, dict[str, Change]()
+    for path, how in ensemble.draw.items():
+        key = f"draw.{path}"
+        if path not in paths:
+            raise refused(path, drawn, key)
+        values = _uniform(rng, ensemble.members, how.span, logs=how.log)
+        if how.factor is not None:
+            if not scalable(own, [path]):
+                raise ConfigError(f"{key}: expected a value other than 0 in the scenario to scale, got 0")
+            changes[path] = changed(own, {path: Factor(values)}).at(path)
+        elif paths[path].shape:
+            raise ConfigError(f"{key}: expected a factor, as the value is an array, got a range")
+        else:
+            changes[path] = values
+    if "hardware.seed" not in changes and any(path.startswith("hardware.") for path in changes):
+        changes["hardware.seed"] = rng.integers(0, 2**24, (ensemble.members, 1)).astype(float)
+    return checked(scenario, drawn, changes, "draw.{}")
 
 
 def _pushed(

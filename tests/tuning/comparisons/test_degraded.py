@@ -60,8 +60,7 @@ def test_a_period_is_scaled_to_whole_time_steps_one_at_least(factor, period):
         ("delay=x-1", "delay: expected a factor above 0"),
         (
             "delay",
-            "expected delay|period|friction|backlash|noise|bias|armature=xFACTOR, PATH=xFACTOR or a key of the section "
-            "hardware, got",
+            "expected delay|period|friction|backlash|noise|bias|armature|PATH=xFACTOR, PATH=VALUE or a key of hardware",
         ),
         ("nothing=3", "nothing"),
         ("delay=x2,delay=x2", ""),
