@@ -172,7 +172,8 @@ class Worse(Files, Judge):
     gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
     worse: tuple[str, ...] = setting(
         (),
-        "walk on worse hardware too: a factor, as delay=x2, or a key of the section hardware, as backlash=0.01",
+        "walk on worse hardware too: a factor, as delay=x2, a key of the section hardware, as backlash=0.01, or any path, as "
+        "contact.damping=5",
         metavar="KEY=VALUE",
     )
     ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
@@ -285,7 +286,8 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
 
     --worse walks the same members on worse hardware too, one --worse at a time: with a factor on delay, period,
     friction, backlash, noise, bias or armature, as the config has it or a member drew it, or with other values of keys
-    of the config's section hardware, as force_sensor.dead.LF=3.0 for a sensor that dies at 3 s. Prints what each takes
+    of the config's section hardware, as force_sensor.dead.LF=3.0 for a sensor that dies at 3 s, or with a value or
+    factor at any path, as contact.damping=x0.5. Prints what each takes
     from the gains, and what is left of their lead over pd (that of --retuned-pd, where it is given). DIR has every walk
     (degraded.nc).
 

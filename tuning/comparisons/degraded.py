@@ -48,8 +48,9 @@ class Setting(NamedTuple):
 
     name: str  # as it was typed
     factors: Mapping[str, float]  # by words of `SCALED`, or paths
-    keys: Mapping[str, Any]  # of the section hardware, with values in place of the config's and the draw's
-    values: Mapping[str, Any]  # numbers by path, likewise
+    keys: Mapping[
+        str, Any
+    ]  # paths, or keys of the section hardware, with values in place of the config's and the draw's
 
 
 def setting(text: str) -> Setting:
@@ -76,9 +77,7 @@ def setting(text: str) -> Setting:
         else:
             of_hardware = key.partition(".")[0] not in Scenario.model_fields and key != _MASSES
             changes.append(f"{SECTION * of_hardware}{key}={value}")
-    given = dict(pairs(changes, "worse"))
-    keys = {key: value for key, value in given.items() if key.startswith(SECTION)}
-    return Setting(text, factors, keys, {key: value for key, value in given.items() if key not in keys})
+    return Setting(text, factors, dict(pairs(changes, "worse")))
 
 
 def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.Parameters:
@@ -88,23 +87,25 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
         ConfigError: a key that the scenario does not have, or nothing there to scale.
     """
     found: dict[str, Change] = {}
-    if worse.keys:
-        other = own_parameters(scenario.with_overrides(dict(worse.keys)))
-        typed = tuple(worse.keys)
-        found = {p: v for p, v in other.values.items() if any(key == p or key.startswith(f"{p}.") for key in typed)}
-        if not found:
-            raise ConfigError(f"worse: expected a number of the hardware, got {', '.join(typed)}")
+    for key, value in worse.keys.items():
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if number and (key in drawn.paths or not key.startswith(SECTION)):
+            found[key] = value
+        elif not key.startswith(SECTION):
+            raise ConfigError(f"worse: {key}: expected a number, got {value!r}")
+    if others := {key: value for key, value in worse.keys.items() if key not in found}:
+        other = own_parameters(scenario.with_overrides(others)).values
+        there = {p: v for p, v in other.items() if any(key == p or key.startswith(f"{p}.") for key in others)}
+        if not there:
+            raise ConfigError(f"worse: expected a number of the hardware, got {', '.join(others)}")
+        found |= there
     for quantity, factor in worse.factors.items():
-        if not (there := scalable(drawn, _paths(drawn, quantity))):
+        if not (scaled := scalable(drawn, _paths(drawn, quantity))):
             drive = type(drawn.drive).__name__
             raise ConfigError(
                 f"worse: expected {quantity} in the config or the draw to scale, got none (drive: {drive})"
             )
-        found |= dict.fromkeys(there, Factor(factor))
-    for path, value in worse.values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigError(f"worse: {path}: expected a number, got {value!r}")
-        found[path] = value
+        found |= dict.fromkeys(scaled, Factor(factor))
     worsened = checked(scenario, drawn, found, "worse: {}")
     if _PERIOD in found:  # of whole time steps
         steps = np.maximum(np.round(np.asarray(worsened.at(_PERIOD), float) / scenario.time_step), 1)

@@ -53,6 +53,13 @@ PARTS = {
 }
 
 
+def slow(*quicker):
+    """Every row, slow: some in each run of the slow tests, the others at night."""
+    marks = {row: pytest.mark.slow if row in quicker else pytest.mark.nightly for row in PARTS}
+    rows = [pytest.param(row, marks=mark) for row, mark in marks.items()]
+    return pytest.mark.parametrize("name", rows, indirect=True, scope="session")
+
+
 @pytest.fixture(scope="session", params=PARTS)
 def name(request):
     return request.param
