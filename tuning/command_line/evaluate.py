@@ -172,8 +172,7 @@ class Worse(Files, Judge):
     gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
     worse: tuple[str, ...] = setting(
         (),
-        "walk on worse hardware too: a factor, as delay=x2, a key of the section hardware, as backlash=0.01, or any path, as "
-        "contact.damping=5",
+        "walk on worse hardware too: a factor, as delay=x2, a key of the section hardware, as backlash=0.01, or a path",
         metavar="KEY=VALUE",
     )
     ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")

@@ -3,6 +3,7 @@
 Rows are the parts of `conftest.py`: a contact, a drive, a disturbance, holds and a sensor.
 """
 
+import dataclasses
 import re
 
 import numpy as np
@@ -12,9 +13,12 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.contact.polyhedron import magnet
-from tests.tuning.matrix.conftest import GAINS, MEMBERS, METRICS, alone, check, member, slow
+from tests.tuning.identification.gripped_in_mujoco import TRUTH, log_of
+from tests.tuning.matrix.conftest import GAINS, MEMBERS, METRICS, PARTS, alone, check, member, slow
 from tuning.comparisons import degraded, judge, margins
 from tuning.gains.gains_file import by_name
+from tuning.identification.model.gripped import check_parts
+from tuning.identification.model.variables import variables
 from tuning.problem import ensemble as ensembles
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Ensemble
@@ -198,6 +202,37 @@ def test_a_ceiling_walks_laws_as_rollouts_and_hides_what_has_not_begun(scenario,
         blind, late = plans.sel(plan="blind").values, plans.sel(plan="causal 20 ms").values
         np.testing.assert_array_equal(blind[:50], late[:50])  # it blows from 30 ms on, felt 20 ms later
         assert np.abs(blind - late).max() > 0
+
+
+# --- fits of a log
+
+
+def test_a_value_of_the_part_is_fitted_or_refused_in_one_line(scenario, part, name):
+    own = own_parameters(scenario)
+    if name == "disturbance":
+        with pytest.raises(mc.ConfigError, match=r"disturbance\.others\.0: expected none with a log, got Gust"):
+            check_parts(own, held=False)
+        return
+    check_parts(own, held=False)
+    (variable,) = variables(scenario, [part.path], held=False)
+    low, high = own.paths[part.path].bounds
+    assert variable.nominal == own.at(part.path) and low <= variable.lower < variable.upper <= high
+    if name == "drive":
+        with pytest.raises(mc.ConfigError, match=r"hardware\.servo: expected servos with the base held, got Belts"):
+            check_parts(own, held=True)
+
+
+@pytest.mark.nightly
+def test_a_contact_and_a_drive_are_fitted_to_a_sway():
+    """To that of a robot in MuJoCo with grips of 13 kN/m and joints of 50 N m/rad."""
+    parts = PARTS["contact"].changes | PARTS["drive"].changes
+    parts |= {"own.contact.values": {"hardness": 1.6e4, "loss": 30.0}, "own.drive.values": {"tension": 40.0}}
+    log = log_of(dataclasses.replace(TRUTH, stiffness=1.3e4, damping=30.0, armature=0.0), 3.0)
+    expected = {"contact.spread": 2 * (1 - 1.3 / 1.6), "hardware.servo.tension": 50.0}
+    found = tuning.identify(mc.load_scenario("case_1_1").with_overrides(parts), log, tuple(expected), starts=1)
+    for key, truth in expected.items():
+        estimate = found.estimates[key]
+        assert estimate.seen and estimate.value == pytest.approx(truth, rel=0.03)
 
 
 # --- a walk is lost by what its grips use, whatever the contact and the holds

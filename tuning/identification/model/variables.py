@@ -214,7 +214,8 @@ def _linear(key: str, unit: str, nominal: float, lower: float, upper: float = ma
 def _of_scenario(key: str, field: ValueField, nominal: float, time_step: float) -> Variable:
     lower, upper = (math.inf * np.sign(end) if abs(end) == sys.float_info.max else end for end in field.bounds)
     if lower > 0:
-        return _positive(key, field.unit, nominal)
+        found = _positive(key, field.unit, nominal)
+        return dataclasses.replace(found, lower=max(found.lower, lower), upper=min(found.upper, upper))
     if field.unit == "s":
         upper = max(2 * nominal, _LONGEST, 2 * time_step)
     return _linear(key, field.unit, nominal, lower, upper)
