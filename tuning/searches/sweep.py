@@ -78,12 +78,8 @@ def sweep(
             then after each part.
 
     Raises:
-<<<<<<< HEAD
-        ValueError: another precision, axes that are no lists of positive numbers, too many, or no gains of the law.
-=======
         ConfigError: a path that the walk does not have, or values that it cannot have there.
-        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
->>>>>>> d3f2fb5b (Numbers by path: drawn by an ensemble, swept, made worse)
+        ValueError: another precision, axes that are no lists of positive numbers, too many, or no gains of the law.
         OutputError: `out` cannot be written, or holds an unfinished sweep of something else.
     """
     how: dict[str, Any] = {"law": law, "metrics": mc.MetricTable(metrics), "engine": engine}
