@@ -59,7 +59,7 @@ from mjx_climb.walk.control_loop import Action, JointTargets, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, look_ahead, set_up, walk_of
-from mjx_climb.walk.structure import Structure, structure
+from mjx_climb.walk.structure import Structure, planning_steps, structure
 from mjx_climb.walks import (
     Metrics,
     gradients_of,
@@ -480,8 +480,8 @@ class Simulation:
         return over_batch(one_step, (state, action), axes, shape)
 
     def _structure_of(self, state: SimulationState) -> Structure:
-        """Return the structure of a robot's walk, with the stages of hardware and the planner that it began with."""
-        planning = 0 if state.carry.progress is None else self.scenario.planning_steps
+        """Return the structure of a robot's walk, with the stages of hardware and the gait that it began with."""
+        planning = planning_steps(self.scenario, state.parameters)
         return self.structure._replace(stages=state.setup.hardware.stages, planning=planning)
 
     def with_gains(self, state: SimulationState, gains: AnyGains) -> SimulationState:

@@ -6,7 +6,7 @@ then `x += h v`. Light links at the end of a stiff contact are what takes it out
 that the gait plans at both ends of each swing and in its middle: a limb is farthest back when it lifts off and farthest
 ahead when it lands. What a law adds is in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may
 be stretched farther than the gait plans, and are stiffer at the foot: then the posture with all of them stretched level
-outwards, as far as the planner lets them, counts too. A contact or an actuator of the user's own says by which springs
+outwards, as far as the gait lets them, counts too. A contact or an actuator of the user's own says by which springs
 it holds feet or joints; where it does not, these are left out, and a refusal says so.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from mjx_climb.execution.batch_axes import is_traced
 from mjx_climb.gait.base_path import planned_feet
-from mjx_climb.gait.planner import within_reach
+from mjx_climb.gait.footholds.choice import within_reach
 from mjx_climb.hardware.actuator import Actuator, JointSpring
 from mjx_climb.hardware.servo import RELAXATION, Servos
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -308,7 +308,7 @@ def _moments(gait: Gait) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)
 def _stretched(robot: str | RobotFile) -> tuple[np.ndarray, ...]:
-    """Return the matrices with all limbs stretched level outwards, as far as the planner chooses footholds."""
+    """Return the matrices with all limbs stretched level outwards, as far as a gait chooses footholds."""
     loaded = load_robot(robot)
     frames, up = limb_frames(loaded, None, loaded.stance_joints), quaternion_to_matrix(loaded.stance_orientation)[2]
     lever = frames.foot - loaded.frame_position[:, 0]

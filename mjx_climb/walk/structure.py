@@ -39,7 +39,7 @@ class Structure(NamedTuple):
     own_code: str = ""
     free: bool = False  # the limb that gains most swings next
     way_points: tuple[tuple[float, float], ...] = ()  # m, that the base walks to
-    planning: int = 0  # steps between the ticks of the planner; 0: the periodic gait, whatever happens
+    planning: int = 0  # of `planning_steps`
 
 
 def structure(
@@ -97,8 +97,13 @@ def structure(
         own_code=own_code,
         free=scenario.gait.order == "free",
         way_points=scenario.gait.way_points,
-        planning=0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps,
+        planning=planning_steps(scenario, parameters),
     )
+
+
+def planning_steps(scenario: Scenario, parameters: Parameters) -> int:
+    """Return the number of steps between decisions of the gait; 0: the periodic gait, whatever happens."""
+    return 0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps
 
 
 @functools.lru_cache(maxsize=64)

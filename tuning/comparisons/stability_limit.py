@@ -55,7 +55,7 @@ from mjx_climb.physics.inverse_kinematics import inverse_kinematics
 from mjx_climb.physics.kinematics import foot_kinematics, foot_turning, limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.walk import control_loop
-from mjx_climb.walk.step import Carry, Walk, advance, begin, constants_of_law, prepare
+from mjx_climb.walk.step import Carry, Walk, advance, begin, constants_of_law, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
 from tuning.problem.variations import as_walked
 
@@ -358,8 +358,9 @@ def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, st
     and truth values cannot be off by a little; what a step hands on unchanged, as a law's discretised gains, is no
     state: it stays 0.
     """
-    walk = prepare(shape, law, parameters)
-    carry = _stance(walk, step)
+    setup = set_up(shape, law, parameters)
+    walk = walk_of(shape, setup)
+    carry = _stance(walk, setup.plan, step)
     samples, memory = _taken(carry.memory, walk.structure)
     leaves, tree = jax.tree.flatten((carry.state, memory))
     of_law = jax.tree.unflatten(jax.tree.structure(memory.law), constants_of_law(walk, carry))
@@ -428,9 +429,9 @@ def _put(memory: control_loop.Memory, samples: Mapping[str, Any]) -> control_loo
     return memory
 
 
-def _stance(walk: Walk, step: Array) -> Carry:
+def _stance(walk: Walk, plan: gait.Plan, step: Array) -> Carry:
     """Return a robot that stands as it should at a step, and has never been otherwise."""
-    plan, carry = walk.plan, begin(walk)
+    carry = begin(walk)
     now = gait.schedule(plan, step)
     grip = plan.footholds + now.foothold[:, None] * plan.advance
     grip = grip.at[:, 2].add(gait.foothold_height(plan, now.foothold))
