@@ -1,7 +1,7 @@
 """Gains that a search over an ensemble found, on walks that it never saw, beside pd, pd retuned and the scenario's."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import xarray as xr
@@ -22,9 +22,9 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_to
          "travel", "base_deviation", "joint_limit_margin")  # fmt: skip
 
 
-def shown(metrics: mc.MetricTable) -> list[str]:
-    """Return the names of the metrics that the table has: the main ones, and those of the user's own."""
-    return [*SHOWN, *(name for name in metrics.names if name not in mc.METRICS.names)]
+def shown(metrics: mc.MetricTable, main: Sequence[str] = SHOWN) -> list[str]:
+    """Return the names of the metrics that a table has: the main ones, and those of the user's own."""
+    return [*main, *(name for name in metrics.names if name not in mc.METRICS.names)]
 
 
 @dataclasses.dataclass(frozen=True)
