@@ -106,8 +106,8 @@ def compare(
         OutputError: the folder cannot be written, or holds unfinished searches for something else.
     """
     named = {} if method is None else {"method": method}
-    wanted = alike(tune.over_ensemble(search, settings, ensemble), search, settings, named)
-    wanted, own = tune.own_method(wanted, scenario, method)
+    wanted, own = tune.own_method(tune.over_ensemble(search, settings, ensemble), scenario, method)
+    wanted = alike(wanted, search, settings, named)
     laws_by_name = contestants(scenario, laws, wanted, own)
     walks: dict[str, Any] = {"metrics": mc.MetricTable(metrics), "engine": engine, "own_method": own}
     base = problem_of(scenario, laws_by_name, ensemble, **walks)

@@ -320,3 +320,9 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     ]
     lost = f"warning: {'; '.join(each)}"
     assert lost in written.outcome and lost[9:] in (tmp_path / "report.html").read_text()
+
+
+def test_a_method_is_known_by_its_name():
+    """What is refused then is the law."""
+    with pytest.raises(ConfigError, match="nobody"):
+        tuning.compare(mc.load_scenario(CASE, SHORT), ["nobody"], Ensemble(members=2), method="cmaes")
