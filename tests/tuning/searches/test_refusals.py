@@ -12,6 +12,7 @@ from mjx_climb.walk.metrics import smallest
 from tuning.methods import Request
 from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, spaces
+from tuning.problem.evaluation import under_pd
 from tuning.problem.search import Search
 
 CASE = mc.load_scenario("case_1_2", ["duration=0.3"])
@@ -93,7 +94,7 @@ def draw(**hardware):
         (grid(inertia=[1.0]), "axes: expected two gains, got 3"),
         (lambda: tuning.sweep(CASE, {}, precision="half"), "precision: expected float32 or float64, got 'half'"),
         (grid(speed=[1.0]), "axes.speed: expected a gain of the law, one of "),
-        (lambda: tuning.sweep(CASE.with_overrides(["control.controller=pd"]), {}), "an admittance law, got pd"),
+        (lambda: tuning.sweep(under_pd(CASE), {"stiffness": [1]}), "an admittance law, got pd"),
         (draw(friction=(0.5, 2.0)), "hardware.friction: expected friction in the scenario"),
         (draw(control_rate=(100.0, 2000.0)), "hardware.control_rate: expected at most the 1000 Hz"),
         (draw(force_delay=(0.0, 1e9)), "hardware.force_delay: expected at most 500 time steps, 0.5 s"),
