@@ -135,6 +135,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
     with processes.joined(apart=asked.shard is not None) as team, output.session() as shell:
         part, which = processes.shard_from(asked.shard)
         from tuning.background import Gate, background
+        from tuning.comparisons import paired
         from tuning.searches import shards
         from tuning.writing import record
 
@@ -147,7 +148,8 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
         here, there, folder = len(rows.rows), rows.there, rows.folder or out
         said = [*asked.said(work, here, there), which, team.said, f"{there} are there already" if there else ""]
         shell.say("; ".join(filter(None, said)))
-        shell.opening(work.problem.scenario)
+        lacks = [] if kind == "sweep" else paired.without_interval(asked.members, None, tails=False)
+        shell.opening(work.problem.scenario, *lacks)
         team.begin(folder, work.identity())
         beside = kind == "sweep" and rows.shard is None
         with (

@@ -35,8 +35,7 @@ def explained(names: Iterable[str]) -> str:
 
 def against_best(
     ours: str, walked: Mapping[str, Walked], what: str, unit: str = "",
-    joint: Mapping[str, float] | None = None, level: tuple[float, float] | None = None,
-    breaks: str = "breaks a limit",
+    joint: Mapping[str, float] | None = None, breaks: str = "breaks a limit",
 ) -> str:  # fmt: skip
     """Return by how much gains are better or worse than the best of their rivals, which keeps limits where any does.
 
@@ -46,7 +45,6 @@ def against_best(
         what: the name of the score, in words, and its `unit`.
         joint: the gains of pd retuned.
         breaks: words for a rival that does not keep every limit.
-        level: where pd retuned walked at a time step of its own: that step, s, and the relative change at it.
     """
     (_, own), *others = walked.items()
     sound = {name: each for name, each in others if math.isfinite(each.value)}
@@ -58,17 +56,17 @@ def against_best(
     name = in_words(best, joint)
     if not math.isfinite(own.value):
         return f"{reached}; the best rival that walked is {name}: {_with_unit(what, rival.value, unit)}{breaks}"
-    at, change = "", own.value / rival.value - 1 if rival.value > 0 else math.nan
-    if level is not None and best == NAME:
-        at, change = f", both at a time step of {level[0]:g} s,", level[1]
-    if not math.isfinite(change):
-        how = "beside"
-    elif abs(change) < _EQUAL:
-        how = f"the same{at} as"
-    else:
-        how = f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'}{at} than"
+    change = own.value / rival.value - 1 if rival.value > 0 else math.nan
+    how = "beside"
+    if math.isfinite(change):
+        how = "the same as" if abs(change) < _EQUAL else f"{more_or_less(change)} than"
     value = _with_unit("", rival.value, unit)
     return f"{reached}, {how} the best rival that walked, {name}: {value}{breaks}"
+
+
+def more_or_less(change: float) -> str:
+    """Return a relative change in words, as "10.2 % more"."""
+    return f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'}"
 
 
 def _with_unit(what: str, value: float, unit: str) -> str:

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from mjx_climb import trajectory
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
-from tuning.comparisons.of_sweep import SweepComparison, own_name
+from tuning.comparisons import verdicts
+from tuning.comparisons.of_sweep import SweepComparison, own_name, variation_of
 from tuning.comparisons.side_by_side import Compared, Values
-from tuning.numbers import presentable, remarks, to_json
+from tuning.numbers import number, presentable, remarks, to_json
 from tuning.pages import comparison
 from tuning.pages.contents import Contents, Picture, Written, at_own_step, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
@@ -47,7 +48,7 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
         lines.append(f"{compared.failed} of {count} walks lost a gripper or diverged")
         lines += [f"warning: {missed} grips of the best missed the ground"] if missed else []
         lines += worse_than_pd(metrics["best"], metrics["pd"], found.problem.metrics)
-    lines += [*at_own_step(compared.step), *remarks(metrics), *compared.remedies]
+    lines += [*at_own_step(compared.level, "the best", "force variation"), *remarks(metrics), *compared.remedies]
     said = Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
     listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
     call = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed})'
@@ -82,8 +83,10 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     gains = {"best": at, "pd": None}
     walks = {key: (gains.get(key, configs), metrics) for key, metrics in {"best": own, **named}.items()}
     rows = {own_name(found.problem) if key == "config" else key: walk for key, walk in walks.items()}
-    listed = ", ".join(f"{axis} {value:.4g}" for axis, value in at.items())
-    outcome = f"best so far, in single precision: {listed}; {LACKS} are missing here"
+    listed = " and ".join(f"{axis} {value:.4g}" for axis, value in at.items())
+    walked = {key: verdicts.Walked(variation_of(metrics)) for key, (_, metrics) in rows.items()}
+    ours = f"not yet compared with pd retuned: best of {data['diverged'].size} walks, {listed}"
+    outcome = f"{verdicts.against_best(ours, walked, 'force variation', 'N')} (single precision)"
     summary = to_json(
         {key: {"gains": values, "metrics": presentable(metrics, None)} for key, (values, metrics) in walks.items()}
     )
@@ -94,7 +97,7 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
         return plots.plot_map(data, "force_variation", marks(data, rows), baseline=baseline)
 
     def page(origin: Origin) -> Page:
-        again = "The same command, as it stands below, goes on with them."
+        again = f"{LACKS} are missing here; the same command, as it stands below, goes on with them"
         return Page(
             f"Sweep of {origin.name}, not yet compared", origin, Findings(outcome, [again]), scenario, tables=[table],
         )  # fmt: skip
@@ -122,6 +125,9 @@ def page_of(problem: Problem, compared: SweepComparison, said: Findings, origin:
     begin = best if best is not None else grid.isel(dict.fromkeys(axes, 0))
     points = grid_points(grid, histories, metrics["pd"], marks(grid, rows), begin)
     walks = {name: compared.walks[name] for name in reversed(list(compared.walks))}
+    caption = "Walks alone, in double precision"
+    if best is not None:
+        caption += f"; the map is in single precision, where the best has {number(best['force_variation'].item())} N"
     facts = {
         "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)", "engine": grid.attrs["engine"],
         "robots at a time": grid.attrs["batch_size"], "seed": "none: nothing is drawn at random",
@@ -131,7 +137,7 @@ def page_of(problem: Problem, compared: SweepComparison, said: Findings, origin:
         title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", origin=origin,
         findings=said._replace(notes=notes), scenario=problem.scenario, facts=facts,
         explorers={"Maps and walks": explorer(walks, metrics, points=points, **how)},
-        tables=[comparison.table(rows, "Walks in double precision", about, problem.law)],
+        tables=[comparison.table(rows, caption, about, problem.law)],
     )  # fmt: skip
 
 
