@@ -22,7 +22,7 @@ from tuning.comparisons.of_ensemble import SHOWN
 from tuning.comparisons.of_front import FrontComparison
 from tuning.comparisons.of_search import TuneComparison
 from tuning.comparisons.of_sweep import SweepComparison
-from tuning.comparisons.side_by_side import differences
+from tuning.comparisons.side_by_side import AtOneStep, differences
 from tuning.comparisons.worth import of_front
 from tuning.pages import comparison, explorer, judge, laws, page, pareto, sweep, tune
 from tuning.problem.evaluation import Problem
@@ -395,7 +395,9 @@ def test_the_page_of_a_sweep_begins_with_its_verdict_and_folds_what_else_was_fou
     scenario = mc.Scenario().with_overrides({"duration": 0.3, "control.controller": "pd"})
     walks = dict.fromkeys(rows, mc.rollout(scenario))
     lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))
-    compared = SweepComparison(grid, best, walks, rows, 1, ["damping"], None, "the verdict", 5e-4, lines)
+    compared = SweepComparison(
+        grid, best, walks, rows, 1, ["damping"], None, "the verdict", AtOneStep(5e-4, np.nan), lines
+    )
     made = sweep.contents(Swept(grid, Problem(scenario)), compared, "").page(ORIGIN)
     expected = ["1 of 4 walks lost a gripper or diverged", "worse than pd: base deviation +100 %"] if held else []
     cells = "the page holds the time histories of 2 of the cells; a click shows the nearest of them"
