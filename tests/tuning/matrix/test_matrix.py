@@ -13,12 +13,18 @@ import mjx_climb as mc
 import tuning
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.contact.polyhedron import magnet
-from tests.tuning.identification.gripped_in_mujoco import TRUTH, log_of
+from mjx_climb.robot_import.load import load_robot
+from tests.tuning.identification.gripped_in_mujoco import NOISE, TRUTH, log_of
 from tests.tuning.matrix.conftest import GAINS, MEMBERS, METRICS, PARTS, alone, check, member, slow
 from tuning.comparisons import degraded, judge, margins
 from tuning.gains.gains_file import by_name
-from tuning.identification.model.gripped import check_parts
-from tuning.identification.model.variables import variables
+from tuning.identification.fit.chain import Chain
+from tuning.identification.fit.iterates import Iterates
+from tuning.identification.fit.levenberg_marquardt import search
+from tuning.identification.model.gripped import check_parts, cut_gripped, gripped_model
+from tuning.identification.model.variables import begin, variables
+from tuning.identification.model.windows import KINDS
+from tuning.methods.parts import Parts
 from tuning.problem import ensemble as ensembles
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Ensemble
@@ -223,17 +229,30 @@ def test_a_value_of_the_part_is_fitted_or_refused_in_one_line(scenario, part, na
             check_parts(own, held=True)
 
 
+def fitted(changes, *keys):
+    """The values at two keys that fit a sway of a robot in MuJoCo."""
+    scenario = mc.load_scenario("case_1_1").with_overrides(changes)
+    log = log_of(dataclasses.replace(TRUTH, stiffness=3e3, damping=30.0, armature=0.0), 1.5)
+    windows = cut_gripped(log, load_robot("hubrobo_v3_2"), scenario.time_step, 0.0)
+    model = gripped_model(scenario, log, windows, variables(scenario, keys, held=False))
+    at = Chain(model, np.arange(1), np.array([NOISE[KINDS[kind]] for kind in windows.kind]))
+    with Parts(None, dict) as kept:
+        (found,) = search(at, begin(model.variables)[None], at.guess[None], 12, "fit", Iterates(kept, None))
+    chosen = model.variables[:2]
+    return [np.exp(x) if v.log else x for v, x in zip(chosen, found.x[:2], strict=True)]
+
+
 @pytest.mark.nightly
-def test_a_contact_and_a_drive_are_fitted_to_a_sway():
-    """To that of a robot in MuJoCo with grips of 13 kN/m and joints of 50 N m/rad."""
+def test_a_contact_and_a_drive_are_fitted_as_grippers_and_servos_are():
+    """They are the same springs by other names."""
     parts = PARTS["contact"].changes | PARTS["drive"].changes
-    parts |= {"own.contact.values": {"hardness": 1.6e4, "loss": 30.0}, "own.drive.values": {"tension": 40.0}}
-    log = log_of(dataclasses.replace(TRUTH, stiffness=1.3e4, damping=30.0, armature=0.0), 3.0)
-    expected = {"contact.spread": 2 * (1 - 1.3 / 1.6), "hardware.servo.tension": 50.0}
-    found = tuning.identify(mc.load_scenario("case_1_1").with_overrides(parts), log, tuple(expected), starts=1)
-    for key, truth in expected.items():
-        estimate = found.estimates[key]
-        assert estimate.seen and estimate.value == pytest.approx(truth, rel=0.03)
+    parts["own.contact.values"] = {"hardness": 4e3, "loss": 30.0, "spread": 0.3}
+    parts["own.drive.values"] = {"tension": 45.0}
+    shipped = {"contact.stiffness": 3400.0, "contact.damping": 30.0, "control.kp": 45.0}
+    spread, tension = fitted(parts, "contact.spread", "hardware.servo.tension")
+    stiffness, kp = fitted(shipped, "contact.stiffness", "control.kp")
+    assert 4e3 * (1 - spread / 2) == pytest.approx(stiffness, rel=0.03) and tension == pytest.approx(kp, rel=0.005)
+    assert stiffness == pytest.approx(3e3, rel=0.05)
 
 
 # --- a walk is lost by what its grips use, whatever the contact and the holds
