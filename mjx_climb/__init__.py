@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from mjx_climb.hardware.actuator import Joints as Joints
     from mjx_climb.hardware.actuator import JointSpring as JointSpring
     from mjx_climb.inputs.from_scenario import parameters as parameters
+    from mjx_climb.inputs.from_scenario import paths as paths
     from mjx_climb.parameter_types import Gains as Gains
     from mjx_climb.parameter_types import Parameters as Parameters
     from mjx_climb.physics.contact.contact import Contact as Contact

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.component import Component, parameter
+from mjx_climb.component import Component
 from mjx_climb.control import Law, Reference
 from mjx_climb.gait.footholds.choice import Candidates, best, within_reach
 from mjx_climb.gait.footholds.held import upright
@@ -25,20 +25,11 @@ from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.physics.kinematics import Surface
 from mjx_climb.physics.margins import gia_margin, support_axes, tumbling_moment
 from mjx_climb.physics.spatial import norm
+from mjx_climb.scenario import declared
 
 
-class Recovery(Component):
+class Recovery(declared.Recovery, Component):
     """Thresholds, any of which interrupts the gait, and how it is interrupted."""
-
-    shift: Array = parameter("m", bounds=(0.0, np.inf), default=np.inf, long_name="shift of the base that interrupts")
-    utilization: Array = parameter("1", bounds=(0.0, np.inf), default=np.inf, long_name="use of a grip that interrupts")
-    margin: Array = parameter("m/s^2", bounds=(0.0, np.inf), default=0.0, long_name="GIA margin that interrupts")
-    lead_time: Array = parameter("s", bounds=(0.0, np.inf), default=0.02, long_name="time until the predicted use")
-    landing_time: Array = parameter("s", bounds=(0.0, np.inf), default=0.25, long_name="time of a landing")
-    rest_time: Array = parameter("s", bounds=(0.0, np.inf), default=1.2, long_name="time at rest after a landing")
-    take_over: Array = parameter("1", bounds=(0.0, 1.0), default=0.3, long_name="share of a shift that is taken over")
-    return_time: Array = parameter("s", bounds=(0.0, np.inf), default=1.0, long_name="time of the base's return")
-    reach: Array = parameter("m", bounds=(0.0, np.inf), default=0.03, long_name="how far beside itself a foot may land")
 
 
 def recovery_of(law: Law, own: Recovery | None) -> Recovery | None:

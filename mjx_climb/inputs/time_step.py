@@ -106,7 +106,7 @@ def largest_time_step(scenario: Scenario, source: str = "scenario", own: Own = _
         if whole and growth(scenario, step, own) <= 1 + _ROUNDING:
             return step
     raise ConfigError(
-        f"{source}: time_step: expected contacts and joint gains that some step of 0.1 us or more can follow, got none"
+        source, "time_step", "contacts and joint gains that some step of 0.1 us or more can follow", "none"
     )
 
 
@@ -120,7 +120,7 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     Raises:
         ConfigError: in one line, the time step that would do.
     """
-    if parameters is None and scenario.own is not None:
+    if parameters is None and scenario.kinds:
         parameters = own_parameters(scenario, source)
     if parameters is not None:
         _warn_of_unknown_springs(parameters, scenario.time_step)
@@ -134,9 +134,11 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     scenario, own = unstable
     feet, joints = _words(scenario, own, parameters)
     raise ConfigError(
-        f"{source}: time_step: expected one short enough for {load_robot(scenario.robot).name} with {feet}{joints}, "
-        f"got {scenario.time_step:g} (a disturbance grows {growth(scenario, None, own):.3g}-fold a step): "
-        f"{largest_time_step(scenario, source, own):g} would do"
+        source,
+        "time_step",
+        f"one short enough for {load_robot(scenario.robot).name} with {feet}{joints}",
+        f"{scenario.time_step:g} (a disturbance grows {growth(scenario, None, own):.3g}-fold a step): "
+        f"{largest_time_step(scenario, source, own):g} would do",
     )
 
 
@@ -273,8 +275,7 @@ def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarra
 
 def _chooses(scenario: Scenario, own: Own) -> bool:
     """Return whether limbs may land on any hold within reach."""
-    rule = scenario.gait.footholds != "planned" or (scenario.own is not None and scenario.own.footholds is not None)
-    return own.chooses or (rule and scenario.ground.holds is not None)
+    return own.chooses or (scenario.gait.footholds != "planned" and scenario.ground.holds is not None)
 
 
 def _of_loop(scenario: Scenario) -> tuple[float, float]:

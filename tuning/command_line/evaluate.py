@@ -191,9 +191,10 @@ class Worse(Files, Judge):
         named = self.named(loaded)
         try:
             return draw_of(loaded, named, ensemble, self.worse, self.members)
-        except (ConfigError, ValueError) as error:
-            text = str(error).removeprefix("worse: ")
-            raise InputError(f"--worse: {text}") from None
+        except ConfigError as error:
+            raise error.moved(source="", key="--worse") from None
+        except ValueError as error:
+            raise InputError(f"--worse: {error}") from None
 
     def said(self, work: "Worsened", here: int, _: int) -> list[str]:
         """Return how many walks there are."""
@@ -256,7 +257,7 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
                     progress=shown,
                 )  # fmt: skip
             except ConfigError as error:
-                raise ConfigError(in_options(str(error), Ceiling)) from None
+                raise error.moved(key=in_options(error.key, Ceiling)) from None
         again = ["evaluate", "--ceiling", *(["--ensemble", "ensemble.yaml"] if ensemble is not None else [])]
         shell.result(found, repeated(again, "--gains", "--retuned-pd", "--weight", "--limit", "--better",
                                      "--against", "--points", "--knots", "--delays", "--iterations",

@@ -92,19 +92,17 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
         if number and (key in drawn.paths or not key.startswith(SECTION)):
             found[key] = value
         elif not key.startswith(SECTION):
-            raise ConfigError(f"worse: {key}: expected a number, got {value!r}")
+            raise ConfigError("", f"worse: {key}", "a number", f"{value!r}")
     if others := {key: value for key, value in worse.keys.items() if key not in found}:
         other = own_parameters(scenario.with_overrides(others)).values
         there = {p: v for p, v in other.items() if any(key == p or key.startswith(f"{p}.") for key in others)}
         if not there:
-            raise ConfigError(f"worse: expected a number of the hardware, got {', '.join(others)}")
+            raise ConfigError("", "worse", "a number of the hardware", ", ".join(others))
         found |= there
     for quantity, factor in worse.factors.items():
         if not (scaled := scalable(drawn, _paths(drawn, quantity))):
             drive = type(drawn.drive).__name__
-            raise ConfigError(
-                f"worse: expected {quantity} in the config or the draw to scale, got none (drive: {drive})"
-            )
+            raise ConfigError("", "worse", f"{quantity} in the config or the draw to scale", f"none (drive: {drive})")
         found |= dict.fromkeys(scaled, Factor(factor))
     worsened = checked(scenario, drawn, found, "worse: {}")
     if _PERIOD in found:  # of whole time steps
@@ -161,7 +159,7 @@ def draw_of(
     drawn, settings = judging.draw_of(problem, gains, ensemble, members), [setting(text) for text in worse]
     names = (AS_DRAWN, *(each.name for each in settings))
     if len({*names}) < len(names):
-        raise ConfigError(f"worse: expected settings that differ, got {', '.join(names[1:])}")
+        raise ConfigError("", "worse", "settings that differ", ", ".join(names[1:]))
     own = drawn.problem.parameters
     assert own is not None
     parameters = _together([own, *(worsened(problem.scenario, own, each) for each in settings)], members)

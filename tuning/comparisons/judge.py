@@ -293,7 +293,7 @@ def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
     """
     kept = held(walks)
     if not kept["diverged"].size:
-        raise ConfigError("ensemble: expected a member of the draw in which nothing diverges, got none")
+        raise ConfigError("", "ensemble", "a member of the draw in which nothing diverges", "none")
     data: dict[str, Any] = {}
     for name in [str(n) for n, v in walks.data_vars.items() if "larger_is_better" in v.attrs and n not in FAILURES]:
         values = kept[name].transpose("member", "gains").values.astype(float)

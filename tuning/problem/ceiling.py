@@ -5,6 +5,7 @@ from typing import Annotated, Self
 
 from pydantic import BeforeValidator, model_validator
 
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.search import OF_LIMITS, OF_WEIGHTS, Precision, numbers_of
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
@@ -49,9 +50,9 @@ class Ceiling(Settings):
     def _knots_are_nested(self) -> Self:
         for coarse, fine in itertools.pairwise(self.knots):
             if not fine < coarse or abs(coarse / fine - round(coarse / fine)) > 1e-6:
-                raise ValueError(f"knots: expected each spacing to divide the one before it, got {coarse:g}, {fine:g}")
+                raise ConfigError("", "knots", "each spacing to divide the one before it", f"{coarse:g}, {fine:g}")
         if not any(self.weights.values()):
-            raise ValueError("weights: expected one above 0")
+            raise ConfigError("", "weights", "one above 0")
         if self.better == self.against:
-            raise ValueError(f"against: expected another metric than {self.better}")
+            raise ConfigError("", "against", f"another metric than {self.better}")
         return self

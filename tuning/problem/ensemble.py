@@ -40,7 +40,7 @@ class _Section(Settings):
         for name in type(self).model_fields:
             value = getattr(self, name)
             if isinstance(value, tuple) and not value[0] <= value[1]:
-                raise ValueError(f"{name}: expected low <= high, got {value[0]:g}, {value[1]:g}")
+                raise ConfigError("", name, "low <= high", f"{value[0]:g}, {value[1]:g}")
         return self
 
 
@@ -134,10 +134,10 @@ class Posterior(Settings):
         for name in ("log", "mean", "covariance", "lower", "upper"):
             rows = getattr(self, name)
             if len(rows) != count or (name == "covariance" and any(len(row) != count for row in rows)):
-                raise ValueError(f"posterior.{name}: expected one for each of {count} keys")
+                raise ConfigError("", f"posterior.{name}", f"one for each of {count} keys")
         for key in self.keys:
             if "." not in key:
-                raise ValueError(f"posterior.keys: expected keys of a scenario, got {key!r}")
+                raise ConfigError("", "posterior.keys", "keys of a scenario", f"{key!r}")
         return self
 
     def draw(self, rng: np.random.Generator, members: int, gravity: np.ndarray) -> dict[str, np.ndarray]:
@@ -241,10 +241,10 @@ def _at_paths(scenario: mc.Scenario, drawn: mc.Parameters, own: mc.Parameters, e
         values = _uniform(rng, ensemble.members, how.span, logs=how.log)
         if how.factor is not None:
             if not scalable(own, [path]):
-                raise ConfigError(f"{key}: expected a value other than 0 in the scenario to scale, got 0")
+                raise ConfigError("", key, "a value other than 0 in the scenario to scale", "0")
             changes[path] = changed(own, {path: Factor(values)}).at(path)
         elif paths[path].shape:
-            raise ConfigError(f"{key}: expected a factor, as the value is an array, got a range")
+            raise ConfigError("", key, "a factor, as the value is an array", "a range")
         else:
             changes[path] = values
     if "hardware.seed" not in changes and any(path.startswith("hardware.") for path in changes):
@@ -290,7 +290,7 @@ def _hardware(
     for name in ("force_delay", "command_delay"):
         if (span := getattr(hardware, name)) is not None and span[1] > longest:
             most = f"{MAX_DELAY} time steps, {longest:g} s"
-            raise ConfigError(f"hardware.{name}: expected at most {most}, got {span[1]:g}")
+            raise ConfigError("", f"hardware.{name}", f"at most {most}", f"{span[1]:g}")
     for name, path in _OF_HARDWARE.items():
         if (span := getattr(hardware, name)) is None:
             continue
@@ -300,14 +300,14 @@ def _hardware(
     if (rate := hardware.control_rate) is not None:
         if rate[1] > fastest * (1 + 1e-9):
             most = f"the {fastest:g} Hz of the time step"
-            raise ConfigError(f"hardware.control_rate: expected at most {most}, got {rate[1]:g}")
+            raise ConfigError("", "hardware.control_rate", f"at most {most}", f"{rate[1]:g}")
         drawn["hardware.control_period"] = np.round(fastest / uniform(rate, logs=True)) * scenario.time_step
     for key in ("friction", "armature"):
         if (span := getattr(hardware, key)) is None:
             continue
         scaled = scalable(own, ending(own, SERVO, key))
         if not scaled:
-            raise ConfigError(f"hardware.{key}: expected {key} in the scenario to scale, got none")
+            raise ConfigError("", f"hardware.{key}", f"{key} in the scenario to scale", "none")
         drawn |= dict.fromkeys(scaled, Factor(uniform(span, logs=True)))
     return drawn
 

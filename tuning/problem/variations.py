@@ -77,7 +77,7 @@ def checked(scenario: mc.Scenario, parameters: mc.Parameters, changes: Mapping[s
             raise ConfigError(str(error)) from None
         if path in DELAYED.values() and np.max(value) > longest:
             most = f"{MAX_DELAY} time steps, {longest:g} s"
-            raise ConfigError(f"{key.format(path)}: expected at most {most}, got {np.max(value):g}")
+            raise ConfigError(key.format(path), "", f"at most {most}", f"{np.max(value):g}")
     return found
 
 
@@ -103,4 +103,4 @@ def refused(path: str, parameters: mc.Parameters, key: str) -> ConfigError:
     place = path.rpartition(".")[0]
     owner = parameters.components.get(place)
     got = "none" if owner is None else f"{type(owner).__name__} without {path.rpartition('.')[2]}"
-    return ConfigError(f"{key}: expected a value at {path} to change, got {got}")
+    return ConfigError("", key, f"a value at {path} to change", got)

@@ -12,10 +12,11 @@ import numpy as np
 from jax import Array
 from jaxtyping import PyTree
 
-from mjx_climb.component import NONNEGATIVE, POSITIVE, UNLIMITED, given, parameter
+from mjx_climb.component import given
 from mjx_climb.physics.contact.contact import Contact, Grip, Springs, along_normal, clearance
 from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
+from mjx_climb.scenario import declared
 
 _TINY = 1e-30  # N, of a limit of zero
 _NORMAL = np.array([False, False, True])  # of the ground, among the axes of the world
@@ -45,7 +46,7 @@ class GripperMemory(NamedTuple):
     attitude: Attitude | None = None  # where grips transmit moments
 
 
-class SpringGrip(Contact):
+class SpringGrip(declared.SpringGrip, Contact):
     """A gripper that holds its foot to the grip point both ways; what tears it off is a subclass's.
 
     The grip point is below the foot, on the ground, where the gripper shuts or the foot first touches. With a finite
@@ -55,15 +56,6 @@ class SpringGrip(Contact):
     1 - cos) and by the rate; it lets go by its force alone.
     """
 
-    stiffness: Array = parameter("N/m", bounds=POSITIVE, default=1e4, long_name="contact stiffness")
-    damping: Array = parameter("N s/m", bounds=NONNEGATIVE, default=20.0, long_name="contact damping")
-    rotational_stiffness: Array = parameter(
-        "N m/rad", bounds=NONNEGATIVE, default=0.0, long_name="turning stiffness of a grip"
-    )
-    rotational_damping: Array = parameter(
-        "N m s/rad", bounds=NONNEGATIVE, default=0.0, long_name="turning damping of a grip"
-    )
-    capture_distance: Array = parameter("m", bounds=UNLIMITED, default=np.inf, long_name="reach of a gripper")
     limited_reach: bool = False  # some gripper has a capture distance
     rotational: bool = False  # grips transmit moments
     breaks: bool = True  # grips are torn off
@@ -148,14 +140,12 @@ class SpringGrip(Contact):
         return moment, Attitude(rotation, support)
 
 
-class Gripper(SpringGrip):
+class Gripper(declared.Gripper, SpringGrip):
     """A grip with one limit (ClimbLab's rule).
 
     A supporting limb lets go, from the next step on, when the ground pulls its foot down and the whole force is larger
     than the holding limit.
     """
-
-    holding_limit: Array = parameter("N", bounds=UNLIMITED, default=15.0, long_name="holding limit of a gripper")
 
     def step(
         self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array

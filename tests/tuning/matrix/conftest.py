@@ -29,10 +29,10 @@ class Part(NamedTuple):
 
 
 PARTS = {
-    "contact": Part({"own.contact": {"file": FILE, "name": "Sticky"}}, "contact.spread", (0.1, 0.8)),
-    "drive": Part({"own.drive": {"file": FILE, "name": "Belts"}}, "hardware.servo.tension", (30.0, 60.0)),
+    "contact": Part({"contact.kind": f"{FILE}:Sticky"}, "contact.spread", (0.1, 0.8)),
+    "drive": Part({"hardware.servo.kind": f"{FILE}:Belts"}, "hardware.servo.tension", (30.0, 60.0)),
     "disturbance": Part(
-        {"own.disturbances": [{"file": FILE, "name": "Gust"}]}, "disturbance.others.0.strength", (0.5, 2.0)
+        {"disturbance.others": [{"kind": f"{FILE}:Gust"}]}, "disturbance.others.0.strength", (0.5, 2.0)
     ),
     # holds have no numbers at paths: their contact has
     "holds": Part(

@@ -246,8 +246,7 @@ def fitted(changes, *keys):
 def test_a_contact_and_a_drive_are_fitted_as_grippers_and_servos_are():
     """They are the same springs by other names."""
     parts = PARTS["contact"].changes | PARTS["drive"].changes
-    parts["own.contact.values"] = {"hardness": 4e3, "loss": 30.0, "spread": 0.3}
-    parts["own.drive.values"] = {"tension": 45.0}
+    parts |= {"contact.hardness": 4e3, "contact.loss": 30.0, "contact.spread": 0.3, "hardware.servo.tension": 45.0}
     shipped = {"contact.stiffness": 3400.0, "contact.damping": 30.0, "control.kp": 45.0}
     spread, tension = fitted(parts, "contact.spread", "hardware.servo.tension")
     stiffness, kp = fitted(shipped, "contact.stiffness", "control.kp")
@@ -261,7 +260,7 @@ def test_a_contact_and_a_drive_are_fitted_as_grippers_and_servos_are():
 def held(pull, **changes):
     """On Earth, on magnets that are pulled off by so many N."""
     values = {key: np.asarray(value).tolist() for key, value in magnet(pull=pull, friction=0.5).items()}
-    return {"own.contact": {"name": "PolyhedralGripper", "values": values}, **changes}
+    return {"contact": {"kind": "polyhedron", **values}, **changes}
 
 
 ROCK = {  # limbs step at once, from where they stood onto the rock

@@ -121,7 +121,7 @@ def _held(
 def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
     """Return the longest time that commands may take to the motors, s."""
     fitted, own = {v.key: v.upper for v in chosen}, scenario.hardware
-    nominal = {DELAY: own.command_delay, SERVO_DELAY: own.servo.delay}
+    nominal: dict[str, float] = {DELAY: own.command_delay, SERVO_DELAY: own.servo.delay}
     return sum(fitted.get(key, delay) for key, delay in nominal.items())
 
 
@@ -164,7 +164,7 @@ def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitte
         x, start = found.x[None], found.start[None]
         problem = dataclasses.replace(problem, noise=now.signals, clock=now.clock)
     if not np.isfinite(found.cost):
-        raise ConfigError("the model diverges at the values that it begins with (--set others)")
+        raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
     return found, problem
 
 

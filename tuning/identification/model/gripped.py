@@ -88,12 +88,12 @@ def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Wi
     for name in log.signals:
         if name.endswith(".support") and not log.signals[name].value.all():
             opened = float(log.signals[name].time[np.argmin(log.signals[name].value)])
-            raise ConfigError(f"{log.source}: expected all grippers shut (a sway), got {name} 0 at {opened:.4g} s")
+            raise ConfigError(log.source, "", "all grippers shut (a sway)", f"{name} 0 at {opened:.4g} s")
         if name.startswith(("base.force.", "base.moment.")) and log.signals[name].value.any():
-            raise ConfigError(f"{log.source}: expected no push on the base of a robot that is identified, got {name}")
+            raise ConfigError(log.source, "", "no push on the base of a robot that is identified", name)
     if missing := [name for joint in joints_of(robot) if (name := f"{joint}.command") not in log.signals]:
         expected = "the commands of all joints of a gripped robot"
-        raise ConfigError(f"{log.source}: expected {expected}, got none of {missing[0]} (--base held: some limbs)")
+        raise ConfigError(log.source, "", expected, f"none of {missing[0]} (--base held: some limbs)")
     return cut(log, robot, time_step, held_out, signals_beside(log, robot))
 
 
@@ -257,17 +257,17 @@ def check_parts(own: Parameters, *, held: bool) -> None:
     """
     for place, each in own.components.items():
         if isinstance(each, Disturbance) and not isinstance(each, Cargo | Push):
-            raise ConfigError(f"{place}: expected none with a log, got {type(each).__name__}")
+            raise ConfigError("", place, "none with a log", type(each).__name__)
     drive, name = own.drive, type(own.drive).__name__
     if not isinstance(drive, Servos):
         if held:
-            raise ConfigError(f"hardware.servo: expected servos with the base held, got {name}")
+            raise ConfigError("", "hardware.servo", "servos with the base held", name)
         leaves = jax.tree.leaves(jax.eval_shape(drive.init, jnp.zeros((len(_AXES), len(_AXES)))))
         if drive.feels_load or not all(jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves):
             expected = "expected a drive that remembers real numbers and asks for no load"
             raise ConfigError(f"hardware.servo: {expected} with a log, got {name}")
     if not held and own.contact.springs() is None:
-        raise ConfigError(f"contact: expected one with springs with a log, got {type(own.contact).__name__}")
+        raise ConfigError("", "contact", "one with springs with a log", type(own.contact).__name__)
 
 
 def gripped_with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Collection[str]) -> list[Variable]:
