@@ -192,7 +192,8 @@ class Worse(Files, Judge):
         try:
             return draw_of(loaded, named, ensemble, self.worse, self.members)
         except ConfigError as error:
-            raise error.moved(source="", key="--worse") from None
+            words = {name: getattr(error, name).removeprefix("worse").removeprefix(": ") for name in ("key", "reason")}
+            raise error.moved(source="--worse", **words) from None
         except ValueError as error:
             raise InputError(f"--worse: {error}") from None
 

@@ -113,7 +113,7 @@ class Search(Settings):
                 raise ConfigError("", f"bounds.{name}", "low < high", f"{low:g}, {high:g}")
         for one, other in itertools.combinations(("pins", "frozen", "bounds"), 2):
             if both := [name for name in getattr(self, one) if name in getattr(self, other)]:
-                raise ConfigError(f"{one}.{both[0]}", "", "one setting of this gain", f"{other}.{both[0]} too")
+                raise ConfigError("", f"{one}.{both[0]}", "one setting of this gain", f"{other}.{both[0]} too")
         return self
 
 

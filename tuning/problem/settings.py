@@ -57,7 +57,9 @@ def explained(invalid: ValidationError) -> tuple[str, str]:
         return ".".join(filter(None, (key, cause.key))), cause.reason
     if error["type"] in _EXPECTED:
         expected = _EXPECTED[error["type"]].format(**context)
-        got = "an unknown one" if error["type"] == "extra_forbidden" else show(context.get("got", error["input"]))
+        value = context.get("got", error["input"])
+        got = repr(value) if isinstance(value, str) else show(value)
+        got = "an unknown one" if error["type"] == "extra_forbidden" else got
         return key, f"expected {expected}, got {got}"
     message = error["msg"].removeprefix("Value error, ")
     return key, f"{message[:1].lower()}{message[1:]}"

@@ -74,10 +74,10 @@ def checked(scenario: mc.Scenario, parameters: mc.Parameters, changes: Mapping[s
         try:
             checked_value(key.format(path), value, field.shape, *field.bounds, limits=field.limits)
         except ValueError as error:
-            raise ConfigError(str(error)) from None
+            raise ConfigError(reason=str(error)) from None
         if path in DELAYED.values() and np.max(value) > longest:
             most = f"{MAX_DELAY} time steps, {longest:g} s"
-            raise ConfigError(key.format(path), "", f"at most {most}", f"{np.max(value):g}")
+            raise ConfigError("", key.format(path), f"at most {most}", f"{np.max(value):g}")
     return found
 
 

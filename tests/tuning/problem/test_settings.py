@@ -13,10 +13,10 @@ from tuning.problem.search import Judge, Search
     ("kind", "values", "said"),
     [
         (Ensemble, {"members": True}, "ensemble: members: expected a whole number, got true"),
-        (Ensemble, {"grip_stiffness": ["0.5", True]}, 'ensemble: grip_stiffness.0: expected a number, got "0.5"'),
+        (Ensemble, {"grip_stiffness": ["0.5", True]}, "ensemble: grip_stiffness.0: expected a number, got '0.5'"),
         (Ensemble, {"cargo": 3}, "ensemble: cargo: expected a mapping, got 3"),
         (Search, {"inertia": 1}, "search: inertia: expected true or false, got 1"),
-        (Search, {"pins": {"damping": "1"}}, 'search: pins.damping: expected a number, got "1"'),
+        (Search, {"pins": {"damping": "1"}}, "search: pins.damping: expected a number, got '1'"),
         (Search, {"starst": 1}, "search: starst: expected a known key, got an unknown one"),
         (Search, {"bounds": {"damping": [2, 1]}}, "search: bounds.damping: expected low < high, got 2, 1"),
     ],

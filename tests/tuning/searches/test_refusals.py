@@ -108,7 +108,7 @@ def test_what_makes_no_sense_is_refused_in_one_line(call, message):
 
 @pytest.mark.parametrize(
     ("text", "where"),
-    [("cargo: {mass: [2, 1]}", "cargo: mass: expected low <= high"), ("slope: 3", "slope"), ("members: 0", "members"),
+    [("cargo: {mass: [2, 1]}", "cargo.mass: expected low <= high"), ("slope: 3", "slope"), ("members: 0", "members"),
      ("robot_mass: [0, 1]", "robot_mass"), ("[1]", "expected a mapping")],
 )  # fmt: skip
 def test_errors_name_file_and_key(tmp_path, text, where):
