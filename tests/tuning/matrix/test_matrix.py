@@ -56,7 +56,7 @@ def test_an_ensemble_draws_a_value_of_the_part(scenario, part, ensemble):
         ),
         ({"ground.holds.limit": {"range": (1, 2)}}, "draw.ground.holds.limit: expected a value at ground.holds.limit"),
         ({"contact.damping": {}}, "draw.contact.damping: expected a range or a factor, got none"),
-        ({"contact.damping": {"range": (2, 1)}}, "draw.contact.damping: range: expected low <= high, got 2, 1"),
+        ({"contact.damping": {"range": (2, 1)}}, "draw.contact.damping.range: expected low <= high, got 2, 1"),
         ({"contact.damping": {"range": (0, 1), "log": True}}, "range: expected numbers above 0 with log, got 0"),
         ({"contact.stiffness": {"range": (-1, 2)}}, "draw.contact.stiffness: expected finite numbers above 0, got -"),
         ({"gravity": {"range": (1, 2)}}, "draw.gravity: expected a factor, as the value is an array, got a range"),
