@@ -31,9 +31,9 @@ def compare(found: Scheduled) -> ScheduleComparison:
         name: verdicts.Walked(float(own[held].mean()), bool(feasible[name][held].all())) for name, own in values.items()
     }
     points = f"{held.sum()} of {held.size} operating points" if not there.all() else f"{held.size} operating points"
+    outside = int((~feasible["tuned"]).sum())
+    ours = "gains tuned for each point" + (f", which break a limit at {outside}" if outside else "")
     return ScheduleComparison(
         of_schedule(data),
-        verdicts.against_best(
-            "gains tuned for each point", walked, f"mean objective at {points}", breaks="breaks a limit at a point"
-        ),
+        verdicts.against_best(ours, walked, f"mean objective at {points}", breaks="breaks a limit at a point"),
     )

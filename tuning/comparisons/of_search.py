@@ -151,7 +151,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         )
         for name, (_, each) in rows.items()
     }
-    said = verdicts.against_best("tuned gains", walked, "objective", joint=joint)
+    said = verdicts.against_best(verdicts.named("tuned gains", found.gains, problem), walked, "objective", joint=joint)
     return TuneComparison(walks, rows, over, hardware, checked, worth, said, apart)
 
 

@@ -143,8 +143,8 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
             both = rows["best"][1], theirs
             scored = [{VARIATION: variation_of(each)} for each in both]
             if level is not None:
-                there = variation_of(mc.metrics(walked[LEVEL], problem.metrics))
-                level = level._replace(change=there / scored[1][VARIATION] - 1)
+                at_step = variation_of(mc.metrics(walked[LEVEL], problem.metrics))
+                level = level._replace(change=at_step / scored[1][VARIATION] - 1)
             worth = between(both, scored, rival, problem, " on this grid", level=level)
     data = found.data.assign(spectral_radius=radius)
     failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())

@@ -4,7 +4,12 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+import numpy as np
+
+from mjx_climb.inputs.resolve import AnyGains
+from tuning.gains.gains_file import by_name
 from tuning.numbers import number
+from tuning.problem.evaluation import Problem
 from tuning.searches.retuned_pd import NAME
 
 OWN_SEARCH = "pd with its own kp and kd searched"
@@ -26,6 +31,14 @@ def in_words(name: str, joint: Mapping[str, float] | None = None) -> str:
         return _NAMES.get(name, name)
     own = ", ".join(f"{key.removeprefix('gait.')} {number(value)}" for key, value in (joint or {}).items())
     return f"{OWN_SEARCH} ({', '.join(filter(None, [NAME, own]))})"
+
+
+def named(word: str, gains: AnyGains, problem: Problem) -> str:
+    """Return the word with the gains that were searched behind it, where each is one number on all axes."""
+    values = {name: np.unique(value) for name, value in by_name(gains).items() if name in problem.space.gains}
+    if not values or any(each.size > 1 for each in values.values()):
+        return word
+    return f"{word} ({', '.join(f'{name} {number(each.item())}' for name, each in values.items())})"
 
 
 def explained(names: Iterable[str]) -> str:

@@ -144,7 +144,8 @@ def of_schedule(table: xr.Dataset) -> str:
     ratio = (table["value"] / table["retuned_value"]).values
     known = ratio[np.isfinite(ratio)]
     if not known.size:
-        return "the force sensor: not to be compared with pd, which keeps the limits at no operating point"
+        there = "with pd, which keeps" if np.isnan(table["retuned_value"]).all() else "with pd: the gains keep"
+        return f"the force sensor: not to be compared {there} the limits at no operating point"
     none = f"no verdict on the force sensor, since pd was searched {ON_A_GRID}"
     verdict = none if (known < 1).any() else "the force sensor does not pay"
     span = " to ".join(dict.fromkeys(f"{end:.3f}" for end in (known.min(), known.max())))

@@ -45,7 +45,7 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     lines = [f"warning: the best lies on the edge of the grid: widen {name}" for name in edges]
     if best is not None:
         missed = metrics["best"].get("missed_grips")
-        lines.append(f"{compared.failed} of {count} walks lost a gripper or diverged")
+        lines += [precision_of(best), f"{compared.failed} of {count} walks lost a gripper or diverged"]
         lines += [f"warning: {missed} grips of the best missed the ground"] if missed else []
         lines += worse_than_pd(metrics["best"], metrics["pd"], found.problem.metrics)
     lines += [*at_own_step(compared.level, "the best", "force variation"), *remarks(metrics), *compared.remedies]
@@ -125,9 +125,6 @@ def page_of(problem: Problem, compared: SweepComparison, said: Findings, origin:
     begin = best if best is not None else grid.isel(dict.fromkeys(axes, 0))
     points = grid_points(grid, histories, metrics["pd"], marks(grid, rows), begin)
     walks = {name: compared.walks[name] for name in reversed(list(compared.walks))}
-    caption = "Walks alone, in double precision"
-    if best is not None:
-        caption += f"; the map is in single precision, where the best has {number(best['force_variation'].item())} N"
     facts = {
         "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)", "engine": grid.attrs["engine"],
         "robots at a time": grid.attrs["batch_size"], "seed": "none: nothing is drawn at random",
@@ -137,8 +134,16 @@ def page_of(problem: Problem, compared: SweepComparison, said: Findings, origin:
         title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", origin=origin,
         findings=said._replace(notes=notes), scenario=problem.scenario, facts=facts,
         explorers={"Maps and walks": explorer(walks, metrics, points=points, **how)},
-        tables=[comparison.table(rows, caption, about, problem.law)],
+        tables=[comparison.table(rows, precision_of(best), about, problem.law)],
     )  # fmt: skip
+
+
+def precision_of(best: xr.Dataset | None) -> str:
+    """Return the precision of the walks beside a grid and of its map, with the best cell's value there."""
+    alone = "Walks alone, in double precision"
+    if best is None:
+        return alone
+    return f"{alone}; the map is in single precision, where the best has {number(best['force_variation'].item())} N"
 
 
 def sheet(data: xr.Dataset, compared: Compared) -> Figure:

@@ -12,13 +12,15 @@ import mjx_climb as mc
 from tuning.comparisons import judge, of_draw, of_schedule, paired
 from tuning.comparisons.of_ensemble import shown
 from tuning.comparisons.side_by_side import AtOneStep
-from tuning.comparisons.verdicts import Walked, against_best, explained, in_words
+from tuning.comparisons.verdicts import Walked, against_best, explained, in_words, named
 from tuning.pages import judge as judge_page
 from tuning.pages.contents import at_own_step
 from tuning.pages.judge import verdict
 from tuning.problem.ensemble import Ensemble, Worst
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective, Term
+from tuning.problem.search import Search
+from tuning.problem.spaces import space
 from tuning.results.judged import Judged
 from tuning.results.scheduled import Scheduled
 
@@ -89,8 +91,8 @@ def test_gains_tuned_for_each_point_stand_beside_the_best_rival_of_all_points():
     problem = Problem(mc.load_scenario("case_1_2"), metrics=table, objective=Objective((term,), ()))
     found = Scheduled(xr.Dataset(data | of_points, {"walk": [*force]}), problem)
     assert of_schedule.compare(found).verdict == (
-        "gains tuned for each point: mean objective at 2 of 3 operating points 0.5, 16.7 % less than the best rival "
-        "that walked, pd with its own kp and kd searched (retuned_pd): 0.6"
+        "gains tuned for each point, which break a limit at 1: mean objective at 2 of 3 operating points 0.5, "
+        "16.7 % less than the best rival that walked, pd with its own kp and kd searched (retuned_pd): 0.6"
     )
 
 
@@ -165,3 +167,12 @@ def test_differences_on_the_walks_of_a_draw_are_data(members, claimed):
     assert row["baseline"] == "retuned_pd" and row["difference"] == pytest.approx(-20, abs=2)
     assert row["claimed"] is claimed and (row["low"] is not None) is claimed
     assert rows["pd", "force_variation", "worst"]["low"] is None
+
+
+def test_the_gains_stand_in_the_verdict_where_each_is_one_number():
+    scenario = mc.load_scenario("case_1_2")
+    problem = Problem(scenario, space=space(scenario, Search()))
+    assert named("tuned gains", mc.Gains(1.0, 94.52, np.full(6, 1904.0)), problem) == (
+        "tuned gains (damping 94.52, stiffness 1904)"
+    )
+    assert named("tuned gains", mc.Gains(1.0, 94.52, np.repeat([1904.0, 9.0], 3)), problem) == "tuned gains"

@@ -399,7 +399,10 @@ def test_the_page_of_a_sweep_begins_with_its_verdict_and_folds_what_else_was_fou
         grid, best, walks, rows, 1, ["damping"], None, "the verdict", AtOneStep(5e-4, np.nan), lines
     )
     made = sweep.contents(Swept(grid, Problem(scenario)), compared, "").page(ORIGIN)
-    expected = ["1 of 4 walks lost a gripper or diverged", "worse than pd: base deviation +100 %"] if held else []
+    alone = "Walks alone, in double precision; the map is in single precision, where the best has 0 N"
+    expected = (
+        [alone, "1 of 4 walks lost a gripper or diverged", "worse than pd: base deviation +100 %"] if held else []
+    )
     cells = "the page holds the time histories of 2 of the cells; a click shows the nearest of them"
     step = "retuned_pd walks at a time step of 0.0005 s, which its kp and kd need"
     warning = "warning: the best lies on the edge of the grid: widen damping"
