@@ -275,7 +275,8 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     As tune --ensemble tests its result: pushes, cargo, slope, grips, masses and hardware are drawn with another seed,
     nothing is torn off, and a walk fails where it pulls beyond the holding limit. A file that names its law or gait
     walks with these. Prints mean and worst 5 % of each metric; writes to DIR every walk (judged.nc), a picture, the
-    summary and a page. `mjx-climb plot DIR` draws other metrics.
+    summary and a page. `mjx-climb plot DIR` draws other metrics. --json has the differences from pd, or from that of
+    --retuned-pd, with 95 % intervals.
 
     A force sensor that dies is a key of the config: --set hardware.force_sensor.dead.LF=3.0, as worse hardware is.
 

@@ -73,7 +73,7 @@ def test_a_limit_that_fresh_walks_break_is_named_and_what_the_force_sensor_is_wo
     assert f"objective over 4 unseen walks {scores[0]:.4g}, {change:.1f} % " in verdict[0]
     apart = "; 4 walks do not tell them from retuned_pd."
     assert verdict[0].endswith(f": {told[best]['objective']:.4g}{apart}") and page.count(worth["in_words"][1:40]) == 1
-    assert worth["in_words"][1:40] in beside[0][1] and f"break {asked}." in beside[1][1]
+    assert worth["in_words"][1:40] in beside[0][1] and any(f"break {asked}." in line for _, line in beside)
     assert re.search(r"<caption>Gains by axis.*>stiffness<", page.partition('<details class="part">')[0], re.DOTALL)
     (listed,) = runs.below(quiet("ensemble"))
     assert listed.verdict == html.unescape(verdict[0])

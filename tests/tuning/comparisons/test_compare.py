@@ -264,6 +264,7 @@ def made_up(monkeypatch):
         asked.append(level.shape)
         found = {name: level for name in metrics.names}
         found |= {"detached_limb": np.full(level.shape, -1), "diverged": np.zeros(level.shape, bool)}
+        found["peak_utilization"] = level / 10
         lost = np.full(level.shape, -1 if law is None else 1)
         return found | {"sensor_lost_limb": lost, "sensor_lost_at": np.full(level.shape, 0.25)}
 
