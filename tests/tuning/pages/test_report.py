@@ -584,6 +584,14 @@ def test_the_first_screen_shows_every_law_and_every_statistic():
     assert both.brief.sections == [("", means[:2])]
 
 
+def test_the_first_screen_takes_rows_without_a_name():
+    """As those of a front: its points have none."""
+    table = page.Table("", ["", "N"], [("", [["", "1"], ["", "2"], ["pd", "3"]])], 1)
+    said = page.Findings("", [], [])
+    made = page.Page("", ORIGIN, said, mc.Scenario(), tables=[table])
+    assert made.brief.sections == [("", [["", "1"], ["", "2"], ["pd", "3"]])]
+
+
 def test_a_terminal_ends_with_what_a_page_begins_with():
     said = page.Findings.of("it won", ["a note", "warning: on a bound"], "the sensor does not pay", "")
     assert said.lines == ["a note", "the sensor does not pay", "warning: on a bound", "it won"]
