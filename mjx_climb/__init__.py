@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from mjx_climb.disturbances.disturbance import Body as Body
     from mjx_climb.disturbances.disturbance import Disturbance as Disturbance
     from mjx_climb.disturbances.disturbance import External as External
-    from mjx_climb.functions import Environment as Environment
     from mjx_climb.functions import forward_dynamics as forward_dynamics
     from mjx_climb.functions import metrics as metrics
     from mjx_climb.functions import rollout as rollout

@@ -9,10 +9,9 @@ class Magnet(mjx_climb.Contact):
 import dataclasses
 import math
 import numbers
-import sys
 from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Self, TypeVar, dataclass_transform
+from typing import ClassVar, Self, TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -20,83 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjx_climb.arrays import AnyArray
+from mjx_climb.value_field import OPEN, ValueField, in_words
+from mjx_climb.value_field import parameter as parameter
 
 _NUMBERS = {3: "three", 6: "six"}
-_LEAST, _MOST = math.ulp(0.0), sys.float_info.max
-BELOW_ONE = math.nextafter(1.0, 0.0)
-# bounds, both of which a value may have
-FINITE = (-_MOST, _MOST)
-NONNEGATIVE = (0.0, _MOST)
-POSITIVE = (_LEAST, _MOST)
-UNLIMITED = (0.0, math.inf)  # infinite: no limit
-POSITIVE_OR_INFINITE = (_LEAST, math.inf)
-SHARE = (0.0, BELOW_ONE)
-PART = (_LEAST, 1.0)
-_OPEN = (_LEAST, _MOST, BELOW_ONE, math.inf)  # ends that no value of any precision may pass
-
-
-class ValueField(NamedTuple):
-    """What a component declares of a value beside its default."""
-
-    unit: str
-    shape: tuple[int | None, ...]  # of one robot's value; () of one number; None: any length
-    bounds: tuple[float, float]  # of a search
-    rotation_bounds: tuple[float, float] | None = None  # of a search, where rotations have their own
-    long_name: str = ""
-    searched: bool = True  # whether searches move it without being asked
-    in_steps: bool = False  # a time that is counted in whole time steps
-    limits: tuple[float, float] | None = None  # that a value must lie in; None: those of a search do not bind
-
-    @property
-    def lengths(self) -> tuple[int, ...]:
-        """The shape, with 1 in place of any length."""
-        return tuple(length or 1 for length in self.shape)
-
-    @property
-    def size(self) -> int:
-        """How many numbers the value of one robot has."""
-        return math.prod(self.lengths)
-
-
-def parameter(
-    unit: str,
-    *,
-    shape: tuple[int | None, ...] = (),
-    bounds: tuple[float, float],
-    default: object = dataclasses.MISSING,
-    long_name: str = "",
-    in_steps: bool = False,
-) -> Any:
-    """Return the field of a contact, an actuator or a disturbance that is one of its values.
-
-    Arguments:
-        unit: as in "N".
-        shape: of one robot's value, None for any length; a value may have batch axes in front, or be a scalar.
-        bounds: the lowest and the highest value that there may be.
-        default: the value of a component that is made without one.
-        long_name: for axes and tables; the field's own name where empty.
-        in_steps: a time that a walk rounds to whole time steps, in double precision.
-
-    Raises:
-        ValueError: bounds that are not in order.
-    """
-    field = ValueField(unit, tuple(shape), bounds, None, long_name, in_steps=in_steps, limits=bounds)
-    return value_field(field, default)
-
-
-def value_field(field: ValueField, default: object) -> Any:
-    """Return a field of a dataclass that is a value, as declared.
-
-    Raises:
-        ValueError: bounds that are not in order.
-    """
-    for low, high in (field.bounds, field.rotation_bounds or field.bounds):
-        if not low < high:
-            raise ValueError(f"bounds of a value: expected low < high, got {low}, {high}")
-    if isinstance(default, np.ndarray | list):  # a dataclass takes no default that may be changed in place
-        own = np.array(default, float)
-        return dataclasses.field(default_factory=lambda: own, metadata={"value": field})
-    return dataclasses.field(default=default, metadata={"value": field})
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(parameter, dataclasses.field))
@@ -197,7 +123,7 @@ def checked_value(
         exact, rounding = known.astype(float), np.finfo(np.result_type(known, np.float32)).eps
         # a limit is met as a value's precision holds it
         least, most = (
-            end if abs(end) in _OPEN else end + way * rounding * abs(end)
+            end if abs(end) in OPEN else end + way * rounding * abs(end)
             for end, way in zip(limits, (-1, 1), strict=True)
         )
         if (outside := ~((exact >= least) & (exact <= most))).any():
@@ -211,17 +137,6 @@ def checked_value(
         expected = "finite numbers" if low < 0 else f"finite numbers {'of 0 or more' if zero else 'above 0'}"
         raise ValueError(f"{name}: expected {expected}, got {np.extract(wrong, known)[0]:g}")
     return value
-
-
-def in_words(limits: tuple[float, float]) -> str:
-    """Return the numbers between limits in words: "finite numbers above 0"."""
-    low, high = limits
-    if high in (_MOST, math.inf):
-        least = {-_MOST: "", 0.0: " of 0 or more", _LEAST: " above 0"}.get(low, f" of {low:g} or more")
-        return f"finite numbers{least}{', or infinite ones' if high == math.inf else ''}"
-    if low == _LEAST:
-        return "numbers above 0 and below 1" if high == BELOW_ONE else f"numbers above 0, {high:g} at most"
-    return f"numbers from {low:g} to {'below 1' if high == BELOW_ONE else f'{high:g}'}"
 
 
 def real_numbers(name: str, value: ArrayLike) -> AnyArray:

@@ -1,4 +1,4 @@
-"""What a `Simulation` does, in one call or stepped by hand: names that notebooks and scripts begin with."""
+"""What a `Simulation` does, in one call: names that notebooks and scripts begin with."""
 
 import dataclasses
 import functools
@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike
 from mjx_climb import execution
 from mjx_climb.control import Law
 from mjx_climb.execution.batch_axes import axes_behind, is_traced, over_batch
-from mjx_climb.inputs.resolve import AnyGains, checked_dtype
+from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE, ENGINES, checked_engine
 from mjx_climb.physics.state import Acceleration, Loads, State
@@ -22,9 +22,8 @@ from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import check_shape
-from mjx_climb.simulation import Simulation, SimulationState
+from mjx_climb.simulation import Simulation
 from mjx_climb.trajectory import Trajectory, named
-from mjx_climb.walk.control_loop import Action, JointTargets, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.sample import DIMS, Sample
 from mjx_climb.walk.structure import structure
@@ -146,70 +145,6 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
     shape = structure(trajectory.scenario, DEFAULT_ENGINE, trajectory.parameters, metrics=metrics)
     found = execution.run_one(metrics_of_samples, shape, samples, trajectory.parameters)
     return named({name: found[name].item() for name in shape.metrics.names}, trajectory.limbs)
-
-
-class Environment:
-    """A scenario's robots, to be stepped by hand under its law or another, or under actions of your own.
-
-    ```python
-    env = mjx_climb.Environment(scenario)
-    state = env.reset(gains, parameters)
-    state, sample = env.step(state)
-    ```
-
-    `reset` and `step` are pure and compiled, for `jit`, `vmap`, `scan` and derivatives; made again from equal
-    arguments, an environment is not compiled again. The walk is that of `mjx_climb.rollout`, and goes on where a
-    rollout would end.
-    """
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        *,
-        law: Law | None = None,
-        engine: str = DEFAULT_ENGINE,
-        dtype: DTypeLike | None = None,
-    ) -> None:
-        """Prepare a `Simulation` of a precision; JAX's own setting where `dtype` is None.
-
-        Raises:
-            ConfigError, ValueError: as a `Simulation`, and a precision other than float32 and float64.
-        """
-        self.scenario = scenario
-        self.simulation = Simulation(scenario, law, engine=engine)
-        self.dtype: np.dtype = checked_dtype(jnp.result_type(float) if dtype is None else dtype)
-
-    def reset(
-        self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, batch: int | tuple[int, ...] = ()
-    ) -> SimulationState:
-        """Return robots in the rest stance with all grippers shut, as `Simulation.reset` does one.
-
-        Gains and parameters have any leading batch axes that broadcast; `batch` has further ones, where neither has
-        them: `batch=(64,)`, or 64, for 64 equal robots.
-
-        Raises:
-            ValueError: as `Simulation.reset`, but for batch axes, and shapes that do not broadcast, or no robots.
-        """
-        sizes = tuple(batch) if isinstance(batch, Iterable) else (batch,)
-        return self.simulation.start(gains, parameters, self.dtype, sizes)
-
-    def step(
-        self, state: SimulationState, action: Action = None, gains: AnyGains | None = None
-    ) -> tuple[SimulationState, Sample]:
-        """Return the next state and the sample of all robots, as `Simulation.step`: batch axes in place of time.
-
-        An action, and gains from this step on as `Simulation.with_gains` takes them, `kp` and `kd` too, are for all
-        robots or have the batch axes of the state.
-
-        Raises:
-            ValueError: gains as of `reset`, or for more robots than there are; an action of another shape.
-        """
-        if gains is not None:
-            state = self.simulation.with_gains(state, gains)
-        shape = state.step.shape
-        acting = checked_action(action, load_robot(self.scenario.robot), self.dtype, shape)
-        axes = (axes_behind(state, shape), jax.tree.map(lambda _: 2 if isinstance(action, JointTargets) else 1, acting))
-        return over_batch(self.simulation.step, (state, acting), axes, shape)
 
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

@@ -13,7 +13,8 @@ from jax import Array
 from jaxtyping import Real
 
 from mjx_climb.arrays import AnyArray, namespace
-from mjx_climb.component import POSITIVE, Component, ValueField
+from mjx_climb.component import Component
+from mjx_climb.value_field import POSITIVE, ValueField
 
 # batch axes of one gain need not be those of another: they broadcast
 _Values = Array | np.ndarray

@@ -55,11 +55,11 @@ from mjx_climb.robot_import.load import check_stance, load_robot
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import summed_to
 from mjx_climb.trajectory import Trajectory
-from mjx_climb.walk.control_loop import Action, checked_action
+from mjx_climb.walk.control_loop import Action, JointTargets, checked_action
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, look_ahead, set_up, walk_of
-from mjx_climb.walk.structure import Structure, structure
+from mjx_climb.walk.structure import Structure, planning_steps, structure
 from mjx_climb.walks import (
     Metrics,
     gradients_of,
@@ -415,34 +415,29 @@ class Simulation:
         return over_batch(walk, resolved[:2], resolved.axes, resolved.shape)
 
     def reset(
-        self, gains: AnyGains | None = None, parameters: Parameters | None = None, *, dtype: DTypeLike | None = None
+        self,
+        gains: AnyGains | None = None,
+        parameters: Parameters | None = None,
+        *,
+        batch: int | tuple[int, ...] = (),
+        dtype: DTypeLike | None = None,
+        stages: Stages | None = None,
     ) -> SimulationState:
-        """Return one robot in the rest stance with all grippers shut; pure.
+        """Return robots in the rest stance with all grippers shut: one, or a batch; pure and compiled.
 
         Arguments:
-            gains: in place of the law's own.
-            parameters: in place of the scenario's.
+            gains: in place of the law's own, with any leading batch axes.
+            parameters: in place of the scenario's, with batch axes that broadcast with the gains'.
+            batch: further axes, where neither has them: (64,), or 64, for 64 equal robots.
             dtype: precision of the simulation; JAX's own setting where None.
+            stages: those of the hardware, whatever the parameters, which JAX may trace then.
 
         Raises:
             ConfigError: a time step too long for the robot's contacts and joints.
-            ValueError: batched gains or parameters (`jax.vmap` makes a batch), gains that the law does not have, or
-                parameters that JAX traces and that decide about hardware.
+            ValueError: gains that the law does not have, shapes that do not broadcast, no robots, or parameters that
+                JAX traces and that decide about hardware.
         """
-        return self.start(gains, parameters, dtype)
-
-    def start(
-        self,
-        gains: AnyGains | None,
-        parameters: Parameters | None,
-        dtype: DTypeLike | None,
-        batch: tuple[int, ...] | None = None,
-        stages: Stages | None = None,
-    ) -> SimulationState:
-        """Return robots as `reset` does one, with further batch axes `batch` where this is not None.
-
-        With the stages of hardware that are given, whatever the parameters, which JAX may trace then.
-        """
+        sizes = tuple(batch) if isinstance(batch, Iterable) else (batch,)
         precision = jnp.result_type(float) if dtype is None else dtype
         given = self._given(parameters)
         resolved = resolve(self.scenario, self.law, gains, given, precision, compiled=stages is not None)
@@ -451,36 +446,42 @@ class Simulation:
         else:
             structure = self.structure._replace(stages=stages)
         check_time_step(self.scenario, parameters=resolved.walked)
-        if not all(isinstance(count, int | np.integer) and count >= 0 for count in batch or ()):
-            raise ValueError(f"batch: expected whole numbers of robots, got {batch}")
-        if batch is None and resolved.shape:
-            raise ValueError("reset is of one robot: a batch is made by jax.vmap, or by mjx_climb.Environment")
-        shape = batch_shape(others={"gains and parameters": resolved.shape, "batch": batch or ()})
+        if not all(isinstance(count, int | np.integer) and count >= 0 for count in sizes):
+            raise ValueError(f"batch: expected whole numbers of robots, got {sizes}")
+        shape = batch_shape(others={"gains and parameters": resolved.shape, "batch": sizes})
         check_robots(shape)
         begun: SimulationState = over_batch(functools.partial(_start, structure), resolved[:2], resolved.axes, shape)
         return begun
 
-    def step(self, state: SimulationState, action: Action = None) -> tuple[SimulationState, Sample]:
-        """Return one robot one time step later, and all that is known about this step; pure.
+    def step(
+        self, state: SimulationState, action: Action = None, gains: AnyGains | None = None
+    ) -> tuple[SimulationState, Sample]:
+        """Return the robots one time step later, and the sample of this step; pure and compiled.
 
         Arguments:
             state: what `reset` or the last `step` returned.
-            action: for this step, in place of the law, which then stays as it is; None: what the law commands.
+            action: for this step, in place of the law, which then stays as it is; for all robots, or with the batch
+                axes of the state. None: what the law commands.
+            gains: from this step on, as of `with_gains`.
 
         Returns:
-            The state after the step, and a sample with the fields of `mjx_climb.Trajectory` without the axis of time,
-            which is the state at the start of the step, and the forces and accelerations that act in it.
+            The state after the step, and a sample with the fields of `mjx_climb.Trajectory`, batch axes in place of
+            time: the state at the start of the step, and the forces and accelerations that act in it.
 
         Raises:
-            ValueError: an action of another shape.
+            ValueError: an action of another shape; gains as of `with_gains`.
         """
-        action = checked_action(action, load_robot(self.scenario.robot), state.parameters.gravity.dtype)
-        after: tuple[SimulationState, Sample] = _carried_out(_step, self._structure_of(state))(state, action)
-        return after
+        if gains is not None:
+            state = self.with_gains(state, gains)
+        shape, robot = state.step.shape, load_robot(self.scenario.robot)
+        action = checked_action(action, robot, state.parameters.gravity.dtype, shape)
+        axes = axes_behind(state, shape), jax.tree.map(lambda _: 2 if isinstance(action, JointTargets) else 1, action)
+        one_step: Callable[..., tuple[SimulationState, Sample]] = _carried_out(_step, self._structure_of(state))
+        return over_batch(one_step, (state, action), axes, shape)
 
     def _structure_of(self, state: SimulationState) -> Structure:
-        """Return the structure of a robot's walk, with the stages of hardware and the planner that it began with."""
-        planning = 0 if state.carry.progress is None else self.scenario.planning_steps
+        """Return the structure of a robot's walk, with the stages of hardware and the gait that it began with."""
+        planning = planning_steps(self.scenario, state.parameters)
         return self.structure._replace(stages=state.setup.hardware.stages, planning=planning)
 
     def with_gains(self, state: SimulationState, gains: AnyGains) -> SimulationState:

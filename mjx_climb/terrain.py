@@ -47,7 +47,8 @@ def footholds(scenario: Scenario) -> np.ndarray:
 def _foothold_count(scenario: Scenario) -> int:
     """Return how many footholds a limb uses in a walk, at most, the first one included."""
     # a walk of whole cycles has no further foothold by rounding
-    return math.ceil(scenario.duration / scenario.gait.cycle - 1e-9) + 1
+    cycle: float = scenario.gait.cycle
+    return math.ceil(scenario.duration / cycle - 1e-9) + 1
 
 
 def check_reach(scenario: Scenario, source: str = "scenario") -> None:
@@ -66,8 +67,11 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
             name = robot.limbs[limb := int(np.argmax(np.where(missed > MET, np.abs(above), -1)))]
             key = f"ground.footholds.{name}.{n}" if scenario.ground.footholds is not None else "ground.map"
             raise ConfigError(
-                f"{source}: {key}: expected footholds within reach and joint limits, got one of {name} at "
-                f"{height[limb]:g} m, {above[limb]:+.3g} m from the mean, missed by {missed[limb] * 1e3:.2g} mm"
+                source,
+                key,
+                "footholds within reach and joint limits",
+                f"one of {name} at {height[limb]:g} m, {above[limb]:+.3g} m from the mean, missed by "
+                f"{missed[limb] * 1e3:.2g} mm",
             )
 
 
@@ -98,8 +102,10 @@ def _check_stride(scenario: Scenario, source: str) -> None:
         low, high = (low, middle) if (missed(middle) & free).any() else (middle, high)
     digit = 10.0 ** (math.floor(math.log10(low)) - 1) if low else 1.0
     raise ConfigError(
-        f"{source}: gait.stride: expected at most {math.floor(low / digit) * digit:.2g} m, which keeps all feet within "
-        f"reach and joint limits, got {gait.stride:g}"
+        source,
+        "gait.stride",
+        f"at most {math.floor(low / digit) * digit:.2g} m, which keeps all feet within reach and joint limits",
+        f"{gait.stride:g}",
     )
 
 
@@ -120,8 +126,10 @@ def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> n
         x, y = points[limb, n]
         far = np.array(ground.origin) + ground.resolution * np.array([columns - 1, rows - 1])
         raise ConfigError(
-            f"{ground.file}: ground.map: expected a map that covers foothold {n} of {limbs[limb]} at x {x:.4g}, "
-            f"y {y:.4g} m, got x {ground.origin[0]:g} to {far[0]:g}, y {ground.origin[1]:g} to {far[1]:g} m"
+            ground.file,
+            "ground.map",
+            f"a map that covers foothold {n} of {limbs[limb]} at x {x:.4g}, y {y:.4g} m",
+            f"x {ground.origin[0]:g} to {far[0]:g}, y {ground.origin[1]:g} to {far[1]:g} m",
         )
     i, j = (np.clip(np.floor(v).astype(int), 0, n - 2) for v, n in ((row, rows), (column, columns)))
     u, v = row - i, column - j

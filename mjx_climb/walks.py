@@ -156,7 +156,7 @@ def _walked(
 def _over_steps(
     walk: Walk, step: Callable[..., PyTree], begun: PyTree, inputs: PyTree, scan: Scan = jax.lax.scan
 ) -> tuple[PyTree, PyTree]:
-    """Return the last carry and the records of a walk's steps, by periods of the planner where there is one.
+    """Return the last carry and the records of a walk's steps, by periods of a gait that looks ahead.
 
     What is carried is a `Carry`, or a pair of one and running metrics; what is read is nothing, or begins with steps.
     """

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from tuning.comparisons.degraded import degrade as degrade
     from tuning.comparisons.judge import evaluate as evaluate
     from tuning.comparisons.judge import evaluate_shard as evaluate_shard
-    from tuning.comparisons.judge import judge as judge
-    from tuning.comparisons.judge import judge_shard as judge_shard
     from tuning.comparisons.merge import merge as merge
     from tuning.identification.fit.identify import identify as identify
     from tuning.identification.plan.excitation import excite as excite

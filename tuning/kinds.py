@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tuning.background import Stage, silent
 from tuning.comparisons import degraded as degrading
-from tuning.comparisons import judge as judging
-from tuning.comparisons import of_ensemble, of_front, of_laws, of_search, of_sweep
-from tuning.comparisons.worth import of_schedule
+from tuning.comparisons import of_draw, of_ensemble, of_front, of_laws, of_schedule, of_search, of_sweep
 from tuning.pages import ceiling, degraded, judge, laws, pareto, robust, schedule, sweep, tune
 from tuning.pages.contents import Contents, Written, files_of
 from tuning.pages.page import Origin
 from tuning.pages.section import SectionOf, load_section, sections_of
 from tuning.results.ceiling import Bounded
-from tuning.results.degraded import Degraded
 from tuning.results.front import Front
-from tuning.results.judged import Comparison, Judged
+from tuning.results.judged import Comparison, Degraded, Judged
 from tuning.results.result import Result
 from tuning.results.scheduled import Scheduled
 from tuning.results.swept import Swept
@@ -45,10 +42,10 @@ KINDS: Mapping[type[Result], Kind] = {
     Robust: Kind(of_ensemble.compare, robust.contents),
     Front: Kind(lambda found, stage, _: of_front.compare(found, stage), pareto.contents),
     Comparison: Kind(lambda found, stage, _: of_laws.compare(found, stage), laws.contents),
-    Judged: Kind(lambda found, *_: judging.summary(found.data), judge.contents),
+    Judged: Kind(lambda found, stage, _: of_draw.compare(found, stage), judge.contents),
     Degraded: Kind(lambda found, *_: degrading.summary(found.data), degraded.contents),
     Bounded: Kind(lambda *_: None, ceiling.contents),
-    Scheduled: Kind(lambda found, *_: of_schedule(found.data), schedule.contents),
+    Scheduled: Kind(lambda found, *_: of_schedule.compare(found), schedule.contents),
 }
 
 

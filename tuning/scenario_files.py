@@ -27,7 +27,7 @@ def copied(scenario: Scenario, folder: str | os.PathLike[str]) -> Scenario:
 
     def copy(key: str, file: str) -> str:
         # a folder by the key: robot, ground, law, metrics.0
-        place = key.removeprefix("own.").removesuffix(".file").removesuffix(".map")
+        place = key.removeprefix("own.").removesuffix(".file").removesuffix(".map").removesuffix(".kind")
         target, sources = Path(folder).absolute() / FOLDER / place, needed(Path(file))
         root = Path(os.path.commonpath([other.parent for other in sources]))
         for source in sources:

@@ -31,9 +31,11 @@ def _rows(key: str, field: dict[str, Any], models: dict[str, Any]) -> Iterator[t
     choices = ", ".join(f"`{choice}`" for choice in field.get("enum", ()))
     meaning = "; ".join(filter(None, (field.get("description", ""), choices))).replace("|", "\\|")
     yield key, default, meaning
+    shown = set()  # a kind of a section repeats some
     for model in below:
         for name, inner in model.get("properties", {}).items():
-            yield from _rows(f"{key}.{name}", inner, models)
+            yield from _rows(f"{key}.{name}", inner, models) if name not in shown else ()
+            shown.add(name)
         for name in _models(model.get("additionalProperties") or {}):  # keys are names of the user's
             for inner, value in models[name].get("properties", {}).items():
                 yield from _rows(f"{key}.NAME.{inner}", value, models)

@@ -45,7 +45,7 @@ THRESHOLDS = {
     "rest_time": (0.3,),
 }
 KINDS = [*itertools.product(GRAVITY, LENGTHS)]  # of pushes
-PERIOD = 0.02  # s, of the planner
+PERIOD = 0.02  # s, between decisions of the gait
 
 
 def walker(hardware: str, law: str, seconds: float) -> tuple[mc.Simulation, object]:

@@ -64,8 +64,10 @@ def law_of(scenario: Scenario) -> Law:
     """
     if scenario.own is not None and scenario.own.law is not None:
         raise ConfigError(
-            f"scenario: own.law: expected the law beside the scenario, got none: {scenario.own.law.name} is loaded by "
-            "tuning.gains.own_section.taken(scenario)"
+            "scenario",
+            "own.law",
+            "the law beside the scenario",
+            f"none: {scenario.own.law.name} is loaded by tuning.gains.own_section.taken(scenario)",
         )
     law, control = LAWS[scenario.control.controller, scenario.control.reading], scenario.control
     values = {name: getattr(control, name) for name in law.GAINS}

@@ -23,9 +23,10 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import PyTree
 
-from mjx_climb.component import Component, ValueField, value_field
+from mjx_climb.component import Component
 from mjx_climb.execution import reached
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
+from mjx_climb.value_field import ValueField, value_field
 
 LONG = 1e3  # s, the times of a reference whose limbs are not said to swing
 

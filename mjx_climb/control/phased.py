@@ -17,9 +17,9 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import PyTree
 
-from mjx_climb.component import ValueField
 from mjx_climb.control.combined import Made, Part, Sum, law_class, product
 from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start, constants, gain
+from mjx_climb.value_field import ValueField
 
 PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as they stand behind a gain's name
 

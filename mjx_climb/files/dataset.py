@@ -153,7 +153,7 @@ def scenario_of(dataset: xr.Dataset) -> Scenario:
     """
     source = str(dataset.encoding.get("source", "dataset"))
     if "scenario" not in dataset.attrs:
-        raise ConfigError(f"{source}: expected an attribute 'scenario', got none")
+        raise ConfigError(source, "", "an attribute 'scenario'", "none")
     return Scenario.from_yaml(dataset.attrs["scenario"], source).beside(Path(source).parent)
 
 
@@ -234,7 +234,7 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
     except (OSError, ValueError, LookupError, TypeError, RuntimeError) as error:  # what its readers raise
         number = getattr(error, "errno", None)  # HDF5's own text is long
         reason = os.strerror(number) if number else "another file, or a damaged one"
-        raise ConfigError(f"{os.fspath(path)}: expected a netCDF4 file, got {reason.lower()}") from None
+        raise ConfigError(os.fspath(path), "", "a netCDF4 file", reason.lower()) from None
 
 
 def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
@@ -247,7 +247,7 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     """
     dataset = load(path)
     if missing := sorted(_NEEDED - set(dataset.variables)):
-        raise ConfigError(f"{os.fspath(path)}: expected a walk, got a dataset without {missing[0]}")
+        raise ConfigError(os.fspath(path), "", "a walk", f"a dataset without {missing[0]}")
     dtype = dataset["base_position"].dtype
     # a file of an older version lacks what was not known then
     arrays = unknown(dataset.sizes["time"], {str(dim): size for dim, size in dataset.sizes.items()}, dtype)
@@ -257,11 +257,11 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     gains = Gains(**by_name) if of_the_paper else by_name
     with jax.enable_x64(dtype == np.float64):
         # to read a walk runs no file
-        bare = scenario_of(dataset).with_own(contact=None, drive=None, disturbances=[], footholds=None)
+        bare = scenario_of(dataset).without_kinds()
         own: Parameters = jax.tree.map(np.asarray, parameters(bare, dtype))
     numbers = _from_json(dataset.attrs["parameters"], dtype)
     if "contact_stiffness" in numbers:
-        raise ConfigError(f"{os.fspath(path)}: expected a walk of release 2, got an older one: walk its config again")
+        raise ConfigError(os.fspath(path), "", "a walk of release 2", "an older one: walk its config again")
     pushes = {name.split(".")[2] for name in numbers if name.startswith("disturbance.pushes.")}
     own = dataclasses.replace(own, disturbances=(*own.disturbances[:1], *(Push() for _ in pushes)))
     shaped = {n: v.reshape(np.shape(own.at(n))) if not v.size else v for n, v in numbers.items() if n in own.paths}

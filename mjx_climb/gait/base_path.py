@@ -63,7 +63,8 @@ def swayed(sway: Sway, phase: float | AnyArray) -> AnyArray:
 
 def raised(name: str | RobotFile, gait: Gait) -> np.ndarray:
     """Return how far the gait has a robot's base from where it is in the rest stance, (3,) m, but for its sway."""
-    return (gait.height - 1) * load_robot(name).stance_position * [0, 0, 1]
+    lift: float = gait.height - 1
+    return lift * load_robot(name).stance_position * [0, 0, 1]
 
 
 def planned_feet(name: str | RobotFile, gait: Gait, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,8 +105,10 @@ def check_base(scenario: Scenario, source: str = "scenario") -> None:
                 low, high = (low, middle) if missed else (middle, high)
             expected = f"at {'most' if value > none else 'least'} {low:.3g}"
             raise ConfigError(
-                f"{source}: gait.{key}: expected {expected}, with which all feet are within reach and joint limits, "
-                f"got {value:g}"
+                source,
+                f"gait.{key}",
+                f"{expected}, with which all feet are within reach and joint limits",
+                f"{value:g}",
             )
 
 

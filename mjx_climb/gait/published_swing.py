@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.gait.swing import COUNT, added_shapes, lift, rest_to_rest
-from mjx_climb.scenario.messages import ConfigError, config_error
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Gait, SwingFile
 
 _SAMPLES = 201  # of a curve
@@ -49,7 +49,7 @@ def published_path(swing: SwingFile, gait: Gait, limbs: int) -> np.ndarray:
     height = float(np.interp(0.5, read.phase, way @ up) / max(np.linalg.norm(up), 1e-12))
     if length < 1e-6 or not height > 0:
         got = f"{length:g} m long and {height:g} m high"
-        raise config_error(swing.file, "gait.swing_file", "a swing that rises on its way, z up", got)
+        raise ConfigError(swing.file, "gait.swing_file", "a swing that rises on its way, z up", got)
     up = up / np.linalg.norm(up)
     share = np.stack([way @ ahead, way @ np.cross(up, ahead)]) / length
     horizontal, vertical = (np.stack(shapes, axis=1) for shapes in added_shapes(read.phase))
@@ -71,7 +71,7 @@ def _read(file: str, frame: str) -> Swing:
     readers = {".txt": _bezier, ".csv": _exported, ".db3": _recorded, ".mcap": _recorded}
     path = Path(file)
     if (reader := readers.get(path.suffix.lower())) is None:
-        raise config_error(file, "gait.swing_file", f"a swing as {', '.join(readers)}", path.suffix or "no suffix")
+        raise ConfigError(file, "gait.swing_file", f"a swing as {', '.join(readers)}", path.suffix or "no suffix")
     try:
         return reader(path, frame)
     except ConfigError:
@@ -79,7 +79,7 @@ def _read(file: str, frame: str) -> Swing:
     # libraries raise what their decoders do, on files that are damaged
     except Exception as error:
         reason = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]
-        raise config_error(file, "gait.swing_file", "a whole file with a swing", reason) from None
+        raise ConfigError(file, "gait.swing_file", "a whole file with a swing", reason) from None
 
 
 def _bezier(path: Path, frame: str) -> Swing:

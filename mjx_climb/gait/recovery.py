@@ -1,6 +1,6 @@
 """Recovery: when a walk is interrupted, where a limb in the air comes down, and what the base does.
 
-A planner looks at the robot every planning period. Where the base is too far from its reference, a grip is near its
+The gait looks at the robot every planning period. Where the base is too far from its reference, a grip is near its
 limit, or the margin is small, the gait's own time stands still for a while, limbs in the air come down on the point
 that lets the feet bear best the force which stops the robot, and the base reference moves to where the base is, or so
 far towards it. From there it returns to the planned path as the gait goes on.
@@ -9,28 +9,27 @@ far towards it. From there it returns to the planned path as the gait goes on.
 import dataclasses
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.component import Component, parameter
-from mjx_climb.control import Law
+from mjx_climb.component import Component
+from mjx_climb.control import Law, Reference
+from mjx_climb.gait.footholds.choice import Candidates, best, within_reach
+from mjx_climb.gait.footholds.held import upright
+from mjx_climb.gait.gait import Body, Gait
+from mjx_climb.gait.own_swings import OwnSwings, Swings, at_tick, clock_at, with_swings
+from mjx_climb.gait.schedule import Schedule
+from mjx_climb.gait.swing import rest_to_rest
+from mjx_climb.physics.kinematics import Surface
 from mjx_climb.physics.margins import gia_margin, support_axes, tumbling_moment
 from mjx_climb.physics.spatial import norm
+from mjx_climb.scenario import declared
 
 
-class Recovery(Component):
+class Recovery(declared.Recovery, Component):
     """Thresholds, any of which interrupts the gait, and how it is interrupted."""
-
-    shift: Array = parameter("m", bounds=(0.0, np.inf), default=np.inf, long_name="shift of the base that interrupts")
-    utilization: Array = parameter("1", bounds=(0.0, np.inf), default=np.inf, long_name="use of a grip that interrupts")
-    margin: Array = parameter("m/s^2", bounds=(0.0, np.inf), default=0.0, long_name="GIA margin that interrupts")
-    lead_time: Array = parameter("s", bounds=(0.0, np.inf), default=0.02, long_name="time until the predicted use")
-    landing_time: Array = parameter("s", bounds=(0.0, np.inf), default=0.25, long_name="time of a landing")
-    rest_time: Array = parameter("s", bounds=(0.0, np.inf), default=1.2, long_name="time at rest after a landing")
-    take_over: Array = parameter("1", bounds=(0.0, 1.0), default=0.3, long_name="share of a shift that is taken over")
-    return_time: Array = parameter("s", bounds=(0.0, np.inf), default=1.0, long_name="time of the base's return")
-    reach: Array = parameter("m", bounds=(0.0, np.inf), default=0.03, long_name="how far beside itself a foot may land")
 
 
 def recovery_of(law: Law, own: Recovery | None) -> Recovery | None:
@@ -45,21 +44,6 @@ class Danger(NamedTuple):
     shift: Array  # () m, of the base from its reference
     utilization: Array  # () 1, largest predicted share of a grip's limit
     margin: Array  # () m/s^2, GIA margin
-
-
-class Body(NamedTuple):
-    """What is known of the robot as a whole; world axes."""
-
-    mass: Array  # () kg
-    center_of_mass: Array  # (3,) m
-    velocity: Array  # (3,) m/s, of the base
-    weight: Array  # (3,) N
-    feet: Array  # (limb, 3) m
-    support: Array  # (limb,) bool
-    foot_force: Array  # (limb, 3) N
-    holding_force: Array  # () N, pull that a grip bears; 0: any, or none
-    normal: Array  # (limb, 3) 1, of the ground at the feet
-    pull: Array  # () N, that margins may count on; on holds (limb, 3), times their normals
 
 
 def danger(recovery: Recovery, body: Body, force_rate: Array, shift: Array) -> Danger:
@@ -104,3 +88,119 @@ def stopping_margin(recovery: Recovery, body: Body, landing: Array, position: Ar
     force = -body.weight - body.mass * body.velocity / time
     middle = body.center_of_mass + body.velocity * time / 2
     return tumbling_moment(support_axes(feet, support), (force, jnp.cross(middle, force)), body.pull)
+
+
+class Interruptions(NamedTuple):
+    """Memory of a gait that is interrupted; times in steps."""
+
+    swings: Swings
+    resumes: Array  # () step at which the gait's own time goes on
+    offset: Array  # (3,) m, of the base reference from its path
+    offset_since: Array  # () the gait's time since which it shrinks
+    force: Array  # (limb, 3) N, on the feet at the last tick
+    interruptions: Array  # () number of interruptions
+
+
+class RecoveringGait(Gait):
+    """A gait that is interrupted where the robot is in danger."""
+
+    gait: OwnSwings = dataclasses.field(metadata={"tree": True})
+    recovery: Recovery = dataclasses.field(metadata={"tree": True})
+
+    def init(self) -> tuple[Interruptions, Reference]:
+        """The memory of a robot that has not been interrupted."""
+        swings, reference = self.gait.init()
+        zero, nowhere = jnp.zeros_like(swings.clock), jnp.zeros_like(reference.base_position)
+        return Interruptions(swings, zero, nowhere, zero, jnp.zeros_like(swings.goal), zero), reference
+
+    def schedule(self, memory: Interruptions, step: Array) -> Schedule:
+        """The phases of the limbs in their own swings."""
+        return self.gait.schedule(memory.swings, step)
+
+    def ground(self, memory: Interruptions, now: Schedule) -> tuple[Array, Surface | None]:
+        """The ground below the feet."""
+        return self.gait.ground(memory.swings, now)
+
+    def share_of_limits(self, memory: Interruptions, now: Schedule, foot_force: Array) -> Array | None:
+        """The shares of the holds' limits."""
+        return self.gait.share_of_limits(memory.swings, now, foot_force)
+
+    def pulls(self, memory: Interruptions, now: Schedule, surface: Surface | None, holding_force: Array) -> Array:
+        """The pulls that margins may count on."""
+        return self.gait.pulls(memory.swings, now, surface, holding_force)
+
+    def reference(
+        self, memory: Interruptions, now: Schedule, step: Array, base_position: Array, grip_point: Array
+    ) -> tuple[Interruptions, Reference]:
+        """The memory after a step, and the reference at it, off its path after an interruption."""
+        swings, found = self.gait.reference(memory.swings, now, step, base_position, grip_point)
+        found = found._replace(base_position=found.base_position + self._offset(memory, step))
+        return memory._replace(swings=swings), found
+
+    def _offset(self, memory: Interruptions, step: Array) -> Array:
+        """How far the base reference is from its path, (3,) m."""
+        steps = jnp.maximum(self.recovery.return_time / self.gait.time_step, 1.0)
+        phase = jnp.clip((clock_at(memory.swings, step) - memory.offset_since) / steps, 0.0, 1.0)
+        return memory.offset * (1 - rest_to_rest(phase))
+
+    def look_ahead(
+        self, memory: Interruptions, now: Schedule, step: Array, reference: Reference, body: Body
+    ) -> Interruptions:
+        """The memory with an interruption, where a threshold is passed, and with the swings of a gait that goes on."""
+        recovery, time_step, offset = self.recovery, self.gait.time_step, self._offset(memory, step)
+        swings = at_tick(memory.swings, step)
+        at, rate = swings.step, (body.foot_force - memory.force) / (self.gait.period * time_step)
+        shift = body.base_position - reference.base_position
+        near = danger(recovery, body, rate, shift)
+        share = self.gait.share_of_limits(swings, now, body.foot_force + recovery.lead_time * rate)
+        if share is not None:
+            used = jnp.where(body.support, share, 0.0).max()
+            near = near._replace(utilization=jnp.maximum(near.utilization, used))
+        stops, stood_still = interrupts(recovery, near) & (at > 0), memory.resumes > at
+        landing_steps = jnp.ceil(recovery.landing_time / time_step) + 1
+        lands = ~now.closed & stops & (swings.span - (at - swings.begun) > landing_steps)
+        swings = self._landing(swings, lands, landing_steps, now, reference, body)
+        resumes = jnp.where(stops, at + landing_steps + jnp.ceil(recovery.rest_time / time_step), memory.resumes)
+        swings = swings._replace(running=jnp.where(resumes > at, 0.0, 1.0).astype(swings.clock.dtype))
+        return Interruptions(
+            swings=self.gait.lift_off(swings, now, reference.base_position - offset, body),
+            resumes=resumes,
+            offset=jnp.where(stops, offset + recovery.take_over * shift, memory.offset),
+            # an offset begins to shrink when the gait goes on
+            offset_since=jnp.where(stops, swings.clock, memory.offset_since),
+            force=body.foot_force,
+            interruptions=memory.interruptions + jnp.where(stops & ~stood_still, 1.0, 0.0),
+        )
+
+    def _landing(
+        self, swings: Swings, lands: Array, steps: Array, now: Schedule, reference: Reference, body: Body
+    ) -> Swings:
+        """The swings of which some limbs (limb,) come down in so many `steps` (), where the robot is stopped best."""
+        recovery, holds, (ground, _) = self.recovery, self.gait.holds, self.gait.ground(swings, now)
+        below = jnp.concatenate([reference.foot_position[:, :2], ground[:, None]], axis=1)
+
+        def score(position: Array, one: Candidates) -> Array:
+            grip = one.with_feet(position, body.holding_force)
+            pull = grip.pull if one.holds is None else jnp.where(lands[:, None], grip.pull * grip.normal, body.pull)
+            worth = stopping_margin(recovery, body._replace(pull=pull), lands, position)
+            # of equal ones the nearest
+            return worth - 1e-6 * jnp.sum((position - reference.foot_position) ** 2, axis=1)
+
+        def allowed(position: Array) -> Array:
+            ahead = body.base_position + recovery.landing_time * body.velocity
+            target = (position - ahead) @ body.base_rotation
+            return jnp.asarray(within_reach(self.gait.robot, self.gait.geometry, target))
+
+        if holds is None:
+            ways = ways_beside(below.dtype) * recovery.reach
+            each, otherwise = Candidates(ways, jnp.ones_like(ways[:, 0])), (below, swings.held)
+        else:
+            each, otherwise = Candidates.of(holds), (swings.goal, swings.held)
+        goal, held = jax.lax.cond(
+            lands.any(), lambda: best(score, allowed, each, otherwise, body.weight), lambda: otherwise
+        )
+        left = None if holds is None else upright(below)
+        return with_swings(
+            swings, lands, start=reference.foot_position, goal=goal, below=ground, begun=swings.step, span=steps,
+            rise=0.0, held=held, left=left,
+        )  # fmt: skip

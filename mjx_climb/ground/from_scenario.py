@@ -13,7 +13,7 @@ from mjx_climb.ground.height_map import holdable
 from mjx_climb.ground.holds import Holds, of
 from mjx_climb.ground.readers import table_of
 from mjx_climb.scenario import model
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.values import MAX_COUNT
 
 # names of normals in files, of ROS and PLY, and of PCL
@@ -42,16 +42,16 @@ def holds_of(ground: model.Ground) -> Holds | None:
     with np.errstate(all="ignore"):
         position, normal, limit = _FOUND[name](source, random, turn)
     if not ((np.abs(position) <= _FARTHEST).all() and np.isfinite(normal).all()):
-        raise config_error(place, key, f"finite positions, {_FARTHEST:g} m at most, and normals", "others")
+        raise ConfigError(place, key, f"finite positions, {_FARTHEST:g} m at most, and normals", "others")
     if section.limit is not None:
         limit = np.where(np.isnan(limit), section.limit, limit)
     limit = limit * np.exp(section.spread * random.standard_normal(limit.size))
     kept = _thinned(position, limit, section.spacing)
     if not kept.size:
-        raise config_error(place, key, "one point that can be held", "none")
+        raise ConfigError(place, key, "one point that can be held", "none")
     if kept.size > (most := section.count or MAX_COUNT):
         key = "ground.holds.count" if section.count else key
-        raise config_error(place, key, f"{most} points at most (ground.holds.spacing thins them out)", str(kept.size))
+        raise ConfigError(place, key, f"{most} points at most (ground.holds.spacing thins them out)", str(kept.size))
     shape = section.polyhedron
     return of(
         position[kept] @ turn.T + section.at,
@@ -93,7 +93,7 @@ def _from_file(cloud: model.HoldCloud, random: np.random.Generator, turn: np.nda
     position = table.values(*"xyz")
     if (far := np.abs(position) > _FARTHEST).any():
         expected = f"{_FARTHEST:g} m at most, or nan for a gap"
-        raise config_error(cloud.file, "x, y, z", expected, f"{position[far][0]:g}")
+        raise ConfigError(cloud.file, "x, y, z", expected, f"{position[far][0]:g}")
     there = ~np.isnan(position).any(1)
     position = position[there]
     named = next((names for names in _NORMALS if {*names} <= {*table.names}), None)
@@ -112,7 +112,7 @@ def _from_file(cloud: model.HoldCloud, random: np.random.Generator, turn: np.nda
         limit = cloud.limit_unit * table.values(name)[there, 0]
         if not (limit >= 0).all():
             got = f"nan at {np.isnan(limit).sum()} points" if np.isnan(limit).any() else f"{limit.min():g}"
-            raise config_error(cloud.file, name, "limits of 0 or above", got)
+            raise ConfigError(cloud.file, name, "limits of 0 or above", got)
     return position, normal, limit
 
 

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 from jax import Array
 
-from mjx_climb.component import FINITE, Component, parameter
+from mjx_climb.component import Component, parameter
 from mjx_climb.ground.holds import Holds
+from mjx_climb.value_field import FINITE
 
 
 class Ground(Component):

@@ -8,7 +8,7 @@ import numpy as np
 
 from mjx_climb.ground.readers.csv_file import cells, numbers
 from mjx_climb.ground.table import reading, real
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import HeightMap, HoldMap
 
 
@@ -35,7 +35,7 @@ def holdable(ground: HoldMap) -> tuple[np.ndarray, np.ndarray]:
         if mask.shape != heights.shape:
             expected = f"the {heights.shape[0]} rows and {heights.shape[1]} columns of the map"
             got = f"{mask.shape[0]} and {mask.shape[1]}"
-            raise config_error(ground.mask, "ground.holds.map.mask", expected, got)
+            raise ConfigError(ground.mask, "ground.holds.map.mask", expected, got)
         held &= mask > 0
     slope = np.stack(np.gradient(heights, ground.resolution)[::-1], axis=-1)
     slope = np.where(np.isfinite(slope).all(-1, keepdims=True), slope, 0.0)
@@ -54,13 +54,13 @@ def grid_of(file: str, key: str = "ground.map.file", gaps: bool = False) -> np.n
     readers: dict[str, Callable[[str], np.ndarray]] = {".csv": _csv, ".npy": _npy, ".png": _png}
     suffix = Path(file).suffix.lower()
     if suffix not in readers:
-        raise config_error(file, key, "a .csv, .npy or .png", suffix or "no suffix")
+        raise ConfigError(file, key, "a .csv, .npy or .png", suffix or "no suffix")
     with reading(file, key, "a grid of numbers"):
         grid = real(readers[suffix](file), file, key)
     usable = not np.isinf(grid).any() if gaps else np.isfinite(grid).all()
     if grid.ndim != 2 or min(grid.shape) < 2 or not usable:
         got = "values that are not finite" if grid.ndim == 2 and min(grid.shape) > 1 else f"shape {grid.shape}"
-        raise config_error(file, key, "two rows and columns or more of finite numbers", got)
+        raise ConfigError(file, key, "two rows and columns or more of finite numbers", got)
     return grid
 
 

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Handrails, HoldWall, Pipe, Rock, Truss
 from mjx_climb.scenario.values import MAX_COUNT
 
@@ -109,7 +109,7 @@ def _lattice(length: float, width: float, bay: float, pitch: float) -> np.ndarra
 def _check(rule: str, *factors: float) -> None:
     """Refuse a rule that would make too many points, some product of factors."""
     if (number := math.prod(factors)) > _MOST:
-        raise config_error("scenario", f"ground.holds.{rule}", f"{_MOST} points at most", f"some {number:.3g}")
+        raise ConfigError("scenario", f"ground.holds.{rule}", f"{_MOST} points at most", f"some {number:.3g}")
 
 
 def _spread(length: float, pitch: float) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from mjx_climb.scenario.messages import ConfigError, config_error
+from mjx_climb.scenario.messages import ConfigError
 
 Column = tuple[str, np.ndarray]
 
@@ -33,9 +33,9 @@ class Table(NamedTuple):
         for name in names:
             if not (times := self.names.count(name)):
                 expected = f"columns {', '.join(names[:-1])} and {names[-1]}" if names[1:] else f"a column {name}"
-                raise config_error(self.file, name, expected, ", ".join(self.names) or "none")
+                raise ConfigError(self.file, name, expected, ", ".join(self.names) or "none")
             if times > 1:
-                raise config_error(self.file, name, "one column of this name", str(times))
+                raise ConfigError(self.file, name, "one column of this name", str(times))
         held = dict(self.columns)
         return np.stack([real(held[name], self.file, name) for name in names], axis=-1)
 
@@ -48,7 +48,7 @@ def real(values: object, file: str, key: str) -> np.ndarray:
     """
     array = np.asarray(values)
     if array.dtype.kind not in "biuf":
-        raise config_error(file, key, "real numbers", f"values of type {array.dtype}")
+        raise ConfigError(file, key, "real numbers", f"values of type {array.dtype}")
     return array.astype(float)
 
 
@@ -73,4 +73,4 @@ def reading(file: str, key: str, expected: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]
-        raise config_error(file, key, expected, reason) from None
+        raise ConfigError(file, key, expected, reason) from None

@@ -6,16 +6,12 @@ from typing import NamedTuple
 from jax import Array
 from jaxtyping import PyTree
 
-from mjx_climb.component import NONNEGATIVE, POSITIVE, Component, parameter
+from mjx_climb.component import Component
+from mjx_climb.scenario import declared
 
 
-class JointLoop(Component):
+class JointLoop(declared.JointLoop, Component):
     """Gains of the joint loop, those of all joints alike."""
-
-    kp: Array = parameter("N m/rad", bounds=POSITIVE, default=50.0, long_name="joint gain kp")
-    kd: Array = parameter("N m s/rad", bounds=NONNEGATIVE, default=0.2, long_name="joint gain kd")
-    ki: Array = parameter("N m/(rad s)", bounds=NONNEGATIVE, default=0.0, long_name="joint gain ki")
-    safe_kp: Array = parameter("N m/rad", bounds=POSITIVE, default=50.0, long_name="joint gain kp without a sensor")
 
 
 class ActuatorGains(NamedTuple):

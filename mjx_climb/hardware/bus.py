@@ -10,24 +10,21 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from mjx_climb.arrays import Tree
-from mjx_climb.component import NONNEGATIVE, Component, parameter
+from mjx_climb.component import Component
 from mjx_climb.parameter_types import ROUNDING, whole_steps
+from mjx_climb.scenario import declared
 from mjx_climb.scenario.model import MAX_DELAY
 
 _MULTIPLE = 4  # lengths of buffers are rounded up to it, so that other delays seldom need another program
 Buffer = tuple[Array, ...]  # samples, newest first
 
 
-class Bus(Component):
+class Bus(declared.Bus, Component):
     """The bus between law and joints, and the seed of all noise.
 
     `interpolation` of joint targets between two control periods: "hold", or "linear".
     """
 
-    control_period: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="control period", in_steps=True)
-    command_delay: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="delay of commands")
-    # below 2^24 single precision holds every whole number
-    seed: Array = parameter("1", bounds=(0.0, 2.0**24 - 1), default=0.0, long_name="seed of all noise")
     interpolation: str = "hold"
 
 

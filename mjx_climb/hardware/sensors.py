@@ -6,28 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.component import FINITE, NONNEGATIVE, POSITIVE_OR_INFINITE, UNLIMITED, Component, parameter
+from mjx_climb.component import Component, parameter
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.parameter_types import whole_steps
 from mjx_climb.physics.noise import normal
 from mjx_climb.physics.spatial import quaternion_normalize
 from mjx_climb.physics.state import State
+from mjx_climb.scenario import declared
+from mjx_climb.value_field import UNLIMITED
 
 BASE_CHANNELS = 1000  # of the noise of the base estimate, the first; the force sensors have those before
 
 
-class ForceSensors(Component):
+class ForceSensors(declared.ForceSensors, Component):
     """The force sensors of the feet; `filtered_by` the "sensor" every time step, or the "law" what it samples."""
 
-    delay: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="delay of the force sensors")
-    noise: Array = parameter("N", bounds=NONNEGATIVE, default=0.0, long_name="noise of the force sensors")
-    bias: Array = parameter("N", bounds=FINITE, default=0.0, long_name="offset of the force sensors")
-    resolution: Array = parameter("N", bounds=NONNEGATIVE, default=0.0, long_name="resolution of the force sensors")
-    # infinite: none
-    filter: Array = parameter(
-        "Hz", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="cut-off of the force filter"
-    )
     # (limb,) from when on a sensor reads 0; infinite: never
     dead: Array = parameter(
         "s",
@@ -40,12 +34,8 @@ class ForceSensors(Component):
     filtered_by: str = "sensor"
 
 
-class BaseEstimate(Component):
+class BaseEstimate(declared.BaseEstimate, Component):
     """What the law knows of the base's pose and rates."""
-
-    delay: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="delay of the base estimate")
-    position_noise: Array = parameter("m", bounds=NONNEGATIVE, default=0.0, long_name="noise of the base's position")
-    velocity_noise: Array = parameter("m/s", bounds=NONNEGATIVE, default=0.0, long_name="noise of the base's velocity")
 
 
 class ForceSensor(NamedTuple):

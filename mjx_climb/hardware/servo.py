@@ -19,14 +19,13 @@ import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from mjx_climb.arrays import AnyArray
-from mjx_climb.component import NONNEGATIVE, PART, POSITIVE, POSITIVE_OR_INFINITE, parameter
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware.actuator import Actuator, ActuatorGains, Drive, Joints
 from mjx_climb.hardware.stages import Hardware, Stages
+from mjx_climb.scenario import declared
 
 RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a link of 1e-3 kg m^2 under 0.1 N m
 
@@ -56,56 +55,13 @@ def gains_of(hardware: Hardware) -> ActuatorGains:
     return ActuatorGains(*(jnp.asarray(getattr(loop, name)) for name in ActuatorGains._fields))
 
 
-class Servos(Actuator):
+class Servos(declared.Servos, Actuator):
     """The joints' motors and gears, all alike.
 
     `drive`: the joint loop asks for a "torque", or a share of the supply "voltage".
     A limit, a speed, a rate or a voltage that is infinite is none.
     """
 
-    torque_limit: Array = parameter("N m", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="torque limit")
-    no_load_speed: Array = parameter(
-        "rad/s", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="speed without load"
-    )
-    # beside what the robot's file says
-    armature: Array = parameter("kg m^2", bounds=NONNEGATIVE, default=0.0, long_name="armature")
-    coulomb_friction: Array = parameter("N m", bounds=NONNEGATIVE, default=0.0, long_name="dry friction")
-    presliding: Array = parameter("rad", bounds=POSITIVE, default=5e-4, long_name="bend before dry friction slips")
-    viscous_friction: Array = parameter("N m s/rad", bounds=NONNEGATIVE, default=0.0, long_name="viscous friction")
-    load_friction: Array = parameter("1", bounds=NONNEGATIVE, default=0.0, long_name="friction under load")
-    external_load_friction: Array = parameter(
-        "1", bounds=NONNEGATIVE, default=0.0, long_name="friction under external load"
-    )
-    stribeck_friction: Array = parameter("N m", bounds=NONNEGATIVE, default=0.0, long_name="friction of standstill")
-    stribeck_load_friction: Array = parameter(
-        "1", bounds=NONNEGATIVE, default=0.0, long_name="load friction of standstill"
-    )
-    stribeck_external_load_friction: Array = parameter(
-        "1", bounds=NONNEGATIVE, default=0.0, long_name="external load friction of standstill"
-    )
-    quadratic_load_friction: Array = parameter(
-        "1/(N m)", bounds=NONNEGATIVE, default=0.0, long_name="quadratic load friction"
-    )
-    quadratic_external_load_friction: Array = parameter(
-        "1/(N m)", bounds=NONNEGATIVE, default=0.0, long_name="quadratic external load friction"
-    )
-    stribeck_velocity: Array = parameter("rad/s", bounds=POSITIVE, default=0.1, long_name="Stribeck velocity")
-    stribeck_exponent: Array = parameter("1", bounds=POSITIVE, default=1.0, long_name="Stribeck exponent")
-    rate: Array = parameter("Hz", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="rate of the servos' loop")
-    profile_velocity: Array = parameter(
-        "rad/s", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="velocity of goals"
-    )
-    profile_acceleration: Array = parameter(
-        "rad/s^2", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="acceleration of goals"
-    )
-    pwm_limit: Array = parameter("1", bounds=PART, default=1.0, long_name="limit of PWM")
-    current_limit: Array = parameter(
-        "N m", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="torque at the current limit"
-    )
-    rated_voltage: Array = parameter("V", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="rated voltage")
-    supply_voltage: Array = parameter("V", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="supply voltage")
-    backlash: Array = parameter("rad", bounds=NONNEGATIVE, default=0.0, long_name="backlash")
-    delay: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="delay of the servos")
     drive: str = "torque"
     # what a walk is set up for
     hardware: Hardware | None = dataclasses.field(default=None, metadata={"tree": True})

@@ -56,4 +56,4 @@ def content(file: Path) -> bytes:
     try:
         return file.read_bytes()
     except OSError as error:
-        raise ConfigError(f"{file}: expected a readable file, got {(error.strerror or str(error)).lower()}") from None
+        raise ConfigError(file, "", "a readable file", (error.strerror or str(error)).lower()) from None

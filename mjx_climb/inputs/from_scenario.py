@@ -14,7 +14,6 @@ from pydantic import BaseModel
 from mjx_climb.component import AnyComponent, Component, checked_value, with_values
 from mjx_climb.disturbances.on_base import Cargo, Push
 from mjx_climb.execution import check_process
-from mjx_climb.gait.footholds import SHIPPED
 from mjx_climb.gait.footholds.footholds import Footholds
 from mjx_climb.gait.periodic import PeriodicGait
 from mjx_climb.gait.published_swing import published_path
@@ -27,12 +26,12 @@ from mjx_climb.hardware.bus import Bus
 from mjx_climb.hardware.sensors import BaseEstimate, ForceSensors
 from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import DELAYED, Stages, lacking, stages_of
-from mjx_climb.inputs.own_objects import components_of
+from mjx_climb.inputs.own_objects import component_of
 from mjx_climb.parameter_types import Gains, Parameters, is_tracer
 from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.scenario.model import Scenario
+from mjx_climb.scenario.model import FootholdsKind, Kind, Scenario
 from mjx_climb.shapes import check_shape
 from mjx_climb.terrain import foothold_heights
 
@@ -56,18 +55,22 @@ def paths(scenario: Scenario) -> dict[str, dict[str, Any]]:
 
 
 def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
-    """Return the parameters of a scenario in double precision, as arrays of NumPy; files of its section own are run."""
+    """Return the parameters of a scenario in double precision, as arrays of NumPy; files of its kinds are run."""
     check_process()
     control, hardware, happens = scenario.control, scenario.hardware, scenario.disturbance
     dead = hardware.force_sensor.dead
     instants = dict(dead.items()) if dead is not None else {}
     limbs = load_robot(scenario.robot).limbs
     ground: dict[str, Any] = {"foothold_height": foothold_heights(scenario), "holds": holds_of(scenario.ground)}
-    numbers = Parameters(
+
+    def made(place: str, section: Any, plain: type[Component] = Component) -> Any:
+        return component_of(section, place, source) if isinstance(section, Kind) else _of_section(plain, section)
+
+    return Parameters(
         gravity=np.asarray(scenario.gravity, float),
         mass_scale=np.asarray(1.0),
-        contact=_of_section(Gripper, scenario.contact).compiled_for(),
-        drive=_of_section(Servos, hardware.servo),
+        contact=made("contact", scenario.contact, Gripper).compiled_for(),
+        drive=made("hardware.servo", hardware.servo, Servos),
         joint_loop=_of_section(JointLoop, control, safe_kp=control.kp if control.safe_kp is None else control.safe_kp),
         force_sensor=_of_section(
             ForceSensors, hardware.force_sensor, dead=[instants.get(limb, math.inf) for limb in limbs]
@@ -76,13 +79,14 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         bus=_of_section(Bus, hardware),
         gait=_of_section(PeriodicGait, scenario.gait, swing_path=_swing_path(scenario)),
         ground=Ground(**ground),
-        disturbances=(_of_section(Cargo, happens.cargo), *(_of_section(Push, push) for push in happens.pushes)),
-        footholds=_footholds(scenario),
+        disturbances=(
+            _of_section(Cargo, happens.cargo),
+            *(_of_section(Push, push) for push in happens.pushes),
+            *(made(f"disturbance.others.{n}", each) for n, each in enumerate(happens.others)),
+        ),
+        footholds=_footholds(scenario, source),
         recovery=_recovery(scenario),
     )
-    own = {place: each for place, each in components_of(scenario, numbers, source).items() if each is not None}
-    own["disturbances"] = numbers.disturbances + own.get("disturbances", ())
-    return dataclasses.replace(numbers, **own)
 
 
 def _of_section(kind: type[AnyComponent], section: BaseModel, **given: object) -> AnyComponent:
@@ -94,10 +98,13 @@ def _of_section(kind: type[AnyComponent], section: BaseModel, **given: object) -
     return with_values(kind(**values), {})
 
 
-def _footholds(scenario: Scenario) -> Footholds | None:
+def _footholds(scenario: Scenario, source: str) -> Footholds | None:
     """Return the rule that `gait.footholds` names, None of planned ones."""
-    name = scenario.gait.footholds
-    return None if name == "planned" else with_values(SHIPPED[name](), {}, name="footholds")
+    rule, place = scenario.gait.footholds, "gait.footholds"
+    if rule == "planned":
+        return None
+    found: Footholds = component_of(FootholdsKind(kind=rule) if isinstance(rule, str) else rule, place, source)
+    return found
 
 
 def _recovery(scenario: Scenario) -> Recovery | None:
@@ -130,11 +137,9 @@ def check_parameters(parameters: Parameters, limbs: tuple[str, ...]) -> None:
     """
     values = parameters.values
     for path, field in parameters.paths.items():
-        checked_value(f"parameters.{path}", values[path], field.shape, limits=field.bounds)
-    seed = values["hardware.seed"]
-    if not is_tracer(seed) and (part := np.mod(np.asarray(seed), 1)).any():
-        got = np.extract(part, seed)[0]
-        raise ValueError(f"parameters.hardware.seed: expected whole numbers from 0 to below 2^24, got {got:g}")
+        value = checked_value(f"parameters.{path}", values[path], field.shape, limits=field.bounds)
+        if field.whole and not is_tracer(value) and (part := np.mod(np.asarray(value), 1)).any():
+            raise ValueError(f"parameters.{path}: expected whole numbers, got {np.extract(part, value)[0]:g}")
     sizes: Mapping[str, int | range] = {"limbs": len(limbs), "K": range(COUNT + 1)}
     for path, dims in _OF_LIMBS.items():
         check_shape(f"parameters.{path}", np.shape(values[path]), dims, sizes)

@@ -87,4 +87,4 @@ def _check(scenario: Scenario, values: Mapping[str, np.ndarray]) -> None:
         try:
             check_base(scenario.with_overrides({key: float(value[place]) for key, value in rows.items()}))
         except ConfigError as error:
-            raise ValueError(f"gains.{str(error).removeprefix('scenario: ')}") from None
+            raise ValueError(f"gains.{error.moved(source='')}") from None

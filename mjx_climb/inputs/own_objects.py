@@ -1,4 +1,4 @@
-"""Objects of the user's: FILE.py:NAME, and the components that the section `own` names."""
+"""Objects of the user's, FILE.py:NAME, and the components that sections of a scenario name by their kinds."""
 
 import contextlib
 import dataclasses
@@ -21,22 +21,23 @@ from mjx_climb.gait import footholds
 from mjx_climb.gait.footholds.footholds import Footholds
 from mjx_climb.hardware.actuator import Actuator
 from mjx_climb.inputs.file_contents import digest
-from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics import contact
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import OwnComponent, OwnObject, Scenario
+from mjx_climb.scenario.model import Kind, OwnObject, validated
+from mjx_climb.scenario.values import section_of
 
 # the modules run last, as `sys.modules` without their names, and the digests of their files: gains files say from which
 # file an object came, and a copy of a file gives the same class, which is compiled once
 RUN: deque[tuple[types.ModuleType, str]] = deque(maxlen=64)
-# by the place in the section
+# by the section of a scenario: the base class, and the shipped kinds
 KINDS: dict[str, tuple[type[Component], Mapping[str, type[Component]]]] = {
-    "contact": (Contact, contact.SHIPPED),
-    "drive": (Actuator, hardware.SHIPPED),
-    "disturbances": (Disturbance, disturbances.SHIPPED),
-    "footholds": (Footholds, footholds.SHIPPED),
+    "contact": (Contact, contact.KINDS),
+    "hardware.servo": (Actuator, hardware.KINDS),
+    "disturbance.others": (Disturbance, disturbances.KINDS),
+    "gait.footholds": (Footholds, footholds.SHIPPED),
 }
+WORDS = dict(zip(KINDS, ("contact", "drive", "disturbance", "footholds"), strict=True))
 
 
 @contextlib.contextmanager
@@ -48,7 +49,7 @@ def in_one_line(what: str) -> Iterator[None]:
         raise
     except (Exception, SystemExit) as error:
         reason = str(error).splitlines()[0] if str(error) else ""
-        raise ConfigError(f"{what}: {type(error).__name__}: {reason}") from error
+        raise ConfigError(what, reason=f"{type(error).__name__}: {reason}") from error
 
 
 def load(text: str, what: str) -> tuple[Any, str, str]:
@@ -59,13 +60,13 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
     """
     file, colon, name = text.rpartition(":")
     if not (colon and file and name):
-        raise ConfigError(f"{what}: expected FILE.py:NAME, got {text!r}")
+        raise ConfigError("", what, "FILE.py:NAME", f"{text!r}")
     path = Path(file)
     if not os.path.isfile(path):  # where it may not be read either
-        raise ConfigError(f"{path}: expected a file of Python, got none")
+        raise ConfigError(path, "", "a file of Python", "none")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or not isinstance(spec.loader, importlib.machinery.SourceFileLoader):
-        raise ConfigError(f"{path}: expected a file of Python, whose name ends in .py")
+        raise ConfigError(path, "", "a file of Python, whose name ends in .py")
     module, of_files = importlib.util.module_from_spec(spec), digest(path)
     sys.path.insert(0, str(path.absolute().parent))  # for what the file itself imports, as python FILE does
     try:
@@ -76,11 +77,11 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
         sys.path.pop(0)
     RUN.append((module, of_files))
     if (found := getattr(module, name, None)) is None:
-        raise ConfigError(f"{file}: expected a {what} named {name}, got none")
+        raise ConfigError(file, "", f"a {what} named {name}", "none")
     return found, file, name
 
 
-def reference_to(named: OwnObject, key: str, source: str) -> str:
+def reference_to(named: OwnObject | Kind, key: str, source: str) -> str:
     """Return FILE.py:NAME of an object whose file is as it was.
 
     Raises:
@@ -88,81 +89,73 @@ def reference_to(named: OwnObject, key: str, source: str) -> str:
     """
     if named.file is None:
         got = f"got none, as {named.name} was defined in a session"
-        raise ConfigError(f"{source}: own.{key}.file: expected a file of Python, {got}")
+        raise ConfigError(source, f"{key}.file", f"a file of Python, {got}")
     if named.digest not in (None, found := digest(Path(named.file))):
-        expected = f"expected {named.file} as it was, {str(named.digest)[:12]}"
-        raise ConfigError(f"{source}: own.{key}.digest: {expected}, got {found[:12]}")
+        raise ConfigError(source, f"{key}.digest", f"{named.file} as it was, {str(named.digest)[:12]}", found[:12])
     return f"{named.file}:{named.name}"
 
 
-def components_of(scenario: Scenario, numbers: Parameters, source: str = "scenario") -> dict[str, Any]:
-    """Return contact, drive and disturbances that a scenario names, as fields of `Parameters`; files are run.
-
-    Arguments:
-        numbers: parameters of the scenario: a component takes the keys of its section that it has too.
+def component_of(section: Kind, place: str, source: str = "scenario") -> Any:
+    """Return the component that a section of a scenario names, with its values and options; its file is run.
 
     Raises:
-        ConfigError: in one line, a file that is gone or has changed, no such thing in it, or values that it has not.
+        ConfigError: in one line, a file that is gone or has changed, no such thing in it, or keys and values that it
+            does not take.
     """
-    if scenario.own is None:
-        return {}
-    made = {place: _made(each, place, numbers, source) for place, each in scenario.own.components.items()}
-    return {
-        "contact": made.get("contact"),
-        "drive": made.get("drive"),
-        "disturbances": tuple(each for place, each in made.items() if place.startswith("disturbances")),
-        "footholds": made.get("footholds"),
-    }
+    base, _ = KINDS[_seam(place)]
+    found = class_of(section, place, source)
+    if not issubclass(found if isinstance(found, type) else type(found), base):
+        expected = f"a {WORDS[_seam(place)]} that inherits from mjx_climb.{base.__name__}"
+        raise ConfigError(source, place, expected, f"{found!r}")
+    return _with(found, dict(section.items()), place, source)
 
 
-def _made(named: OwnComponent, place: str, numbers: Parameters, source: str) -> Component:
-    section = place.partition(".")[0]
-    kind, known = KINDS[section]
-    what = section if section == "footholds" else section.removesuffix("s")
-    if named.file is None and named.name in known:
-        found: Any = known[named.name]
-    else:
-        text = reference_to(named, place, source)
-        of_files = digest(Path(str(named.file)))
-        same = (vars(module) for module, of_run in RUN if of_run == of_files)
-        found = next((names[named.name] for names in same if named.name in names), None)
-        found = load(text, what)[0] if found is None else found
-    values, options = (dict(part.items()) for part in (named.values, named.options))
-    try:
-        if not issubclass(found if isinstance(found, type) else type(found), kind):
-            raise ValueError(f"expected a {what} that inherits from mjx_climb.{kind.__name__}, got {found!r}")
-        return _with(found, values, options, getattr(numbers, section, None) if section != "disturbances" else None)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{source}: own.{place}: {str(error).splitlines()[0]}") from None
+def class_of(section: Kind, place: str, source: str = "scenario") -> Any:
+    """Return the class, or the instance, that a section of a scenario names; errors as of `component_of`."""
+    if section.file is None:
+        return KINDS[_seam(place)][1][section.name]
+    text = reference_to(section, place, source)
+    of_files = digest(Path(section.file))
+    same = (vars(module) for module, of_run in RUN if of_run == of_files)
+    found = next((names[section.name] for names in same if section.name in names), None)
+    return load(text, WORDS[_seam(place)])[0] if found is None else found
 
 
-def _with(found: Any, values: dict[str, Any], options: dict[str, Any], instead: Component | None) -> Component:
-    """Return an instance with some values and options; TypeError, ValueError: it has none of these names or shapes."""
+def _seam(place: str) -> str:
+    """Return the seam to which a section belongs."""
+    return "disturbance.others" if place.startswith("disturbance.") else place
+
+
+def _with(found: Any, given: Mapping[str, Any], place: str, source: str) -> Component:
+    """Return an instance with some values and options; ConfigError: it has none of these names, types or shapes."""
     made: type[Component] = found if isinstance(found, type) else type(found)
-    fields = {field.name: field for field in dataclasses.fields(made)}  # type: ignore[arg-type]  # of every component
-    others = [name for name, field in fields.items() if name not in made.VALUES and "tree" not in field.metadata]
-    for given, section, names in ((values, "values", list(made.VALUES)), (options, "options", others)):
-        if unknown := [name for name in given if name not in names]:
-            raise ValueError(f"{section}.{unknown[0]}: expected one of {', '.join(names) or 'none'}")
-    for name, value in options.items():
-        if (before := fields[name].default) is not dataclasses.MISSING and type(value) is not type(before):
-            raise ValueError(f"options.{name}: expected one like {before!r}, got {value!r}")
-    arrays = {name: np.asarray(value, float) for name, value in values.items()}
-    if isinstance(found, type):
-        # the keys of the section that the component has too
-        there = [name for name in made.VALUES if instead is not None and name in instead.VALUES]
-        arrays = {name: np.asarray(getattr(instead, name)) for name in there} | arrays
-        if lacking := [
-            name for name in made.VALUES if name not in arrays and fields[name].default is dataclasses.MISSING
-        ]:
-            raise ValueError(f"values.{lacking[0]}: expected a value, got none")
-        component: Component = found(**arrays, **options)
-    else:
-        component = dataclasses.replace(found, **arrays, **options)
-    component = with_values(component, {}, name="values")
+    lacking = [name for name in made.VALUES if isinstance(found, type) and not _has_default(made, name)]
+    try:
+        section = validated(section_of(made, lacking), given, source)
+    except ConfigError as error:
+        raise error.moved(key=f"{place}.{error.key}") from None
+    changed = section.model_dump(exclude_unset=True)
+    try:
+        changed |= {name: _array(changed[name]).astype(float) for name in made.VALUES if name in changed}
+        component: Component = found(**changed) if isinstance(found, type) else dataclasses.replace(found, **changed)
+        component = with_values(component, {}, name=place)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(source, reason=str(error).splitlines()[0]) from None
     for name, field in made.VALUES.items():
         if np.ndim(getattr(component, name)) > len(field.shape):
-            raise ValueError(
-                f"values.{name}: expected that of one robot, got shape {np.shape(getattr(component, name))}"
-            )
+            shape = np.shape(getattr(component, name))
+            raise ConfigError(source, f"{place}.{name}", "the value of one robot", f"shape {shape}")
     return component
+
+
+def _has_default(made: type[Component], name: str) -> bool:
+    """Tell whether a field of a component has a default."""
+    (field,) = (field for field in dataclasses.fields(made) if field.name == name)  # type: ignore[arg-type]
+    return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+
+
+def _array(value: Any) -> np.ndarray:
+    """Return the value of a key as an array; null is infinite."""
+    return np.array(
+        [_array(each) for each in value] if isinstance(value, tuple) else np.inf if value is None else value
+    )

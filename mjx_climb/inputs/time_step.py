@@ -6,7 +6,7 @@ then `x += h v`. Light links at the end of a stiff contact are what takes it out
 that the gait plans at both ends of each swing and in its middle: a limb is farthest back when it lifts off and farthest
 ahead when it lands. What a law adds is in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may
 be stretched farther than the gait plans, and are stiffer at the foot: then the posture with all of them stretched level
-outwards, as far as the planner lets them, counts too. A contact or an actuator of the user's own says by which springs
+outwards, as far as the gait lets them, counts too. A contact or an actuator of the user's own says by which springs
 it holds feet or joints; where it does not, these are left out, and a refusal says so.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from mjx_climb.execution.batch_axes import is_traced
 from mjx_climb.gait.base_path import planned_feet
-from mjx_climb.gait.planner import within_reach
+from mjx_climb.gait.footholds.choice import within_reach
 from mjx_climb.hardware.actuator import Actuator, JointSpring
 from mjx_climb.hardware.servo import RELAXATION, Servos
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -106,7 +106,7 @@ def largest_time_step(scenario: Scenario, source: str = "scenario", own: Own = _
         if whole and growth(scenario, step, own) <= 1 + _ROUNDING:
             return step
     raise ConfigError(
-        f"{source}: time_step: expected contacts and joint gains that some step of 0.1 us or more can follow, got none"
+        source, "time_step", "contacts and joint gains that some step of 0.1 us or more can follow", "none"
     )
 
 
@@ -120,7 +120,7 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     Raises:
         ConfigError: in one line, the time step that would do.
     """
-    if parameters is None and scenario.own is not None:
+    if parameters is None and scenario.kinds:
         parameters = own_parameters(scenario, source)
     if parameters is not None:
         _warn_of_unknown_springs(parameters, scenario.time_step)
@@ -134,9 +134,11 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     scenario, own = unstable
     feet, joints = _words(scenario, own, parameters)
     raise ConfigError(
-        f"{source}: time_step: expected one short enough for {load_robot(scenario.robot).name} with {feet}{joints}, "
-        f"got {scenario.time_step:g} (a disturbance grows {growth(scenario, None, own):.3g}-fold a step): "
-        f"{largest_time_step(scenario, source, own):g} would do"
+        source,
+        "time_step",
+        f"one short enough for {load_robot(scenario.robot).name} with {feet}{joints}",
+        f"{scenario.time_step:g} (a disturbance grows {growth(scenario, None, own):.3g}-fold a step): "
+        f"{largest_time_step(scenario, source, own):g} would do",
     )
 
 
@@ -273,8 +275,7 @@ def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarra
 
 def _chooses(scenario: Scenario, own: Own) -> bool:
     """Return whether limbs may land on any hold within reach."""
-    rule = scenario.gait.footholds != "planned" or (scenario.own is not None and scenario.own.footholds is not None)
-    return own.chooses or (rule and scenario.ground.holds is not None)
+    return own.chooses or (scenario.gait.footholds != "planned" and scenario.ground.holds is not None)
 
 
 def _of_loop(scenario: Scenario) -> tuple[float, float]:
@@ -308,7 +309,7 @@ def _moments(gait: Gait) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)
 def _stretched(robot: str | RobotFile) -> tuple[np.ndarray, ...]:
-    """Return the matrices with all limbs stretched level outwards, as far as the planner chooses footholds."""
+    """Return the matrices with all limbs stretched level outwards, as far as a gait chooses footholds."""
     loaded = load_robot(robot)
     frames, up = limb_frames(loaded, None, loaded.stance_joints), quaternion_to_matrix(loaded.stance_orientation)[2]
     lever = frames.foot - loaded.frame_position[:, 0]

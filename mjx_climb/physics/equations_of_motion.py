@@ -34,5 +34,5 @@ def checked_engine(name: str) -> str:
         ConfigError: no such engine.
     """
     if name not in ENGINES:
-        raise ConfigError(f"engine: expected one of {', '.join(ENGINES)}, got {name!r}")
+        raise ConfigError("", "engine", f"one of {', '.join(ENGINES)}", f"{name!r}")
     return name

@@ -89,19 +89,22 @@ def check_stance(scenario: Scenario, source: str = "scenario") -> None:
         ConfigError: in one line, the limb and the smallest singular value of its Jacobian.
     """
     if wrong := _singular_limb(scenario.robot, scenario.contact.rotational_stiffness > 0):
-        raise ConfigError(f"{source}: {wrong}")
+        raise wrong.moved(source=source)
 
 
 @functools.lru_cache(maxsize=64)
-def _singular_limb(name: str | RobotFile, moments: bool) -> str | None:
+def _singular_limb(name: str | RobotFile, moments: bool) -> ConfigError | None:
     robot = load_robot(name)
     turned = moments and keeps_attitude(robot)
     values = least_singular_values(robot, robot.stance_joints, turned)
     limb, least, does = robot.limbs[values.argmin()], values.min(), "move and turn" if turned else "move"
     if least >= SINGULAR:
         return None
-    return (
-        f"robot.limbs.{limb}.foothold: expected a stance in which the limb can {does} its foot every way, got a "
-        f"singular one (smallest singular value of its Jacobian {least:.2g}, lengths over the limb's): another height "
-        "or foothold"
+    return ConfigError(
+        "",
+        f"robot.limbs.{limb}.foothold",
+        f"a stance in which the limb can {does} its foot every way",
+        f"a singular one (smallest singular value of its Jacobian {least:.2g}, lengths over the limb's): another "
+        "height "
+        "or foothold",
     )

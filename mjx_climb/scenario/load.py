@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mjx_climb.scenario import shipped
-from mjx_climb.scenario.messages import config_error, show
+from mjx_climb.scenario.messages import ConfigError, show
 from mjx_climb.scenario.model import Hardware, Scenario, overridden, validated
 from mjx_climb.scenario.values import Section
 from mjx_climb.scenario.yaml_text import parse, read
@@ -44,7 +44,7 @@ def load_hardware(path: str | os.PathLike[str]) -> Hardware:
     source = os.fsdecode(shipped.found_profile(Path(path)))
     data = parse(read(source), source)
     if not isinstance(data, Mapping) or list(data) != ["hardware"]:
-        raise config_error(source, "", "the one section hardware", show(data))
+        raise ConfigError(source, "", "the one section hardware", show(data))
     return validated(_Profile, data, source).hardware
 
 

@@ -5,14 +5,38 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Iterator, Sequence
-from typing import get_args, get_type_hints
+from typing import Any, Self, get_args, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
 
+# of the two models that a section may have: in pydantic's places of errors, which no key of a config can be
+PLAIN_TAG, OTHER_TAG = "(plain)", "(other)"
+
 
 class ConfigError(ValueError):
-    """A scenario that cannot be used; in one line: file, dotted key, what was expected, what was got."""
+    """A scenario, a setting or a file that cannot be used; its text is one line.
+
+    `source` is the file or the object, `key` the dotted key there, `expected` and `got` are in words; `reason` is all
+    of it that follows the key. Those that a message lacks are empty.
+    """
+
+    def __init__(
+        self, source: object = "", key: str = "", expected: str = "", got: object = "", more: int = 0, reason: str = ""
+    ) -> None:
+        self.source, self.key, self.expected, self.got = str(source), key, expected, str(got)
+        said = f"expected {expected}" + (f", got {got}" if self.got else "") if expected else ""
+        self.more, self.reason = more, reason or said
+        text = ": ".join(filter(None, (self.source, key, self.reason)))
+        super().__init__(printable(text + (f" (and {more} more)" if more else "")))
+
+    def moved(self, **place: str) -> Self:
+        """The same with another `source`, or another `key`."""
+        own = {name: getattr(self, name) for name in ("source", "key", "expected", "got", "more", "reason")}
+        return type(self)(**{**own, **place})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.source, self.key, self.expected, self.got, self.more, self.reason)
 
 
 def failure(expected: str, **context: object) -> PydanticCustomError:
@@ -24,15 +48,15 @@ def refusal(invalid: ValidationError, root: type[BaseModel], source: str) -> Con
     """Return the first error in the data of a model as one line."""
     error, *others = invalid.errors(include_url=False)
     where, context, got = error["loc"], error.get("ctx", {}), show(error["input"])
-    if len(where) > 1 and where[0] == "robot":
-        where = where[:1] + where[2:]  # without the tag of the kind
+    where = tuple(part for part in where if part not in (PLAIN_TAG, OTHER_TAG))
     match error["type"]:
         case "expected":
             where += tuple(context["key"].split(".")) if "key" in context else ()
             expected = context["expected"]
             got = show(context["got"]) if "got" in context else got
         case "extra_forbidden":
-            expected, got = "a known key", f"an unknown one{_suggestion(root, where)}"
+            near, known = _suggestion(root, where), ", ".join(section(root, where[:-1]).model_fields)
+            expected, got = "a known key" if near or not known else f"one of {known}", f"an unknown one{near}"
         case "missing":
             expected, got = "a value", "none"
         case "literal_error":
@@ -42,7 +66,7 @@ def refusal(invalid: ValidationError, root: type[BaseModel], source: str) -> Con
         case _:
             keys = ", ".join(section(root, where).model_fields)
             expected = f"a mapping with keys {keys}" if keys else "a mapping from names"
-    return config_error(source, ".".join(map(str, where)), expected, got, len(others))
+    return ConfigError(source, ".".join(map(str, where)), expected, got, len(others))
 
 
 def section(root: type[BaseModel], where: Sequence[str | int]) -> type[BaseModel]:
@@ -79,9 +103,8 @@ def _suggestion(root: type[BaseModel], where: Sequence[str | int]) -> str:
 def keys(root: type[BaseModel]) -> Iterator[str]:
     """Yield the dotted keys that hold a value in a model and its sections."""
     for name, field in root.model_fields.items():
-        kind = field.annotation
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            yield from (f"{name}.{inner}" for inner in keys(kind))
+        if isinstance(field.default, BaseModel):
+            yield from (f"{name}.{inner}" for inner in keys(type(field.default)))
         else:
             yield name
 
@@ -93,12 +116,6 @@ def show(value: object) -> str:
     except (TypeError, ValueError):  # odd keys, cycles
         text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def config_error(source: str, key: str, expected: str, got: str, more: int = 0) -> ConfigError:
-    place = f"{source}: {key}" if key else source
-    text = f"{place}: expected {expected}, got {got}" + (f" (and {more} more)" if more else "")
-    return ConfigError(printable(text))
 
 
 def printable(text: str, keep: str = "") -> str:

@@ -6,14 +6,14 @@ import math
 import os
 from collections.abc import Callable, ItemsView, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
-from mjx_climb.scenario import registers
+from mjx_climb.scenario import declared, registers
 from mjx_climb.scenario import values as v
-from mjx_climb.scenario.messages import config_error, failure, refusal
+from mjx_climb.scenario.messages import OTHER_TAG, PLAIN_TAG, ConfigError, failure, refusal
 from mjx_climb.scenario.registers import RegisterScale
 from mjx_climb.scenario.values import setting
 from mjx_climb.scenario.yaml_text import Dumper, assign, pairs, parse
@@ -42,6 +42,77 @@ class _ByName(v.Section):
         return (self.__pydantic_extra__ or {}).items()
 
 
+class Kind(_ByName):
+    """A component other than the paper's: a shipped one, or one of the user's, with values and options.
+
+    Its class knows the values and options, and checks them.
+    """
+
+    model_config = ConfigDict(json_schema_extra=lambda schema, kind: schema["properties"]["kind"].update(kind.others()))
+    KNOWN: ClassVar[tuple[str, ...]] = ()  # the shipped kinds
+    PLAIN: ClassVar[BaseModel | None] = None  # the section of the paper's kind: it has the keys that this kind lacks
+    __pydantic_extra__: dict[str, v.Given]
+
+    kind: v.OwnName = Field(description="name of a shipped kind, or FILE.py:NAME, beside the config, if relative")
+    digest: v.OwnName | None = setting(None, "SHA-256 of file and imports beside it; null: any will do")
+
+    @classmethod
+    def others(cls) -> dict[str, Any]:
+        """The part of a JSON schema that keeps the paper's kind out."""
+        return {} if cls.PLAIN is None else {"not": {"const": getattr(cls.PLAIN, "kind", None)}}
+
+    @property
+    def file(self) -> str | None:
+        """The file of Python, None of a shipped kind."""
+        return self.kind.rpartition(":")[0] or None
+
+    @property
+    def name(self) -> str:
+        """The name in the file, or that of a shipped kind."""
+        return self.kind.rpartition(":")[2]
+
+    @model_validator(mode="after")
+    def _is_known(self) -> Self:
+        if self.KNOWN and self.kind not in self.KNOWN and not (self.file and self.name):
+            raise failure(f"one of {', '.join(self.KNOWN)}, or FILE.py:NAME", key="kind", got=self.kind)
+        return self
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    else:
+
+        def __getattr__(self, name):
+            if name.startswith("_"):
+                raise AttributeError(name)
+            extra = self.__pydantic_extra__ or {}
+            return extra[name] if name in extra else getattr(self.PLAIN, name)
+
+
+def _one_of_kinds(plain: str) -> Discriminator:
+    """Tell a section of the paper's kind from one that names another."""
+
+    def tag(value: Any) -> str:
+        kind = value.get("kind", plain) if isinstance(value, Mapping) else getattr(value, "kind", plain)
+        return PLAIN_TAG if kind == plain else OTHER_TAG
+
+    return Discriminator(tag)
+
+
+class FootholdsKind(Kind):
+    """A choice of footholds with values of its own."""
+
+    KNOWN: ClassVar[tuple[str, ...]] = ("nearest", "farthest", "climblab", "best_margin", "least_use")
+
+
+AnyFootholds = Annotated[
+    Annotated[Literal["planned", "nearest", "farthest", "climblab", "best_margin", "least_use"], Tag(PLAIN_TAG)]
+    | Annotated[FootholdsKind, Tag(OTHER_TAG)],
+    Discriminator(lambda value: OTHER_TAG if isinstance(value, (Mapping, Kind)) else PLAIN_TAG),
+]
+
+
 class Phases(_ByName):
     """When each limb lifts off, by its name."""
 
@@ -58,21 +129,11 @@ class SwingFile(v.Section):
     frame: v.Word = setting("planned/limb_2_palm_link", "frame in /tf of the foot that swings")
 
 
-class Gait(v.Section):
+class Gait(v.ComponentSection):
     """Periodic gait: which limbs swing when, how far and how high."""
 
-    cycle: v.Positive = setting(4.0, "period of the gait, s; a whole number of time steps")
-    duty: v.Duty = setting(0.75, "share of the cycle that each limb is gripped, 1")
-    stride: v.Way = setting(0.05, "way of the base per cycle, m")
-    step_height: v.Height = setting(0.03, "height of a swing foot's arc over the ground, m")
-    settling: v.Share = setting(
-        0.0, "share of a swing, at its end, in which the foot waits over its new foothold for the gripper to shut, 1"
-    )
-    height: v.Height = setting(1.0, "height of the base over its feet, as a share of that in the rest stance, 1")
-    sway: v.Share = setting(
-        0.0, "share of the way to the centroid of the other feet that the base sways in the middle of each swing, 1"
-    )
-    landing_speed: v.NonNegative = setting(0.0, "speed along the ground's normal at which a swing ends, m/s")
+    COMPONENT = declared.PeriodicGait
+
     sequence: v.Swings = setting(
         ("LH", "LF", "RH", "RF"),
         "order in which the limbs swing, evenly over the cycle; limbs that swing together are a list in it",
@@ -85,9 +146,10 @@ class Gait(v.Section):
     base_reference: Literal["nominal", "actual"] = setting(
         "nominal", "where each cycle's base reference starts: where planned, or where the base is"
     )
-    heading: v.Angle = setting(0.0, "direction of walking and initial yaw about world z, rad")
-    footholds: Literal["planned", "nearest", "farthest", "climblab", "best_margin", "least_use"] = setting(
-        "planned", "footholds of the periodic gait, or the rule that chooses among the points that can be held"
+    footholds: AnyFootholds = setting(
+        "planned",
+        "footholds of the periodic gait, or the rule that chooses among the points that can be held: planned, nearest, "
+        "farthest, climblab, best_margin, least_use, or a mapping with kind and values",
     )
     order: Literal["periodic", "free"] = setting(
         "periodic", "order of the limbs: by the sequence, or the limb next that gains most, one at a time"
@@ -303,40 +365,32 @@ class Ground(v.Section):
         return self
 
 
-class Contact(v.Section):
+class Contact(v.ComponentSection):
     """Spring-damper between a gripped foot and its grip point."""
 
-    # k_s, d_s and the holding limit of the paper (Eq. 5), with ClimbLab's rule for letting go
-    stiffness: v.Positive = setting(1.0e4, "contact stiffness per axis, N/m")
-    damping: v.NonNegative = setting(20.0, "contact damping per axis, N s/m")
-    rotational_stiffness: v.NonNegative = setting(
-        0.0, "stiffness of a grip against turning, N m/rad; 0: a foot is held as a point"
-    )
-    rotational_damping: v.NonNegative = setting(
-        0.0, "damping of a grip against turning, N m s/rad; felt with a rotational_stiffness"
-    )
-    holding_limit: v.Limit = setting(15.0, "force above which a pulled gripper lets go, N; null: grippers never let go")
-    capture_distance: v.Limit = setting(
-        None, "how far off the ground a foot may be for its shutting gripper to hold, m; null: any distance"
-    )
-    closing_time: v.NonNegative = setting(
-        0.0, "time in which a gripper that shuts off the ground closes two thirds of the gap, s; 0: at once"
-    )
-    closing_force: v.PositiveOrNull = setting(None, "pull at which a closing gripper stalls, N; null: none")
+    COMPONENT = declared.Gripper
+
+    kind: Literal["gripper"] = setting("gripper", "gripper, polyhedron, uncertain, or FILE.py:NAME")
 
 
-class Recovery(v.Section):
+class ContactKind(Kind):
+    """Another contact than the gripper of Eq. 5."""
+
+    KNOWN: ClassVar[tuple[str, ...]] = ("gripper", "polyhedron", "uncertain")
+    PLAIN: ClassVar[BaseModel | None] = Contact()
+
+
+AnyContact = Annotated[
+    Annotated[Contact, Tag(PLAIN_TAG)] | Annotated[ContactKind, Tag(OTHER_TAG)], _one_of_kinds("gripper")
+]
+
+
+class Recovery(v.ComponentSection):
     """When the gait is interrupted, and how; a threshold of null never interrupts it, and none does by default."""
 
-    shift: v.PositiveOrNull = setting(None, "shift of the base from its reference that interrupts the gait, m")
-    utilization: v.PositiveOrNull = setting(None, "predicted pull of a grip, over its holding limit, that does, 1")
+    COMPONENT = declared.Recovery
+
     margin: v.PositiveOrNull = setting(None, "GIA margin below which the gait is interrupted, m/s^2")
-    lead_time: v.NonNegative = setting(0.02, "time ahead for which the pull of a grip is predicted, s")
-    landing_time: v.Positive = setting(0.25, "time in which a limb in the air comes down, s")
-    rest_time: v.NonNegative = setting(1.2, "time for which the gait then stands still, s")
-    take_over: v.Part = setting(0.3, "share of the base's shift that its reference takes over, 1")
-    return_time: v.Positive = setting(1.0, "time in which the base reference goes back to its path, s")
-    reach: v.NonNegative = setting(0.03, "how far beside itself a foot may land on ground that is all held, m")
 
     @property
     def interrupts(self) -> bool:
@@ -344,8 +398,10 @@ class Recovery(v.Section):
         return not self.shift is self.utilization is self.margin is None
 
 
-class Control(v.Section):
+class Control(v.ComponentSection):
     """Joint loop and an admittance law around it. Six values: translations x, y, z, then rotations."""
+
+    COMPONENT = declared.JointLoop
 
     controller: Literal["pd", "base_admittance", "end_effector_admittance"] = setting(
         "base_admittance", "pd (gait alone), base_admittance (paper Eq. 3), or end_effector_admittance (Eq. 2)"
@@ -356,10 +412,6 @@ class Control(v.Section):
     inertia: v.Gain = setting(1.0, "virtual inertia M, kg (translations), kg m^2 (rotations)")
     damping: v.Gain = setting(5.0e3, "virtual damping D, N s/m (translations), N m s/rad (rotations)")
     stiffness: v.Gain = setting(5.0e4, "virtual stiffness K, N/m (translations), N m/rad (rotations)")
-    # the paper's pd: docs/studies/paper.md tells how far softer joints alone would go
-    kp: v.Positive = setting(50.0, "proportional gain of the joint loop, N m/rad")
-    kd: v.NonNegative = setting(0.2, "derivative gain of the joint loop, N m s/rad")
-    ki: v.NonNegative = setting(0.0, "integral gain of the joint loop, N m/(rad s); 0: no integral term")
     safe_kp: v.PositiveOrNull = setting(
         None,
         "kp of all joints at least, once a law that reads forces has lost a sensor, N m/rad; null: the kp above",
@@ -387,12 +439,8 @@ class Control(v.Section):
         return self
 
 
-class _Window(v.Section):
+class _Window(v.ComponentSection):
     """A span of time, start <= t < stop."""
-
-    if TYPE_CHECKING:  # each kind of window has them in its own order
-        start: float
-        stop: float | None
 
     @model_validator(mode="after")
     def _in_order(self) -> _Window:
@@ -405,18 +453,20 @@ class _Window(v.Section):
 class Cargo(_Window):
     """Point mass that sits at the base's centre of mass for a while."""
 
-    mass: v.NonNegative = setting(0.0, "mass, kg; 0: no cargo")
-    start: v.NonNegative = setting(2.0, "time of loading, s")
-    stop: v.Limit = setting(None, "time of unloading, s; null: stays until the end")
+    COMPONENT = declared.Cargo
 
 
 class Push(_Window):
     """Constant wrench on the base for a while."""
 
-    force: v.Vector = Field(description="force on the base, world axes, N")
-    moment: v.Vector = setting((0.0, 0.0, 0.0), "moment on the base, world axes, N m")
-    start: v.NonNegative = Field(description="first instant, s")
-    stop: v.Limit = setting(None, "last instant, s; null: until the end")
+    COMPONENT = declared.Push
+    REQUIRED = ("force", "start")
+
+
+class DisturbanceKind(Kind):
+    """Another disturbance than cargo and pushes."""
+
+    KNOWN: ClassVar[tuple[str, ...]] = ("link_wrench",)
 
 
 class Disturbance(v.Section):
@@ -424,6 +474,7 @@ class Disturbance(v.Section):
 
     cargo: Cargo = setting(Cargo(), "cargo on the base")
     pushes: tuple[Push, ...] = setting((), "pushes on the base; they add up where they overlap")
+    others: tuple[DisturbanceKind, ...] = setting((), "what else acts from outside: kind link_wrench, or FILE.py:NAME")
 
 
 class DeadFrom(_ByName):
@@ -432,14 +483,11 @@ class DeadFrom(_ByName):
     __pydantic_extra__: dict[str, v.NonNegative]
 
 
-class ForceSensor(v.Section):
+class ForceSensor(v.ComponentSection):
     """Force sensors of the feet, a sample every time step."""
 
-    delay: v.NonNegative = setting(0.0, "age of what the law reads, s")
-    noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis and sample, N")
-    bias: v.Number = setting(0.0, "offset on every axis of every sensor, world axes, N")
-    resolution: v.NonNegative = setting(0.0, "smallest step that the sensor tells, N; 0: any")
-    filter: v.PositiveOrNull = setting(None, "first-order low pass, cut-off, Hz; null: none")
+    COMPONENT = declared.ForceSensors
+
     filtered_by: Literal["sensor", "law"] = setting(
         "sensor", "forces of each foot every time step, or the law's own samples of them and of the wrench"
     )
@@ -448,12 +496,10 @@ class ForceSensor(v.Section):
     )
 
 
-class BaseEstimate(v.Section):
+class BaseEstimate(v.ComponentSection):
     """Pose and rates of the base as the law knows them; measured_pose and the laws that share forces among feet do."""
 
-    delay: v.NonNegative = setting(0.0, "age of pose and rates, s")
-    position_noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis, m")
-    velocity_noise: v.NonNegative = setting(0.0, "white noise, standard deviation per axis, m/s")
+    COMPONENT = declared.BaseEstimate
 
 
 class Registers(v.Section):
@@ -470,16 +516,16 @@ class Registers(v.Section):
         return self
 
 
-class Servo(v.Section):
+class Servo(v.ComponentSection):
     """The joints' motors and gears, all alike."""
 
+    COMPONENT = declared.Servos
+
+    kind: Literal["servo"] = setting("servo", "servo, velocity, or FILE.py:NAME")
     drive: Literal["torque", "voltage"] = setting(
         "torque",
         "what the joint loop asks for: a torque, given up to the torque-speed line, or a share of the supply voltage, "
         "of which the motor's speed takes its part (back EMF)",
-    )
-    rate: v.PositiveOrNull = setting(
-        None, "rate of the servo's own loop, Hz; a period is a whole number of time steps; null: every time step"
     )
     registers: Registers | None = setting(
         None, "P, I, D registers of the position loop, taken in place of control.kp, ki, kd; null: none"
@@ -487,45 +533,6 @@ class Servo(v.Section):
     register_scale: RegisterScale | None = setting(
         None, "what a unit of each register stands for, of this kind of servo; null: not known"
     )
-    profile_velocity: v.PositiveOrNull = setting(
-        None, "speed at which the servo takes its goal to the joint target, rad/s; null: at once"
-    )
-    profile_acceleration: v.PositiveOrNull = setting(None, "acceleration of that goal, rad/s^2; null: any")
-    pwm_limit: v.Part = setting(1.0, "largest share of the supply voltage that a voltage drive gives, 1")
-    current_limit: v.PositiveOrNull = setting(
-        None, "torque of the motor at the largest current that the servo lets flow, N m; null: any"
-    )
-    rated_voltage: v.PositiveOrNull = setting(
-        None, "voltage of torque_limit, no_load_speed and the loop's gains, V; null: the supply's"
-    )
-    supply_voltage: v.PositiveOrNull = setting(
-        None, "measured voltage, by which torque_limit and no_load_speed scale, V; null: rated_voltage"
-    )
-    torque_limit: v.PositiveOrNull = setting(None, "torque at standstill, N m; null: any")
-    no_load_speed: v.PositiveOrNull = setting(
-        None, "speed at which no torque is left, rad/s; null: the torque limit holds at any speed"
-    )
-    armature: v.NonNegative = setting(0.0, "inertia of motor and gears seen at the joint, kg m^2")
-    coulomb_friction: v.NonNegative = setting(0.0, "dry friction, N m")
-    presliding: v.Positive = setting(
-        5e-4, "how far a joint that dry friction holds gives before it slips, rad; a third of a count of 4096 a turn"
-    )
-    viscous_friction: v.NonNegative = setting(0.0, "friction that grows with the rate, N m s/rad")
-    load_friction: v.NonNegative = setting(0.0, "dry friction as a share of the motor's torque, 1")
-    external_load_friction: v.NonNegative = setting(0.0, "dry friction as a share of the load's torque, 1")
-    stribeck_friction: v.NonNegative = setting(0.0, "dry friction at standstill beside coulomb_friction, N m")
-    stribeck_load_friction: v.NonNegative = setting(0.0, "load_friction at standstill beside that, 1")
-    stribeck_external_load_friction: v.NonNegative = setting(0.0, "external_load_friction at standstill beside that, 1")
-    quadratic_load_friction: v.NonNegative = setting(
-        0.0, "friction at standstill by the motor's torque squared, where the load drives, 1/(N m)"
-    )
-    quadratic_external_load_friction: v.NonNegative = setting(
-        0.0, "friction at standstill by the load's torque squared, where the motor drives, 1/(N m)"
-    )
-    stribeck_velocity: v.Positive = setting(0.1, "speed by which friction of standstill fell to 37 %, rad/s")
-    stribeck_exponent: v.Positive = setting(1.0, "how suddenly it falls there, 1")
-    backlash: v.NonNegative = setting(0.0, "play of the gears from end to end, rad")
-    delay: v.NonNegative = setting(0.0, "from the joint loop to the motor's torque, s")
 
     @model_validator(mode="after")
     def _line_has_two_ends(self) -> Servo:
@@ -564,20 +571,27 @@ class Servo(v.Section):
                 raise failure(expected, key=f"registers.{name}", got=value)
 
 
-class Hardware(v.Section):
+class DriveKind(Kind):
+    """Another actuator than servos."""
+
+    KNOWN: ClassVar[tuple[str, ...]] = ("servo", "velocity")
+    PLAIN: ClassVar[BaseModel | None] = Servo()
+
+
+AnyServo = Annotated[Annotated[Servo, Tag(PLAIN_TAG)] | Annotated[DriveKind, Tag(OTHER_TAG)], _one_of_kinds("servo")]
+
+
+class Hardware(v.ComponentSection):
     """What stands between the control law and the joints; all zero or null: nothing."""
 
-    control_period: v.NonNegative = setting(
-        0.0, "period of law and joint targets, s; a whole number of time steps; 0: the time step"
-    )
-    command_delay: v.NonNegative = setting(0.0, "from the law to the joints, s")
+    COMPONENT = declared.Bus
+
     interpolation: Literal["hold", "linear"] = setting(
         "hold", "joint targets between two periods: held, or on a line to the next"
     )
     force_sensor: ForceSensor = setting(ForceSensor(), "force sensors of the feet")
     base_estimate: BaseEstimate = setting(BaseEstimate(), "what the law knows of the base")
-    servo: Servo = setting(Servo(), "motors and gears")
-    seed: v.Seed = setting(0, "of all noise; equal seeds, equal noise")
+    servo: AnyServo = setting(Servo(), "motors and gears")
 
 
 class Limb(v.Section):
@@ -638,8 +652,8 @@ class RobotFile(v.Section):
 
 
 AnyRobot = Annotated[
-    Annotated[v.Name, Tag("name")] | Annotated[RobotFile, Tag("file")],
-    Discriminator(lambda value: "file" if isinstance(value, (Mapping, RobotFile)) else "name"),
+    Annotated[v.Name, Tag(PLAIN_TAG)] | Annotated[RobotFile, Tag(OTHER_TAG)],
+    Discriminator(lambda value: OTHER_TAG if isinstance(value, (Mapping, RobotFile)) else PLAIN_TAG),
 ]
 
 
@@ -672,43 +686,32 @@ class OwnLaw(OwnObject):
     limits: OwnLimits = setting(OwnLimits(), "in place of its own, SI units; a walk is compiled for them")
 
 
-class OwnValues(_ByName):
-    """Values by the names that a contact, an actuator or a disturbance gives them."""
-
-    __pydantic_extra__: dict[str, v.Values]
-
-
-class OwnOptions(_ByName):
-    """Fields of a contact, an actuator or a disturbance that are none of its values, by their names."""
-
-    __pydantic_extra__: dict[str, v.Option]
-
-
-class OwnComponent(OwnObject):
-    """A contact, an actuator, a disturbance or a choice of footholds: a shipped one, by its name, or the user's."""
-
-    values: OwnValues = setting(OwnValues(), "in place of its own, SI units")
-    options: OwnOptions = setting(OwnOptions(), "in place of its own; a walk is compiled for them")
-
-
 class Own(v.Section):
-    """What walked, or judged the walks, beside what comes with the program."""
+    """Law, metrics, objective and method beside those that come with the program."""
 
     law: OwnLaw | None = setting(None, "control law in place of the control section's")
     metrics: tuple[OwnObject, ...] = setting((), "metrics beside the shipped ones")
     objective: OwnObject | None = setting(None, "objective of a search from Python")
     method: OwnObject | None = setting(None, "method of a search whose settings say own")
-    contact: OwnComponent | None = setting(None, "what holds feet, in place of the gripper of the contact section")
-    drive: OwnComponent | None = setting(None, "what turns joints, in place of the servos of the hardware section")
-    disturbances: tuple[OwnComponent, ...] = setting((), "what acts from outside, beside cargo and pushes")
-    footholds: OwnComponent | None = setting(None, "what chooses footholds, in place of gait.footholds")
 
-    @property
-    def components(self) -> dict[str, OwnComponent]:
-        """The components, as far as there are any, by their places: "disturbances.0"."""
-        found = {"contact": self.contact, "drive": self.drive, "footholds": self.footholds}
-        found |= {f"disturbances.{n}": each for n, each in enumerate(self.disturbances)}
-        return {place: each for place, each in found.items() if each is not None}
+    @model_validator(mode="before")
+    @classmethod
+    def _components_have_sections(cls, data: object) -> object:
+        """Say where the components of an older config stand now."""
+        if not isinstance(data, Mapping):
+            return data
+        for key, section in _MOVED.items():
+            if old := data.get(key):
+                raise failure(f"{section}, with kind and values side by side", key=key, got=old)
+        return {key: value for key, value in data.items() if key not in _MOVED}
+
+
+_MOVED = {
+    "contact": "the section contact",
+    "drive": "the section hardware.servo",
+    "disturbances": "disturbance.others",
+    "footholds": "gait.footholds",
+}
 
 
 class Scenario(v.Section):
@@ -720,11 +723,11 @@ class Scenario(v.Section):
     time_step: v.Positive = setting(0.001, "time step of the simulation, s")
     gait: Gait = setting(Gait(), "how the limbs move")
     ground: Ground = setting(Ground(), "heights of the footholds")
-    contact: Contact = setting(Contact(), "how the grippers hold the ground")
+    contact: AnyContact = setting(Contact(), "how the grippers hold the ground")
     control: Control = setting(Control(), "controller and gains")
     disturbance: Disturbance = setting(Disturbance(), "cargo and pushes")
     hardware: Hardware = setting(Hardware(), "sensors, rate, bus and servos; ideal ones by default")
-    own: Own | None = setting(None, "law, metrics, contact and more of your own: files are run")
+    own: Own | None = setting(None, "law, metrics, objective and method of your own: files are run")
 
     @model_validator(mode="after")
     def _gains_of_registers(self) -> Scenario:
@@ -828,10 +831,33 @@ class Scenario(v.Section):
         if self.own is not None:
             named |= {f"own.{key}": getattr(self.own, key) for key in ("law", "objective", "method")}
             named |= {f"own.metrics.{n}": metric for n, metric in enumerate(self.own.metrics)}
-            named |= {f"own.{place}": each for place, each in self.own.components.items()}
         keys = ("file", "mask")
         files = {f"{place}.{key}": getattr(section, key, None) for place, section in named.items() for key in keys}
-        return self.with_overrides({key: change(key, file) for key, file in files.items() if file is not None})
+        changed = {key: change(key, file) for key, file in files.items() if file is not None}
+        for place, each in self.kinds.items():
+            if each.file is not None:
+                changed[f"{place}.kind"] = f"{change(f'{place}.kind', each.file)}:{each.name}"
+        return self.with_overrides(changed)
+
+    @property
+    def kinds(self) -> dict[str, Kind]:
+        """The components other than the paper's, by their sections: "contact", "disturbance.others.0"."""
+        found = {"contact": self.contact, "hardware.servo": self.hardware.servo, "gait.footholds": self.gait.footholds}
+        others = {f"disturbance.others.{n}": each for n, each in enumerate(self.disturbance.others)}
+        return {place: each for place, each in {**found, **others}.items() if isinstance(each, Kind)}
+
+    def without_kinds(self) -> Scenario:
+        """A copy with the paper's components alone."""
+        hardware = self.hardware.model_copy(update={"servo": _plain(self.hardware.servo, Servo)})
+        footholds = "planned" if isinstance(self.gait.footholds, Kind) else self.gait.footholds
+        return self.model_copy(
+            update={
+                "contact": _plain(self.contact, Contact),
+                "hardware": hardware,
+                "disturbance": self.disturbance.model_copy(update={"others": ()}),
+                "gait": self.gait.model_copy(update={"footholds": footholds}),
+            }
+        )
 
     def relative_to(self, folder: str | os.PathLike[str]) -> Scenario:
         """A copy in which paths of files inside a folder are relative to it."""
@@ -847,6 +873,11 @@ class Scenario(v.Section):
     def with_overrides(self, overrides: Sequence[str] | Mapping[str, object]) -> Scenario:
         """A revalidated copy with some keys changed; `overrides` as in `load_scenario`."""
         return overridden(self, overrides, "scenario")
+
+
+def _plain(section: AnySection | Kind, plain: type[AnySection]) -> AnySection:
+    """Return a section of the paper's kind: itself, or one of defaults."""
+    return plain() if isinstance(section, Kind) else section
 
 
 def validated(kind: type[AnySection], data: object, source: str) -> AnySection:
@@ -871,10 +902,23 @@ def overridden(scenario: Scenario, overrides: Sequence[str] | Mapping[str, objec
         return scenario
     data = scenario.model_dump(mode="json")
     try:
-        for key, value in pairs(overrides, source):
-            assign(data, key, value, source)
+        # another kind has other keys: those set beside it come after it
+        for key, value in sorted(pairs(overrides, source), key=lambda pair: not str(pair[0]).endswith(".kind")):
+            _set_kind(data, key, value, source) if str(key).endswith(".kind") else assign(data, key, value, source)
             if key in _OF_REGISTERS:  # what is set last holds
                 assign(data, "hardware.servo.registers", None, source)
     except RecursionError:
-        raise config_error(source, "", "overrides of a few levels", "endless nesting") from None
+        raise ConfigError(source, "", "overrides of a few levels", "endless nesting") from None
     return validated(Scenario, data, source)
+
+
+def _set_kind(data: dict[str, object], key: str, value: object, source: str) -> None:
+    """Set the kind of a section; another kind than before starts with values of its own."""
+    section: Any = data
+    for part in key.split(".")[:-1]:
+        by_key: Any = {str(n): each for n, each in enumerate(section)} if isinstance(section, list) else section
+        section = by_key.get(part) if isinstance(by_key, dict) else None
+    before = section.get("kind") if isinstance(section, dict) else None
+    if isinstance(before, str) and before.rpartition(":")[2] != str(value).rpartition(":")[2]:
+        section.clear()
+    assign(data, key, value, source)

@@ -55,4 +55,4 @@ def _shipped(name: str, what: str, below: str = "") -> Path:
             return path
     from mjx_climb.scenario.messages import ConfigError  # imports pydantic, which completion does not wait for
 
-    raise ConfigError(f"{Path(name).stem}: expected a file, or {what} ({', '.join(_stems(below))}), got neither")
+    raise ConfigError(Path(name).stem, "", f"a file, or {what} ({', '.join(_stems(below))})", "neither")

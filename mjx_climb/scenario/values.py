@@ -1,12 +1,15 @@
 """The sections of a scenario and the types of their values, each of which says in words what it expects."""
 
+import dataclasses
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, cast
+import types
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator
 
 from mjx_climb.scenario.messages import failure, refusal
+from mjx_climb.value_field import ValueField, one_in_words
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass as _ModelMetaclass
@@ -15,7 +18,23 @@ else:
 
 
 class _OneLine(_ModelMetaclass):
-    """Makes a section that is built in Python refuse bad values as one from YAML does."""
+    """Makes a section that is built in Python refuse bad values as one from YAML does, and its keys from a component's.
+
+    The values that its `COMPONENT` declares become keys after those in front of them, but for keys of its own.
+    """
+
+    def __new__(mcs, name: str, bases: tuple[type, ...], namespace: dict[str, Any], **options: Any) -> type:
+        if (component := namespace.get("COMPONENT")) is not None:
+            own, required = dict(namespace.get("__annotations__", {})), namespace.get("REQUIRED", ())
+            made = {"kind": own.pop("kind")} if "kind" in own else {}
+            for field in dataclasses.fields(component):
+                if field.name not in own and (kind := _kind_of(field)) is not None:
+                    value: ValueField | None = field.metadata.get("value")
+                    default = ... if field.name in required else _default(value, field.default)
+                    description = field.name if value is None else value.description
+                    namespace[field.name], made[field.name] = Field(default=default, description=description), kind
+            namespace["__annotations__"] = made | own
+        return super().__new__(mcs, name, bases, namespace, **options)
 
     def __call__(cls, *args: Any, **values: Any) -> Any:
         try:
@@ -30,8 +49,64 @@ class Section(BaseModel, metaclass=_OneLine):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+class ComponentSection(Section):
+    """A section with a key for each value that `COMPONENT` declares; those of `REQUIRED` have no default."""
+
+    COMPONENT: ClassVar[Any] = None
+    REQUIRED: ClassVar[tuple[str, ...]] = ()
+
+    if TYPE_CHECKING:
+
+        def __init__(self, **values: Any) -> None: ...
+        def __getattr__(self, name: str) -> Any: ...
+
+
+def section_of(component: type, required: Sequence[str] = ()) -> type[ComponentSection]:
+    """Return the section of a component: a key for each of its values and options."""
+    body = {"COMPONENT": component, "REQUIRED": tuple(required), "__module__": component.__module__}
+    return types.new_class(component.__name__, (ComponentSection,), exec_body=lambda namespace: namespace.update(body))
+
+
+def _default(value: ValueField | None, default: Any) -> Any:
+    """The default of a key: null of an infinite value or none, a list of a value with axes, whole of a whole one."""
+    if default is dataclasses.MISSING or default == math.inf:
+        return None
+    if value is not None and value.shape:
+        return tuple(float(default) for _ in range(value.size))
+    return int(default) if value is not None and value.whole else default
+
+
+def _kind_of(field: dataclasses.Field[Any]) -> Any:
+    """The type of a key that a field of a component has; None of a field that the program sets."""
+    if "value" in field.metadata:
+        return type_of(field.metadata["value"])
+    for kind, text in ((bool, "true or false"), (str, "a word"), (float, "a finite number"), (int, "a whole number")):
+        if type(field.default) is kind:
+            return Annotated[kind, Strict(), _expects(text)]
+    return None
+
+
+def type_of(value: ValueField) -> Any:
+    """The type of a key that holds a declared value: strict, within its bounds; null where it may be infinite."""
+    kind, null = int if value.whole else float, value.bounds[1] == math.inf
+    within: dict[str, Any] = {} if value.whole else {"allow_inf_nan": False}
+    ends = zip(("ge", "le"), value.bounds, strict=True)
+    within |= {name: kind(end) for name, end in ends if math.isfinite(end)}
+    number: Any = Annotated[kind, Strict(), Field(**within)]
+    held = number | None if null else number
+    for length in reversed(value.shape):
+        axis: Any = (held, ...) if length is None else (held,) * length
+        held = tuple[axis]
+    text = one_in_words(value.bounds, value.whole)
+    if value.shape == (3,):
+        text = "a list of three finite numbers"
+    elif value.shape:
+        text = f"{'lists' if len(value.shape) > 1 else 'a list'}, each number {text}"
+    return Annotated[held, _expects(text + (", or null" if null else ""))]
+
+
 def setting(default: object, description: str) -> Any:
-    """Return the field of a key of a scenario, with its default, and what it is, unit included."""
+    """Return the field of a key of a scenario, with its default and its meaning, unit included."""
     return Field(default=default, description=description)
 
 
@@ -107,7 +182,17 @@ _Table = tuple[_Row, ...]
 Values = Annotated[
     Finite | _Row | _Table | tuple[_Table, ...], _expects("a finite number, or a list of them or of such lists")
 ]
-Option = Annotated[bool, Strict()] | Annotated[str, Strict()] | Finite
+Given = Annotated[
+    Annotated[bool, Strict()]
+    | Annotated[str, Strict()]
+    | Annotated[int, Strict()]
+    | Finite
+    | _Row
+    | _Table
+    | tuple[_Table, ...]
+    | None,
+    _expects("a finite number, a list of them or of such lists, null, a word, true or false"),
+]
 FileName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the path of a file")]
 Heights = Annotated[
     tuple[Finite, ...], Field(min_length=1), _expects("a list of one finite number or more, foothold after foothold")

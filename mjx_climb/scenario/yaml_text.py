@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import yaml
 
-from mjx_climb.scenario.messages import config_error, show
+from mjx_climb.scenario.messages import ConfigError, show
 
 MAX_FILE_BYTES = 1_000_000
 MAX_NESTING = 20
@@ -83,14 +83,14 @@ def read(source: str) -> str:
             content = file.read(MAX_FILE_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
         reason = (getattr(error, "strerror", None) or str(error)).lower()
-        raise config_error(source, "", "a readable file", reason) from None
+        raise ConfigError(source, "", "a readable file", reason) from None
     if len(content) > MAX_FILE_BYTES:
-        raise config_error(source, "", f"at most {MAX_FILE_BYTES} bytes", "more")
+        raise ConfigError(source, "", f"at most {MAX_FILE_BYTES} bytes", "more")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         where = f"byte 0x{content[error.start]:02x} at offset {error.start}"
-        raise config_error(source, "", "UTF-8 text", where) from None
+        raise ConfigError(source, "", "UTF-8 text", where) from None
 
 
 def parse(text: str, source: str, key: str = "") -> object:
@@ -106,7 +106,7 @@ def parse(text: str, source: str, key: str = "") -> object:
         mark = getattr(error, "problem_mark", None)
         reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
         line = f"line {mark.line + 1}: " if mark is not None and not key else ""
-        raise config_error(source, key, "valid YAML", f"{line}{reason}") from None
+        raise ConfigError(source, key, "valid YAML", f"{line}{reason}") from None
 
 
 def pairs(overrides: Sequence[str] | Mapping[str, object], source: str) -> list[tuple[str, object]]:
@@ -123,7 +123,7 @@ def pairs(overrides: Sequence[str] | Mapping[str, object], source: str) -> list[
     for text in [overrides] if isinstance(overrides, str) else overrides:
         key, _, value = map(str.strip, text.partition("=")) if isinstance(text, str) else ("", "", "")
         if not key or not value:  # an empty value would be a silent null
-            raise config_error(source, "", "an override of the form dotted.key=value", show(text))
+            raise ConfigError(source, "", "an override of the form dotted.key=value", show(text))
         found += _single(key, parse(value, source, key), source)
     return found
 
@@ -132,7 +132,7 @@ def _single(key: str, value: object, source: str) -> list[tuple[str, object]]:
     if not isinstance(value, Mapping):
         return [(key, value)]
     if not value:
-        raise config_error(source, key, "a mapping with at least one key", "{}")
+        raise ConfigError(source, key, "a mapping with at least one key", "{}")
     return [pair for name, inner in value.items() for pair in _single(f"{key}.{name}", inner, source)]
 
 
@@ -143,22 +143,22 @@ def assign(data: dict[str, object], key: str, value: object, source: str) -> Non
         ConfigError: a place that is not there.
     """
     if not isinstance(key, str) or not all(parts := key.split(".")):
-        raise config_error(source, "", "an override of the form dotted.key=value", show(key))
+        raise ConfigError(source, "", "an override of the form dotted.key=value", show(key))
     target: Any = data
     for level, part in enumerate(parts):
         place, index = ".".join(parts[:level]), cast(Any, part)
         if isinstance(target, list):
             if not (part.isascii() and part.isdecimal() and len(part) < 9 and int(part) < len(target)):
-                raise config_error(source, place, f"an index below {len(target)}", show(part))
+                raise ConfigError(source, place, f"an index below {len(target)}", show(part))
             index = int(part)
         elif not isinstance(target, dict):
-            raise config_error(source, place, "no further keys below this one", show(part))
+            raise ConfigError(source, place, "no further keys below this one", show(part))
         if level == len(parts) - 1:
             target[index] = _plain(value)
         elif isinstance(target, dict):
-            names_robot = part == "robot" and not level and isinstance(target.get(part), str)
-            if names_robot or target.get(part) is None:
-                target[part] = {}  # a section takes the place of none, a robot's file that of a name
+            named = key.startswith(("robot.", "gait.footholds.")) and isinstance(target.get(part), str)
+            if named or target.get(part) is None:
+                target[part] = {}  # a section takes the place of none, or of a name
         target = target[index]
 
 

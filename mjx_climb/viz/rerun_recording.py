@@ -30,7 +30,7 @@ def library() -> Any:
     try:
         return importlib.import_module("rerun")
     except ImportError:
-        raise ConfigError("rerun: expected rerun-sdk to be installed, as by pip install 'mjx-climb[view]'") from None
+        raise ConfigError("", "rerun", "rerun-sdk to be installed, as by pip install 'mjx-climb[view]'") from None
 
 
 def save_rrd(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:

@@ -4,7 +4,7 @@
 
     kinematics -> grips -> gait -> control loop -> disturbances -> accelerations -> integration
 
-Where footholds are chosen or the robot recovers, `look_ahead` decides every planning period, before a step.
+Before the first step of each planning period `look_ahead` lets the gait decide, where it does so.
 
 How many robots walk at once is the affair of `mjx_climb.execution`.
 """
@@ -22,10 +22,14 @@ from mjx_climb.arrays import AnyArray, Tree
 from mjx_climb.control import Law
 from mjx_climb.control.law import Reference, constants, measurement_at
 from mjx_climb.disturbances.disturbance import Body, External, sum_of
-from mjx_climb.gait import planner as planning
-from mjx_climb.gait import schedule as gait
-from mjx_climb.gait.recovery import Body as Whole
-from mjx_climb.gait.recovery import recovery_of
+from mjx_climb.gait.chosen_footholds import ChosenFootholds
+from mjx_climb.gait.free_order import FreeOrder
+from mjx_climb.gait.gait import Body as WholeBody
+from mjx_climb.gait.gait import Gait
+from mjx_climb.gait.own_swings import OwnSwings
+from mjx_climb.gait.periodic import Periodic
+from mjx_climb.gait.recovery import RecoveringGait, recovery_of
+from mjx_climb.gait.schedule import Plan, Schedule, plan
 from mjx_climb.hardware.actuator import Drive
 from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import Hardware, hardware_of
@@ -33,7 +37,7 @@ from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.physics.inverse_dynamics import load_torque
-from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
+from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import (
     LimbFrames,
     base_wrench_of_foot_force,
@@ -58,7 +62,7 @@ class Setup(NamedTuple):
     law: Law
     parameters: Parameters
     hardware: Hardware
-    plan: gait.Plan
+    plan: Plan
 
 
 class Walk(NamedTuple):
@@ -66,12 +70,11 @@ class Walk(NamedTuple):
 
     robot: Robot  # as its file says: `mass_scale` is none of it
     parameters: Parameters
-    plan: gait.Plan
+    gait: Gait
     contact: Contact
     holding_force: Array  # () N, the pull that margins may count on, in a smooth walk too
     controller: control_loop.Controller
     structure: Structure
-    planner: planning.Planner | None = None  # None: the periodic gait, whatever happens
 
 
 class Carry(NamedTuple):
@@ -79,9 +82,8 @@ class Carry(NamedTuple):
 
     state: State
     contact: PyTree  # memory of the contacts
-    cycle_start: Array  # (3,) m, what the gait remembers of the base
+    gait: PyTree  # memory of the gait
     memory: control_loop.Memory  # of the law and the hardware
-    progress: planning.Progress | None = None  # of the planner
 
 
 def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
@@ -93,7 +95,7 @@ def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
         law=law,
         parameters=parameters,
         hardware=hardware_of(parameters, structure.stages, structure.time_step, robot),
-        plan=gait.plan(robot, feet, parameters, structure.lift_off, structure.time_step, structure.stages),
+        plan=plan(robot, feet, parameters, structure.lift_off, structure.time_step, structure.stages),
     )
 
 
@@ -111,16 +113,20 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     # asked before the limit is taken away: without one, margins are those of bare feet
     holding_force = jnp.asarray(contact.holding_force())
     contact = contact.unbreakable() if structure.smooth else contact
-    plans = None
-    if structure.planning:
-        moves = len({share for _, share in structure.lift_off})
-        moves = len(structure.lift_off) if structure.free else moves
-        plans = planning.Planner(
-            robot, geometry, setup.plan, parameters.footholds, parameters.ground.holds,
-            recovery_of(setup.law, parameters.recovery),
-            structure.planning, moves, structure.time_step, structure.free, structure.way_points,
-        )  # fmt: skip
-    return Walk(robot, parameters, setup.plan, contact, holding_force, controller, structure, plans)
+    gait = _gait_of(structure, setup, robot, geometry)
+    return Walk(robot, parameters, gait, contact, holding_force, controller, structure)
+
+
+def _gait_of(structure: Structure, setup: Setup, robot: Robot, geometry: LimbGeometry | Chain) -> Gait:
+    rule, recovery = setup.parameters.footholds, recovery_of(setup.law, setup.parameters.recovery)
+    own = setup.plan, structure.time_step, structure.base_reference == "actual"
+    if not structure.planning:
+        return Periodic(*own)
+    of_limbs = *own, robot, geometry, setup.parameters.ground.holds, structure.planning
+    moves = len(structure.lift_off if structure.free else {share for _, share in structure.lift_off})
+    kind = FreeOrder if structure.free else ChosenFootholds
+    found = OwnSwings(*of_limbs) if rule is None else kind(*of_limbs, rule, moves, structure.way_points)
+    return found if recovery is None else RecoveringGait(found, recovery)
 
 
 def _in_precision(tree: Tree, dtype: jnp.dtype) -> Tree:
@@ -135,13 +141,11 @@ def prepare(structure: Structure, law: Law, parameters: Parameters) -> Walk:
 
 def begin(walk: Walk) -> Carry:
     """Return the rest stance with all grippers shut."""
-    plan, robot, stages = walk.plan, walk.robot, walk.structure.stages
-    now = gait.schedule(plan, jnp.zeros_like(plan.cycle_steps))
-    start, feet = gait.planned_start(plan, now.cycle), gait.first_footholds(plan)
-    reference = gait.reference(plan, now, start, feet, walk.structure.time_step)._replace(foot_position=feet)
+    robot, stages = walk.robot, walk.structure.stages
+    remembered, reference = walk.gait.init()
     rotation, joints = quaternion_to_matrix(reference.base_orientation), jnp.asarray(robot.stance_joints)
     # elsewhere the rest stance already has the feet on their footholds
-    if plan.heights.size or stages.height or stages.sway:
+    if walk.parameters.ground.foothold_height.size or stages.height or stages.sway:
         target = (reference.foot_position - reference.base_position) @ rotation
         joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
     still = jnp.zeros_like(reference.base_position)
@@ -149,9 +153,7 @@ def begin(walk: Walk) -> Carry:
     attitudes = limb_frames(robot, rotation, joints).rotation[:, -1]
     contact = walk.contact.init(reference.foot_position, attitudes)
     memory = control_loop.begin(walk.controller, state, reference)
-    position = gait.unswayed(plan, now, reference.base_position)
-    progress = None if walk.planner is None else planning.begin(walk.planner, position)
-    return Carry(state, contact, position, memory, progress)
+    return Carry(state, contact, remembered, memory)
 
 
 def constants_of_law(walk: Walk, begun: Carry) -> list[bool | Array]:
@@ -169,16 +171,12 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
     `step` counts them, (). An action takes the place of the law, which then stays as it is.
     """
     state, parameters = carry.state, walk.parameters
-    frames, now = limb_frames(walk.robot, None, state.joint_angles), _schedule(walk, carry, step)
+    frames, now = limb_frames(walk.robot, None, state.joint_angles), walk.gait.schedule(carry.gait, step)
     # Eq. 5: the forces of the grips, and which of them let go
     actual = _evaluate_contacts(walk, carry, frames, now)
 
-    cycle_start, start = carry.cycle_start, gait.planned_start(walk.plan, now.cycle)
-    # as in ClimbLab: a cycle starts where the base is, not where the last one ended
-    if walk.structure.base_reference == "actual":
-        here = gait.unswayed(walk.plan, now, state.base_position)
-        cycle_start = start = jnp.where(now.cycle_phase == 0, here, carry.cycle_start)
-    reference = _reference(walk, carry, now, step, start, actual.grip.grip_point)
+    grip_point = actual.grip.grip_point
+    remembered, reference = walk.gait.reference(carry.gait, now, step, state.base_position, grip_point)
     external = _external(walk, Body(walk.robot, frames, state), step)
     load = None
     # of all but the actuators: what their gears carry
@@ -198,71 +196,44 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
             robot=walk.robot, parameters=parameters, frames=frames, actual=actual, reference=reference,
             command=command, joints=joints, drive=drive, external=external, acceleration=acceleration,
             sensor_lost=no_sensor if watch is None else watch.lost,
-            holding_force=_pull(walk, carry, now, actual),
+            holding_force=walk.gait.pulls(carry.gait, now, actual.feet.surface, walk.holding_force),
         )
     )  # fmt: skip
     after = integrate(state, acceleration, walk.structure.time_step)
-    return Carry(after, actual.contact, cycle_start, memory, carry.progress), sample
+    return Carry(after, actual.contact, remembered, memory), sample
 
 
 def look_ahead(walk: Walk, carry: Carry, step: Array) -> Carry:
-    """Return the walk before a step, () integer, with what the planner decides there."""
-    if walk.planner is None or carry.progress is None:
-        return carry
+    """Return the walk before a step, () integer, with the decisions of the gait."""
     state, parameters = carry.state, walk.parameters
-    frames, now = limb_frames(walk.robot, None, state.joint_angles), _schedule(walk, carry, step)
+    frames, now = limb_frames(walk.robot, None, state.joint_angles), walk.gait.schedule(carry.gait, step)
     actual = _evaluate_contacts(walk, carry, frames, now)
-    start = carry.cycle_start
-    if walk.structure.base_reference != "actual":
-        start = gait.planned_start(walk.plan, now.cycle)
-    reference = _reference(walk, carry, now, step, start, actual.grip.grip_point)
+    grip_point = actual.grip.grip_point
+    _, reference = walk.gait.reference(carry.gait, now, step, state.base_position, grip_point)
     cargo = _external(walk, Body(walk.robot, frames, state), step).cargo_mass
     mass = cargo + parameters.mass_scale * walk.robot.total_mass
-    body = Whole(
+    body = WholeBody(
         mass=mass, center_of_mass=center_of_mass(walk.robot, frames, state, cargo / parameters.mass_scale),
         velocity=state.base_linear_velocity, weight=mass * jnp.asarray(parameters.gravity), feet=actual.feet.position,
         support=actual.grip.support, foot_force=actual.grip.foot_force, holding_force=walk.holding_force,
-        normal=ground_normal(actual.feet), pull=_pull(walk, carry, now, actual),
+        normal=ground_normal(actual.feet),
+        pull=walk.gait.pulls(carry.gait, now, actual.feet.surface, walk.holding_force),
+        base_position=state.base_position, base_rotation=quaternion_to_matrix(state.base_orientation),
+        grip_point=grip_point,
     )  # fmt: skip
-    base = state.base_position, quaternion_to_matrix(state.base_orientation)
-    progress = planning.tick(walk.planner, carry.progress, now, step, reference, base, actual.grip.grip_point, body)
-    return carry._replace(progress=progress)
+    return carry._replace(gait=walk.gait.look_ahead(carry.gait, now, step, reference, body))
 
 
-def _pull(walk: Walk, carry: Carry, now: gait.Schedule, actual: control_loop.Actual) -> Array:
-    """Return the pulls that margins may count on, () N; on holds (limb, 3) N, times their normals."""
-    if carry.progress is None:
-        return walk.holding_force
-    return planning.pulls_of_feet(carry.progress, now, actual.feet.surface, walk.holding_force)
-
-
-def _schedule(walk: Walk, carry: Carry, step: Array) -> gait.Schedule:
-    """Return the phases of the limbs at a step."""
-    if walk.planner is None or carry.progress is None:
-        return gait.schedule(walk.plan, step)
-    return planning.schedule_at(walk.planner, carry.progress, step)
-
-
-def _reference(walk: Walk, carry: Carry, now: gait.Schedule, step: Array, start: Array, grip_point: Array) -> Reference:
-    """Return the reference of a base that began its cycle at `start` (3,) m; shut grippers stay where they grip."""
-    if walk.planner is None or carry.progress is None:
-        return gait.reference(walk.plan, now, start, grip_point, walk.structure.time_step)
-    return planning.reference_at(walk.planner, carry.progress, now, step, start, grip_point)
-
-
-def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: gait.Schedule) -> control_loop.Actual:
+def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: Schedule) -> control_loop.Actual:
     """Return feet, contacts (paper Eq. 5) and the wrench of the feet on the base, `J_b^T F_e`, in a step."""
     feet = foot_kinematics(walk.robot, frames, carry.state)
-    if walk.planner is None or carry.progress is None:
-        ground = gait.foothold_height(walk.plan, now.foothold)
-    else:
-        ground = planning.ground_at(carry.progress, now)
-        feet = feet._replace(surface=planning.surface_at(walk.planner, carry.progress, now))
+    ground, surface = walk.gait.ground(carry.gait, now)
+    feet = feet._replace(surface=surface)
     turning = foot_turning(walk.robot, frames, carry.state) if walk.contact.transmits_moments else None
     contact, held = walk.contact.step(carry.contact, feet, turning, now.closed, ground)
-    hold = None if carry.progress is None else carry.progress.held
-    if hold is not None and hold.bound.shape[1]:
-        share = jnp.where(held.support, planning.share_of_limits(hold, now, held.foot_force), 0.0)
+    share = walk.gait.share_of_limits(carry.gait, now, held.foot_force)
+    if share is not None:
+        share = jnp.where(held.support, share, 0.0)
         held = held._replace(utilization=jnp.maximum(held.utilization, share))
         if not walk.structure.smooth:
             contact, held = walk.contact.tear_off(contact, held, share > 1)

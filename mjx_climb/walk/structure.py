@@ -39,7 +39,7 @@ class Structure(NamedTuple):
     own_code: str = ""
     free: bool = False  # the limb that gains most swings next
     way_points: tuple[tuple[float, float], ...] = ()  # m, that the base walks to
-    planning: int = 0  # steps between the ticks of the planner; 0: the periodic gait, whatever happens
+    planning: int = 0  # of `planning_steps`
 
 
 def structure(
@@ -63,12 +63,12 @@ def structure(
             without `tear_off` where the holds have limits.
     """
     if parameters.footholds is not None and parameters.ground.holds is None:
-        raise ConfigError("gait.footholds: expected planned, as the ground has no holds to choose among")
+        raise ConfigError("", "gait.footholds", "planned, as the ground has no holds to choose among")
     if parameters.footholds is None and scenario.gait.order == "free":
-        raise ConfigError("gait.order: expected periodic with planned footholds, got free")
+        raise ConfigError("", "gait.order", "periodic with planned footholds", "free")
     if parameters.footholds is None and scenario.gait.way_points:
         points = [list(point) for point in scenario.gait.way_points]
-        raise ConfigError(f"gait.way_points: expected none with planned footholds, got {points}")
+        raise ConfigError("", "gait.way_points", "none with planned footholds", points)
     contact = parameters.contact
     limited = parameters.ground.holds is not None and parameters.ground.holds.limit_bound.shape[-1] > 0
     if limited and contact is not None and type(contact).tear_off is Contact.tear_off:
@@ -97,8 +97,13 @@ def structure(
         own_code=own_code,
         free=scenario.gait.order == "free",
         way_points=scenario.gait.way_points,
-        planning=0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps,
+        planning=planning_steps(scenario, parameters),
     )
+
+
+def planning_steps(scenario: Scenario, parameters: Parameters) -> int:
+    """Return the number of steps between decisions of the gait; 0: the periodic gait, whatever happens."""
+    return 0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps
 
 
 @functools.lru_cache(maxsize=64)

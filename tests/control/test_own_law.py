@@ -111,7 +111,7 @@ def test_tangents_along_own_gains_agree_with_central_differences(scenario, law):
 @pytest.mark.slow
 def test_swept_over_its_own_gain(scenario, law, tmp_path):
     axes = {"cutoff": np.array([1.0, 100.0]), "share": np.array([0.1, 0.5, 1.0])}
-    result = sweep(scenario, axes, law=law, out=tmp_path, dtype=np.float64).data
+    result = sweep(scenario, axes, law=law, out=tmp_path, precision="float64").data
     assert result["force_variation"].dims == ("cutoff", "share")
     assert result["cutoff"].attrs["units"] == "Hz"
     alone = mc.rollout_metrics(scenario, {"cutoff": 100.0, "share": 0.5}, law=law, dtype=np.float64)

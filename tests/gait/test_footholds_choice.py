@@ -5,10 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mjx_climb.gait.chosen_footholds import middle_of
 from mjx_climb.gait.footholds import SHIPPED
+from mjx_climb.gait.footholds.choice import Candidates
 from mjx_climb.gait.footholds.footholds import Candidate, Situation
 from mjx_climb.gait.footholds.least_use import LeastUse, resting_forces
-from mjx_climb.gait.planner import Candidates, middle_of
 from mjx_climb.ground import Holds
 from tests.gait import footholds_reference as reference
 

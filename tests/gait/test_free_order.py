@@ -7,7 +7,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.gait.footholds import Farthest
-from mjx_climb.gait.planner import _first_largest
+from mjx_climb.gait.free_order import first_largest
 from mjx_climb.ground.ground import Ground
 from mjx_climb.inputs.from_scenario import own_parameters
 from tests.gait.test_planner import NO_PUSH, SOFT, holds
@@ -20,7 +20,7 @@ WALK = {
 
 
 def test_of_equal_ones_the_first_is_next():
-    np.testing.assert_array_equal(_first_largest(np.array([1.0, 3.0, 3.0, 0.0])), [False, True, False, False])
+    np.testing.assert_array_equal(first_largest(np.array([1.0, 3.0, 3.0, 0.0])), [False, True, False, False])
 
 
 @pytest.mark.slow

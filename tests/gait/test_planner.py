@@ -11,18 +11,10 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import Recovering
+from mjx_climb.gait.chosen_footholds import middle_of, situation_of, towards
 from mjx_climb.gait.footholds import ClimbLab, Nearest
-from mjx_climb.gait.planner import (
-    Held,
-    Planner,
-    _no_holds,
-    hold_axes,
-    middle_of,
-    pulls_of_feet,
-    situation_of,
-    surface_at,
-    towards,
-)
+from mjx_climb.gait.footholds.held import Held, hold_axes, no_holds
+from mjx_climb.gait.own_swings import OwnSwings
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.ground import Holds
 from mjx_climb.ground.ground import Ground
@@ -166,22 +158,23 @@ def test_the_plane_of_a_hold_counts_near_it_and_its_limit_where_it_is_held():
     normal, left = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in random.normal(size=(2, 4, 3)))
     held = Held(jnp.asarray(normal), jnp.asarray(-normal[:, None]), jnp.full((4, 1), 5.0))
     progress: Any = SimpleNamespace(held=held, left=left, start=start, goal=jnp.asarray(goal), below=start[:, 2])
-    planner: Any = SimpleNamespace(plan=SimpleNamespace(settling=0.2))
+    plan: Any = SimpleNamespace(settling=0.2)
+    gait = OwnSwings(plan, 0.001, False, None, None, None, 1)
     up = np.tile([0.0, 0.0, 1.0], (4, 1))
     middle = np.column_stack([goal[:, :2], start[:, 2]])
     each = {-0.1: (start, left), 0.07: (start, left), 0.3: (middle, up), 0.6: (goal, up), 0.73: (goal, normal)}
     for phase, (point, around) in (each | {4.0: (goal, normal)}).items():
         now: Any = SimpleNamespace(swing_phase=jnp.full(4, phase))
-        surface = surface_at(planner, progress, now)
+        _, surface = gait.ground(progress, now)
         np.testing.assert_array_equal(surface.point, point)
         np.testing.assert_array_equal(surface.normal, around)
         for grip, weaker in ((15.0, 5.0), (3.0, 3.0), (0.0, 5.0)):
-            pull = pulls_of_feet(progress, now, surface, jnp.asarray(grip))
+            pull = gait.pulls(progress, now, surface, jnp.asarray(grip))
             np.testing.assert_allclose(pull, (weaker if phase >= 1 else grip) * around, rtol=1e-12)
     # a choice counts on the holds where limbs will stand, and before the first one on level ground
     body: Any = SimpleNamespace(support=None, center_of_mass=0, weight=None, holding_force=jnp.asarray(3.0))
-    plan: Any = SimpleNamespace(swing_steps=1, cycle_steps=4)
-    for hold, around in ((held, normal), (_no_holds(holds(start), goal), up), (None, up)):
+    plan = SimpleNamespace(swing_steps=1, cycle_steps=4)
+    for hold, around in ((held, normal), (no_holds(holds(start), goal), up), (None, up)):
         progress.held = hold
         pull = situation_of(plan, progress, body, jnp.ones(3)).pull
         np.testing.assert_allclose(pull, 3 * around, rtol=1e-12)
@@ -242,12 +235,11 @@ def test_the_base_moves_as_far_as_all_feet_stay_within_reach(scenario):
     """Of the shares of its way the largest, by joint angles found anew, with room left before a limb is straight."""
     robot = load_robot(scenario.robot)
     geometry, random, shares = limb_geometry(robot), np.random.default_rng(0), [0.0, 0.25, 0.5, 0.75, 1.0]
-    planner = Planner(robot, geometry, None, None, None, None, 1, 4, 0.001)
     start, rotation = robot.stance_position, np.eye(3)
     stance = start + limb_frames(robot, None, robot.stance_joints).foot
     feet = stance + random.normal(0, [0.04, 0.04, 0.005], (200, 4, 3))
     goal = start + random.normal(0, [0.06, 0.06, 0.005], (200, 3))
-    found = jax.vmap(lambda feet, goal: towards(planner, feet, rotation, start, goal))(feet, goal)
+    found = jax.vmap(lambda feet, goal: towards(robot, geometry, feet, rotation, start, goal))(feet, goal)
     made = []
     for each, end, place in zip(feet, goal, np.asarray(found), strict=True):
         fine = []
@@ -306,5 +298,5 @@ def test_step_by_step_it_is_the_same_walk(scenario):
     for _ in range(100):
         state, sample = step(state)
         references.append(sample.base_reference)
-    assert float(state.carry.progress.interruptions) >= 1
+    assert float(state.carry.gait.interruptions) >= 1
     np.testing.assert_allclose(references, whole.base_reference, rtol=0, atol=1e-9)

@@ -1,5 +1,6 @@
 """What the planner decides, step by step, against numbers by hand and choices by loops in NumPy."""
 
+import collections
 import dataclasses
 import functools
 from typing import Any
@@ -9,11 +10,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.gait import planner as planning
 from mjx_climb.gait.base_path import sway_of, swayed
+from mjx_climb.gait.chosen_footholds import ChosenFootholds, situation_of
 from mjx_climb.gait.footholds import BestMargin, Farthest, Nearest
+from mjx_climb.gait.footholds.choice import within_reach
 from mjx_climb.gait.footholds.footholds import Situation
-from mjx_climb.gait.recovery import Body, Danger, Recovery, danger, interrupts, stopping_margin, ways_beside
+from mjx_climb.gait.footholds.held import Held
+from mjx_climb.gait.free_order import FreeOrder
+from mjx_climb.gait.gait import Body
+from mjx_climb.gait.own_swings import OwnSwings, Swings, clock_at
+from mjx_climb.gait.recovery import (
+    Danger,
+    Interruptions,
+    RecoveringGait,
+    Recovery,
+    danger,
+    interrupts,
+    stopping_margin,
+    ways_beside,
+)
 from mjx_climb.gait.schedule import Plan
 from mjx_climb.ground import Holds
 from mjx_climb.physics.inverse_kinematics import limb_geometry
@@ -45,16 +60,33 @@ PLAN = Plan(
 )  # fmt: skip
 
 
-def planner_of(rule=None, holds=None, recovery=None, plan=PLAN, **changes):
-    geometry = limb_geometry(ROBOT)
-    return planning.Planner(ROBOT, geometry, plan, rule, holds, recovery, PERIOD, MOVES, STEP, **changes)
+def planner_of(rule=None, holds=None, recovery=None, plan=PLAN, free=False, way_points=()):
+    own = plan, STEP, False, ROBOT, limb_geometry(ROBOT), holds, PERIOD
+    kind = FreeOrder if free else ChosenFootholds
+    found = OwnSwings(*own) if rule is None else kind(*own, rule, MOVES, way_points)
+    return found if recovery is None else RecoveringGait(found, recovery)
+
+
+# the memory of either gait in one row
+Memory = collections.namedtuple("Memory", (*Swings._fields, *Interruptions._fields[1:]))
+
+
+def flat(memory):
+    own = (memory.swings, *memory[1:]) if isinstance(memory, Interruptions) else (memory, *[None] * 5)
+    return Memory(*own[0], *own[1:])
+
+
+def nested(memory):
+    count = len(Swings._fields)
+    swings = Swings(*memory[:count])
+    return swings if memory.resumes is None else Interruptions(swings, *memory[count:])
 
 
 def body_of(**changes):
     body = Body(
         mass=MASS, center_of_mass=[0.01, -0.02, 0.1], velocity=[0.0, 0.0, 0.0], weight=MASS * GRAVITY, feet=FEET,
         support=np.ones(4, bool), foot_force=np.tile(-MASS * GRAVITY / 4, (4, 1)), holding_force=15.0, normal=UP,
-        pull=15.0,
+        pull=15.0, base_position=BASE, base_rotation=LEVEL, grip_point=FEET,
     )  # fmt: skip
     body = body._replace(**changes)
     return body._replace(**{n: jnp.asarray(v, float) for n, v in body._asdict().items() if n != "support"})
@@ -64,11 +96,11 @@ def body_of(**changes):
 def compiled(**changes):
     """Return schedule, reference and tick in one program for all plans, recoveries and holds."""
 
-    def ticked(given, progress, step, start, base, grip_point, body):
+    def ticked(given, memory, step, body):
         planner = planner_of(**given, **changes)
-        now = planning.schedule_at(planner, progress, step)
-        reference = planning.reference_at(planner, progress, now, step, start, grip_point)
-        return planning.tick(planner, progress, now, step, reference, base, grip_point, body), now, reference
+        now = planner.schedule(memory, step)
+        _, reference = planner.reference(memory, now, step, body.base_position, body.grip_point)
+        return planner.look_ahead(memory, now, step, reference, body), now, reference
 
     return jax.jit(ticked)
 
@@ -76,14 +108,14 @@ def compiled(**changes):
 def tick(given, progress, step, grip_point=FEET, body=None, place=BASE, **changes):
     """Return the progress after a tick, the schedule and the reference that it was given."""
     body = body_of(pull=15 * UP if "holds" in given else 15.0) if body is None else body
+    body = body._replace(base_position=place, grip_point=grip_point)
     # numbers of one kind, of which there is one program
-    arguments = jax.tree.map(np.asarray, (given, progress, step, BASE, (place, LEVEL), grip_point, body))
-    return compiled(**changes)(*arguments)
+    found, *others = compiled(**changes)(*jax.tree.map(np.asarray, (given, nested(progress), step, body)))
+    return flat(found), *others
 
 
 def begun(planner, **changes):
-    found = planning.begin(planner, jnp.asarray(BASE))
-    return found._replace(**{name: jnp.asarray(value, float) for name, value in changes.items()})
+    return flat(planner.init()[0])._replace(**{name: jnp.asarray(value, float) for name, value in changes.items()})
 
 
 def ground_of(position, random):
@@ -102,13 +134,12 @@ def ground_of(position, random):
 
 def test_a_limb_is_where_its_own_swing_has_it():
     """LF waits for a swing that was decided, LH is in one, RH has swung, RF is at the end of a swing; step 640."""
-    planner = planner_of()
     own = {"begun": [650.0, 600.0, 340.0, 440.0], "span": [200.0, 100.0, 200.0, 200.0], "touched": [500.0, 0, 0, 0]}
     for running, clock in ((1.0, 140.0), (0.0, 100.0)):
-        progress = begun(planner, step=600.0, clock=100.0, running=running, **own)
-        assert planning.clock_at(progress, jnp.asarray(640)) == clock
+        progress = begun(planner_of(), step=600.0, clock=100.0, running=running, **own)
+        assert clock_at(progress, jnp.asarray(640)) == clock
         for free in (False, True):
-            now = planning.schedule_at(planner._replace(free=free), progress, jnp.asarray(640))
+            now = planner_of(rule=Farthest() if free else None, free=free).schedule(progress, jnp.asarray(640))
             np.testing.assert_array_equal(now.closed, [True, False, True, True])
             np.testing.assert_allclose(now.swing_phase, [-0.05, 0.4, 1.5, 1.0])
             np.testing.assert_array_equal(now.since_touchdown, [140.0, 0.0, 100.0, 0.0])
@@ -123,18 +154,19 @@ def test_the_ground_and_the_limits_of_a_foot_change_with_its_swing():
     progress = begun(planner, goal=goal, below=[0.1, 0.2, 0.3, 0.4], step=100.0)._replace(
         begun=jnp.array([1.0, 0.0, -100.0, 50.0]), span=jnp.full(4, 200.0)
     )
-    now = planning.schedule_at(planner, progress, jnp.asarray(100))  # 0.495, 0.5, 1 and 0.25 of a swing
-    np.testing.assert_allclose(planning.ground_at(progress, now), [0.1, 0.02, 0.03, 0.4])
+    now = planner.schedule(progress, jnp.asarray(100))  # 0.495, 0.5, 1 and 0.25 of a swing
+    np.testing.assert_allclose(planner.ground(progress, now)[0], [0.1, 0.02, 0.03, 0.4])
     rows = jnp.asarray(np.tile([[1.0, 0, 0], [0, 0, -2.0]], (4, 1, 1)))
-    held = planning.Held(jnp.asarray(UP), rows, jnp.array([[6.0, 8.0], [6.0, 8.0], [6.0, 8.0], [0.0, 8.0]]))
+    held = Held(jnp.asarray(UP), rows, jnp.array([[6.0, 8.0], [6.0, 8.0], [6.0, 8.0], [0.0, 8.0]]))
     now = now._replace(swing_phase=jnp.array([1.0, 0.99, 1.0, 3.0]))
     force = jnp.array([[3.0, 0, -4.0], [3.0, 0, -40.0], [-9.0, 0, -4.2], [1e-6, 0, 1.0]])
-    np.testing.assert_array_equal(planning.share_of_limits(held, now, force) > 1, [False, False, True, True])
-    share = planning.share_of_limits(held, now, force)
+    progress = progress._replace(held=held)
+    share = planner.share_of_limits(progress, now, force)
+    np.testing.assert_array_equal(share > 1, [False, False, True, True])
     np.testing.assert_allclose(share[:3], [1.0, 0.0, 1.05])
     assert share[3] > 1
     # what only pushes uses up nothing
-    np.testing.assert_array_equal(planning.share_of_limits(held, now, jnp.asarray(UP)), 0.0)
+    np.testing.assert_array_equal(planner.share_of_limits(progress, now, jnp.asarray(UP)), 0.0)
 
 
 def test_the_reference_follows_swings_moves_and_offsets():
@@ -232,13 +264,13 @@ def test_a_landing_is_worth_the_moment_that_stops_the_robot():
 # --- choices
 
 
-within_reach = jax.jit(jax.vmap(functools.partial(planning.within_reach, ROBOT, limb_geometry(ROBOT))))
+reached = jax.jit(jax.vmap(functools.partial(within_reach, ROBOT, limb_geometry(ROBOT))))
 
 
 def reaches(points, place, rotation=LEVEL):
     """Return which limbs reach points (n, 3) m from a base at (3,) m, (limb, n) bool."""
     own = (points - place) @ rotation
-    return np.asarray(within_reach(np.repeat(own[:, None], 4, axis=1))).T
+    return np.asarray(reached(np.repeat(own[:, None], 4, axis=1))).T
 
 
 def test_a_limb_swings_to_the_best_hold_that_it_reaches_from_both_ends_and_that_is_free():
@@ -249,8 +281,8 @@ def test_a_limb_swings_to_the_best_hold_that_it_reaches_from_both_ends_and_that_
 
     @jax.jit
     def both(holds, situation, held):
-        found = planning.choose(planner_of(), rule, holds, situation, base, ways, held)
-        return *found, planning.prospects_of(planner_of(), holds, situation, base, ways)
+        planner, body = planner_of(rule, holds, free=True), body_of(base_position=base[0], base_rotation=base[1])
+        return *planner.choose(situation, body, ways, held), planner.prospects(situation, body, ways)
 
     for _ in range(12):
         feet = FEET + random.normal(0, 0.01, (4, 3))
@@ -263,7 +295,7 @@ def test_a_limb_swings_to_the_best_hold_that_it_reaches_from_both_ends_and_that_
             jnp.ones(4, bool), None, jnp.asarray(GRAVITY), jnp.asarray(15.0), None,
         )  # fmt: skip
         holds = ground_of(position, random)
-        held = planning.Held(jnp.asarray(UP), jnp.full((4, 2, 3), 0.5), jnp.full((4, 2), np.inf))
+        held = Held(jnp.asarray(UP), jnp.full((4, 2, 3), 0.5), jnp.full((4, 2), np.inf))
         place, on, prospects = both(holds, situation, held)
         both_ends = np.all([reaches(position, base[0] + way, turn) for way in ways], axis=0)
         for limb in range(4):
@@ -320,7 +352,7 @@ LIFTS = {  # step, what differs in the progress, and the limb that lifts off wit
 def test_limbs_lift_off_before_the_next_tick(name):
     step, own, limb, begins, number = LIFTS[name]
     own = {"begun": [-1400.0, -1600.0, -1200.0, -1000.0], "step": step, "clock": step} | own
-    before = begun(planner_of(), **own)
+    before = begun(planner_of(recovery=NEVER), **own)
     grip = FEET + np.array([0.001, 0.002, -0.003])
     found, *_ = tick({"recovery": NEVER}, before, step, grip)
     new = {"start": grip, "goal": FEET + number * ADVANCE, "below": 0.0, "begun": begins, "span": SWING, "rise": 0.02}
@@ -384,7 +416,7 @@ def test_a_margin_is_chosen_with_the_robot_where_the_limb_touches_down():
     holds = ground_of(FEET, np.random.default_rng(0))
     progress = begun(planner_of(holds=holds), goal=FEET + 0.01)
     body = body_of(support=np.arange(4) > 0)
-    found = planning.situation_of(PLAN, progress, body, jnp.array([0.03, 0.04, 0.0]))
+    found = situation_of(PLAN, progress, body, jnp.array([0.03, 0.04, 0.0]))
     np.testing.assert_allclose(found.center_of_mass, [0.0175, -0.01, 0.1])
     np.testing.assert_allclose(found.planned, FEET + 0.01 + [0.03, 0.04, 0])
     np.testing.assert_allclose(found.forward, [0.6, 0.8, 0])
@@ -504,7 +536,7 @@ def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name
         force[[LF, RF]] = [0.0, 0, -5.0]
         rows = jnp.broadcast_to(jnp.array([[0, 0, -1.0], [0, 0, 0]]), (4, 2, 3))
         bound = jnp.column_stack([jnp.array(own["limits"]), jnp.full(4, jnp.inf)])
-        before = before._replace(held=planning.Held(jnp.asarray(UP), rows, bound))
+        before = before._replace(held=Held(jnp.asarray(UP), rows, bound))
     pull = 15 * UP if with_holds else 15.0
     body = body_of(velocity=[0.8, -0.6, 0.2], support=support, foot_force=force, pull=pull)
     place = BASE + np.array([0.0, 0.02, 0.0])

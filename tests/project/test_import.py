@@ -46,7 +46,7 @@ if sys.argv[1] == "late":
 if child := os.fork():
     sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 scenario = mc.load_scenario("case_1_2", {"duration": 0.01})
-calls = [mc.rollout, mc.rollout_metrics, mc.rollout_histories, mc.Environment, lambda s: mc.simulator(s)()]
+calls = [mc.rollout, mc.rollout_metrics, mc.rollout_histories, lambda s: mc.simulator(s)()]
 said = set()
 for call in calls if sys.argv[1] == "late" else [mc.parameters]:
     try:

@@ -245,7 +245,7 @@ BAD = {  # text of the file that is replaced, keys that are, what is said
     "three limbs": ([], put(None, "limbs", "LF"), "gait.sequence: expected the three limbs LH, RH, RF, each once"),
     "one joint": ([], put(["a"], "limbs", "LF", "joints"), "LF.joints: expected a list of two to seven joint names"),
     "places": ([], put([1, 2, 3], "limbs", "LF", "foothold"), "robot.limbs.LF.foothold: expected a list of two"),
-    "another key": ([], put(1, "limbs", "LF", "toe"), "robot.limbs.LF.toe: expected a known key"),
+    "another key": ([], put(1, "limbs", "LF", "toe"), "robot.limbs.LF.toe: expected one of joints, foot, at, foothold"),
     "misspelt": ([], put(1, "hight"), "did you mean height?"),
 }  # fmt: skip
 
@@ -443,7 +443,7 @@ def test_each_robot_of_a_batch_counts_for_the_time_step(given):
     replaced = numbers.replace({f"control.{name}": value for name, value in stiff.items()})
     call = {"gains": stiff} if given == "gains" else {"parameters": replaced}
     simulation = mc.Simulation(scenario)
-    for method in (simulation.metrics, simulation.histories, simulation.simulate, mc.Environment(scenario).reset):
+    for method in (simulation.metrics, simulation.histories, simulation.simulate, simulation.reset):
         with pytest.raises(mc.ConfigError, match=STIFF):
             method(**call)
     with pytest.raises(mc.ConfigError, match=STIFF):

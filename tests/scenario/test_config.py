@@ -1,5 +1,6 @@
 """Scenarios: what loads, what the overrides do, and what a wrong file is told."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +103,7 @@ def test_whole_numbers_of_steps_tolerate_floats():
 BAD_FILES = [
     ("", "expected a mapping with keys robot, gravity"),
     ("- 1", "expected a mapping with keys robot, gravity"),
-    ("gait:", "gait: expected a mapping with keys cycle, duty"),
+    ("gait:", "gait: expected a mapping with keys stride, step_height"),
     ("gait: {dutty: 0.8}", "gait.dutty: expected a known key, got an unknown one (did you mean duty?)"),
     ("holding_limits: 3", "did you mean contact.holding_limit?"),
     ("stifness: 3", "did you mean contact.stiffness or control.stiffness?"),
@@ -144,7 +145,7 @@ BAD_FILES = [
     ("gait: {phases: {LF: 0, LH: 0.3, RH: 0.5, RF: 0.9}}", "gait.phases.RF: expected a swing that ends within the"),
     ("gait: {sequence: [LH, LF, RH, LH]}", "gait.sequence: expected the four limbs"),
     ("gait: {sequence: [LH, LF, RH]}", "gait.sequence: expected the four limbs"),
-    ("gait: {heading: 90}", "gait.heading: expected an angle in rad"),
+    ("gait: {heading: 90}", "gait.heading: expected a number from -6.28319 to 6.28319"),
     ("gait: {swing: calm}", "gait.swing: expected 'cubic' or 'low_reaction', got \"calm\""),
     ("gait: {base_reference: sagged}", "gait.base_reference: expected 'nominal' or 'actual', got \"sagged\""),
     ("hardware: {force_sensor: {dead: {LX: 1.0}}}", "hardware.force_sensor.dead.LX: expected one of the limbs LF, LH,"),
@@ -252,3 +253,13 @@ def test_no_file_raises_anything_but_config_error(tmp_path_factory, content):
     path = tmp_path_factory.getbasetemp() / "odd.yaml"
     path.write_bytes(content)
     scenario_or_one_line(load_scenario, path)
+
+
+def test_an_error_of_a_config_says_its_parts():
+    with pytest.raises(ConfigError) as refused:
+        Scenario.from_yaml("contact: {stiffness: -1}", "mine.yaml")
+    error = refused.value
+    assert (error.source, error.key, error.got) == ("mine.yaml", "contact.stiffness", "-1")
+    assert str(error) == f"mine.yaml: contact.stiffness: expected {error.expected}, got -1"
+    moved = pickle.loads(pickle.dumps(error.moved(source="other.yaml")))
+    assert str(moved) == str(error).replace("mine", "other") and moved.expected == error.expected

@@ -35,7 +35,7 @@ WRONG = {
     "hardware.force_sensor.delay": (-1.0, "expected finite numbers of 0 or more, got -1"),
     "gravity": ([0.0, np.nan, -9.81], "expected numbers from -10000 to 10000, got nan"),
     "gait.heading": (7.0, "expected numbers from -6.28319 to 6.28319, got 7"),
-    "hardware.seed": (1.5, "expected whole numbers from 0 to below 2^24, got 1.5"),
+    "hardware.seed": (1.5, "expected whole numbers, got 1.5"),
     "mass_scale": (0.0, "expected finite numbers above 0, got 0"),
     "gait.cycle": (np.inf, "expected finite numbers above 0, got inf"),
 }
@@ -90,15 +90,11 @@ ACTIONS = [  # to robots (2,), or to one alone
 @pytest.mark.parametrize("number", range(len(ACTIONS)))
 def test_an_action_of_another_shape_is_named(scenario, number):
     action, said = ACTIONS[number]
-    env = mc.Environment(scenario)
-    one, two = (jax.eval_shape(lambda batch=batch: env.reset(batch=batch)) for batch in ((), (2,)))
-    for step, state, more in (
-        (env.simulation.step, one, ""),
-        (env.step, one, ""),
-        (env.step, two, ", or with batch axes before it that broadcast to (2,)"),
-    ):
+    simulation = mc.Simulation(scenario)
+    one, two = (jax.eval_shape(lambda batch=batch: simulation.reset(batch=batch)) for batch in ((), (2,)))
+    for state, more in ((one, ""), (two, ", or with batch axes before it that broadcast to (2,)")):
         with pytest.raises(ValueError) as error:
-            jax.eval_shape(lambda state, step=step: step(state, action), state)
+            jax.eval_shape(lambda state: simulation.step(state, action), state)
         assert str(error.value) == said.format(more)
 
 
@@ -139,21 +135,21 @@ BAD = [  # a call of a scenario and of bad parameters, and what is said
     (lambda s, bad: mc.rollout_histories(s, None, bad), LIMIT),
     (lambda s, bad: mc.rollout_jvp(s, {"damping": 1e2}, {"damping": 1.0}, bad), LIMIT),
     (lambda s, bad: mc.simulator(s)(None, bad), LIMIT),
-    (lambda s, bad: mc.Environment(s).reset(None, bad), LIMIT),
+    (lambda s, bad: mc.Simulation(s).reset(None, bad), LIMIT),
     (lambda s, _: mc.rollout_metrics(s, dtype=jnp.bfloat16), f"{NO_DTYPE}bfloat16"),
     (lambda s, _: mc.rollout_metrics(s, dtype=np.int32), f"{NO_DTYPE}int32"),
-    (lambda s, _: mc.Environment(s, dtype=jnp.float16), f"{NO_DTYPE}float16"),
+    (lambda s, _: mc.Simulation(s).reset(dtype=jnp.float16), f"{NO_DTYPE}float16"),
     (lambda s, _: mc.simulator(s)({"damping": jnp.full(6, 1e2, jnp.bfloat16)}), f"{NO_DTYPE}bfloat16"),
     (lambda s, _: resolve_in(s, law_of(s), None, None, np.int32), f"{NO_DTYPE}int32"),
     (lambda s, _: mc.rollout_metrics(s, batch_size=0), NO_BATCH),
     (lambda s, _: mc.rollout_jvp(s, SIX, ONE, batch_size=0), NO_BATCH),
     (lambda s, _: mc.rollout_histories(s, batch_size=0), NO_BATCH),
     (lambda s, _: mc.rollout_metrics(s, {"kp": np.ones(0)}), NOBODY),
-    (lambda s, _: mc.Environment(s).reset(batch=(0,)), NOBODY),
-    (lambda s, _: mc.Environment(s).reset(batch=(2.5,)), "batch: expected whole numbers of robots, got (2.5,)"),
-    (lambda s, _: mc.Environment(s).reset(batch="ab"), "batch: expected whole numbers of robots, got ('a', 'b')"),
+    (lambda s, _: mc.Simulation(s).reset(batch=(0,)), NOBODY),
+    (lambda s, _: mc.Simulation(s).reset(batch=(2.5,)), "batch: expected whole numbers of robots, got (2.5,)"),
+    (lambda s, _: mc.Simulation(s).reset(batch="ab"), "batch: expected whole numbers of robots, got ('a', 'b')"),
     (
-        lambda s, _: mc.Environment(s).reset({"kp": np.full(2, 50.0)}, batch=(3,)),
+        lambda s, _: mc.Simulation(s).reset({"kp": np.full(2, 50.0)}, batch=(3,)),
         f"{UNLIKE}gains and parameters (2,), batch (3,)",
     ),
     (

@@ -125,16 +125,19 @@ def test_every_file_that_a_scenario_names_goes_along():
         "law": {"file": "law.py", "name": "Law"},
         "metrics": [{"file": "one.py", "name": "one"}, {"file": "two.py", "name": "two"}],
         "objective": {"file": "objective.py", "name": "judge"},
-        "contact": {"file": "grip.py", "name": "Grip"},
-        "drive": {"file": "drive.py", "name": "Drive"},
-        "disturbances": [{"name": "LinkWrench"}, {"file": "wind.py", "name": "Wind"}],
+    }
+    kinds = {
+        "contact.kind": "grip.py:Grip",
+        "hardware.servo.kind": "drive.py:Drive",
+        "disturbance.others": [{"kind": "link_wrench"}, {"kind": "wind.py:Wind"}],
+        "gait.footholds": {"kind": "rule.py:Rule", "reach": 0.2},
     }
     ground = {"file": "map.csv", "resolution": 0.01, "origin": [0.0, 0.0]}
-    scenario = mc.Scenario().with_overrides({"own": own, "ground.map": ground})
+    scenario = mc.Scenario().with_overrides({"own": own, "ground.map": ground, **kinds})
     asked = {}
     scenario.with_files(lambda key, file: asked.setdefault(key, file))
-    names = ["drive", "grip", "law", "objective", "one", "two", "wind"]
+    names = ["drive", "grip", "law", "objective", "one", "rule", "two", "wind"]
     assert sorted(asked.values()) == sorted([*(f"{name}.py" for name in names), "map.csv"])
     beside = scenario.beside("/there")
-    assert beside.to_yaml().count("file: /there/") == 8
+    assert beside.to_yaml().count("/there/") == 9 and beside.gait.footholds.reach == 0.2
     assert beside.relative_to("/there") == scenario

@@ -172,7 +172,7 @@ class Worse(Files, Judge):
     gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
     worse: tuple[str, ...] = setting(
         (),
-        "walk on worse hardware too: a factor, as delay=x2, or a key of the section hardware, as backlash=0.01",
+        "walk on worse hardware too: a factor, as delay=x2, a key of the section hardware, as backlash=0.01, or a path",
         metavar="KEY=VALUE",
     )
     ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
@@ -191,9 +191,11 @@ class Worse(Files, Judge):
         named = self.named(loaded)
         try:
             return draw_of(loaded, named, ensemble, self.worse, self.members)
-        except (ConfigError, ValueError) as error:
-            text = str(error).removeprefix("worse: ")
-            raise InputError(f"--worse: {text}") from None
+        except ConfigError as error:
+            words = {name: getattr(error, name).removeprefix("worse").removeprefix(": ") for name in ("key", "reason")}
+            raise error.moved(source="--worse", **words) from None
+        except ValueError as error:
+            raise InputError(f"--worse: {error}") from None
 
     def said(self, work: "Worsened", here: int, _: int) -> list[str]:
         """Return how many walks there are."""
@@ -256,7 +258,7 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
                     progress=shown,
                 )  # fmt: skip
             except ConfigError as error:
-                raise ConfigError(in_options(str(error), Ceiling)) from None
+                raise error.moved(key=in_options(error.key, Ceiling)) from None
         again = ["evaluate", "--ceiling", *(["--ensemble", "ensemble.yaml"] if ensemble is not None else [])]
         shell.result(found, repeated(again, "--gains", "--retuned-pd", "--weight", "--limit", "--better",
                                      "--against", "--points", "--knots", "--delays", "--iterations",
@@ -273,7 +275,8 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     As tune --ensemble tests its result: pushes, cargo, slope, grips, masses and hardware are drawn with another seed,
     nothing is torn off, and a walk fails where it pulls beyond the holding limit. A file that names its law or gait
     walks with these. Prints mean and worst 5 % of each metric; writes to DIR every walk (judged.nc), a picture, the
-    summary and a page. `mjx-climb plot DIR` draws other metrics.
+    summary and a page. `mjx-climb plot DIR` draws other metrics. --json has the differences from pd, or from that of
+    --retuned-pd, with 95 % intervals.
 
     A force sensor that dies is a key of the config: --set hardware.force_sensor.dead.LF=3.0, as worse hardware is.
 
@@ -285,7 +288,8 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
 
     --worse walks the same members on worse hardware too, one --worse at a time: with a factor on delay, period,
     friction, backlash, noise, bias or armature, as the config has it or a member drew it, or with other values of keys
-    of the config's section hardware, as force_sensor.dead.LF=3.0 for a sensor that dies at 3 s. Prints what each takes
+    of the config's section hardware, as force_sensor.dead.LF=3.0 for a sensor that dies at 3 s, or with a value or
+    factor at any path, as contact.damping=x0.5. Prints what each takes
     from the gains, and what is left of their lead over pd (that of --retuned-pd, where it is given). DIR has every walk
     (degraded.nc).
 

@@ -133,23 +133,22 @@ def _repeated(field: FieldInfo) -> bool:
 def made(model: type[BaseModel], values: Mapping[str, Any]) -> BaseModel:
     """Return a model of what was typed; InputError in one line: the option, what was expected and what was got."""
     try:
-        return model(**values)
+        return model.model_validate(dict(values), strict=False)
     except ValidationError as invalid:
         key, reason = explained(invalid)
-        raise InputError(in_options(f"{key}: {reason}" if key else reason, model)) from None
+        raise InputError(f"{in_options(key, model)}: {reason}" if key else reason) from None
 
 
-def in_options(message: str, model: type[BaseModel]) -> str:
-    """Return a message that begins with the key of a setting, as "pins.x: ...", with its option, as "--pin x: ..."."""
-    key, colon, reason = message.partition(": ")
+def in_options(key: str, model: type[BaseModel]) -> str:
+    """Return the option of a setting's key, "--pin x" of "pins.x"; the key itself where the model has none."""
     name, *inner = key.split(".")
-    if not colon or name not in model.model_fields:
-        return message
+    if name not in model.model_fields:
+        return key
     field = model.model_fields[name]
     parts = (_shell(field).metavar or "").rpartition("=")[2].split(":")  # as LOW:HIGH
     place = int(inner.pop()) if inner and inner[-1].isdecimal() else None
     part = "" if place is None or len(parts) == 1 else parts[place]
-    return f"{' '.join(filter(None, [_flag(name, field), '.'.join(inner), part]))}: {reason}"
+    return " ".join(filter(None, [_flag(name, field), ".".join(inner), part]))
 
 
 def _flag(name: str, field: FieldInfo) -> str:

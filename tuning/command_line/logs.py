@@ -149,7 +149,7 @@ def identify(
 
         if output.out is not None:
             check_own(output.out, FILE)  # before the log is read
-        loaded = fitted(walk, "identify")
+        loaded = walk.load()
         scenario = loaded.scenario
         log = asked.read(scenario)
         asked.say_read(log, shell)

@@ -43,17 +43,17 @@ LAW = setting(
 )
 CONTACT = setting(
     None,
-    "what holds feet to the ground, in place of the config's: a shipped one, as PolyhedralGripper, or your own",
+    "what holds feet to the ground, in place of the config's: a shipped one, as polyhedron, or your own",
     metavar="NAME|FILE.py:NAME",
 )
 DRIVE = setting(
     None,
-    "what turns the joints, in place of the config's: a shipped one, as VelocityCommanded, or your own",
+    "what turns the joints, in place of the config's: a shipped one, as velocity, or your own",
     metavar="NAME|FILE.py:NAME",
 )
 DISTURBANCES = setting(
     (),
-    "what acts from outside, in place of the config's beside cargo and pushes: shipped, as LinkWrench, or your own",
+    "what acts from outside, in place of the config's beside cargo and pushes: shipped, as link_wrench, or your own",
     flag="--disturbance",
     metavar="NAME|FILE.py:NAME",
 )
@@ -144,7 +144,7 @@ class Walk(Options):
             known = ", ".join([*get_args(ControllerName), *SHIPPED])
             raise InputError(f"--law: expected one of {known}, or FILE.py:NAME, got {named!r}")
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(named, self.metrics)
-        changes = self._components() | dict(pairs(self.changes, source))
+        changes = self._components(source) | dict(pairs(self.changes, source))
         if self.controller is not None:
             if self.law is not None:
                 raise InputError(f"--controller: expected none with --law, got {self.controller}")
@@ -171,18 +171,22 @@ class Walk(Options):
             law = gains_file.limited(self.gains, law)
         return Problem(scenario, law=law, metrics=metrics, engine=self.engine)
 
-    def _components(self) -> dict[str, Any]:
+    def _components(self, source: str) -> dict[str, Any]:
         """Return contact, drive and disturbances as changes of the config, which those of `--set` may follow."""
+        from mjx_climb.scenario.load import load_hardware, with_hardware
         from tuning.gains.own_section import named_by
 
         changes: dict[str, Any] = {}
-        for place, text in (("contact", self.contact), ("drive", self.drive)):
-            if text is not None:  # nothing is left of the config's own
-                named = named_by(text, place, f"--{place}")
-                changes |= {f"own.{place}": None} | {f"own.{place}.{key}": value for key, value in named.items()}
+        hardware = None if self.hardware is None else load_hardware(self.hardware)
+        for option, text, place in (("--contact", self.contact, "contact"), ("--drive", self.drive, "hardware.servo")):
+            if text is not None:
+                base = mc.load_scenario(source)
+                base = base if hardware is None else with_hardware(base, hardware)
+                section = base.contact if place == "contact" else base.hardware.servo
+                changes[place] = named_by(text, place, option, section)
         if self.disturbances:
-            named_ones = [named_by(text, "disturbances", "--disturbance") for text in self.disturbances]
-            changes["own.disturbances"] = named_ones
+            named_ones = [named_by(text, "disturbance.others", "--disturbance") for text in self.disturbances]
+            changes["disturbance.others"] = named_ones
         return changes
 
     def _of_file(
@@ -223,8 +227,8 @@ def fitted(walk: Walk, command: str) -> "Problem":
     Raises InputError for another contact, drive or disturbance: what acted on the robot stands in its log.
     """
     loaded = walk.load()
-    for place, named in (loaded.scenario.own.components if loaded.scenario.own else {}).items():
-        raise InputError(f"{walk.config}: own.{place}: expected none with {command}, got {named.name}")
+    for place, named in loaded.scenario.kinds.items():
+        raise InputError(f"{walk.config}: {place}.kind: expected none with {command}, got {named.name}")
     return loaded
 
 
@@ -337,10 +341,11 @@ class SearchFile(Options):
         try:
             yield
         except ConfigError as error:
-            key = str(error).partition(":")[0].partition(".")[0]
+            key = "" if error.source else error.key.partition(".")[0]
             file = self.search if key in Search.model_fields else None
-            place = None if key in typed.model_fields_set else file or otherwise
-            raise ConfigError(in_options(str(error), Search) if place is None else f"{place}: {error}") from None
+            if (place := None if key in typed.model_fields_set else file or otherwise) is not None:
+                raise error.moved(source=": ".join(filter(None, (str(place), error.source)))) from None
+            raise error.moved(key=in_options(error.key, Search) if key else error.key) from None
 
 
 def scenario_from(

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from tuning.command_line import interruption, old_names
+from tuning.command_line import interruption
 
 if TYPE_CHECKING:
     from tuning.pages.page import Origin
@@ -125,10 +125,6 @@ def _program(
 
 def run(arguments: Sequence[str]) -> int:
     """Run the program and return its exit code; errors go to standard error."""
-    if (now := old_names.translated(arguments)) != [*arguments]:
-        typed, command = shlex.join(arguments), shlex.join(now)
-        _say(f"'{typed}' is '{command}' now, and works for this release alone")
-        arguments = now
     ARGUMENTS.set(tuple(arguments))
     # the command may stand in what a shell wants completed
     completed = " ".join(os.environ.get(name, "") for name in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"))

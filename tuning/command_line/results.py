@@ -99,8 +99,7 @@ def plot(asked: Plot) -> None:
                 raise
             # a file of another program, or one with gaps
             got = f"one that cannot be drawn ({type(error).__name__}: {error})"
-            expected = "expected a result as a command wrote it, with all its files"
-            raise mc.ConfigError(f"{folder}: {expected}, got {got}") from None
+            raise mc.ConfigError(folder, "", "a result as a command wrote it, with all its files", got) from None
 
 
 @command("results/reproduce")
@@ -236,7 +235,7 @@ class Export(Options):
 
         None where there is no config.
         """
-        from mjx_climb.scenario.messages import ConfigError, config_error
+        from mjx_climb.scenario.messages import ConfigError
         from tuning.gains import gains_file
         from tuning.gains.own_section import without
 
@@ -245,11 +244,10 @@ class Export(Options):
             if self.hardware is not None:
                 raise InputError("--hardware: expected --config with it")
             return None
-        own = mc.load_scenario(config).own if self.config is None else None
-        for place, each in {} if own is None else own.components.items():
+        for place, each in mc.load_scenario(config).kinds.items() if self.config is None else ():
             if each.file is not None:
                 expected = f"none in a config that was found, not given (--config {config} runs it)"
-                raise config_error(str(config), f"own.{place}.file", expected, each.file)
+                raise ConfigError(str(config), f"{place}.kind", expected, each.kind)
         scenario, _ = gains_file.walker(self.gains, scenario_from(config, {}, self.hardware))
         if self.rate is not None:
             period = 0.0 if self.rate == round(1 / scenario.time_step) else 1 / self.rate
@@ -262,10 +260,10 @@ class Export(Options):
             return without(scenario)
         control = scenario.control
         if control.controller == "pd":
-            raise config_error(str(config), "control.controller", "an admittance law, whose gains these are", "pd")
+            raise ConfigError(str(config), "control.controller", "an admittance law, whose gains these are", "pd")
         if control.reading != "virtual_model" and self.form in ROBOTS_OWN:
             expected = "virtual_model, which is what the controller integrates"
-            raise config_error(str(config), "control.reading", expected, control.reading)
+            raise ConfigError(str(config), "control.reading", expected, control.reading)
         exact = self.form != "admittance_control"
         return scenario if exact else scenario.with_overrides({"control.integration": "semi_implicit"})
 
@@ -297,7 +295,7 @@ def export(asked: Export) -> None:
         from mjx_climb.control import PD
         from mjx_climb.files import dataset
         from mjx_climb.inputs.gait_values import gait_of
-        from mjx_climb.scenario.messages import config_error
+        from mjx_climb.scenario.messages import ConfigError
         from tuning.command_line.options import Output
         from tuning.command_line.session import Session
         from tuning.comparisons import deployment
@@ -307,7 +305,7 @@ def export(asked: Export) -> None:
         source, law = str(asked.gains), asked.load_transfer()
         values = gains_file.by_name(gains_file.load(asked.gains, law))
         if gains_file.shipped_law(asked.gains) == PD.__name__:
-            raise config_error(source, "law", "an admittance law, whose gains are exported", "pd")
+            raise ConfigError(source, "law", "an admittance law, whose gains are exported", "pd")
         scenario, gait = asked.scenario(law), gait_of(values)
         scenario = None if scenario is None else gains_file.with_gait(scenario, gait, source)
         gains: Any = {name: value for name, value in values.items() if name not in gait}
@@ -340,7 +338,7 @@ def export(asked: Export) -> None:
 def _law_in(asked: Export, scenario: "mc.Scenario | None") -> "tuple[type[mc.Law], str]":
     """Return the law whose gains are exported, and a note where nobody says which it is."""
     from mjx_climb.control import SHIPPED, MeasuredPoseAdmittance, VirtualModelAdmittance, law_of
-    from mjx_climb.scenario.messages import config_error
+    from mjx_climb.scenario.messages import ConfigError
     from tuning.gains import gains_file
 
     if scenario is not None:
@@ -350,7 +348,7 @@ def _law_in(asked: Export, scenario: "mc.Scenario | None") -> "tuple[type[mc.Law
     law = SHIPPED[name]
     if law is MeasuredPoseAdmittance and asked.form in ROBOTS_OWN:
         expected = f"{VirtualModelAdmittance.__name__}, which is what the controller integrates"
-        raise config_error(str(asked.gains), "law", expected, name)
+        raise ConfigError(str(asked.gains), "law", expected, name)
     return law, ""
 
 

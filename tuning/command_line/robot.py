@@ -68,7 +68,7 @@ def robot(asked: Robot) -> None:
 
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
-        raise mc.ConfigError(f"{write}: expected another file than the robot's own")
+        raise mc.ConfigError(write, "", "another file than the robot's own")
     gravity = inclined((0.0, 0.0, -asked.strength()), asked.slope, asked.roof)
     proposal = propose(file, asked.gravity, asked.base, asked.limbs)
     scenario = validated(mc.Scenario, {**proposal.sections, "gravity": gravity, "time_step": 0.001}, str(file))

@@ -244,11 +244,8 @@ class Session:
 
         (state,) = cache.cache()
         warnings = [*(numbers.ahead_of(scenario) if scenario else ()), *lacks]
-        own = scenario.own.components if scenario is not None and scenario.own is not None else {}
-        named = {
-            place: f"{Path(each.file).name}:{each.name}" if each.file else each.name for place, each in own.items()
-        }
-        self.say(*(f"{place}: {name}" for place, name in named.items()))
+        kinds = scenario.kinds if scenario is not None else {}
+        self.say(*(f"{place}: {Path(each.kind).name}" for place, each in kinds.items()))
         self.say(f"compilation cache: {state.text}", *(f"warning: {line}" for line in warnings))
 
     def written(self, files: str, json: str, before: str = "") -> None:

@@ -40,7 +40,7 @@ class Grid(Options):
     damping: _Typed = setting(None, "virtual damping D, N s/m and N m s/rad, spaced likewise", metavar=RANGE)
     axis: dict[str, Range] = setting(
         {},
-        "gain of the law, SI units, spaced likewise; in place of either of these, or twice for both",
+        "gain of the law, or path as contact.damping, SI units, spaced likewise; in place of either, or twice for both",
         metavar=f"NAME={RANGE}",
     )
     batch_size: int | None = setting(None, "robots that walk at a time; null: parts of a few seconds", ge=1)
@@ -57,7 +57,7 @@ class Grid(Options):
         both = [name for name in self.axis if getattr(self, name, None) is not None]
         if both or len(self.ranges) != 2:
             got = ", ".join([*self.ranges, *both]) or "none"
-            raise ValueError(f"--stiffness, --damping, --axis: expected two gains to sweep, got {got}")
+            raise ValueError(f"--stiffness, --damping, --axis: expected two gains or paths to sweep, got {got}")
         for name, (low, high, _) in self.ranges.items():
             if not low < high:
                 option = f"--axis {name}" if name in self.axis else f"--{name}"
@@ -76,7 +76,8 @@ class Grid(Options):
                 expected = f"{RANGE} whose values single precision tells apart"
                 raise InputError(f"--axis {name}: expected {expected}, got {len(values)} too close together")
         loaded = walk.load()
-        if loaded.law is None and loaded.scenario.control.controller == "pd":
+        gains = [name for name in axes if "." not in name]
+        if gains and loaded.law is None and loaded.scenario.control.controller == "pd":
             raise InputError("--controller: expected a law with gains to sweep, got pd")
         try:
             return grid_of(loaded, axes, walk.values(loaded.law), self.batch_size)
@@ -134,6 +135,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
     with processes.joined(apart=asked.shard is not None) as team, output.session() as shell:
         part, which = processes.shard_from(asked.shard)
         from tuning.background import Gate, background
+        from tuning.comparisons import paired
         from tuning.searches import shards
         from tuning.writing import record
 
@@ -146,7 +148,8 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
         here, there, folder = len(rows.rows), rows.there, rows.folder or out
         said = [*asked.said(work, here, there), which, team.said, f"{there} are there already" if there else ""]
         shell.say("; ".join(filter(None, said)))
-        shell.opening(work.problem.scenario)
+        lacks = [] if kind == "sweep" else paired.without_interval(asked.members, None, tails=False)
+        shell.opening(work.problem.scenario, *lacks)
         team.begin(folder, work.identity())
         beside = kind == "sweep" and rows.shard is None
         with (

@@ -163,7 +163,7 @@ def compare(
                 wanted, method = searches.own_method(wanted, loaded.scenario)
                 laws = comparing.contestants(loaded.scenario, asked.law, wanted, method)
         except ConfigError as error:
-            raise ConfigError(in_options(str(error).replace("laws: ", "law: ", 1), Laws)) from None
+            raise error.moved(key=in_options("law" if error.key == "laws" else error.key, Laws)) from None
         each = {name: settings_of(Problem(one.scenario, law=one.law), "law") for name, one in laws.items()}
         seeds = comparing.seeds_for(wanted, asked.seeds)
         record = {"search": wanted.model_dump(mode="json"), "members": members, "seeds": seeds, "laws": each}

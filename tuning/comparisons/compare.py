@@ -106,8 +106,8 @@ def compare(
         OutputError: the folder cannot be written, or holds unfinished searches for something else.
     """
     named = {} if method is None else {"method": method}
-    wanted = alike(tune.over_ensemble(search, settings, ensemble), search, settings, named)
-    wanted, own = tune.own_method(wanted, scenario, method)
+    wanted, own = tune.own_method(tune.over_ensemble(search, settings, ensemble), scenario, method)
+    wanted = alike(wanted, search, settings, named)
     laws_by_name = contestants(scenario, laws, wanted, own)
     walks: dict[str, Any] = {"metrics": mc.MetricTable(metrics), "engine": engine, "own_method": own}
     base = problem_of(scenario, laws_by_name, ensemble, **walks)
@@ -131,10 +131,9 @@ def alike(wanted: Search, *given: Search | Mapping[str, Any] | None) -> Search:
     if not any("method" in each for each in said):
         wanted = wanted.model_copy(update={"method": "cmaes"})
     if wanted.method != OWN_METHOD and method_of(wanted.method).gradients:
-        expected = "expected cmaes, optuna or grid, which search all laws alike"
-        raise ConfigError(f"method: {expected}, got {wanted.method}")
+        raise ConfigError("", "method", "cmaes, optuna or grid, which search all laws alike", wanted.method)
     if wanted.joint_gains is False:
-        raise ConfigError("joint_gains: expected true, as pd has no gains but kp and kd, got false")
+        raise ConfigError("", "joint_gains", "true, as pd has no gains but kp and kd", "false")
     if wanted.method == "grid":
         return wanted.model_copy(update={"joint_gains": True})
     points, rounds = MANY if execution.many_at_once(np.dtype(wanted.precision)) else FEW
@@ -152,7 +151,7 @@ def named(scenario: mc.Scenario, laws: Laws) -> dict[str, tuple[mc.Scenario, mc.
     own = without(scenario)
     for name, law in laws.items() if isinstance(laws, Mapping) else ((_name(law), law) for law in laws):
         if name in found or name in HARDWARE:
-            raise ConfigError(f"laws: expected laws of different names, got {name.replace(NAME, 'pd')} twice")
+            raise ConfigError("", "laws", "laws of different names", f"{name.replace(NAME, 'pd')} twice")
         if name == NAME:
             found[name] = under_pd(scenario), None
         elif isinstance(law, mc.Law):
@@ -165,9 +164,9 @@ def named(scenario: mc.Scenario, laws: Laws) -> dict[str, tuple[mc.Scenario, mc.
             try:
                 found[name] = own, load_law(law)
             except ConfigError as error:
-                raise ConfigError(f"laws: expected pd, {', '.join(CONTROLLERS)} or a law: {error}") from None
+                raise ConfigError("", "laws", f"pd, {', '.join(CONTROLLERS)} or a law: {error}") from None
     if not found.keys() - {NAME}:
-        raise ConfigError("laws: expected a law to compare with pd, got none")
+        raise ConfigError("", "laws", "a law to compare with pd", "none")
     found.pop(NAME, None)
     return found | {NAME: (under_pd(scenario), None)}
 
@@ -190,16 +189,16 @@ def contestants(
         own = _own(search, place, law)
         found[name] = Contestant(place, law, own, spaces.space(place, own, law))
         if search.method == "cmaes" and found[name].space.size == 1:
-            raise ConfigError(f"method: expected optuna or grid where {name} has one gain to search, got cmaes")
+            raise ConfigError("", "method", f"optuna or grid where {name} has one gain to search", "cmaes")
         if search.method == "grid" and (size := found[name].space.size) > grid.Grid.most:
-            expected = f"expected cmaes or optuna where {name} has {size} numbers to search"
-            raise ConfigError(f"method: {expected}, got grid, which takes {grid.Grid.most}")
+            expected = f"cmaes or optuna where {name} has {size} numbers to search"
+            raise ConfigError("", "method", expected, f"grid, which takes {grid.Grid.most}")
         tune.check_method(own, method, found[name].space)
     for key in _KEYS:
         there = {gain for each in found.values() for gain in getattr(each.search, key)}
         for gain in (gain for gain in getattr(search, key) if gain not in there):
             setting = key if key == "also" else f"{key}.{gain}"
-            raise ConfigError(f"{setting}: expected a gain that one of the laws has, got {gain}")
+            raise ConfigError("", setting, "a gain that one of the laws has", gain)
     return found
 
 
@@ -216,7 +215,7 @@ def _own(search: Search, scenario: mc.Scenario, law: mc.Law | None) -> Search:
         try:
             spaces.space(scenario, bare.model_copy(update={"also": (gain,)}), law)
         except ConfigError as error:
-            return not str(error).startswith("also: expected gains of the law")
+            return not (error.key == "also" and error.expected.startswith("gains of the law"))
         return True
 
     own = search.model_copy(update={"also": tuple(filter(has, search.also))})
@@ -225,9 +224,8 @@ def _own(search: Search, scenario: mc.Scenario, law: mc.Law | None) -> Search:
             spaces.space(scenario, own, law)
             return own
         except ConfigError as error:
-            key, _, reason = str(error).partition(": ")
-            section, _, gain = key.partition(".")
-            if not reason.startswith("expected one of") or gain not in getattr(own, section, ()):
+            section, _, gain = error.key.partition(".")
+            if not error.expected.startswith("one of") or gain not in getattr(own, section, ()):
                 raise
             named = getattr(own, section)
             others = [name for name in named if name != gain]

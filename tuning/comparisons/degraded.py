@@ -15,14 +15,15 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Scenario
 from tuning.comparisons import judge as judging
 from tuning.comparisons import paired
 from tuning.gains.gains_file import Whole
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
-from tuning.problem.variations import Change, Factor, changed, scalable
-from tuning.results.degraded import Degraded
+from tuning.problem.variations import Change, Factor, checked, scalable
+from tuning.results.judged import Degraded
 from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Counted, Rows
 from tuning.searches.sweep import default_batch_size
@@ -39,7 +40,7 @@ SCALED = {  # what a word scales: sections, and the ends of the paths in them
 }
 METRICS = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
 SECTION = "hardware."
-_PERIOD = "hardware.control_period"
+_PERIOD, _MASSES = "hardware.control_period", "mass_scale"
 
 
 class Setting(NamedTuple):
@@ -47,11 +48,13 @@ class Setting(NamedTuple):
 
     name: str  # as it was typed
     factors: Mapping[str, float]  # by words of `SCALED`, or paths
-    keys: Mapping[str, Any]  # of a scenario, with the values that take the place of the config's and the draw's
+    keys: Mapping[
+        str, Any
+    ]  # paths, or keys of the section hardware, with values in place of the config's and the draw's
 
 
 def setting(text: str) -> Setting:
-    """Return a change of the hardware, read from "delay=x2", "force_sensor.dead.LF=3.0", or several with commas.
+    """Return a change, read from "delay=x2", "force_sensor.dead.LF=3.0", "contact.spread=0.5", or several with commas.
 
     Raises:
         ValueError: in a few words, what was expected.
@@ -63,7 +66,7 @@ def setting(text: str) -> Setting:
         key, equals, value = (each.strip() for each in part.partition("="))
         if not equals:
             words = "|".join(SCALED)
-            raise ValueError(f"expected {words}=xFACTOR, PATH=xFACTOR or a key of the section hardware, got {part!r}")
+            raise ValueError(f"expected {words}|PATH=xFACTOR, PATH=VALUE or a key of hardware, got {part!r}")
         if key in SCALED or value.startswith("x"):
             try:
                 factors[key] = float(value.removeprefix("x"))
@@ -72,7 +75,8 @@ def setting(text: str) -> Setting:
             if not (value.startswith("x") and 0 < factors[key] < np.inf):
                 raise ValueError(f"{key}: expected a factor above 0, as x2, got {value!r}")
         else:
-            changes.append(f"{SECTION * (not key.startswith(SECTION))}{key}={value}")
+            of_hardware = key.partition(".")[0] not in Scenario.model_fields and key != _MASSES
+            changes.append(f"{SECTION * of_hardware}{key}={value}")
     return Setting(text, factors, dict(pairs(changes, "worse")))
 
 
@@ -83,20 +87,24 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
         ConfigError: a key that the scenario does not have, or nothing there to scale.
     """
     found: dict[str, Change] = {}
-    if worse.keys:
-        other = own_parameters(scenario.with_overrides(dict(worse.keys)))
-        typed = tuple(worse.keys)
-        found = {p: v for p, v in other.values.items() if any(key == p or key.startswith(f"{p}.") for key in typed)}
-        if not found:
-            raise ConfigError(f"worse: expected a number of the hardware, got {', '.join(typed)}")
+    for key, value in worse.keys.items():
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if number and (key in drawn.paths or not key.startswith(SECTION)):
+            found[key] = value
+        elif not key.startswith(SECTION):
+            raise ConfigError("", f"worse: {key}", "a number", f"{value!r}")
+    if others := {key: value for key, value in worse.keys.items() if key not in found}:
+        other = own_parameters(scenario.with_overrides(others)).values
+        there = {p: v for p, v in other.items() if any(key == p or key.startswith(f"{p}.") for key in others)}
+        if not there:
+            raise ConfigError("", "worse", "a number of the hardware", ", ".join(others))
+        found |= there
     for quantity, factor in worse.factors.items():
-        if not (there := scalable(drawn, _paths(drawn, quantity))):
+        if not (scaled := scalable(drawn, _paths(drawn, quantity))):
             drive = type(drawn.drive).__name__
-            raise ConfigError(
-                f"worse: expected {quantity} in the config or the draw to scale, got none (drive: {drive})"
-            )
-        found |= dict.fromkeys(there, Factor(factor))
-    worsened = changed(drawn, found)
+            raise ConfigError("", "worse", f"{quantity} in the config or the draw to scale", f"none (drive: {drive})")
+        found |= dict.fromkeys(scaled, Factor(factor))
+    worsened = checked(scenario, drawn, found, "worse: {}")
     if _PERIOD in found:  # of whole time steps
         steps = np.maximum(np.round(np.asarray(worsened.at(_PERIOD), float) / scenario.time_step), 1)
         worsened = worsened.replace({_PERIOD: steps * scenario.time_step})
@@ -151,7 +159,7 @@ def draw_of(
     drawn, settings = judging.draw_of(problem, gains, ensemble, members), [setting(text) for text in worse]
     names = (AS_DRAWN, *(each.name for each in settings))
     if len({*names}) < len(names):
-        raise ConfigError(f"worse: expected settings that differ, got {', '.join(names[1:])}")
+        raise ConfigError("", "worse", "settings that differ", ", ".join(names[1:]))
     own = drawn.problem.parameters
     assert own is not None
     parameters = _together([own, *(worsened(problem.scenario, own, each) for each in settings)], members)
@@ -181,7 +189,8 @@ def degrade(
 
     Arguments:
         worse: settings, see `setting`: factors on delay, period, friction, backlash, noise, bias and armature as the
-            config has them or a member drew them, or values of keys of the section `hardware`.
+            config has them or a member drew them, values of keys of the section `hardware`, or factors and values of
+            paths, as "contact.spread=0.5".
 
     Raises:
         ConfigError: a setting that changes nothing, or an ensemble that the scenario does not allow.

@@ -30,10 +30,10 @@ def check(
             radius = float(stability_limit.spectral_radius(walked, gains, law=law, engine=engine).max())
         if radius > 1 + stability_limit.ROUNDING:
             got = f"a disturbance {where} that grows by {radius:.6f} a time step"
-            raise mc.ConfigError(f"{source}: expected gains that are stable on the config's hardware, got {got}")
+            raise mc.ConfigError(source, "", "gains that are stable on the config's hardware", got)
     with stage("walks on worse hardware") as told:
         found = margins.find(scenario, gains, law=law, engine=engine, progress=told)
     if not found.holds:
         got = "a walk that loses a gripper or diverges"
-        raise mc.ConfigError(f"{source}: expected gains that hold on the config's hardware, got {got}")
+        raise mc.ConfigError(source, "", "gains that hold on the config's hardware", got)
     return margins.warnings(found)

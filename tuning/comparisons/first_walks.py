@@ -11,12 +11,12 @@ import numpy as np
 
 from mjx_climb.functions import rollout_metrics
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.parameter_types import Gains
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
 from tuning.problem.evaluation import RIGID
+from tuning.searches.retuned_pd import Grids, closer
 
 _LIMIT = "contact.holding_limit"
 WALKS = 16
@@ -94,33 +94,31 @@ def with_joint_gains(scenario: Scenario, told: Told = lambda _: None) -> tuple[S
     which the base strays no farther than a tenth of its height, or than with the scenario's own. A walk of more than
     `LONG` time steps takes minutes: then one grid must do.
     """
-    control, middle = scenario.control, math.prod(GRID) // 2  # the scenario's own, in the first grid
-    own = best = np.log([control.kp, control.kd])
-    half, first, allowed = np.log(TIMES), math.inf, SAGS * load_robot(scenario.robot).stance_position[2]
-    offsets = np.stack(np.meshgrid(*(np.linspace(-1, 1, count) for count in GRID)), -1).reshape(-1, 2)
-    count = (grids := _grids(scenario)) * len(offsets)
-    for number in range(grids):
-        points = best + half * offsets
-        kp, kd = np.exp(points).T
-        walked = _walked(scenario, {"control.kp": kp, "control.kd": kd, _LIMIT: math.inf}, rigid=True)
-        told(len(points))
-        if number == 0 and walked["upright"][middle]:
-            first = float(walked["force_variation"][middle])
-            allowed = max(allowed, float(walked["base_deviation"][middle]))
+    control, size = scenario.control, math.prod(GRID)
+    own, grids, first = np.log([control.kp, control.kd]), _grids(scenario), None
+    allowed, count = SAGS * load_robot(scenario.robot).stance_position[2], grids * size
+
+    def values(joint: Mapping[str, np.ndarray]) -> np.ndarray:
+        nonlocal first, allowed
+        walked = _walked(scenario, {"control.kp": joint["kp"], "control.kd": joint["kd"], _LIMIT: math.inf}, rigid=True)
+        told(size)
+        if first is None:  # the last are the scenario's own
+            upright = walked["upright"][-1]
+            first = float(walked["force_variation"][-1]) if upright else math.inf
+            allowed = max(allowed, float(walked["base_deviation"][-1]) if upright else 0.0)
         good = walked["upright"] & (walked["base_deviation"] <= allowed)
-        values = np.where(good, walked["force_variation"], np.inf)
-        for place in np.argsort(values):
-            found = [float(f"{gain:.2g}") for gain in np.exp(points[place])]
-            changed = scenario.with_overrides({"control.kp": found[0], "control.kd": found[1]})
-            if not np.isfinite(values[place]) or short_enough(changed):
-                break
-        if not np.isfinite(values[place]):
-            return scenario, "no others among those searched keep the base as near to its reference"
-        best, half = points[place], half / 2
-    if np.allclose(best, own) or not values[place] < first:
+        return np.where(good, walked["force_variation"], np.inf)
+
+    found = closer(scenario, values, Grids(own, np.log(TIMES), GRID, grids, 0.5), digits=2)
+    if found is None:
+        return scenario, "no others among those searched keep the base as near to its reference"
+    joint, value = found
+    assert first is not None
+    if not value < first * (1 - 1e-9):
         return scenario, f"none of {count - 1} others gives pd less force variation"
     before = f"with kp {control.kp:g} and kd {control.kd:g}, HubRobo's in proportion"
-    less = f"{100 * (1 - values[place] / first):.0f} % less than" if np.isfinite(first) else "which does not walk"
+    less = f"{100 * (1 - value / first):.0f} % less than" if np.isfinite(first) else "which does not walk"
+    changed = scenario.with_overrides({f"control.{name}": gain for name, gain in joint.items()})
     return changed, f"of {count} short walks of pd that of least force variation, {less} {before}"
 
 

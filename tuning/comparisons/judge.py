@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -100,18 +99,6 @@ def evaluate_shard(
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
     return walk_shard(draw_of(Problem(scenario, **walks), gains, ensemble, members), shard, out, progress)
-
-
-def judge(*given: Any, **named: Any) -> Judged:
-    """The name of `evaluate` in the last version."""
-    warnings.warn("tuning.judge is tuning.evaluate now, and goes with the next release", DeprecationWarning, 2)
-    return evaluate(*given, **named)
-
-
-def judge_shard(*given: Any, **named: Any) -> Path:
-    """The name of `evaluate_shard` in the last version."""
-    warnings.warn("tuning.judge_shard is tuning.evaluate_shard now", DeprecationWarning, 2)
-    return evaluate_shard(*given, **named)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -306,7 +293,7 @@ def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
     """
     kept = held(walks)
     if not kept["diverged"].size:
-        raise ConfigError("ensemble: expected a member of the draw in which nothing diverges, got none")
+        raise ConfigError("", "ensemble", "a member of the draw in which nothing diverges", "none")
     data: dict[str, Any] = {}
     for name in [str(n) for n, v in walks.data_vars.items() if "larger_is_better" in v.attrs and n not in FAILURES]:
         values = kept[name].transpose("member", "gains").values.astype(float)

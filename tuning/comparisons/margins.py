@@ -195,12 +195,13 @@ def with_unit(quantity: str, value: float) -> str:
 def own_value(scenario: mc.Scenario, quantity: str) -> float:
     """Return a quantity of the scenario's own hardware, in its unit."""
     hardware = scenario.hardware
-    return {
+    values: dict[str, float] = {
         "force_delay": hardware.force_sensor.delay,
         "command_delay": hardware.command_delay,
         "control_period": hardware.control_period or scenario.time_step,
         "joint_gains": 1.0,
-    }[quantity]
+    }
+    return values[quantity]
 
 
 def needed(quantity: str, own: float) -> float:

@@ -1,7 +1,7 @@
 """Gains that a search over an ensemble found, on walks that it never saw, beside pd, pd retuned and the scenario's."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import xarray as xr
@@ -22,9 +22,9 @@ SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "peak_joint_to
          "travel", "base_deviation", "joint_limit_margin")  # fmt: skip
 
 
-def shown(metrics: mc.MetricTable) -> list[str]:
-    """Return the names of the metrics that the table has: the main ones, and those of the user's own."""
-    return [*SHOWN, *(name for name in metrics.names if name not in mc.METRICS.names)]
+def shown(metrics: mc.MetricTable, main: Sequence[str] = SHOWN) -> list[str]:
+    """Return the names of the metrics that a table has: the main ones, and those of the user's own."""
+    return [*main, *(name for name in metrics.names if name not in mc.METRICS.names)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +66,7 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     walks, seen = drawn.values()
     broken, scores = judging.broken(walks, goal), judging.scores(walks, goal)
     summed = judging.summary(walks).assign(objective=scores, broken=broken)
-    worth = None
+    worth, over = None, None
     if rival is not None:
         means = judging.plain(summed, shown(problem.metrics))
         both = {name: means[name]["mean"] for name in ("robust", retuned_pd.NAME)}
@@ -78,8 +78,8 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
         name: verdicts.Walked(float(scores.sel(gains=name)), bool(most.sel(gains=name) <= most.sel(gains="robust")))
         for name in walks["gains"].values.tolist()
     }
-    said = verdicts.against_best(
-        "robust gains", reached, f"objective over {found.judges} unseen walks", joint=joint,
-        breaks="breaks a limit in more walks",
-    )  # fmt: skip
+    ours, what = verdicts.named("robust gains", found.gains, problem), f"objective over {found.judges} unseen walks"
+    said = verdicts.against_best(ours, reached, what, joint=joint, breaks="breaks a limit in more walks")
+    if over is not None and not (over.low > 0 or over.high < 0):
+        said += f"; {over.walks} walks do not tell them from {retuned_pd.NAME}"
     return RobustComparison(walks, summed, worth, said, joint, judging.binding(seen, goal, "robust"))

@@ -4,20 +4,15 @@ import dataclasses
 
 import xarray as xr
 
-import mjx_climb as mc
 from tuning.background import Stage, silent
 from tuning.comparisons import paired
 from tuning.comparisons.compare import reads_forces
+from tuning.comparisons.of_ensemble import shown
 from tuning.problem.objectives import Objective
 from tuning.results.judged import Comparison
 from tuning.searches import retuned_pd
 
 SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
-
-
-def shown(metrics: mc.MetricTable) -> list[str]:
-    """Return the names of the metrics by which laws are compared: the main ones, and those of the user's own."""
-    return [*SHOWN, *(name for name in metrics.names if name not in mc.METRICS.names)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +30,7 @@ def compare(found: Comparison, stage: Stage = silent) -> LawsComparison:
     assert isinstance(problem.objective, Objective)
     reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]
     with stage("intervals", compiles=False):
-        of_laws, goal = shown(problem.metrics), problem.objective
+        of_laws, goal = shown(problem.metrics, SHOWN), problem.objective
         table = paired.compared(found.data, of_laws, retuned_pd.NAME, goal, shared=found.hardware)
     joint = retuned_pd.joint_of(found.tuned[retuned_pd.NAME])
     verdict = paired.verdict(table, found.laws, reading, found.hardware, found.outside, found.unsettled, joint)

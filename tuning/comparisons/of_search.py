@@ -16,6 +16,7 @@ from tuning.comparisons import maps, margins, verdicts, verification
 from tuning.comparisons.side_by_side import (
     LEVEL,
     VARIATION,
+    AtOneStep,
     Compared,
     Values,
     beside_retuned,
@@ -82,7 +83,7 @@ class TuneComparison:
     checked: verification.Verification
     worth: Worth | None  # of a force sensor: the result against pd retuned
     verdict: str  # the result against the best of the others
-    step: float | None = None  # s, the time step of pd retuned, where it is not the scenario's
+    level: AtOneStep | None = None  # where pd retuned walks at a time step of its own
 
 
 def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None) -> TuneComparison:
@@ -104,7 +105,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         with stage("retuned pd", unit="rounds") as told:
             rival = others.retuned(told)
         rivals = {"config": margins.Walker(problem.law, {})}
-        joint, step = {} if rival is None else retuned_pd.joint_of(rival), None
+        joint, step, apart = {} if rival is None else retuned_pd.joint_of(rival), None, None
         if rival is not None:
             beside = beside_retuned(scenario, joint, ours)
             walking |= {name: start(one_walk(*walker, engine)) for name, walker in beside.items()}
@@ -135,9 +136,12 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
     metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in walks.items()}
     gains, worth = {name: _with_joint_gains(walk, problem) for name, walk in walks.items()}, None
     if rival is not None:
-        both = mc.metrics(leveled, problem.metrics), metrics[retuned_pd.NAME]
+        both = metrics["tuned"], metrics[retuned_pd.NAME]
         scored = [_scored(problem.objective, each) for each in both]
-        worth = between(both, scored, retuned_pd.rival_of(rival, step), problem)
+        if step is not None:
+            there = _scored(problem.objective, mc.metrics(leveled, problem.metrics))
+            apart = AtOneStep(step, there["objective"] / scored[1]["objective"] - 1)
+        worth = between(both, scored, retuned_pd.rival_of(rival), problem, level=apart)
         gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
     order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
     rows = {name: (gains[name], metrics[name]) for name in order}
@@ -147,9 +151,8 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         )
         for name, (_, each) in rows.items()
     }
-    apart = None if step is None or worth is None else (step, worth.changes["objective"])
-    said = verdicts.against_best("tuned gains", walked, "objective", joint=joint, level=apart)
-    return TuneComparison(walks, rows, over, hardware, checked, worth, said, step)
+    said = verdicts.against_best(verdicts.named("tuned gains", found.gains, problem), walked, "objective", joint=joint)
+    return TuneComparison(walks, rows, over, hardware, checked, worth, said, apart)
 
 
 def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:

@@ -17,6 +17,7 @@ from tuning.comparisons.remedies import remedies
 from tuning.comparisons.side_by_side import (
     LEVEL,
     VARIATION,
+    AtOneStep,
     Compared,
     Values,
     Walker,
@@ -28,6 +29,7 @@ from tuning.comparisons.worth import Worth, between
 from tuning.gains.gains_file import replaced
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.variations import is_path
 from tuning.results.swept import HISTORIES, MOST_CELLS, Swept, axes_of, best_cell, coarser_grid
 from tuning.searches import retuned_pd
 from tuning.searches import sweep as sweeps
@@ -83,7 +85,7 @@ class SweepComparison:
     at_edge: list[str]  # gains whose end of the axis the best cell lies on
     worth: Worth | None  # of a force sensor: the best against pd retuned
     verdict: str  # the best against the best of the others
-    step: float | None  # s, the time step of pd retuned, where it is not the scenario's
+    level: AtOneStep | None  # where pd retuned walks at a time step of its own
     histories: xr.Dataset  # a grid with time histories: this one, or a coarser one of a large one
     remedies: Sequence[str] = ()  # where all failed: what would keep the grippers of the config's walk shut
 
@@ -107,11 +109,11 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
             rival = others.rival(ignore)
             if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
                 rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
-        walkers, step = _walkers(found, best), None
+        walkers, level = _walkers(found, best), None
         if rival is not None:
             walkers |= beside_retuned(problem.scenario, rival.joint, walkers.get("best"))
             own_step = walkers[retuned_pd.NAME][0].time_step
-            step = None if own_step == problem.scenario.time_step else own_step
+            level = None if own_step == problem.scenario.time_step else AtOneStep(own_step, np.nan)
         # side by side: most of the time goes to the compiler, where each has a program of its own
         with stage("walks alone"), ThreadPoolExecutor(devices.usable_cores()) as pool:
 
@@ -128,14 +130,22 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
             with stage("histories"):
                 histories = walking_again(ignore)
     names = [name for name in ("best", retuned_pd.NAME, GIVEN, own_name(problem), "pd") if name in walked]
-    rows = {name: (gains_of(walked[name]), mc.metrics(walked[name], problem.metrics)) for name in names}
+    paths = [name for name in found.axes if is_path(name)]
+    rows: dict[str, tuple[Values | None, Values]] = {}
+    for name in names:
+        gains, there = gains_of(walked[name]), {path: walked[name].parameters.at(path) for path in paths}
+        gains = {**(gains or {}), **there} if there else gains
+        rows[name] = gains, mc.metrics(walked[name], problem.metrics)
     worth = None
     if rival is not None:
         rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])
         if best is not None:
-            both = mc.metrics(walked.get(LEVEL, walked["best"]), problem.metrics), theirs
-            scored = [{VARIATION: _variation(each)} for each in both]
-            worth = between(both, scored, rival._replace(step=step), problem, " on this grid")
+            both = rows["best"][1], theirs
+            scored = [{VARIATION: variation_of(each)} for each in both]
+            if level is not None:
+                at_step = variation_of(mc.metrics(walked[LEVEL], problem.metrics))
+                level = level._replace(change=at_step / scored[1][VARIATION] - 1)
+            worth = between(both, scored, rival, problem, " on this grid", level=level)
     data = found.data.assign(spectral_radius=radius)
     failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
     edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
@@ -147,15 +157,14 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
     said = f"none of the {data['diverged'].size} walks held: every one lost a gripper or diverged"
     if best is not None:
         at = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in found.axes)
-        apart = None if step is None or worth is None else (step, worth.changes[VARIATION])
-        each = {name: verdicts.Walked(_variation(metrics)) for name, (_, metrics) in rows.items()}
+        each = {name: verdicts.Walked(variation_of(metrics)) for name, (_, metrics) in rows.items()}
         joint = None if rival is None else rival.joint
         ours_in_words = f"best of {data['diverged'].size} walks, {at}"
-        said = verdicts.against_best(ours_in_words, each, "force variation", "N", joint, apart)
-    return SweepComparison(data, best, walks, rows, failures, edges, worth, said, step, histories, remedied)
+        said = verdicts.against_best(ours_in_words, each, "force variation", "N", joint)
+    return SweepComparison(data, best, walks, rows, failures, edges, worth, said, level, histories, remedied)
 
 
-def _variation(metrics: Values) -> float:
+def variation_of(metrics: Values) -> float:
     """Return the force variation of a walk, NaN where it failed."""
     return np.nan if failed(metrics) else float(metrics[VARIATION])
 

@@ -1,5 +1,6 @@
 """Which differences between gains on the same walks are real: intervals that hold for all of them at once."""
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from scipy.special import betaincinv, stdtr, stdtrit
 from mjx_climb.files import dataset
 from tuning.comparisons import judge as judging
 from tuning.comparisons import verdicts
+from tuning.numbers import number
 from tuning.problem.ensemble import Worst
 from tuning.problem.objectives import Objective, Term
 
@@ -19,7 +21,7 @@ LEVEL = 0.95
 PREFIX = "compared_"  # of the variables of a table beside walks
 STATISTICS = ("mean", "worst")
 DIMS = ("gains", "seed", "member")  # of walks
-FEWEST_WORST = 10  # walks among the worst for which a bootstrap can say how far they scatter
+FEWEST = 10  # walks that a mean is of, for which a bootstrap can say how far they scatter
 POWER_QUANTILE = 0.8416  # of the normal distribution at 80 %
 _MARGIN = 16  # walks beyond twice the worst, of which hardly a resample draws too few
 _ROUNDING = 1e-12  # of a value: what is no further from another is equal
@@ -244,7 +246,8 @@ def without_interval(walks: int, worst: Worst | None, *, tails: bool = True) -> 
 
     `tails`: whether the worst walks of each metric are compared too.
     """
-    needed = {"the objective": _fewest(1.0 if worst is None else worst.share)}
+    needed = {"any mean": _fewest(1.0)}
+    needed |= {} if worst is None else {"the objective": _fewest(worst.share)}
     needed |= {f"the worst {judging.WORST_SHARE:.0%}": _fewest(judging.WORST_SHARE)} if tails else {}
     lacking = [f"{words} (from {least} on)" for words, least in needed.items() if walks < least]
     return [f"{walks} test walks give no interval of {' and of '.join(lacking)}"] if lacking else []
@@ -252,7 +255,7 @@ def without_interval(walks: int, worst: Worst | None, *, tails: bool = True) -> 
 
 def _fewest(share: float) -> int:
     """Return how many walks give an interval of the mean over a share of the worst of them."""
-    return 2 if share == 1 else math.ceil(FEWEST_WORST / share - 1e-9)
+    return math.ceil(FEWEST / share - 1e-9)
 
 
 def compared(
@@ -264,8 +267,8 @@ def compared(
     `value`, `difference`, `low`, `high`, `walks_needed`, `seeds_needed` (see `Interval`) and `real` (the interval does
     not hold 0) have dimensions (`metric`, `statistic`, `gains`). The metrics are the objective, where it has weighted
     terms, relative to pd on these walks; those that are asked for; and `failed`, the share of walks that lose a gripper
-    or diverge. The intervals hold for all means at once, and for all worst 5 % at once, which have none where the worst
-    are fewer than `FEWEST_WORST`. All but the last are of the walks that `tuning.comparisons.judge.held` keeps; gains
+    or diverge. The intervals hold for all means at once, and for all worst 5 % at once; a mean of fewer than `FEWEST`
+    walks has none. All but the last are of the walks that `tuning.comparisons.judge.held` keeps; gains
     that it leaves out have none.
 
     Arguments:
@@ -363,6 +366,19 @@ def taken(data: xr.Dataset) -> xr.Dataset:
     return table.assign(real=table["real"].astype(bool))
 
 
+def differences(table: xr.Dataset) -> list[dict[str, Any]]:
+    """Return the differences of a table from its baseline as plain rows; `claimed`: the interval leaves 0 out."""
+    rows: list[dict[str, Any]] = []
+    baseline = table.attrs["baseline"]
+    for metric, statistic, gains in itertools.product(*(table[name].values.tolist() for name in table["real"].dims)):
+        own = table.sel(metric=metric, statistic=statistic, gains=gains)
+        if gains != baseline and np.isfinite(own["difference"]):
+            of = {"gains": gains, "baseline": baseline, "metric": metric, "statistic": statistic}
+            rows.append(of | {name: float(own[name]) for name in ("difference", "low", "high")})
+            rows[-1]["claimed"] = bool(own["real"])
+    return rows
+
+
 class Verdict(NamedTuple):
     """What a comparison of laws says."""
 
@@ -404,7 +420,7 @@ def _verdict(
     better = [name for name in laws if told[name].real]
     best = max(better, key=lambda name: told[name].size, default=None)
     if best:
-        said = f"{best} is better than {base}, by {told[best]} of the objective"
+        said = f"{best} is better than {base}, by {told[best]} of the objective, {_beside(table, [best])}"
         worse = [metric.replace("_", " ") for metric in _metrics(table) if _worse(table, best, metric)]
         said += f", though worse in {', '.join(worse)}" if worse else ""
     else:
@@ -456,13 +472,21 @@ def _none_better(table: xr.Dataset, laws: Sequence[str], told: Mapping[str, _Gai
     open_ones = [name for name in laws if not own["real"].sel(gains=name) and not _worse(table, name, "failed")]
     if not open_ones:
         nearest = max(laws, key=lambda name: told[name].size)
-        how = f": the nearest, {nearest}, has {-told[nearest].size:.1%} more objective"
+        how = f": the nearest, {nearest}, has {-told[nearest].size:.1%} more objective, {_beside(table, [nearest])}"
         return f"none is better than {base}{how if np.isfinite(told[nearest].size) else ''}"
-    said = f"{', '.join(open_ones)} cannot be told apart from {base} in the objective with {_walks(table)}"
+    said = f"{', '.join(open_ones)} cannot be told apart from {base} in the objective with {_walks(table)}: "
+    said += _beside(table, open_ones)
     seeming = [name for name in open_ones if own["difference"].sel(gains=name) < 0]
     if seeming:
         said += f" ({_needed(own.sel(gains=seeming))}, if the difference is what it seems)"
     return said
+
+
+def _beside(table: xr.Dataset, names: Sequence[str]) -> str:
+    """Return the objectives of laws and of the baseline, as "0.81 beside 0.92"."""
+    own = table["value"].sel(metric="objective", statistic="mean")
+    ours = ", ".join(number(float(own.sel(gains=name))) for name in names)
+    return f"{ours} beside {number(float(own.sel(gains=table.attrs['baseline'])))}"
 
 
 def _needed(own: xr.Dataset) -> str:

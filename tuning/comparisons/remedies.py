@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import numpy as np
+
 from mjx_climb.control import Law
 from mjx_climb.functions import metrics, rollout
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -38,6 +40,6 @@ def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> 
         found = metrics(rollout(scenario, parameters=parameters, law=law))
         how = "it diverges" if found["diverged"] else f"{found['peak_pull_force']:.3g} N"
         pulls.append(f"{change} {how}".strip())
-    limit = scenario.contact.holding_limit
-    bears = "null" if limit is None else f"{limit:g} N"
-    return f"pull on grips that never let go: {', '.join(pulls)}; contact.holding_limit is {bears}"
+    limit = own.values.get("contact.holding_limit")  # of the contact that walks
+    bears = "" if limit is None else f"; contact.holding_limit is {f'{limit:g} N' if np.isfinite(limit) else 'null'}"
+    return f"pull on grips that never let go: {', '.join(pulls)}{bears}"

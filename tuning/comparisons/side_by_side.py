@@ -2,7 +2,7 @@
 
 from collections.abc import Container, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mjx_climb as mc
 from mjx_climb import METRICS, Gains, MetricTable, Trajectory
@@ -19,6 +19,13 @@ LEVEL = "at the time step of pd retuned"  # the name of a walk
 Values = Mapping[str, Any]
 Compared = Mapping[str, tuple[Values | None, Values]]  # gains (None for a controller without) and metrics by name
 Walker = tuple[mc.Scenario, mc.Law | None]
+
+
+class AtOneStep(NamedTuple):
+    """Gains beside pd retuned, both at the time step that its kp and kd need, which is not the scenario's."""
+
+    step: float  # s
+    change: float  # relative, of what was searched for; NaN where there is no walk of ours
 
 
 def gains_of(walk: Trajectory) -> dict[str, Any] | None:
@@ -67,7 +74,7 @@ def walks_together(walkers: Mapping[str, Walker], engine: str, begin: Begin) -> 
 def beside_retuned(scenario: mc.Scenario, joint: Mapping[str, float], ours: Walker | None) -> dict[str, Walker]:
     """Return pd with joint gains of its own, at as short a time step as it needs, and as `LEVEL` ours at that step.
 
-    The two are compared at one time step. There is no `LEVEL` where that step is the scenario's.
+    It tells how much of a difference comes from the step. There is no `LEVEL` where that step is the scenario's.
     """
     alone = retuned_pd.walker(scenario, joint)
     found: dict[str, Walker] = {retuned_pd.NAME: (alone, None)}

@@ -55,8 +55,9 @@ from mjx_climb.physics.inverse_kinematics import inverse_kinematics
 from mjx_climb.physics.kinematics import foot_kinematics, foot_turning, limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.walk import control_loop
-from mjx_climb.walk.step import Carry, Walk, advance, begin, constants_of_law, prepare
+from mjx_climb.walk.step import Carry, Walk, advance, begin, constants_of_law, set_up, walk_of
 from mjx_climb.walk.structure import Structure, structure
+from tuning.problem.variations import as_walked
 
 ROUNDING = 1e-9  # a radius above 1 by less is 1
 _ENTRIES = 512 * 50**2  # of the matrices that are made at once, about: 10 MB
@@ -326,7 +327,7 @@ def _coupled(acts: np.ndarray) -> np.ndarray:
 def over_axes(
     scenario: mc.Scenario, axes: Mapping[str, ArrayLike], *, law: mc.Law | None = None, engine: str = DEFAULT_ENGINE
 ) -> xr.DataArray:
-    """Return the radius over values of two gains, the same on all axes of one.
+    """Return the radius over values of two gains, the same on all axes of one, or at paths.
 
     Of more than 16 values along an axis (8 with delays in the loop) so many are taken.
     """
@@ -337,10 +338,9 @@ def over_axes(
     for name, values in axes.items():  # the first and the last among them
         places = np.linspace(0, np.size(values) - 1, min(np.size(values), finest)).round().astype(int)
         some[name] = np.asarray(values, float)[np.unique(places)]
-    lengths = (law_of(scenario) if law is None else law).AXES
-    mesh = zip(some, np.meshgrid(*some.values(), indexing="ij"), strict=True)
-    gains = {name: values.reshape(-1, 1) if lengths.get(name) else values.ravel() for name, values in mesh}
-    radius = spectral_radius(scenario, gains, law=law, engine=engine).reshape([v.size for v in some.values()])
+    mesh = zip(some, (values.ravel() for values in np.meshgrid(*some.values(), indexing="ij")), strict=True)
+    robots = as_walked(scenario, law_of(scenario) if law is None else law, dict(mesh))
+    radius = spectral_radius(scenario, *robots, law=law, engine=engine).reshape([v.size for v in some.values()])
     return xr.DataArray(radius, some, list(some), attrs={"units": "1", "long_name": "largest eigenvalue of one step"})
 
 
@@ -358,8 +358,9 @@ def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, st
     and truth values cannot be off by a little; what a step hands on unchanged, as a law's discretised gains, is no
     state: it stays 0.
     """
-    walk = prepare(shape, law, parameters)
-    carry = _stance(walk, step)
+    setup = set_up(shape, law, parameters)
+    walk = walk_of(shape, setup)
+    carry = _stance(walk, setup.plan, step)
     samples, memory = _taken(carry.memory, walk.structure)
     leaves, tree = jax.tree.flatten((carry.state, memory))
     of_law = jax.tree.unflatten(jax.tree.structure(memory.law), constants_of_law(walk, carry))
@@ -428,9 +429,9 @@ def _put(memory: control_loop.Memory, samples: Mapping[str, Any]) -> control_loo
     return memory
 
 
-def _stance(walk: Walk, step: Array) -> Carry:
+def _stance(walk: Walk, plan: gait.Plan, step: Array) -> Carry:
     """Return a robot that stands as it should at a step, and has never been otherwise."""
-    plan, carry = walk.plan, begin(walk)
+    carry = begin(walk)
     now = gait.schedule(plan, step)
     grip = plan.footholds + now.foothold[:, None] * plan.advance
     grip = grip.at[:, 2].add(gait.foothold_height(plan, now.foothold))

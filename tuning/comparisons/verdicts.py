@@ -4,7 +4,12 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+import numpy as np
+
+from mjx_climb.inputs.resolve import AnyGains
+from tuning.gains.gains_file import by_name
 from tuning.numbers import number
+from tuning.problem.evaluation import Problem
 from tuning.searches.retuned_pd import NAME
 
 OWN_SEARCH = "pd with its own kp and kd searched"
@@ -28,6 +33,14 @@ def in_words(name: str, joint: Mapping[str, float] | None = None) -> str:
     return f"{OWN_SEARCH} ({', '.join(filter(None, [NAME, own]))})"
 
 
+def named(word: str, gains: AnyGains, problem: Problem) -> str:
+    """Return the word with the gains that were searched behind it, where each is one number on all axes."""
+    values = {name: np.unique(value) for name, value in by_name(gains).items() if name in problem.space.gains}
+    if not values or any(each.size > 1 for each in values.values()):
+        return word
+    return f"{word} ({', '.join(f'{name} {number(each.item())}' for name, each in values.items())})"
+
+
 def explained(names: Iterable[str]) -> str:
     """Return the meaning of the column `retuned_pd`, to end a caption; nothing where a table has none."""
     return f"; {NAME}: {OWN_SEARCH}" if NAME in names else ""
@@ -35,8 +48,7 @@ def explained(names: Iterable[str]) -> str:
 
 def against_best(
     ours: str, walked: Mapping[str, Walked], what: str, unit: str = "",
-    joint: Mapping[str, float] | None = None, level: tuple[float, float] | None = None,
-    breaks: str = "breaks a limit",
+    joint: Mapping[str, float] | None = None, breaks: str = "breaks a limit",
 ) -> str:  # fmt: skip
     """Return by how much gains are better or worse than the best of their rivals, which keeps limits where any does.
 
@@ -46,7 +58,6 @@ def against_best(
         what: the name of the score, in words, and its `unit`.
         joint: the gains of pd retuned.
         breaks: words for a rival that does not keep every limit.
-        level: where pd retuned walked at a time step of its own: that step, s, and the relative change at it.
     """
     (_, own), *others = walked.items()
     sound = {name: each for name, each in others if math.isfinite(each.value)}
@@ -58,17 +69,17 @@ def against_best(
     name = in_words(best, joint)
     if not math.isfinite(own.value):
         return f"{reached}; the best rival that walked is {name}: {_with_unit(what, rival.value, unit)}{breaks}"
-    at, change = "", own.value / rival.value - 1 if rival.value > 0 else math.nan
-    if level is not None and best == NAME:
-        at, change = f", both at a time step of {level[0]:g} s,", level[1]
-    if not math.isfinite(change):
-        how = "beside"
-    elif abs(change) < _EQUAL:
-        how = f"the same{at} as"
-    else:
-        how = f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'}{at} than"
+    change = own.value / rival.value - 1 if rival.value > 0 else math.nan
+    how = "beside"
+    if math.isfinite(change):
+        how = "the same as" if abs(change) < _EQUAL else f"{more_or_less(change)} than"
     value = _with_unit("", rival.value, unit)
     return f"{reached}, {how} the best rival that walked, {name}: {value}{breaks}"
+
+
+def more_or_less(change: float) -> str:
+    """Return a relative change in words, as "10.2 % more"."""
+    return f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'}"
 
 
 def _with_unit(what: str, value: float, unit: str) -> str:

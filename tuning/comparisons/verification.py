@@ -14,7 +14,7 @@ from mjx_climb.walk.metrics import FAILURES
 from tuning.comparisons import maps, margins, stability_limit
 from tuning.comparisons.margins import Margin
 from tuning.gains.gains_file import OPTIONAL, apart, applied, by_name
-from tuning.methods.descents import CANDIDATES
+from tuning.methods.gradient import CANDIDATES
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal

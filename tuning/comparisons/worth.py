@@ -9,7 +9,8 @@ import xarray as xr
 
 from mjx_climb.gait.recovery import recovery_of
 from tuning.comparisons import judge, paired
-from tuning.comparisons.side_by_side import VARIATION, Values, differences
+from tuning.comparisons.side_by_side import VARIATION, AtOneStep, Values, differences
+from tuning.comparisons.verdicts import more_or_less
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
 from tuning.results.front import Front, without_sensor
@@ -28,14 +29,12 @@ class OverWalks(NamedTuple):
     needed: float  # walks that would tell it from 0, if it is what was found
 
 
-def over_walks(walks: xr.Dataset, name: str, goal: Objective) -> OverWalks | None:
-    """Return how far the change of the objective from retuned pd is known, None where a walk has none."""
+def over_walks(walks: xr.Dataset, name: str, goal: Objective) -> OverWalks:
+    """Return how far the change of the objective from retuned pd is known, NaN where too few walks tell."""
     table = paired.compared(walks.sel(gains=[name, NAME, judge.PD]), [], NAME, goal)
     own = table.sel(metric="objective", statistic="mean", gains=name)
     base = abs(float(own["value"] - own["difference"]))
     low, high = (float(own[key]) / base for key in ("low", "high"))
-    if not math.isfinite(low):
-        return None
     return OverWalks(table.attrs["members_compared"], low, high, float(own["walks_needed"]))
 
 
@@ -60,6 +59,7 @@ def worth_of(
     place: str = "",
     others: tuple[Sequence[str], Sequence[str]] = ((), ()),
     over: OverWalks | None = None,
+    level: AtOneStep | None = None,
     what: str = "the force sensor",
 ) -> Worth:
     """Return the worth of a force sensor.
@@ -74,6 +74,7 @@ def worth_of(
         place: where the gains were searched, if that is not all there is.
         others: what else is worse, and what is better, in words.
         over: how far the change of the first value is known, of several walks.
+        level: the change of the first value at one time step, where `without` has a step of its own.
         what: what pd retuned lacks, in words.
     """
     own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
@@ -83,11 +84,15 @@ def worth_of(
     if not all(map(math.isfinite, changes.values())):
         return Worth(changes, f"{what}: not to be compared with {than}: a walk failed")
     first = next(iter(changes.values()))
-    if over is not None and over.low <= 0 <= over.high:
+    turned = level is not None and not first * level.change > 0
+    nearest = first if level is None else min(first, level.change, key=abs)
+    if over is not None and not (over.low > 0 or over.high < 0):
         verdict = f"{over.walks} walks cannot tell what {what} is worth{place}"
         if math.isfinite(over.needed):
             verdict += f" ({math.ceil(over.needed):,} would, if the difference is what it seems)"
-    elif abs(first) <= ANOTHER_SEED:
+    elif level is not None and turned:
+        verdict = f"no verdict on {what}{place}, since a time step of {level.step:g} s turns it round"
+    elif abs(nearest) <= ANOTHER_SEED:
         less = f"differences of less than {100 * ANOTHER_SEED:.0f} %"
         verdict = f"no verdict on {what}{place}, since another search may turn {less} round"
     elif not (first > 0 if larger else first < 0):
@@ -96,11 +101,12 @@ def worth_of(
         verdict = f"no verdict on {what}, since pd was searched {rival.lacks}"
     else:
         verdict = f"{what} pays"
-    said, ends = "", "" if over is None else f" (95 % interval {100 * over.low:+.1f} to {100 * over.high:+.1f} %)"
+    said, ends = "", ""
+    if over is not None and math.isfinite(over.low):
+        ends = f" (95 % interval {100 * over.low:+.1f} to {100 * over.high:+.1f} %)"
     for name, change in changes.items():  # the objective may be less though one of its terms is more
         link = " and " if (change < 0) == (first < 0) else ", though "
-        more = "less" if change < 0 else "more"
-        said += f"{link if said else ''}{100 * abs(change):.1f} % {more} {name.replace('_', ' ')}{ends}"
+        said += f"{link if said else ''}{more_or_less(change)} {name.replace('_', ' ')}{ends}"
         ends = ""
     step = "" if rival.step is None else f", both at a time step of {rival.step:g} s"
     rest = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
@@ -109,14 +115,14 @@ def worth_of(
 
 def between(
     metrics: Iterable[Values], scored: Iterable[Values], rival: Rival, problem: Problem, place: str = "",
-    over: OverWalks | None = None,
+    over: OverWalks | None = None, level: AtOneStep | None = None,
 ) -> Worth:  # fmt: skip
     """Return the worth of a force sensor, from the metrics and scores of ours and of pd retuned."""
     (ours, theirs), (values, without) = metrics, scored
     others = differences(ours, theirs, problem.metrics, but=(VARIATION,))
     recovers = problem.law is not None and recovery_of(problem.law, None) is not None
     what = "the force sensor with the recovery" if recovers else "the force sensor"
-    return worth_of(values, without, rival, place=place, others=others, over=over, what=what)
+    return worth_of(values, without, rival, place=place, others=others, over=over, level=level, what=what)
 
 
 def of_front(found: Front) -> str:
@@ -138,7 +144,8 @@ def of_schedule(table: xr.Dataset) -> str:
     ratio = (table["value"] / table["retuned_value"]).values
     known = ratio[np.isfinite(ratio)]
     if not known.size:
-        return "the force sensor: not to be compared with pd, which keeps the limits at no operating point"
+        there = "with pd, which keeps" if np.isnan(table["retuned_value"]).all() else "with pd: the gains keep"
+        return f"the force sensor: not to be compared {there} the limits at no operating point"
     none = f"no verdict on the force sensor, since pd was searched {ON_A_GRID}"
     verdict = none if (known < 1).any() else "the force sensor does not pay"
     span = " to ".join(dict.fromkeys(f"{end:.3f}" for end in (known.min(), known.max())))

@@ -40,16 +40,18 @@ def check(gains: mc.Gains, period: float, source: str) -> None:
             if np.ptp(three):
                 each = ", ".join(f"{axis} {value:.4g}" for axis, value in zip(axes, three, strict=True))
                 expected = f"one value for the axes of a {kind}, which is all that admittance_control knows"
-                raise ConfigError(f"{source}: {name}: expected {expected}, got {each}: search them with --space split")
+                raise ConfigError(source, name, expected, f"{each}: search them with --space split")
     if period > LONGEST_PERIOD * (1 + 1e-9):
         expected = f"a period of at most {LONGEST_PERIOD:g} s, to which admittance_control cuts longer ones"
-        raise ConfigError(f"{source}: expected {expected}, got {period:g}")
+        raise ConfigError(source, "", expected, f"{period:g}")
     substep = substep_of(period)
     if not ros2_control.stable(gains, 1 / substep).all():
         inertia = 1.05 * ros2_control.smallest_inertia(gains, 1 / substep).max()
         raise ConfigError(
-            f"{source}: expected gains that are stable in the substeps of {substep:g} s that admittance_control takes, "
-            f"got a displacement that grows: a virtual inertia of {inertia:.3g} would do"
+            source,
+            "",
+            f"gains that are stable in the substeps of {substep:g} s that admittance_control takes",
+            f"a displacement that grows: a virtual inertia of {inertia:.3g} would do",
         )
 
 

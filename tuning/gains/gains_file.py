@@ -20,7 +20,7 @@ from mjx_climb.inputs.gait_values import GAIT, gait_of, own_gait, scenario_with_
 from mjx_climb.inputs.resolve import AnyGains, with_gains
 from mjx_climb.inputs.resolve import by_name as by_name
 from mjx_climb.scenario import registers
-from mjx_climb.scenario.messages import ConfigError, config_error
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import overridden
 from mjx_climb.scenario.yaml_text import parse, read
 from tuning.gains import own_section
@@ -61,22 +61,24 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
     _limits(data.pop(LIMITS, {}), PD() if law is None else law, source)
     for key in (*data, *required):
         if key not in keys:
-            raise config_error(source, key, f"only the keys {', '.join(keys)}", "another")
+            raise ConfigError(source, key, f"only the keys {', '.join(keys)}", "another")
         if key not in data:
-            raise config_error(source, key, "a value", "none")
+            raise ConfigError(source, key, "a value", "none")
     # what the scenario has too is checked as there
     joint = data if law is None else {key: value for key, value in data.items() if key in OPTIONAL}
     try:
         control = overridden(mc.Scenario(), {f"control.{key}": value for key, value in joint.items()}, source).control
     except ConfigError as error:
-        raise ConfigError(str(error).replace(f"{source}: control.", f"{source}: ", 1)) from None
+        raise error.moved(key=error.key.removeprefix("control.")) from None
     values = {key: np.asarray(value, float) for key in joint if (value := getattr(control, key)) is not None}
     if law is None:
         return values | gait if gait or name == PD.__name__ else mc.Gains(**values)
     try:
         changed = with_values(law, {key: _array(data[key], key, source) for key in law.GAINS})
+    except ConfigError:
+        raise
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{source}: {str(error).removeprefix('gains.')}") from None
+        raise ConfigError(source, reason=str(error).removeprefix("gains.")) from None
     return values | {key: getattr(changed, key) for key in law.GAINS} | gait
 
 
@@ -84,7 +86,7 @@ def _array(value: Any, key: str, source: str) -> np.ndarray:
     try:
         return np.asarray(value, float)
     except (TypeError, ValueError):
-        raise config_error(source, key, "a number, or lists of numbers of equal lengths", repr(value)[:40]) from None
+        raise ConfigError(source, key, "a number, or lists of numbers of equal lengths", repr(value)[:40]) from None
 
 
 def walker(
@@ -122,13 +124,13 @@ def _limits(section: Any, law: mc.Law, source: str) -> dict[str, float]:
     """Return the limits of a file, checked."""
     known = own_section.limits_of(law)
     if not isinstance(section, dict):
-        raise config_error(source, LIMITS, "a mapping of numbers", repr(section))
+        raise ConfigError(source, LIMITS, "a mapping of numbers", repr(section))
     for key, value in section.items():
         if key not in known:
             expected = f"only the keys {', '.join(known)}" if known else "none, as the law has no limits of its own"
-            raise config_error(source, f"{LIMITS}.{key}", expected, "another")
+            raise ConfigError(source, f"{LIMITS}.{key}", expected, "another")
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-            raise config_error(source, f"{LIMITS}.{key}", "a number above 0", repr(value))
+            raise ConfigError(source, f"{LIMITS}.{key}", "a number above 0", repr(value))
     return {key: float(value) for key, value in section.items()}
 
 
@@ -157,7 +159,7 @@ def _data(path: str | os.PathLike[str]) -> dict[str, Any]:
     source = os.fsdecode(path)
     data = parse(read(source), source)
     if not isinstance(data, dict):
-        raise ConfigError(f"{source}: expected a mapping with keys {', '.join((*REQUIRED, *OPTIONAL))}")
+        raise ConfigError(source, "", f"a mapping with keys {', '.join((*REQUIRED, *OPTIONAL))}")
     return data
 
 
@@ -176,12 +178,12 @@ def of_scenarios(name: str | None) -> bool:
 def _gait(section: Any, source: str) -> dict[str, np.ndarray]:
     """Return the values of a file's gait by their keys in a scenario."""
     if not isinstance(section, dict):
-        raise config_error(source, SECTION, f"a mapping with keys {', '.join(_KEYS)}", repr(section))
+        raise ConfigError(source, SECTION, f"a mapping with keys {', '.join(_KEYS)}", repr(section))
     for key, value in section.items():
         if key not in _KEYS:
-            raise config_error(source, f"{SECTION}.{key}", f"only the keys {', '.join(_KEYS)}", "another")
+            raise ConfigError(source, f"{SECTION}.{key}", f"only the keys {', '.join(_KEYS)}", "another")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise config_error(source, f"{SECTION}.{key}", "a number", repr(value))
+            raise ConfigError(source, f"{SECTION}.{key}", "a number", repr(value))
     return {f"{SECTION}.{key}": np.asarray(value, float) for key, value in section.items()}
 
 
@@ -211,7 +213,7 @@ def with_gait(scenario: mc.Scenario, gains: AnyGains, source: str) -> mc.Scenari
     try:
         return scenario_with_gait(scenario, by_name(gains))
     except ConfigError as error:
-        raise ConfigError(f"{source}: {str(error).removeprefix('scenario: ')}") from None
+        raise error.moved(source=source) from None
 
 
 def completed(scenario: mc.Scenario, gains: AnyGains) -> AnyGains:
@@ -230,12 +232,13 @@ def apart(scenario: mc.Scenario, gains: AnyGains) -> tuple[mc.Scenario, AnyGains
 
 
 def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
-    """Return the scenario with these gains in its control section, and their gait, as far as it has them."""
+    """Return the scenario with gains in its control section, their gait and values at paths, as far as it has them."""
     values = by_name(gains)
     control = {f"control.{name}": value for name, value in values.items() if name in REQUIRED + OPTIONAL}
     if "kp" in values and scenario.control.safe_kp is None:  # the scenario's own kp, not that of the gains
         control = {"control.safe_kp": scenario.control.kp} | control
-    return scenario_with_gait(scenario.with_overrides(control), values)
+    there = {name: value for name, value in values.items() if "." in name and name not in GAIT}
+    return scenario_with_gait(scenario.with_overrides(control | there), values)
 
 
 def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tuple[mc.Scenario, mc.Law | None]:
@@ -243,7 +246,8 @@ def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tupl
     values = by_name(gains)
     if law is None:
         return applied(scenario, values), None
-    return applied(scenario, {n: v for n, v in values.items() if n not in law.GAINS}), with_gains(law, values)
+    own = with_gains(law, {name: value for name, value in values.items() if "." not in name})
+    return applied(scenario, {name: value for name, value in values.items() if name not in law.GAINS}), own
 
 
 def registers_in_words(scenario: mc.Scenario, gains: AnyGains) -> str:

@@ -11,14 +11,16 @@ from typing import Any
 
 import jax
 import numpy as np
+from pydantic import BaseModel
 
 import mjx_climb as mc
 from mjx_climb.component import with_values
 from mjx_climb.control import SHIPPED, is_shipped, shipped
 from mjx_climb.execution.contents import Unidentifiable, identity, in_library
 from mjx_climb.inputs.file_contents import digest
-from mjx_climb.inputs.own_objects import KINDS, RUN, load, reference_to
+from mjx_climb.inputs.own_objects import KINDS, RUN, class_of, load, reference_to
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import Kind
 
 THE_CONFIG = "the config's law"
 
@@ -33,19 +35,17 @@ def load_law(text: str) -> mc.Law:
         try:
             return shipped(text)
         except ValueError as error:
-            raise ConfigError(f"law: {error}") from None
+            raise ConfigError("", "law", reason=str(error)) from None
     if ":" not in text:
-        raise ConfigError(f"law: expected FILE.py:NAME, or one of {', '.join(SHIPPED)}, got {text!r}")
+        raise ConfigError("", "law", f"FILE.py:NAME, or one of {', '.join(SHIPPED)}", f"{text!r}")
     found, file, name = load(text, "law")
     if isinstance(found, type) and issubclass(found, mc.Law):
         try:
             found = found()
         except TypeError as error:
-            raise ConfigError(
-                f"{file}: expected {name} to have its methods and a default for every gain: {error}"
-            ) from None
+            raise ConfigError(file, "", f"{name} to have its methods and a default for every gain: {error}") from None
     if not isinstance(found, mc.Law):
-        raise ConfigError(f"{file}: expected {name} to be a law that inherits from mjx_climb.Law, got {found!r}")
+        raise ConfigError(file, "", f"{name} to be a law that inherits from mjx_climb.Law", f"{found!r}")
     return found
 
 
@@ -55,11 +55,11 @@ def load_metrics(texts: Iterable[str]) -> mc.MetricTable:
     for text in texts:
         found, file, name = load(text, "metric")
         if not isinstance(found, mc.Metric):
-            raise ConfigError(f"{file}: expected {name} to be a metric, as of mjx_climb.Metric, got {found!r}")
+            raise ConfigError(file, "", f"{name} to be a metric, as of mjx_climb.Metric", f"{found!r}")
         try:
             table = mc.MetricTable((*table, found))
         except ValueError as error:
-            raise ConfigError(f"{file}: {name}: {error}") from None
+            raise ConfigError(file, name, reason=str(error)) from None
     return table
 
 
@@ -95,7 +95,7 @@ def check_reference(law: mc.Law | None, stored: str | None, source: str) -> None
     """Raise ConfigError where something was stored for another law."""
     own = None if law is None else reference(law)
     if own != stored:
-        raise ConfigError(f"{source}: law: expected gains of {own or THE_CONFIG}, got those of {stored or THE_CONFIG}")
+        raise ConfigError(source, "law", f"gains of {own or THE_CONFIG}", f"those of {stored or THE_CONFIG}")
 
 
 def section(
@@ -134,16 +134,16 @@ def taken(
         return scenario, law, metrics
     if law is None and own.law is not None:
         by_name = own.law.file is None and is_shipped(own.law.name)
-        law = load_law(own.law.name if by_name else reference_to(own.law, "law", source))
+        law = load_law(own.law.name if by_name else reference_to(own.law, "own.law", source))
         try:
             law = of_one(law, dict(own.law.gains.items()))
             if unknown := [key for key, _ in own.law.limits.items() if key not in limits_of(law)]:
                 raise ValueError(f"limits.{unknown[0]}: expected one of {', '.join(limits_of(law)) or 'none'}")
             law = with_limits(law, dict(own.law.limits.items()))
         except (TypeError, ValueError) as error:
-            raise ConfigError(f"{source}: own.law: {error}") from None
+            raise ConfigError(source, "own.law", reason=str(error)) from None
     if metrics == mc.METRICS:
-        metrics = load_metrics(reference_to(each, f"metrics.{n}", source) for n, each in enumerate(own.metrics))
+        metrics = load_metrics(reference_to(each, f"own.metrics.{n}", source) for n, each in enumerate(own.metrics))
     return without(scenario), law, metrics
 
 
@@ -193,8 +193,10 @@ def _makes(found: Any, law: mc.Law) -> bool:
     return type(found) is type(law) and bool(operator.eq(*map(jax.tree.structure, (found, law))))
 
 
-def named_by(text: str, place: str, option: str) -> dict[str, Any]:
-    """Return the section of a shipped class, or of FILE.py:NAME; `option` is where it was typed.
+def named_by(text: str, place: str, option: str, before: BaseModel | None = None) -> dict[str, Any]:
+    """Return the section of a shipped kind, or of FILE.py:NAME, which is run; `option` is where it was typed.
+
+    A class takes the values that it has too from the section `before`.
 
     Raises:
         ConfigError: in one line, neither of them.
@@ -202,7 +204,10 @@ def named_by(text: str, place: str, option: str) -> dict[str, Any]:
     known = KINDS[place][1]
     file, colon, name = text.rpartition(":")
     if text not in known and not (colon and file and name):
-        raise ConfigError(f"{option}: expected FILE.py:NAME, or one of {', '.join(known)}, got {text!r}")
-    if text in known:
-        return {"file": None, "name": text, "digest": None}
-    return {"file": os.path.abspath(file), "name": name, "digest": digest(Path(file))}
+        raise ConfigError("", option, f"FILE.py:NAME, or one of {', '.join(known)}", f"{text!r}")
+    section: dict[str, Any] = {"kind": text, "digest": None}
+    if text not in known:
+        section = {"kind": f"{os.path.abspath(file)}:{name}", "digest": digest(Path(file))}
+    found = class_of(Kind(**section), place, option)
+    kept = before.model_dump(mode="json") if before is not None and isinstance(found, type) else {}
+    return section | {key: kept[key] for key in getattr(found, "VALUES", ()) if key in kept}

@@ -85,8 +85,8 @@ def check(gains: mc.Gains, rate: float, source: str) -> None:
     for name, values, (low, high) in (("inertia", inertia, MASS_BOUNDS), ("stiffness", stiffness, (0, MAX_STIFFNESS))):
         for axis, value in zip(SIX, values, strict=True):
             if not low <= value <= high:
-                expected = f"expected {low:g} to {high:g}, which admittance_controller takes"
-                raise ConfigError(f"{source}: {name}: {expected}, got {value:g} ({axis})")
+                expected = f"{low:g} to {high:g}, which admittance_controller takes"
+                raise ConfigError(source, name, expected, f"{value:g} ({axis})")
     holds, size = stable(gains, rate), np.abs(poles(gains, rate)).max(1)
     if holds.all():
         return
@@ -100,8 +100,10 @@ def check(gains: mc.Gains, rate: float, source: str) -> None:
     cure = f"{' or '.join(cures)} would do" if cures else "no update rate or virtual inertia within bounds would do"
     worst = int(np.argmax(np.where(holds, 0, size)))
     raise ConfigError(
-        f"{source}: expected gains that are stable in admittance_controller at {rate:g} Hz, "
-        f"got a discrete pole of magnitude {size[worst]:.4g} ({SIX[worst]}): {cure}"
+        source,
+        "",
+        f"gains that are stable in admittance_controller at {rate:g} Hz",
+        f"a discrete pole of magnitude {size[worst]:.4g} ({SIX[worst]}): {cure}",
     )
 
 

@@ -30,7 +30,7 @@ class CMAES(Method):
     def check(self, space: Space, search: Search) -> None:
         super().check(space, search)
         if search.starts == 1:  # which cannot be compared
-            raise ConfigError("starts: expected a population of 2 or more for cmaes, got 1")
+            raise ConfigError("", "starts", "a population of 2 or more for cmaes", "1")
 
     def rounds(self, task: Task) -> int:
         return task.search.iterations or (MANY if execution.many_at_once(task.problem.dtype) else GENERATIONS)

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from tuning.methods.descents import choose
+from tuning.methods.adam import Adam
 
 SMOOTH = 0.6  # share of the evaluations that follow the smooth companions of extremes; the rest follow the true ones
 LAST = 0.03  # share of the first step that the last one has
 PATIENCE = 8  # evaluations without a better point after which a problem goes back to its best one
-BACK = 0.5  # share of its steps that it keeps then
 MEMORY = 0.9, 0.97  # of slopes and of their squares, a share per step
+TINY = 1e-30
 
 
 class Evaluated(NamedTuple):
@@ -58,30 +58,18 @@ def descend(
         known: the merits of the first points, where they have been evaluated before: the best are no worse.
     """
     rates = step * (LAST + (1 - LAST) * 0.5 * (1 + np.cos(np.pi * np.arange(evaluations) / evaluations)))
-    x, count = np.array(x, float), len(x)
-    best, least = x, np.full(count, np.inf) if known is None else known
-    there = mean = square = np.zeros_like(x)  # the slopes at the best point, and what Adam remembers of all
-    waited, made, scale = np.zeros(count, int), np.zeros((count, 1)), np.ones((count, 1))
-    first = begun = np.full(count, np.nan)
-    for number in range(evaluations - 1):
+    x = np.array(x, float)
+    adam = Adam(x, x.shape[1], MEMORY, PATIENCE, TINY)
+    first = begun = np.full(len(x), np.nan)
+    adam.least = adam.least if known is None else known
+    for number, rate in enumerate(rates[:-1]):
         found = evaluate(x, float(number >= SMOOTH * evaluations))
-        sound = np.isfinite(found.merit) & np.isfinite(found.slopes).all(1)
-        slopes = np.where(sound[:, None], found.slopes, 0.0)
+        lost = ~(np.isfinite(found.merit) & np.isfinite(found.slopes).all(1))
+        slopes = np.where(lost[:, None], 0.0, found.slopes)
         if number == 0:
-            first, begun, there = found.merit if known is None else known, slopes, slopes
-        better = sound & (found.merit < least)
-        least = np.where(better, found.merit, least)
-        best, there = choose(better, (x, slopes), (best, there))
-        waited = np.where(better, 0, waited + 1)
-        back = ~sound | (waited >= PATIENCE)
-        x, slopes = choose(back, (best, there), (x, slopes))
-        mean, square, made = choose(back, (0 * mean, 0 * square, 0 * made), (mean, square, made))
-        scale, waited = np.where(back[:, None], BACK * scale, scale), np.where(back, 0, waited)
-        made = made + 1
-        mean = MEMORY[0] * mean + (1 - MEMORY[0]) * slopes
-        square = MEMORY[1] * square + (1 - MEMORY[1]) * slopes**2
-        sizes = np.sqrt(square / (1 - MEMORY[1] ** made))
-        x = x - rates[number] * scale * mean / (1 - MEMORY[0] ** made) / np.maximum(sizes, 1e-30)
-    end = evaluate(best, 0.0)
+            first, begun, adam.there = found.merit if known is None else known, slopes, slopes
+        x, steps = adam.step(x, found.merit, slopes, lost)
+        x = x - rate * steps
+    end = evaluate(adam.best, 0.0)
     slope = np.linalg.norm(end.slopes, axis=1) / np.maximum(np.linalg.norm(begun, axis=1), 1e-300)
-    return Descended(best, least, first, slope)
+    return Descended(adam.best, adam.least, first, slope)

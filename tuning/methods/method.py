@@ -59,9 +59,9 @@ class Method(abc.ABC):
     def check(self, space: Space, search: Search) -> None:
         """Refuse by a ConfigError, before anything walks, what the method cannot search or is not told right."""
         if self.most is not None and space.size > self.most:
-            cure = "pin or freeze some, or choose gradient or lbfgs"
+            cure = "pin or freeze some, or choose gradient"
             expected = f"at most {self.most} numbers to search by {search.method}"
-            raise ConfigError(f"method: expected {expected}, got {space.size}: {cure}")
+            raise ConfigError("", "method", expected, f"{space.size}: {cure}")
 
     def rounds(self, task: Task) -> int:
         """Return how many rounds a run takes at most, 0 where that is not known."""
@@ -96,7 +96,7 @@ def own_points(method: Method, task: Task) -> Points:
     with in_one_line(name):
         points = method.run(task)
     if not isinstance(points, Generator):
-        raise ConfigError(f"{name}: expected a generator of Requests, got {type(points).__name__}")
+        raise ConfigError("", name, "a generator of Requests", type(points).__name__)
     with contextlib.closing(points):
         while True:
             with in_one_line(name):
@@ -106,7 +106,7 @@ def own_points(method: Method, task: Task) -> Points:
                     break
             answer = yield request
     if answer is None:
-        raise ConfigError(f"{name}: expected at least one Request of points, got none")
+        raise ConfigError("", name, "at least one Request of points", "none")
 
 
 def method_of(named: str | Method | type[Method] | Callable[[Task], Points]) -> Method:
@@ -127,9 +127,9 @@ def method_of(named: str | Method | type[Method] | Callable[[Task], Points]) -> 
         try:
             found = found()
         except TypeError as error:
-            raise ConfigError(f"method: expected {found.__name__} to need no arguments: {error}") from None
+            raise ConfigError("", "method", f"{found.__name__} to need no arguments: {error}") from None
     if isinstance(found, Method):
         return found
     if not callable(found) or isinstance(found, type):
-        raise ConfigError(f"method: expected a name, a Method, or a function of a Task, got {named!r}")
+        raise ConfigError("", "method", "a name, a Method, or a function of a Task", f"{named!r}")
     return Function(found)

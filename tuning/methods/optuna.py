@@ -44,7 +44,7 @@ class Optuna(Method):
         try:
             import optuna
         except ImportError:
-            raise ConfigError("method: expected Optuna to be installed: pip install 'mjx-climb[compare]'") from None
+            raise ConfigError("", "method", "Optuna to be installed: pip install 'mjx-climb[compare]'") from None
         known = {
             name.removesuffix(ENDING).lower(): getattr(optuna.samplers, name)
             for name in optuna.samplers.__all__
@@ -58,7 +58,7 @@ class Optuna(Method):
             if name not in IN_STEPS
         ]
         if self.sampler not in alone:
-            raise ConfigError(f"method: expected optuna:SAMPLER, one of {', '.join(alone)}, got {self.sampler!r}")
+            raise ConfigError("", "method", f"optuna:SAMPLER, one of {', '.join(alone)}", f"{self.sampler!r}")
         size = search.starts or BATCH
         options = {**OPTIONS, "seed": search.seed, "population_size": max(2, size), "popsize": max(2, size)}
         with warnings.catch_warnings():
@@ -67,7 +67,7 @@ class Optuna(Method):
                 return known[self.sampler](**{n: value for n, value in options.items() if n in takes[self.sampler]})
             except ImportError as error:
                 reason = str(error).splitlines()[0]
-                raise ConfigError(f"method: expected what optuna:{self.sampler} needs: {reason}") from None
+                raise ConfigError("", "method", f"what optuna:{self.sampler} needs: {reason}") from None
 
     def run(self, task: Task) -> Points:
         """Ask for batches of trials until the rounds are spent."""

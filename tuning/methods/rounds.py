@@ -143,6 +143,6 @@ def check_request(request: Request, n: int) -> None:
         got = "" if theta.ndim == 2 and len(theta) and theta.shape[1] == n else f"{theta.shape}"
         got = got if np.isfinite(theta).all() else f"{theta.shape} with values that are not finite"
     if got:
-        raise ConfigError(f"method: expected a Request of finite theta (B, {n}), got {got}")
+        raise ConfigError("", "method", f"a Request of finite theta (B, {n})", got)
     if request.directions is not None and np.shape(request.directions)[1:] != (n,):
-        raise ConfigError(f"method: expected directions (k, {n}), got {np.shape(request.directions)}")
+        raise ConfigError("", "method", f"directions (k, {n})", np.shape(request.directions))

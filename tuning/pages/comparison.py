@@ -33,7 +33,8 @@ def _gain_units(compared: Compared, law: Law | None) -> dict[str, tuple[str, str
     own = dict.fromkeys(name for gains, _ in compared.values() for name in gains or () if name not in JOINT_UNITS)
     known = labels(law)
     first = [name for name in ("stiffness", "damping", "inertia") if name in own or not own]
-    units = {name: known[name][0].split(",") for name in dict.fromkeys([*first, *own])}
+    # of a value at a path the label is its unit's alone where no law knows it
+    units = {name: known.get(name, ("", ""))[0].split(",") for name in dict.fromkeys([*first, *own])}
     return {name: (plain_unit(each[0]), plain_unit(each[-1])) for name, each in units.items()}
 
 

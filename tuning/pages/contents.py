@@ -2,13 +2,15 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import law_of
-from tuning.comparisons.side_by_side import Compared, Values, differences
+from tuning.comparisons.side_by_side import AtOneStep, Compared, Values, differences
+from tuning.comparisons.verdicts import more_or_less
 from tuning.gains import gains_file
 from tuning.pages.page import Origin, Page, Table
 from tuning.problem.evaluation import Problem
@@ -64,9 +66,12 @@ def files_of(found: Result, name: str) -> dict[str, Any]:
     return files | {file: own.to_yaml() for file, own in settings.items() if own is not None}
 
 
-def at_own_step(step: float | None) -> list[str]:
+def at_own_step(level: AtOneStep | None, ours: str, what: str) -> list[str]:
     """Return at which time step pd retuned walks where it is not the scenario's, in a line; none where it is."""
-    return [] if step is None else [f"{NAME} walks at a time step of {step:g} s, which its kp and kd need"]
+    if level is None:
+        return []
+    there = f"; {ours} at that step: {more_or_less(level.change)} {what} than it" if isfinite(level.change) else ""
+    return [f"{NAME} walks at a time step of {level.step:g} s, which its kp and kd need{there}"]
 
 
 def worse_than_pd(metrics: Values, baseline: Values, about: mc.MetricTable) -> list[str]:

@@ -5,13 +5,13 @@ from matplotlib.figure import Figure
 
 from mjx_climb.viz import plots
 from tuning.comparisons import judge as judging
-from tuning.comparisons import verdicts
+from tuning.comparisons import paired, verdicts
 from tuning.comparisons.degraded import AS_DRAWN, METRICS, Degradation
 from tuning.numbers import number, to_json
 from tuning.pages.contents import Contents, Picture, Written, files_of
 from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import scaled
-from tuning.results.degraded import Degraded
+from tuning.results.judged import Degraded
 
 LEAST = 0.1  # N of pull, and of every other metric, that can be compared in per cent
 CHANGES = "Mean force variation on worse hardware, of each gains."
@@ -22,7 +22,9 @@ def contents(found: Degraded, compared: Degradation, name: str) -> Contents:
     ensemble = found.ensemble
     assert ensemble is not None
     tables = [losses_table(found, compared), lead_table(found, compared)]
-    said, summary = Findings(in_words(found, compared), judging.lost_in_words(found.data)), to_json(_plain(compared))
+    said = Findings(in_words(found, compared), judging.lost_in_words(found.data))
+    each = [{"setting": key} | row for key, table in compared.lead.items() for row in paired.differences(table)]
+    summary = to_json({"gains": _plain(compared), "differences": each, "verdict": said.verdict})
     return Contents(
         Written(data=found.data, outcome=said.lines, summary=summary, tables=tables),
         found.problem,

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,7 +12,8 @@ import mjx_climb as mc
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.comparisons import judge as judging
-from tuning.comparisons import verdicts
+from tuning.comparisons import paired, verdicts
+from tuning.comparisons.of_draw import DrawComparison
 from tuning.comparisons.of_ensemble import shown
 from tuning.numbers import change, number, to_json, unit
 from tuning.pages.contents import Contents, Picture, Written, files_of
@@ -23,13 +25,17 @@ from tuning.results.judged import Judged
 SHARES = "Share of the walks below a value."
 
 
-def contents(found: Judged, summed: xr.Dataset, name: str) -> Contents:
-    """Return every walk, means and worst, the picture, the page; `summed` as of `tuning.comparisons.judge.summary`."""
-    ensemble, metrics = found.ensemble, found.problem.metrics
+def contents(found: Judged, compared: DrawComparison, name: str) -> Contents:
+    """Return every walk, means and worst, the picture, the page."""
+    ensemble, metrics, summed = found.ensemble, found.problem.metrics, compared.summed
     assert ensemble is not None
     failed = f"{ensemble.members} walks each; {judging.failed_in_words(summed)}"
     said = Findings.of(verdict(summed), judging.lost_in_words(found.data), failed)
-    summary, table = to_json(judging.plain(summed, shown(metrics))), judged_table(summed, metrics)
+    gains: dict[str, Any] = judging.plain(summed, shown(metrics))
+    for own in gains.values():
+        own["failed"] = round(own["failed"] * found.data.sizes["member"])
+    plain = {"gains": gains, "differences": paired.differences(compared.table), "verdict": said.verdict}
+    summary, table = to_json(plain), judged_table(summed, metrics)
     return Contents(
         Written(data=found.data, summed=summed, outcome=said.lines, summary=summary, tables=[table]),
         found.problem,

@@ -104,7 +104,7 @@ class Page:
         table, blocks, last = self.tables[0], list[tuple[str, list[Sequence[str]]]](), ""
         for _, rows in table.sections:
             for row in rows:
-                if row[0] and row[0] != last:
+                if not blocks or (row[0] and row[0] != last):
                     blocks.append((row[0], []))
                     last = row[0]
                 blocks[-1][1].append(row)

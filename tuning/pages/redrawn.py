@@ -41,10 +41,10 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Fi
     """
     there = [name for name in RESULTS if os.path.isfile(folder / name)]
     if not there:
-        raise ConfigError(f"{folder}: expected a folder with a result ({', '.join(RESULTS)}), got none")
+        raise ConfigError(folder, "", f"a folder with a result ({', '.join(RESULTS)})", "none")
     of_metrics = [name for name in there if name in OF_METRICS]
     if metrics and not of_metrics:
-        raise ConfigError(f"{folder}: expected a result with maps or an ensemble to draw metrics of, got {there[0]}")
+        raise ConfigError(folder, "", "a result with maps or an ensemble to draw metrics of", there[0])
     for name in of_metrics if metrics else there:
         if name == "trajectory.nc":
             trajectory = dataset.load_trajectory(folder / name)
@@ -58,7 +58,7 @@ def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Fi
             of_both = [str(n) for n, v in data.items() if {*dims} <= {*v.dims} <= others and v.dtype.kind in "fi"]
             for metric in metrics:
                 if metric not in of_both:
-                    raise ConfigError(f"--metric: expected one of {', '.join(of_both)}, got {metric!r}")
+                    raise ConfigError("--metric", "", f"one of {', '.join(of_both)}", f"{metric!r}")
         if name in MAPS:
             stem, compared = MAPS[name][0], _compared(folder / MAPS[name][1])
             if not metrics:

@@ -36,8 +36,8 @@ def contents(found: Robust, compared: RobustComparison, name: str) -> Contents:
         files_of(found, name)
         | {"judged.nc": walks, "summary.json": summary + "\n"}
         | {
-            "convergence": Picture(CONVERGENCE, lambda: plot_convergence(found)),
             "judged": Picture(SHARES, lambda: plot_judged(walks)),
+            "convergence": Picture(CONVERGENCE, lambda: plot_convergence(found)),
         },
         lambda origin: page_of(found, compared, table, said, origin),
         "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again",
@@ -59,11 +59,12 @@ def findings(found: Robust, compared: RobustComparison) -> Findings:
 
 def page_of(found: Robust, compared: RobustComparison, table: Table, said: Findings, origin: Origin) -> Page:
     """Return the page of a search over an ensemble; `table` is of walks that the search never saw."""
-    rivals: dict[str, tuple[Values | None, Values]] = {"robust": (by_name(found.gains), {})}
+    control = found.scenario.control
+    joint = {"kp": control.kp, "kd": control.kd}
+    rivals: dict[str, tuple[Values | None, Values]] = {"robust": (joint | by_name(found.gains), {})}
     rivals |= {NAME: (compared.joint, {})} if compared.joint else {}
     if not found.law:
-        control = found.scenario.control
-        rivals |= {"config": ({key: getattr(control, key) for key in mc.Gains.AXES}, {})}
+        rivals |= {"config": (joint | {key: getattr(control, key) for key in mc.Gains.AXES}, {})}
     return Page(
         title=f"Robust gains for {origin.name}: {found.method}, {found.search.space}", origin=origin,
         findings=said, scenario=found.scenario,

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
+from tuning.comparisons.of_schedule import ScheduleComparison
 from tuning.numbers import change, gain, has_axes, number, to_json
 from tuning.pages.contents import Contents, Picture, Written, files_of
 from tuning.pages.page import Findings, Origin, Page, Table
@@ -24,15 +25,15 @@ _UNITS = {"stiffness": "K [N/m, N m/rad]", "damping": "D [N s/m, N m s]", "inert
 _DASHES = {"tuned": "-", "config": ":", "retuned_pd": "--"}
 
 
-def contents(found: Scheduled, worth: str, name: str) -> Contents:
-    """Return the table, all metrics, a picture and the page. `worth` is that of a force sensor, in words."""
+def contents(found: Scheduled, compared: ScheduleComparison, name: str) -> Contents:
+    """Return the table, all metrics, a picture and the page."""
     data = found.data
     level, load, loss = one_for_all(data)
     one = "every set of gains breaks a limit at some other operating point"
     if loss < np.inf:
         one = f"the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
     files = {"schedule.csv": to_csv(data), "schedule.yaml": to_yaml(data)}
-    said, table = Findings(worth, [f"one for all: {one}"]), table_of(data)
+    said, table = Findings(compared.verdict, [compared.worth], [f"one for all: {one}"]), table_of(data)
 
     def page(origin: Origin) -> Page:
         assert found.search is not None

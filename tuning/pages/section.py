@@ -38,7 +38,7 @@ def load_section(text: str) -> SectionOf:
     """
     made, file, name = load(text, "section")
     if not callable(made):
-        raise ConfigError(f"{file}: expected {name} to be a function of a result and its comparison, got {made!r}")
+        raise ConfigError(file, "", f"{name} to be a function of a result and its comparison", f"{made!r}")
     function: SectionOf = made
     return function
 
@@ -56,7 +56,7 @@ def sections_of(functions: Iterable[SectionOf], found: object, compared: object)
             section = function(found, compared)
         if section is not None:
             if not isinstance(section, Section):
-                raise ConfigError(f"section {name}: expected a tuning.pages.section.Section or None, got {section!r}")
+                raise ConfigError("", f"section {name}", "a tuning.pages.section.Section or None", f"{section!r}")
             drawn = {file: each._replace(draw=_named(name, each)) for file, each in section.pictures.items()}
             sections.append(section._replace(pictures=drawn))
     return sections

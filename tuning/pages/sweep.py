@@ -11,15 +11,17 @@ from matplotlib.figure import Figure
 from mjx_climb import trajectory
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
-from tuning.comparisons.of_sweep import SweepComparison, own_name
+from tuning.comparisons import verdicts
+from tuning.comparisons.of_sweep import SweepComparison, own_name, variation_of
 from tuning.comparisons.side_by_side import Compared, Values
-from tuning.numbers import presentable, remarks, to_json
+from tuning.numbers import number, presentable, remarks, to_json
 from tuning.pages import comparison
 from tuning.pages.contents import Contents, Picture, Written, at_own_step, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
 from tuning.pages.page import Findings, Origin, Page
 from tuning.problem.evaluation import Problem
 from tuning.results.swept import Swept, axes_of, best_cell
+from tuning.searches.sweep import own_values
 
 FIRST_MAP = "Force variation over both gains; brighter is better."
 LACKS = "pd retuned, the walks in double precision and the limit of stability"  # of what stands there first
@@ -43,10 +45,10 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     lines = [f"warning: the best lies on the edge of the grid: widen {name}" for name in edges]
     if best is not None:
         missed = metrics["best"].get("missed_grips")
-        lines.append(f"{compared.failed} of {count} walks lost a gripper or diverged")
+        lines += [precision_of(best), f"{compared.failed} of {count} walks lost a gripper or diverged"]
         lines += [f"warning: {missed} grips of the best missed the ground"] if missed else []
         lines += worse_than_pd(metrics["best"], metrics["pd"], found.problem.metrics)
-    lines += [*at_own_step(compared.step), *remarks(metrics), *compared.remedies]
+    lines += [*at_own_step(compared.level, "the best", "force variation"), *remarks(metrics), *compared.remedies]
     said = Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
     listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
     call = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed})'
@@ -77,12 +79,14 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     at = {axis: best[axis].item() for axis in found.axes}
     limbs = load_robot(scenario.robot).limbs
     own = trajectory.named({key: best[key].item() for key in about.names}, limbs)
-    configs = {axis: getattr(scenario.control, axis, None) for axis in found.axes}
+    configs = own_values(dataclasses.replace(found.problem, scenario=scenario), found.axes)
     gains = {"best": at, "pd": None}
     walks = {key: (gains.get(key, configs), metrics) for key, metrics in {"best": own, **named}.items()}
     rows = {own_name(found.problem) if key == "config" else key: walk for key, walk in walks.items()}
-    listed = ", ".join(f"{axis} {value:.4g}" for axis, value in at.items())
-    outcome = f"best so far, in single precision: {listed}; {LACKS} are missing here"
+    listed = " and ".join(f"{axis} {value:.4g}" for axis, value in at.items())
+    walked = {key: verdicts.Walked(variation_of(metrics)) for key, (_, metrics) in rows.items()}
+    ours = f"not yet compared with pd retuned: best of {data['diverged'].size} walks, {listed}"
+    outcome = f"{verdicts.against_best(ours, walked, 'force variation', 'N')} (single precision)"
     summary = to_json(
         {key: {"gains": values, "metrics": presentable(metrics, None)} for key, (values, metrics) in walks.items()}
     )
@@ -93,7 +97,7 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
         return plots.plot_map(data, "force_variation", marks(data, rows), baseline=baseline)
 
     def page(origin: Origin) -> Page:
-        again = "The same command, as it stands below, goes on with them."
+        again = f"{LACKS} are missing here; the same command, as it stands below, goes on with them"
         return Page(
             f"Sweep of {origin.name}, not yet compared", origin, Findings(outcome, [again]), scenario, tables=[table],
         )  # fmt: skip
@@ -130,8 +134,16 @@ def page_of(problem: Problem, compared: SweepComparison, said: Findings, origin:
         title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", origin=origin,
         findings=said._replace(notes=notes), scenario=problem.scenario, facts=facts,
         explorers={"Maps and walks": explorer(walks, metrics, points=points, **how)},
-        tables=[comparison.table(rows, "Walks in double precision", about, problem.law)],
+        tables=[comparison.table(rows, precision_of(best), about, problem.law)],
     )  # fmt: skip
+
+
+def precision_of(best: xr.Dataset | None) -> str:
+    """Return the precision of the walks beside a grid and of its map, with the best cell's value there."""
+    alone = "Walks alone, in double precision"
+    if best is None:
+        return alone
+    return f"{alone}; the map is in single precision, where the best has {number(best['force_variation'].item())} N"
 
 
 def sheet(data: xr.Dataset, compared: Compared) -> Figure:
@@ -146,7 +158,9 @@ def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]
     """Return the two gains of the walks that have one of each."""
     found = {}
     for name, (gains, _) in compared.items():
-        if gains is not None and all(key in gains and np.unique(gains[key]).size == 1 for key in axes_of(data)):
+        if gains is not None and all(
+            gains.get(key) is not None and np.unique(gains[key]).size == 1 for key in axes_of(data)
+        ):
             x, y = (float(np.ravel(gains[key])[0]) for key in axes_of(data))
             found[name] = x, y
     return found

@@ -43,7 +43,7 @@ def contents(found: Tuned, compared: TuneComparison, name: str) -> Contents:
     metrics = {name: own for name, (_, own) in rows.items()}
     lines = [f"warning: the tuned gains break limits: {'; '.join(broken['tuned'])}"] if broken["tuned"] else []
     lines += [found.data.attrs[AGREEMENT]] if AGREEMENT in found.data.attrs else []
-    lines += at_own_step(compared.step)
+    lines += at_own_step(compared.level, "the tuned gains", "objective")
     lines += [f"warning: {line}" for line in checked.warnings]
     if broken["config"]:
         lines.append(f"the config's own gains break limits: {'; '.join(broken['config'])}")

@@ -1,11 +1,12 @@
 """The settings of a search for the best joint targets over time: what bounds every control law from below."""
 
 import itertools
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import BeforeValidator, model_validator
 
-from tuning.problem.search import OF_LIMITS, OF_WEIGHTS, numbers_of
+from mjx_climb.scenario.messages import ConfigError
+from tuning.problem.search import OF_LIMITS, OF_WEIGHTS, Precision, numbers_of
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
 
@@ -43,15 +44,15 @@ class Ceiling(Settings):
     random: int = setting(1, "random starts beside those of pd and of each law", ge=0, le=100)
     step: Positive = setting(0.05, "first step of the descent, as a share of pd's peak joint torque over kp, 1")
     seed: int = setting(0, "of the random starts", ge=0, lt=2**31)
-    precision: Literal["float32", "float64"] = setting("float32", "precision of the simulations")
+    precision: Precision = setting("float32", "precision of the simulations")
 
     @model_validator(mode="after")
     def _knots_are_nested(self) -> Self:
         for coarse, fine in itertools.pairwise(self.knots):
             if not fine < coarse or abs(coarse / fine - round(coarse / fine)) > 1e-6:
-                raise ValueError(f"knots: expected each spacing to divide the one before it, got {coarse:g}, {fine:g}")
+                raise ConfigError("", "knots", "each spacing to divide the one before it", f"{coarse:g}, {fine:g}")
         if not any(self.weights.values()):
-            raise ValueError("weights: expected one above 0")
+            raise ConfigError("", "weights", "one above 0")
         if self.better == self.against:
-            raise ValueError(f"against: expected another metric than {self.better}")
+            raise ConfigError("", "against", f"another metric than {self.better}")
         return self

@@ -23,7 +23,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
-from tuning.problem.variations import Change, Factor, changed, ending, refused, scalable
+from tuning.problem.variations import Change, Factor, changed, checked, ending, refused, scalable
 
 _Share = Annotated[float, Field(gt=0, le=1)]
 Range = tuple[NonNegative, NonNegative]
@@ -40,7 +40,7 @@ class _Section(Settings):
         for name in type(self).model_fields:
             value = getattr(self, name)
             if isinstance(value, tuple) and not value[0] <= value[1]:
-                raise ValueError(f"{name}: expected low <= high, got {value[0]:g}, {value[1]:g}")
+                raise ConfigError("", name, "low <= high", f"{value[0]:g}, {value[1]:g}")
         return self
 
 
@@ -96,6 +96,27 @@ _OF_HARDWARE = {  # path of a quantity of the section
 }
 
 
+class Drawn(_Section):
+    """One number of a walk, drawn from a range, or the scenario's own times a factor."""
+
+    range: AnyRange | None = setting(None, "values, in the unit of the path")
+    factor: PositiveRange | None = setting(None, "factor on the scenario's own value")
+    log: bool = setting(False, "even in the logarithm")
+
+    @model_validator(mode="after")
+    def _one_span(self) -> Self:
+        if (self.range is None) == (self.factor is None):
+            raise ValueError(f"expected a range or a factor, got {'none' if self.range is None else 'both'}")
+        if self.log and not self.span[0] > 0:
+            raise ValueError(f"range: expected numbers above 0 with log, got {self.span[0]:g}")
+        return self
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The ends of the range, or of the factor."""
+        return self.range or self.factor or (1.0, 1.0)
+
+
 class Posterior(Settings):
     """Parameters as `mjx-climb identify` left them: normal in their coordinates, cut at bounds."""
 
@@ -113,10 +134,10 @@ class Posterior(Settings):
         for name in ("log", "mean", "covariance", "lower", "upper"):
             rows = getattr(self, name)
             if len(rows) != count or (name == "covariance" and any(len(row) != count for row in rows)):
-                raise ValueError(f"posterior.{name}: expected one for each of {count} keys")
+                raise ConfigError("", f"posterior.{name}", f"one for each of {count} keys")
         for key in self.keys:
             if "." not in key:
-                raise ValueError(f"posterior.keys: expected keys of a scenario, got {key!r}")
+                raise ConfigError("", "posterior.keys", "keys of a scenario", f"{key!r}")
         return self
 
     def draw(self, rng: np.random.Generator, members: int, gravity: np.ndarray) -> dict[str, np.ndarray]:
@@ -151,9 +172,14 @@ class Ensemble(_Section):
     pushes: Pushes | None = setting(Pushes(), "what hits the robot")
     cargo: Cargo | None = setting(Cargo(), "what it carries")
     gravity: Gravity | None = setting(Gravity(), "where it climbs")
-    grip_stiffness: PositiveRange = setting((0.5, 2.0), "factor on the contact stiffness, even in its logarithm")
+    grip_stiffness: PositiveRange = setting(
+        (0.5, 2.0), "factor on contact.stiffness, if there is one, even in its logarithm"
+    )
     robot_mass: PositiveRange = setting((0.9, 1.1), "factor on the masses and inertias of all links")
     hardware: Hardware | None = setting(None, "what stands between the law and the joints")
+    draw: dict[str, Drawn] = setting(
+        {}, "numbers of the walk by path, as contact.damping: {range: [10, 30]}, drawn last"
+    )
     posterior: Posterior | None = setting(None, "what identify left of parameters, before all others are drawn")
     worst: Worst = setting(Worst(), "the worst members in the objective")
 
@@ -183,7 +209,7 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     changes: dict[str, Change] = {}
     if _STIFFNESS in own.paths:
         changes[_STIFFNESS] = grip
-    elif "grip_stiffness" in ensemble.model_fields_set:
+    elif ensemble.grip_stiffness != Ensemble().grip_stiffness:
         raise refused(_STIFFNESS, own, "grip_stiffness")
     changes["mass_scale"] = uniform(ensemble.robot_mass)
     if (cargo := ensemble.cargo) is not None:
@@ -196,7 +222,34 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     if ensemble.hardware is not None:
         changes |= _hardware(scenario, ensemble.hardware, own, uniform)
         changes["hardware.seed"] = rng.integers(0, 2**24, (ensemble.members, 1)).astype(float)
-    return changed(own, changes)
+    drawn = changed(own, changes)
+    return drawn if not ensemble.draw else _at_paths(scenario, drawn, own, ensemble)
+
+
+def _at_paths(scenario: mc.Scenario, drawn: mc.Parameters, own: mc.Parameters, ensemble: Ensemble) -> mc.Parameters:
+    """Return a draw with the numbers that are drawn by path, factors on the scenario's own.
+
+    Raises:
+        ConfigError: a path that the walk does not have, or values that it cannot have.
+    """
+    # of a generator of its own: other draws stay as they are
+    rng, paths, changes = np.random.default_rng([ensemble.seed, 2]), drawn.paths, dict[str, Change]()
+    for path, how in ensemble.draw.items():
+        key = f"draw.{path}"
+        if path not in paths:
+            raise refused(path, drawn, key)
+        values = _uniform(rng, ensemble.members, how.span, logs=how.log)
+        if how.factor is not None:
+            if not scalable(own, [path]):
+                raise ConfigError("", key, "a value other than 0 in the scenario to scale", "0")
+            changes[path] = changed(own, {path: Factor(values)}).at(path)
+        elif paths[path].shape:
+            raise ConfigError("", key, "a factor, as the value is an array", "a range")
+        else:
+            changes[path] = values
+    if "hardware.seed" not in changes and any(path.startswith("hardware.") for path in changes):
+        changes["hardware.seed"] = rng.integers(0, 2**24, (ensemble.members, 1)).astype(float)
+    return checked(scenario, drawn, changes, "draw.{}")
 
 
 def _pushed(
@@ -237,7 +290,7 @@ def _hardware(
     for name in ("force_delay", "command_delay"):
         if (span := getattr(hardware, name)) is not None and span[1] > longest:
             most = f"{MAX_DELAY} time steps, {longest:g} s"
-            raise ConfigError(f"hardware.{name}: expected at most {most}, got {span[1]:g}")
+            raise ConfigError("", f"hardware.{name}", f"at most {most}", f"{span[1]:g}")
     for name, path in _OF_HARDWARE.items():
         if (span := getattr(hardware, name)) is None:
             continue
@@ -247,14 +300,14 @@ def _hardware(
     if (rate := hardware.control_rate) is not None:
         if rate[1] > fastest * (1 + 1e-9):
             most = f"the {fastest:g} Hz of the time step"
-            raise ConfigError(f"hardware.control_rate: expected at most {most}, got {rate[1]:g}")
+            raise ConfigError("", "hardware.control_rate", f"at most {most}", f"{rate[1]:g}")
         drawn["hardware.control_period"] = np.round(fastest / uniform(rate, logs=True)) * scenario.time_step
     for key in ("friction", "armature"):
         if (span := getattr(hardware, key)) is None:
             continue
         scaled = scalable(own, ending(own, SERVO, key))
         if not scaled:
-            raise ConfigError(f"hardware.{key}: expected {key} in the scenario to scale, got none")
+            raise ConfigError("", f"hardware.{key}", f"{key} in the scenario to scale", "none")
         drawn |= dict.fromkeys(scaled, Factor(uniform(span, logs=True)))
     return drawn
 

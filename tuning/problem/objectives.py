@@ -240,7 +240,7 @@ def _of_pd(function: Callable[[Metrics], Array], baseline: Mapping[str, Any]) ->
     with in_one_line("objective"):
         value = np.asarray(function(known), float)
     if not np.isfinite(value).all():
-        raise ConfigError(f"objective: expected a number of pd's walk, got {value}")
+        raise ConfigError("", "objective", "a number of pd's walk", value)
     return float(value.mean())
 
 
@@ -255,6 +255,6 @@ def _term(
     if diverged or not (np.isfinite(numbers).all() and all(numbers)):
         where, of = ("here", "under pd") if worst is None else ("in every member", "in the mean")
         got = "a walk that diverges under pd" if diverged else f"{numbers[0]:g} {of}"
-        raise ConfigError(f"weights.{name}: expected a metric that pd has {where}, got {got}")
+        raise ConfigError("", f"weights.{name}", f"a metric that pd has {where}", got)
     fields = ("baseline", "smooth_baseline", "worst", "smooth_worst")
     return Term(name, weight, larger_is_better=larger_is_better, **dict(zip(fields, numbers, strict=False)))

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from mjx_climb.walk.metrics import MetricTable
 
 SpaceName = Literal["isotropic", "split", "diagonal"]
-METHODS = ("gradient", "lbfgs", "grid", "cmaes", "optuna")  # each a file of tuning/methods/ with its METHOD
+Precision = Literal["float32", "float64"]
+METHODS = ("gradient", "grid", "cmaes", "optuna")  # each a file of tuning/methods/ with its METHOD
 OWN_METHOD = "own"  # one that the caller brought, or that `own.method` of the scenario names
 LAYOUTS: tuple[str, ...] = get_args(SpaceName)
 WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}
@@ -101,18 +102,18 @@ class Search(Settings):
     )
     iterations: int | None = setting(None, "rounds of the search; null: the method's", ge=1, le=1_000_000)
     seed: int = setting(0, "seed of all random draws", ge=0, le=2**31 - 1)
-    precision: Literal["float32", "float64"] = setting("float32", "precision of the search's simulations")
+    precision: Precision = setting("float32", "precision of the search's simulations")
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
         if not any(self.weights.values()):
-            raise ValueError("weights: expected one above 0")
+            raise ConfigError("", "weights", "one above 0")
         for name, (low, high) in self.bounds.items():
             if not low < high:
-                raise ValueError(f"bounds.{name}: expected low < high, got {low:g}, {high:g}")
+                raise ConfigError("", f"bounds.{name}", "low < high", f"{low:g}, {high:g}")
         for one, other in itertools.combinations(("pins", "frozen", "bounds"), 2):
             if both := [name for name in getattr(self, one) if name in getattr(self, other)]:
-                raise ValueError(f"{one}.{both[0]}: expected one setting of this gain, got {other}.{both[0]} too")
+                raise ConfigError("", f"{one}.{both[0]}", "one setting of this gain", f"{other}.{both[0]} too")
         return self
 
 
@@ -128,7 +129,7 @@ class Pareto(Settings):
     @model_validator(mode="after")
     def _two_metrics(self) -> Self:
         if self.better == self.against:
-            raise ValueError(f"against: expected another metric than {self.better}")
+            raise ConfigError("", "against", f"another metric than {self.better}")
         return self
 
 
@@ -154,7 +155,7 @@ class Schedule(Settings):
     def _ascending(self) -> Self:
         for name, values in (("gravity", self.gravity), ("cargo", self.cargo)):
             if any(not low < high for low, high in itertools.pairwise(values)):
-                raise ValueError(f"{name}: expected ascending numbers, got {', '.join(f'{v:g}' for v in values)}")
+                raise ConfigError("", name, "ascending numbers", ", ".join(f"{v:g}" for v in values))
         return self
 
 
@@ -181,5 +182,5 @@ def check_metrics(
         if name not in known:
             near = get_close_matches(name, known)
             hint = f" (did you mean {' or '.join(near)}?)" if near else ""
-            expected = f"expected one of {', '.join(known)}"
-            raise ConfigError(f"{source}: {name!r} is no metric to weigh or limit{hint}, {expected}")
+            reason = f"{name!r} is no metric to weigh or limit{hint}, expected one of {', '.join(known)}"
+            raise ConfigError(source, reason=reason)

@@ -1,11 +1,13 @@
 """What every model of settings is: read from YAML, written to it, refused in one line, and typed in a shell."""
 
 import os
+from numbers import Number
 from typing import Annotated, Any, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
+from pydantic_core import CoreSchema
 
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.messages import ConfigError, show
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -37,6 +39,8 @@ _EXPECTED = {  # by pydantic's type of an error
     "greater_than": "a number above {gt:g}", "greater_than_equal": "{ge:g} or more",
     "less_than": "a number below {lt:g}", "less_than_equal": "{le:g} at most",
     "finite_number": "a finite number", "float_parsing": "a number", "float_type": "a number",
+    "bool_type": "true or false", "string_type": "a word", "tuple_type": "a list", "dict_type": "a mapping",
+    "model_type": "a mapping", "extra_forbidden": "a known key",
     "int_parsing": "a whole number", "int_type": "a whole number", "int_from_float": "a whole number",
     "literal_error": "{expected}", "expected": "{expected}",
     "missing": "a value here", "too_long": "{max_length} values",
@@ -49,11 +53,26 @@ def explained(invalid: ValidationError) -> tuple[str, str]:
     parts = [str(part) for part in error["loc"]]
     key = ".".join(part for part in parts if not part.startswith("literal["))  # by which pydantic tells a union's kinds
     context = error.get("ctx", {})
+    if isinstance(cause := context.get("error"), ConfigError):  # of a validator
+        return ".".join(filter(None, (key, cause.key))), cause.reason
     if error["type"] in _EXPECTED:
         expected = _EXPECTED[error["type"]].format(**context)
-        return key, f"expected {expected}, got {context.get('got', error['input'])!r}"
+        value = context.get("got", error["input"])
+        got = repr(value) if isinstance(value, str) else show(value)
+        got = "an unknown one" if error["type"] == "extra_forbidden" else got
+        return key, f"expected {expected}, got {got}"
     message = error["msg"].removeprefix("Value error, ")
     return key, f"{message[:1].lower()}{message[1:]}"
+
+
+def _strict(schema: Any) -> Any:
+    """Return a schema whose numbers, truth values and texts are strict."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(map(_strict, schema))
+    if not isinstance(schema, dict):
+        return schema
+    made = {key: _strict(value) for key, value in schema.items()}
+    return made | {"strict": True} if schema.get("type") in ("float", "int", "bool", "str") else made
 
 
 class Options(BaseModel):
@@ -63,7 +82,24 @@ class Options(BaseModel):
 
 
 class Settings(Options):
-    """Settings that are read from YAML and written to it."""
+    """Settings that are read from YAML and written to it: strict, but for what is typed, see `from_models.made`."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """The schema in which truth values and texts are no numbers, and numbers neither."""
+        schema: CoreSchema = _strict(handler(source))
+        return schema
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_python(cls, values: Any) -> Any:
+        """NumPy's numbers as Python's own."""
+        if not isinstance(values, dict):
+            return values
+        return {
+            name: value.item() if isinstance(value, Number) and hasattr(value, "item") else value
+            for name, value in values.items()
+        }
 
     @classmethod
     def make(cls, values: dict[str, Any], source: str | None = None) -> Self:
@@ -77,7 +113,7 @@ class Settings(Options):
         except ValidationError as error:
             key, reason = explained(error)
             place = cls.__name__.lower() if source is None else source
-            raise ConfigError(f"{place}: {key + ': ' if key else ''}{reason}") from None
+            raise ConfigError(place, key, reason=reason) from None
 
     @classmethod
     def parse(cls, text: str, source: str | None = None, **changes: Any) -> Self:
@@ -87,7 +123,7 @@ class Settings(Options):
         source = cls.__name__.lower() if source is None else source
         data = yaml_text.parse(text, source)
         if not isinstance(data, dict | None):
-            raise ConfigError(f"{source}: expected a mapping")
+            raise ConfigError(source, "", "a mapping")
         return cls.make({**(data or {}), **changes}, source)
 
     @classmethod

@@ -23,7 +23,6 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 import mjx_climb as mc
-from mjx_climb.component import ValueField
 from mjx_climb.control import law_of
 from mjx_climb.files.dataset import SIX
 from mjx_climb.gait.base_path import check_base
@@ -34,6 +33,7 @@ from mjx_climb.inputs.resolve import AnyGains, has_gains_of_the_paper
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile
+from mjx_climb.value_field import ValueField
 from tuning.problem.ensemble import hypercube
 from tuning.problem.search import LAYOUTS, Search
 
@@ -190,11 +190,11 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     joint_gains = not ideal if search.joint_gains is None else search.joint_gains
     gait = [name for name in GAIT if name in search.also or name in search.pins]
     if not law.GAINS and not joint_gains and INTEGRAL not in search.also and gait_of(dict.fromkeys(search.also)) == {}:
-        raise ConfigError("control.controller: expected an admittance law, got pd, which has no gains to search")
+        raise ConfigError("", "control.controller", "an admittance law", "pd, which has no gains to search")
     asked = {*search.also, *(("inertia",) if search.inertia else ())}
     if unknown := sorted({*search.also} - {*law.GAINS, *SEARCHED_GAIT, INTEGRAL}):
         names = ", ".join([*law.GAINS, INTEGRAL, *SEARCHED_GAIT])
-        raise ConfigError(f"also: expected gains of the law, {names}, got {unknown[0]}")
+        raise ConfigError("", "also", f"gains of the law, {names}", unknown[0])
     check_gait(scenario, search)
     defaults = default_bounds(scenario, law) | _integral_bounds(scenario) | _gait_bounds(scenario)
     integral = INTEGRAL in search.also or (joint_gains and scenario.control.ki > 0)
@@ -216,7 +216,7 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         sources = search.bounds, defaults  # the user's before the defaults
         low, high = next(source[key] for source in sources for key in reversed(keys) if key in source)
         if not (low > 0 or signed(field)):
-            raise ConfigError(f"bounds.{keys[-1]}: expected a low end above 0, got {low:g}")
+            raise ConfigError("", f"bounds.{keys[-1]}", "a low end above 0", f"{low:g}")
         bounds[keys[-1]] = low, high
         return keys[-1]
 
@@ -237,12 +237,12 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         allowed = known - joint.keys() if section == "frozen" else known
         for key in getattr(search, section):
             if key not in allowed:
-                raise ConfigError(f"{section}.{key}: expected one of {', '.join(sorted(allowed - numbered))}")
+                raise ConfigError("", f"{section}.{key}", f"one of {', '.join(sorted(allowed - numbered))}")
             if key not in used:
-                raise ConfigError(f"{section}.{key}: expected a gain with numbers of no other setting, got none")
+                raise ConfigError("", f"{section}.{key}", "a gain with numbers of no other setting", "none")
     for key, value in search.pins.items():
         if not (value > 0 or signed(law.GAINS.get(kind_of(key)))):
-            raise ConfigError(f"pins.{key}: expected a number above 0, got {value:g}")
+            raise ConfigError("", f"pins.{key}", "a number above 0", f"{value:g}")
     return _space(own, entries, bounds)
 
 
@@ -267,7 +267,7 @@ def _space(
 ) -> Space:
     """Return the space of gains whose entries are searched, by name, or fixed; their `own` values give their shapes."""
     if not bounds:
-        raise ConfigError("pins: expected a gain left to search, got none")
+        raise ConfigError("", "pins", "a gain left to search", "none")
     fixed = [entry for each in entries.values() for entry in each if not isinstance(entry, str)]
     places = {name: place for place, name in enumerate(bounds)}
     behind, index = itertools.count(len(bounds)), {}
@@ -320,7 +320,7 @@ def _gait_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
 def refuse_gait(search: Search) -> None:
     """Refuse by a ConfigError a gait among what is searched, where `tune` alone searches one."""
     if gait := gait_of(dict.fromkeys([*search.also, *search.pins])):
-        raise ConfigError(f"also: expected gains of the law, as tune alone searches a gait, got {next(iter(gait))}")
+        raise ConfigError("", "also", "gains of the law, as tune alone searches a gait", next(iter(gait)))
 
 
 def check_gait(scenario: mc.Scenario, search: Search) -> None:
@@ -333,12 +333,12 @@ def check_gait(scenario: mc.Scenario, search: Search) -> None:
     each = {name: spans[name] for name in SEARCHED_GAIT if name in search.also}
     each |= {name: (value, value) for name, value in search.pins.items() if name in GAIT}
     if why := why_fixed(scenario, each):
-        raise ConfigError(f"also: {why}")
+        raise ConfigError("", "also", reason=why)
     for ends in itertools.product(*each.values()):
         try:
             check_base(scenario_with_gait(scenario, dict(zip(each, ends, strict=True))))
         except ConfigError as error:
-            raise ConfigError(f"bounds.{str(error).removeprefix('scenario: ')}") from None
+            raise error.moved(source="", key=f"bounds.{error.key}") from None
 
 
 def as_gains(values: Mapping[str, Any]) -> AnyGains:

@@ -10,8 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import mjx_climb as mc
-from mjx_climb.component import given
+from mjx_climb.component import checked_value, given
+from mjx_climb.hardware.stages import DELAYED
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.gait_values import GAIT
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.model import MAX_DELAY
 
 
 class Factor(NamedTuple):
@@ -37,6 +41,46 @@ def changed(parameters: mc.Parameters, changes: Mapping[str, Change]) -> mc.Para
     )
 
 
+def is_path(name: str) -> bool:
+    """Return whether a name is a path of the parameters, and none of a gain, nor of a value of the gait."""
+    return "." in name and name not in GAIT
+
+
+def as_walked(
+    scenario: mc.Scenario, law: mc.Law, values: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], mc.Parameters]:
+    """Return gains and parameters of robots with values (N,) of gains, the same on all axes, and at paths."""
+    own = own_parameters(scenario).replace({name: each for name, each in values.items() if is_path(name)})
+    lengths = law.AXES
+    gains = {name: each[:, None] if lengths.get(name) else each for name, each in values.items() if not is_path(name)}
+    return gains, own
+
+
+def checked(scenario: mc.Scenario, parameters: mc.Parameters, changes: Mapping[str, Change], key: str) -> mc.Parameters:
+    """Return parameters with changes of numbers that a user gave by path.
+
+    Arguments:
+        key: of a path in messages, as "draw.{}".
+
+    Raises:
+        ConfigError: in one line, a path that they do not have, or a value that no walk can have there.
+    """
+    for path in changes:
+        if path not in parameters.paths:
+            raise refused(path, parameters, key.format(path))
+    found, longest = changed(parameters, changes), MAX_DELAY * scenario.time_step
+    for path in changes:
+        field, value = parameters.paths[path], found.at(path)
+        try:
+            checked_value(key.format(path), value, field.shape, *field.bounds, limits=field.limits)
+        except ValueError as error:
+            raise ConfigError(reason=str(error)) from None
+        if path in DELAYED.values() and np.max(value) > longest:
+            most = f"{MAX_DELAY} time steps, {longest:g} s"
+            raise ConfigError("", key.format(path), f"at most {most}", f"{np.max(value):g}")
+    return found
+
+
 def _times(parameters: mc.Parameters, path: str, factor: Factor) -> np.ndarray:
     value, axes = np.asarray(parameters.at(path), float), len(parameters.paths[path].shape)
     by = np.asarray(factor.by, float)
@@ -59,4 +103,4 @@ def refused(path: str, parameters: mc.Parameters, key: str) -> ConfigError:
     place = path.rpartition(".")[0]
     owner = parameters.components.get(place)
     got = "none" if owner is None else f"{type(owner).__name__} without {path.rpartition('.')[2]}"
-    return ConfigError(f"{key}: expected a value at {path} to change, got {got}")
+    return ConfigError("", key, f"a value at {path} to change", got)

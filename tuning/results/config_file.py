@@ -31,7 +31,5 @@ def write_config(
 
 def _with_digests(scenario: mc.Scenario) -> mc.Scenario:
     """Return a scenario that says how the files of contact, drive and disturbances are now."""
-    own = scenario.own
-    open_ends = {} if own is None else own.components
-    files = {place: each.file for place, each in open_ends.items() if each.file is not None}
-    return scenario.with_overrides({f"own.{place}.digest": digest(Path(file)) for place, file in files.items()})
+    files = {place: each.file for place, each in scenario.kinds.items() if each.file is not None}
+    return scenario.with_overrides({f"{place}.digest": digest(Path(file)) for place, file in files.items()})

@@ -1,4 +1,4 @@
-"""The walks of gains, or of laws, through members of an ensemble that no search has seen."""
+"""The walks of gains, or of laws, through members of an ensemble that no search has seen; on worse hardware too."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -16,6 +16,17 @@ class Judged(Result):
 
     FILE = "judged.nc"
     KIND = "evaluate"
+
+
+@dataclasses.dataclass(frozen=True)
+class Degraded(Result):
+    """The walks of several gains, and of pd, through the same unseen members as drawn and with worse hardware.
+
+    `data` holds every metric over `setting` (the first one as drawn), `gains` (the names, `pd` last) and `member`.
+    """
+
+    FILE = "degraded.nc"
+    KIND = "degrade"
 
 
 @dataclasses.dataclass(frozen=True)

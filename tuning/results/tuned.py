@@ -214,7 +214,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None, metrics: Itera
     """
     data, source = dataset.load(path), os.fspath(path)
     if "search" not in data.attrs or "interrupted" not in data.attrs:
-        raise ConfigError(f"{source}: expected the result of a search, got another dataset")
+        raise ConfigError(source, "", "the result of a search", "another dataset")
     check_reference(law, data.attrs.get("law"), source)
     gains = as_gains({name: np.asarray(v) for name, v in json.loads(data.attrs["gains"]).items() if v is not None})
     problem = Problem(dataset.scenario_of(data), law=law, metrics=mc.MetricTable(metrics))

@@ -437,7 +437,7 @@ def _knots(scenario: mc.Scenario, spacing: float) -> Knots:
     """
     every = round(spacing / scenario.time_step)
     if every < 1 or abs(every * scenario.time_step / spacing - 1) > 1e-6:
-        raise ConfigError(f"knots: expected whole time steps of {scenario.time_step:g} s, got {spacing:g}")
+        raise ConfigError("", "knots", f"whole time steps of {scenario.time_step:g} s", f"{spacing:g}")
     return Knots(scenario.steps, every)
 
 
@@ -454,7 +454,7 @@ def _onset(parameters: mc.Parameters, duration: float) -> np.ndarray:
                 begins = jax.vmap(lambda one: one.begins())(each)
             if begins is None:
                 got = f"got {type(each).__name__}, which does not tell"
-                raise ConfigError(f"{place}: expected a disturbance that tells by begins() when it begins, {got}")
+                raise ConfigError("", place, f"a disturbance that tells by begins() when it begins, {got}")
             first = np.minimum(first, begins)
     return np.where(first < duration, first, np.inf)
 

@@ -158,7 +158,7 @@ def _limits(problem: Problem, asked: Pareto, walked: Walked) -> np.ndarray:
     widest = [factor * float(np.asarray(limit.value)) for limit in own if limit.metric == asked.against]
     within = np.isfinite(walked.x) & (walked.x <= min(widest, default=np.inf))
     if not within.any():
-        raise ConfigError("limits: expected a walk that meets them all, got none of the first points")
+        raise ConfigError("", "limits", "a walk that meets them all", "none of the first points")
     low, high = walked.x[within].min(), walked.x[within][np.argmin(walked.y[within])]
     if widest:
         high = max(high, widest[0])

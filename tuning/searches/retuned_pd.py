@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -125,26 +125,60 @@ def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFA
     bounds = default_bounds(pd, PD())
     highest = {name: high for name, (_, high) in bounds.items()}
     pd = pd.with_overrides({"time_step": time_step_for(scenario, highest, halvings)})
-    lower, upper = np.log(list(bounds.values())).T
-    best, centre, half = np.log([pd.control.kp, max(pd.control.kd, 1e-12)]), (lower + upper) / 2, (upper - lower) / 2
-    offsets = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, POINTS)]), -1).reshape(-1, 2)
-    for _ in range(ROUNDS):
-        points = np.vstack([np.clip(centre + half * offsets, lower, upper), best])  # rounds of one size: one program
-        pairs = np.exp(points)
-        walks = mc.rollout_metrics(pd, dict(zip(JOINT, pairs.T, strict=True)), **how)
+    ends = np.log(list(bounds.values())).T
+    centre, half = ends.mean(0), np.ptp(ends, axis=0) / 2
+
+    def values(joint: Mapping[str, np.ndarray]) -> np.ndarray:
+        walks = mc.rollout_metrics(pd, joint, **how)
         holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
-        values = np.where(holds, walks["force_variation"], np.inf)
-        while True:
-            place = values.argmin()
-            joint = dict(zip(JOINT, pairs[place].tolist(), strict=True))
-            if not np.isfinite(values[place]) or _follows(pd, joint):
+        return np.where(holds, walks["force_variation"], np.inf)
+
+    found = closer(pd, values, Grids(centre, half, (POINTS, POINTS), ROUNDS, 2 / (POINTS - 1), (ends[0], ends[1])))
+    return None if found is None else Rival(*found, _lacks(pd, highest))
+
+
+class Grids(NamedTuple):
+    """Grids of kp and kd in logarithms, the first about `centre`, each other one about the best of the one before."""
+
+    centre: np.ndarray  # (2,)
+    half: np.ndarray  # (2,) from the centre of the first to its ends
+    counts: tuple[int, int]  # values of kp and of kd
+    rounds: int
+    narrower: float  # factor from one to the next
+    ends: tuple[Any, Any] = (-np.inf, np.inf)  # between which all points lie
+
+
+def closer(
+    scenario: mc.Scenario, values: Callable[[Mapping[str, np.ndarray]], np.ndarray], grids: Grids, digits: int = 17
+) -> tuple[dict[str, float], float] | None:
+    """Search kp and kd of the least value on grids and return them, to so many digits, with their value.
+
+    Each grid has one more point, its last: the best so far, the scenario's own gains in the first. Only gains that the
+    time step can follow are taken; None where there are none of a finite value.
+
+    Arguments:
+        scenario: of the time step and the first kp and kd.
+        values: of kp and kd (N,), infinite where a walk does not count; as many in each round: one program.
+        grids: where to look.
+        digits: of the gains.
+    """
+    centre, half, counts, rounds, narrower, ends = grids
+    best = np.log([scenario.control.kp, max(scenario.control.kd, 1e-12)])
+    offsets = np.stack(np.meshgrid(*(np.linspace(-1, 1, count) for count in counts)), -1).reshape(-1, 2)
+    for _ in range(rounds):
+        points = np.vstack([np.clip(centre + half * offsets, *ends), best])
+        found = values(dict(zip(JOINT, np.exp(points).T, strict=True)))
+        for place in np.argsort(found, kind="stable"):
+            joint = {n: float(f"{gain:.{digits}g}") for n, gain in zip(JOINT, np.exp(points[place]), strict=True)}
+            if not np.isfinite(found[place]):
+                return None
+            if _follows(scenario, joint):
                 break
-            values[place] = np.inf
+        else:
+            return None
         best = centre = points[place]
-        half = half * 2 / (POINTS - 1)
-    if not np.isfinite(values[place]):
-        return None
-    return Rival(joint, float(values[place]), _lacks(pd, highest))
+        half = half * narrower
+    return joint, float(found[place])
 
 
 def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: int = HALVINGS) -> float:

@@ -36,7 +36,7 @@ class Shard:
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= self.count:
-            raise ConfigError(f"shard: expected a number from 1 to how many there are, got {self}")
+            raise ConfigError("", "shard", "a number from 1 to how many there are", self)
 
     def __str__(self) -> str:
         return f"{self.number}/{self.count}"
@@ -126,7 +126,7 @@ class Rows:
             return
         number, count = self.shard.number, self.shard.count
         if count > work.rows:
-            raise ConfigError(f"shard {self.shard}: expected at most {work.rows} shards, one walk each, got {count}")
+            raise ConfigError("", f"shard {self.shard}", f"at most {work.rows} shards, one walk each", count)
         for other in _folders_in(self.folder):
             if not other.name.endswith(f"-of-{count}"):
                 got = f"{other.name} (remove it, or choose another --out)"
@@ -189,19 +189,19 @@ def find(folders: Sequence[Path]) -> list[Kept]:
     for folder in folders:
         own = [folder] if os.path.isfile(folder / FILE) else _folders_in(folder)
         if not own:
-            raise ConfigError(f"{folder}: expected a shard's folder, or one that holds shards, got none")
+            raise ConfigError(folder, "", "a shard's folder, or one that holds shards", "none")
         found += map(_read, own)
     first, by_number = found[0], dict[int, Kept]()
     for each in found:
         if each.shard.count != first.shard.count:
             wanted = f"a shard of {first.shard.count} as {first.folder}"
-            raise ConfigError(f"{each.folder}: expected {wanted}, got {each.shard}")
+            raise ConfigError(each.folder, "", wanted, each.shard)
         if differs := finished_parts.differences(first.work, each.work):
             got = f"one that differs in {', '.join(differs)}"
-            raise ConfigError(f"{each.folder}: expected a shard of the same as {first.folder}, got {got}")
+            raise ConfigError(each.folder, "", f"a shard of the same as {first.folder}", got)
     for each in found:
         if (twin := by_number.setdefault(each.shard.number, each)) is not each:
-            raise ConfigError(f"{each.folder}: expected each shard once, got {each.shard} in {twin.folder} as well")
+            raise ConfigError(each.folder, "", "each shard once", f"{each.shard} in {twin.folder} as well")
     return [by_number[number] for number in sorted(by_number)]
 
 
@@ -222,7 +222,7 @@ def joined(work: Work, found: Sequence[Kept]) -> dict[str, np.ndarray]:
     own = json.loads(json.dumps({**work.identity(), "platform": first.identity.get("platform")}))
     if differs := finished_parts.differences(first.work, own):
         got = f"one that differs in {', '.join(differs)}"
-        raise ConfigError(f"{first.folder}: expected a shard of what is merged here, got {got}")
+        raise ConfigError(first.folder, "", "a shard of what is merged here", got)
     whole: list[dict[str, np.ndarray]] = []
     lacking: dict[str, str] = {}  # by shard, in words
     for number in range(1, first.shard.count + 1):
@@ -244,7 +244,7 @@ def joined(work: Work, found: Sequence[Kept]) -> dict[str, np.ndarray]:
         one, *more = lacking
         others = f", and likewise {', '.join(more)}" if more else ""
         remedy = f"to finish it: {str(first.about['again']).replace(SHARD, one)}{others}"
-        raise ConfigError(f"{home(found) or first.folder}: {'; '.join([*lacking.values(), remedy])}")
+        raise ConfigError(home(found) or first.folder, reason="; ".join([*lacking.values(), remedy]))
     return _concatenated(whole)
 
 
@@ -263,7 +263,7 @@ def _read(folder: Path) -> Kept:
             raise TypeError
         return Kept(folder, Shard(*identity["shard"]), identity, about)
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        raise ConfigError(f"{folder}: expected the folder of a shard, got one that is damaged or empty") from None
+        raise ConfigError(folder, "", "the folder of a shard", "one that is damaged or empty") from None
 
 
 def _concatenated(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:

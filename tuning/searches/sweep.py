@@ -5,18 +5,19 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, DTypeLike
+from numpy.typing import ArrayLike
 
 import mjx_climb as mc
 from mjx_climb import execution, trajectory
 from mjx_climb.control import law_of
 from mjx_climb.execution import devices
 from mjx_climb.files.dataset import sweep_dataset
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.robot_import.load import load_robot
@@ -25,12 +26,14 @@ from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
 from tuning.methods.parts import identity_of
 from tuning.problem.evaluation import RIGID, Problem
+from tuning.problem.search import Precision
 from tuning.problem.spaces import INTEGRAL, JOINT
+from tuning.problem.variations import as_walked, checked
 from tuning.results.config_file import write_config
 from tuning.results.swept import HISTORIES, Swept
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
 
-Axes = Mapping[str, ArrayLike]  # two gains by name
+Axes = Mapping[str, ArrayLike]  # two gains by name, or values by path
 
 MOST = 10**9  # walks: their metrics alone are some 80 GB
 GAINS_FILE = "gains.yaml"  # beside a shard
@@ -48,25 +51,26 @@ def sweep(
     gains: AnyGains | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     engine: str = DEFAULT_ENGINE,
-    dtype: DTypeLike = np.float32,
+    precision: Precision = "float32",
     batch_size: int | None = None,
     out: str | os.PathLike[str] | None = None,
     progress: Counted | None = None,
 ) -> Swept:
-    """Simulate a grid of two gains, the same on all axes of one walk.
+    """Simulate a grid of two gains, the same on all axes of one walk, or values at paths.
 
     `tuning.write(tuning.sweep(scenario, {"stiffness": k, "damping": d}, out="results/mine"), "results/mine")` is
     `mjx-climb sweep`.
 
     Arguments:
         scenario: what walks where.
-        axes: a list of values for each of two gains of the law, SI units; that of the horizontal axis first.
+        axes: a list of values for each of two gains of the law, or paths as `contact.stiffness`, SI units; that of the
+            horizontal axis first.
         law: the control law, the scenario's where None.
         gains: in place of the scenario's or the law's own, for those that are not swept, and for a further walk to
             compare with.
         metrics: of the walks, as `mjx_climb.METRICS + (mine,)`.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
-        dtype: precision of the simulation.
+        precision: of the simulation, "float32" or "float64".
         batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
         out: a folder that keeps each finished part, so that an interrupted sweep goes on from there, bit by bit; until
             the result is written there, or `tuning.methods.parts.clear(out)`.
@@ -74,11 +78,12 @@ def sweep(
             then after each part.
 
     Raises:
-        ValueError: axes that are no lists of positive numbers, too many, or no gains of the law.
+        ConfigError: a path that the walk does not have, or values that it cannot have there.
+        ValueError: another precision, axes that are no lists of positive numbers, too many, or no gains of the law.
         OutputError: `out` cannot be written, or holds an unfinished sweep of something else.
     """
     how: dict[str, Any] = {"law": law, "metrics": mc.MetricTable(metrics), "engine": engine}
-    grid = grid_of(Problem(scenario, dtype=np.dtype(dtype).type, **how), axes, gains, batch_size)
+    grid = grid_of(_problem(scenario, precision, **how), axes, gains, batch_size)
     return grid.result(Rows(grid, out).walk(progress))
 
 
@@ -89,6 +94,7 @@ def sweep_shard(
     *,
     out: str | os.PathLike[str],
     gains: AnyGains | None = None,
+    precision: Precision = "float32",
     batch_size: int | None = None,
     progress: Counted | None = None,
     **walks: Any,
@@ -108,7 +114,14 @@ def sweep_shard(
         ValueError, OutputError: as of `sweep`.
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
-    return walk_shard(grid_of(Problem(scenario, **walks), axes, gains, batch_size), shard, out, progress)
+    grid = grid_of(_problem(scenario, precision, **walks), axes, gains, batch_size)
+    return walk_shard(grid, shard, out, progress)
+
+
+def _problem(scenario: mc.Scenario, precision: Precision, **walks: Any) -> Problem:
+    if precision not in (known := get_args(Precision)):
+        raise ValueError(f"precision: expected {' or '.join(known)}, got {precision!r}")
+    return Problem(scenario, dtype=np.dtype(precision).type, **walks)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,10 +150,9 @@ class Grid:
 
     def _walk(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         walked = self.walked
-        lengths = (walked.law or law_of(walked.scenario)).AXES
-        gains = {name: own[:, None] if lengths.get(name) else own for name, own in values.items()}
+        robots = as_walked(walked.scenario, walked.law or law_of(walked.scenario), values)
         walk = mc.rollout_histories if self.rows <= HISTORIES else mc.rollout_metrics
-        return walk(walked.scenario, gains, dtype=walked.dtype, **walked.walks)
+        return walk(walked.scenario, *robots, dtype=walked.dtype, **walked.walks)
 
     def named(self) -> dict[str, dict[str, Any]]:
         """Return the metrics of the config's gains and of pd, as far as they are points of the plane of the grid.
@@ -151,7 +163,7 @@ class Grid:
         law = (control.controller, control.reading)
         if self.problem.law is not None or self.gains is not None or jax.default_backend() != "cpu":
             return {}
-        own = {name: np.unique(np.asarray(getattr(control, name), float)) for name in self.axes}
+        own = {name: np.unique(np.asarray(value, float)) for name, value in own_values(self.problem, self.axes).items()}
         if all(values.size == 1 and values.item() > 0 for values in own.values()):
             points["config"] = {name: values.item() for name, values in own.items()}
         if {*self.axes} == {"stiffness", "damping"} and law == ("base_admittance", "virtual_model"):
@@ -197,7 +209,7 @@ class Grid:
         axes = {name: values.tolist() for name, values in self.axes.items()}
         how: dict[str, Any] = {
             "order": [*axes],
-            "dtype": np.dtype(self.walked.dtype).name,
+            "precision": np.dtype(self.walked.dtype).name,
             "batch_size": self.size,
             "histories": self.rows <= HISTORIES,
         }
@@ -215,18 +227,23 @@ def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: m
     file, asked = kept.folder / GAINS_FILE, kept.identity
     gains = gains_file.load(file, law) if file.is_file() else None
     how: dict[str, Any] = {"law": law, "metrics": metrics, "engine": asked["engine"]}
-    problem = Problem(scenario, dtype=np.dtype(asked["dtype"]).type, **how)
-    return grid_of(problem, asked["axes"], gains, asked["batch_size"])
+    return grid_of(_problem(scenario, asked["precision"], **how), asked["axes"], gains, asked["batch_size"])
+
+
+def own_values(problem: Problem, names: Iterable[str]) -> dict[str, Any]:
+    """Return the values that a scenario itself has of gains and at paths, None of a gain that it does not have."""
+    parameters, control = own_parameters(problem.scenario), problem.scenario.control
+    return {name: parameters.at(name) if "." in name else getattr(control, name, None) for name in names}
 
 
 def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_size: int | None = None) -> Grid:
     """Return the work of `sweep`, whose arguments and errors these are."""
     own = problem.law or law_of(problem.scenario)
-    known = [*own.GAINS, *JOINT, INTEGRAL]
-    if not own.GAINS:
+    known, gains_swept = [*own.GAINS, *JOINT, INTEGRAL], [name for name in axes if "." not in name]
+    if gains_swept and not own.GAINS:
         raise ValueError("control.controller: expected an admittance law, got pd, which has no gains to sweep")
-    if unknown := [name for name in axes if name not in known]:
-        raise ValueError(f"axes.{unknown[0]}: expected a gain of the law, one of {', '.join(known)}")
+    if unknown := [name for name in gains_swept if name not in known]:
+        raise ValueError(f"axes.{unknown[0]}: expected a gain of the law, one of {', '.join(known)}, or a path")
     if whole := [name for name in axes if name in own.GAINS and own.GAINS[name].shape not in ((), (3,), (6,))]:
         shape = own.GAINS[whole[0]].shape
         raise ValueError(f"axes.{whole[0]}: expected a gain of one number or of axes, got an array of shape {shape}")
@@ -236,6 +253,13 @@ def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_s
     for name, values in lists.items():
         if values.ndim != 1 or not values.size or not (np.isfinite(values).all() and (values > 0).all()):
             raise ValueError(f"{name}: expected a list of finite numbers above 0")
+    paths = {name: values for name, values in lists.items() if "." in name}
+    parameters = own_parameters(problem.scenario)
+    if arrays := [path for path in paths if path in parameters.paths and parameters.paths[path].shape]:
+        raise ValueError(f"axes.{arrays[0]}: expected a path of one number, got that of an array")
+    checked(problem.scenario, parameters, paths, "axes.{}")
+    for ends in zip(*(values[[0, -1]].tolist() for values in paths.values()), strict=True):
+        gains_file.applied(problem.scenario, dict(zip(paths, ends, strict=True)))  # refused before anything walks
     if (walks := math.prod(values.size for values in lists.values())) > MOST:
         raise ValueError(f"axes: expected at most {MOST} walks in all, got {walks}")
     devices.check_batch_size(batch_size)

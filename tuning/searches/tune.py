@@ -173,8 +173,8 @@ def own_method(search: Search, scenario: mc.Scenario, given: OwnMethod | None = 
     if named == OWN_METHOD:
         own = None if scenario.own is None else scenario.own.method
         if own is None:
-            raise ConfigError(f"method: expected own.method in the scenario, or tune(method=...), with {OWN_METHOD}")
-        named = reference_to(own, "method", "scenario")
+            raise ConfigError("", "method", f"own.method in the scenario, or tune(method=...), with {OWN_METHOD}")
+        named = reference_to(own, "own.method", "scenario")
     if isinstance(named, str) and named.partition(":")[0] in METHODS:
         return search, None
     return search.model_copy(update={"method": OWN_METHOD}), method_of(named)
@@ -190,13 +190,13 @@ def own_objective(
     """
     own, named = None if scenario.own is None else scenario.own.objective, given
     if own is not None:
-        named = reference_to(own, "objective", "scenario") if given is None else given
+        named = reference_to(own, "own.objective", "scenario") if given is None else given
         scenario = scenario.with_own(objective=None)
     if not isinstance(named, str):
         return scenario, named
     found, file, name = load(named, "function")
     if not callable(found) and not isinstance(found, Goal):
-        raise ConfigError(f"{file}: expected {name} to be a function of the metrics, got {found!r}")
+        raise ConfigError(file, "", f"{name} to be a function of the metrics", f"{found!r}")
     return scenario, found
 
 
@@ -295,7 +295,7 @@ def problem_of(
         ConfigError: settings that make no sense for the scenario or the metrics, or pd diverges in a member.
     """
     if objective is None and scenario.own is not None and scenario.own.objective is not None:
-        raise ConfigError(f"own.objective: expected none but in a plain search, got {scenario.own.objective.name}")
+        raise ConfigError("", "own.objective", "none but in a plain search", scenario.own.objective.name)
     problem = without_goal(scenario, search, space, over_ensemble=ensemble is not None, **walks)
     problem = dataclasses.replace(problem, own_objective=objective)
     if isinstance(objective, Goal):
@@ -328,14 +328,12 @@ def without_goal(
     """
     table = mc.MetricTable(metrics)
     if missing := [metric.name for metric in mc.METRICS if metric not in table]:
-        raise ConfigError(f"metrics: expected the shipped {missing[0]} among them, as in METRICS + (mine,)")
+        raise ConfigError("", "metrics", f"the shipped {missing[0]} among them, as in METRICS + (mine,)")
     search_settings.check_metrics(search, table, over_ensemble=over_ensemble)
     space, dtype = space or spaces.space(scenario, search, walks.get("law")), np.dtype(search.precision).type
     if search.method != OWN_METHOD and method_of(search.method).gradients and not space.smooth.all():
         times = ", ".join(name for name, smooth in zip(space.names, space.smooth, strict=True) if not smooth)
-        raise ConfigError(
-            f"method: expected cmaes, grid or optuna to search {times} in whole steps, got {search.method}"
-        )
+        raise ConfigError("", "method", f"cmaes, grid or optuna to search {times} in whole steps", search.method)
     return Problem(scenario, space, dtype=dtype, metrics=table, **walks)
 
 
@@ -356,5 +354,5 @@ def start_of(problem: Problem) -> np.ndarray:
 
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
     """Return all that determines a search, bit by bit; `more`: what else does."""
-    packages = {**PACKAGES, "optax": "optax", "cmaes": "cmaes", "optuna": "optuna"}
+    packages = {**PACKAGES, "cmaes": "cmaes", "optuna": "optuna"}
     return {**identity_of(problem, packages), "search": search.model_dump(mode="json"), **more}

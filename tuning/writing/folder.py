@@ -88,10 +88,9 @@ def fill(
     for section in sections:
         own = {**section.files, **section.pictures}
         if taken := (every.keys() | {page.NAME, "config.yaml", record.FILE}) & own.keys():
-            expected = "expected other files than those of the result"
-            raise ConfigError(f"section {section.heading}: {expected}, got {min(taken)}")
+            raise ConfigError(f"section {section.heading}", "", "other files than those of the result", min(taken))
         if (outside := leaving(place, own)) is not None:
-            raise ConfigError(f"section {section.heading}: expected files in the result's folder, got {outside!r}")
+            raise ConfigError("", f"section {section.heading}", "files in the result's folder", f"{outside!r}")
         every |= own
     drawing = any(isinstance(content, Picture) for content in every.values())
     with stage("drawing", compiles=False) if drawing else contextlib.nullcontext():
@@ -120,9 +119,12 @@ def _part(section: Section, place: Path) -> Part:
     return Part(section.heading, section.sentences, section.tables, pictures)
 
 
+_NAMING_FILES = ("robot", "ground", "contact", "gait", "hardware", "disturbance", "own")  # sections
+
+
 def _beside(scenario: mc.Scenario, copied: mc.Scenario) -> mc.Scenario:
     """Return a scenario that names the copies of its files, as that of the folder does."""
-    return scenario.model_copy(update={name: getattr(copied, name) for name in ("robot", "ground", "own")})
+    return scenario.model_copy(update={name: getattr(copied, name) for name in _NAMING_FILES})
 
 
 def _naming(data: xr.Dataset, copied: mc.Scenario) -> xr.Dataset:

@@ -51,7 +51,7 @@ class Prospects(NamedTuple):
 class Footholds(Component, abc.ABC):
     """Base of the rules: a class that inherits from it becomes a frozen dataclass and a pytree.
 
-    Fields made by `parameter` are its values. `score` is written for one robot and one point; the planner calls it for
+    Fields made by `parameter` are its values. `score` is written for one robot and one point; the gait calls it for
     each point in turn. Derivatives pass with the choice frozen.
     """
 

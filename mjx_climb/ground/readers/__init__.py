@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mjx_climb.ground.table import Table, reading
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 
 Read = Callable[[Path, str | None], Table]
 
@@ -31,8 +31,8 @@ def table_of(file: str, topic: str | None = None) -> Table:
     """
     path = Path(file)
     if not path.is_file():
-        raise config_error(file, "", "a file of points", "none")
+        raise ConfigError(file, "", "a file of points", "none")
     if (reader := READERS.get(path.suffix.lower())) is None:
-        raise config_error(file, "", f"points as {', '.join(sorted(READERS))}", path.suffix or "no suffix")
+        raise ConfigError(file, "", f"points as {', '.join(sorted(READERS))}", path.suffix or "no suffix")
     with reading(file, "", "a whole file of points"):
         return reader(path, topic)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mjx_climb.ground.table import Table, packed
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 
 SUFFIXES = (".mcap", ".db3")
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -24,13 +24,13 @@ def read(path: Path, topic: str | None) -> Table:
         found = [each for each in reader.connections if each.msgtype == _CLOUD and topic in (None, each.topic)]
         if len({each.topic for each in found}) != 1:
             expected = f"one topic with {_CLOUD}" if topic is None else f"{_CLOUD} on {topic}"
-            raise config_error(str(path), "topic", expected, ", ".join(each.topic for each in found) or "none")
+            raise ConfigError(str(path), "topic", expected, ", ".join(each.topic for each in found) or "none")
         last = deque(reader.messages(found), maxlen=1)
         if not last:
-            raise config_error(str(path), found[0].topic, "a message", "none")
+            raise ConfigError(str(path), found[0].topic, "a message", "none")
         cloud: Any = reader.deserialize(last[0][2], _CLOUD)
     if unknown := {field.datatype for field in cloud.fields} - _KINDS.keys():
-        raise config_error(str(path), found[0].topic, "fields with datatype 1 to 8", str(min(unknown)))
+        raise ConfigError(str(path), found[0].topic, "fields with datatype 1 to 8", str(min(unknown)))
     order = ">" if cloud.is_bigendian else "<"
     kinds: Any = {
         # unique: a name that stands twice is told of where it is used
@@ -42,7 +42,7 @@ def read(path: Path, topic: str | None) -> Table:
     used = cloud.width * cloud.point_step
     if not (used <= cloud.row_step and cloud.height * cloud.row_step == cloud.data.size):
         expected = f"{cloud.height} rows of {used} bytes or more"
-        raise config_error(str(path), found[0].topic, expected, f"row_step {cloud.row_step}, {cloud.data.size} bytes")
+        raise ConfigError(str(path), found[0].topic, expected, f"row_step {cloud.row_step}, {cloud.data.size} bytes")
     rows = cloud.data.reshape(cloud.height, cloud.row_step)[:, :used]
     points = packed(rows.tobytes(), np.dtype(kinds), cloud.height * cloud.width)
     return Table(str(path), [(field.name, points[str(number)]) for number, field in enumerate(cloud.fields)])

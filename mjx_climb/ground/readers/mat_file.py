@@ -11,7 +11,7 @@ import numpy as np
 
 from mjx_climb.child_process import read_apart
 from mjx_climb.ground.table import Table, real
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 
 SUFFIXES = (".mat",)
 # SciPy crashes on damaged files
@@ -33,12 +33,12 @@ def read(path: Path, topic: str | None) -> Table:
     if {"x", "y", "z"} <= {*held}:
         x, y, z = (real(held[name], str(path), name) for name in "xyz")
         if z.shape != (y.size, x.size):
-            raise config_error(str(path), "z", f"a matrix of {y.size} x {x.size}, as y and x have it", str(z.shape))
+            raise ConfigError(str(path), "z", f"a matrix of {y.size} x {x.size}, as y and x have it", str(z.shape))
         points = np.stack([*np.meshgrid(x, y), z]).reshape(3, -1)
     else:
         lists = [value for value in held.values() if value.shape[:1] == (3,)]
         if len(lists) != 1:
             expected = "x, y and z, or one matrix with three rows"
-            raise config_error(str(path), "", expected, ", ".join(held) or "nothing")
+            raise ConfigError(str(path), "", expected, ", ".join(held) or "nothing")
         points = lists[0].reshape(3, -1)
     return Table(str(path), list(zip("xyz", points, strict=True)))

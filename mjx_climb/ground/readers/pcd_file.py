@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.ground.table import Table, packed
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 
 SUFFIXES = (".pcd",)
 _KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -21,7 +21,7 @@ def read(path: Path, topic: str | None) -> Table:
     while "DATA" not in header:
         end = content.find(b"\n", at)
         if end < 0:
-            raise config_error(str(path), "", "a header that ends with DATA", "none")
+            raise ConfigError(str(path), "", "a header that ends with DATA", "none")
         words = content[at:end].decode("ascii", "replace").split("#")[0].split()
         header |= {words[0]: words[1:]} if words else {}
         at = end + 1
@@ -29,25 +29,25 @@ def read(path: Path, topic: str | None) -> Table:
     def entry(key: str, number: int, default: list[str] | None = None) -> list[str]:
         words = header.get(key, default or [])
         if len(words) != number:
-            raise config_error(str(path), key, f"{number} words", " ".join(words) or "none")
+            raise ConfigError(str(path), key, f"{number} words", " ".join(words) or "none")
         return words
 
     def whole(key: str, number: int, default: list[str] | None = None) -> list[int]:
         words = entry(key, number, default)
         if not all(word.isdecimal() for word in words):
-            raise config_error(str(path), key, "whole numbers, 0 or above", " ".join(words))
+            raise ConfigError(str(path), key, "whole numbers, 0 or above", " ".join(words))
         return [int(word) for word in words]
 
     if not (names := header.get("FIELDS")):
-        raise config_error(str(path), "FIELDS", "names", "none")
+        raise ConfigError(str(path), "FIELDS", "names", "none")
     (width,), (height,) = whole("WIDTH", 1, header.get("POINTS")), whole("HEIGHT", 1, ["1"])
     (count,), (kind,) = whole("POINTS", 1, [str(width * height)]), entry("DATA", 1)
     if count != width * height:
-        raise config_error(str(path), "POINTS", f"WIDTH x HEIGHT, {width * height}", str(count))
+        raise ConfigError(str(path), "POINTS", f"WIDTH x HEIGHT, {width * height}", str(count))
     numbers, letters = whole("COUNT", len(names), ["1"] * len(names)), entry("TYPE", len(names))
     formats = [f"{letter}{size}" for letter, size in zip(letters, whole("SIZE", len(names)), strict=True)]
     if unknown := {*formats} - {"F4", "F8", *(f"{letter}{size}" for letter in "IU" for size in (1, 2, 4, 8))}:
-        raise config_error(str(path), "TYPE and SIZE", "F of 4 or 8, I or U of 1, 2, 4 or 8", min(unknown))
+        raise ConfigError(str(path), "TYPE and SIZE", "F of 4 or 8, I or U of 1, 2, 4 or 8", min(unknown))
     # names may stand twice; PCL names padding "_", several times, and without any number in it
     layout = [
         (str(place), f"<{_KINDS[each[0]]}{each[1:]}", (number,))
@@ -69,13 +69,13 @@ def read(path: Path, topic: str | None) -> Table:
             rows = np.array(content[at:].split(), float)
             if rows.size != count * sum(numbers):
                 expected = f"{count} points of {sum(numbers)} numbers"
-                raise config_error(str(path), "POINTS", expected, f"{rows.size} numbers")
+                raise ConfigError(str(path), "POINTS", expected, f"{rows.size} numbers")
             values = np.split(rows.reshape(count, sum(numbers)), np.cumsum(numbers)[:-1], axis=1)
         case _:
-            raise config_error(str(path), "DATA", "ascii, binary or binary_compressed", kind)
+            raise ConfigError(str(path), "DATA", "ascii, binary or binary_compressed", kind)
     viewpoint = np.array(entry("VIEWPOINT", 7, ["0"] * 7)[:3], float)
     if not np.isfinite(viewpoint).all():
-        raise config_error(str(path), "VIEWPOINT", "finite numbers", " ".join(header["VIEWPOINT"]))
+        raise ConfigError(str(path), "VIEWPOINT", "finite numbers", " ".join(header["VIEWPOINT"]))
     return Table(
         str(path),
         [(name, value[:, 0]) for name, value in zip(names, values, strict=True) if name != "_" and value.shape[1]],

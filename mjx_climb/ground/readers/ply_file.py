@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjx_climb.ground.table import Column, Table, packed
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 
 SUFFIXES = (".ply",)
 _TYPES = {
@@ -41,7 +41,7 @@ def read(path: Path, topic: str | None) -> Table:
     place = names.index("vertex") if names.count("vertex") == 1 else -1
     if place < 0 or any(not kind for each in elements[: place + 1] for _, kind in each.properties):
         expected = "one element vertex, and lists in none before its end"
-        raise config_error(str(path), "header", expected, ", ".join(names) or "none")
+        raise ConfigError(str(path), "header", expected, ", ".join(names) or "none")
     vertex, data = elements[place], data.partition(b"\n")[2]
     # as text each element is a line
     content = data if order else [line for line in data.splitlines() if line.strip()]
@@ -49,7 +49,7 @@ def read(path: Path, topic: str | None) -> Table:
     longer = order and any(not kind for each in elements for _, kind in each.properties)
     if not (len(content) == sum(sizes) or (longer and len(content) > sum(sizes))):
         expected = f"{sum(sizes)} {'bytes' if order else 'lines'} for {vertex.number} vertices and the other elements"
-        raise config_error(str(path), "element", expected, str(len(content)))
+        raise ConfigError(str(path), "element", expected, str(len(content)))
     start = sum(sizes[:place])
     of_vertices = content[start : start + sizes[place]]
     columns: list[Column]
@@ -64,7 +64,7 @@ def read(path: Path, topic: str | None) -> Table:
 
         mesh = trimesh.load(path, process=False, fix_texture=False, skip_materials=True)
         if not isinstance(mesh, trimesh.Trimesh) or len(mesh.vertices) != vertex.number:
-            raise config_error(str(path), "face", "faces of the vertices", "damaged ones")
+            raise ConfigError(str(path), "face", "faces of the vertices", "damaged ones")
         columns += zip(("nx", "ny", "nz"), mesh.vertex_normals.T, strict=True)
     return Table(str(path), columns)
 
@@ -85,7 +85,7 @@ def _header(file: str, lines: list[str]) -> tuple[str, list[_Element]]:
             case ["property", "list", _, _, name] if elements:
                 elements[-1].properties.append((name, ""))
             case _:
-                raise config_error(file, "header", "format, element and property", " ".join(words))
+                raise ConfigError(file, "header", "format, element and property", " ".join(words))
     if form not in _ORDERS:
-        raise config_error(file, "format", ", ".join(_ORDERS), form)
+        raise ConfigError(file, "format", ", ".join(_ORDERS), form)
     return _ORDERS[form], elements

@@ -12,10 +12,11 @@ import numpy as np
 from jax import Array
 from jaxtyping import PyTree
 
-from mjx_climb.component import NONNEGATIVE, POSITIVE, POSITIVE_OR_INFINITE, UNLIMITED, given, parameter
+from mjx_climb.component import given
 from mjx_climb.physics.contact.contact import Contact, Grip, Springs, along_normal, clearance
 from mjx_climb.physics.kinematics import Feet, Turning, turn_between
 from mjx_climb.physics.spatial import norm
+from mjx_climb.scenario import declared
 
 _TINY = 1e-30  # N, of a limit of zero
 _UP = np.array([0.0, 0.0, 1.0])
@@ -55,7 +56,7 @@ class Closing(NamedTuple):
     closure: Array  # (limb,) 1, how far the gripper has closed
 
 
-class SpringGrip(Contact):
+class SpringGrip(declared.SpringGrip, Contact):
     """A gripper that holds its foot to the grip point both ways; what tears it off is a subclass's.
 
     The grip point is below the foot, on the ground, where the gripper shuts or the foot first touches. With a finite
@@ -69,19 +70,6 @@ class SpringGrip(Contact):
     force, and the damper comes in alike.
     """
 
-    stiffness: Array = parameter("N/m", bounds=POSITIVE, default=1e4, long_name="contact stiffness")
-    damping: Array = parameter("N s/m", bounds=NONNEGATIVE, default=20.0, long_name="contact damping")
-    rotational_stiffness: Array = parameter(
-        "N m/rad", bounds=NONNEGATIVE, default=0.0, long_name="turning stiffness of a grip"
-    )
-    rotational_damping: Array = parameter(
-        "N m s/rad", bounds=NONNEGATIVE, default=0.0, long_name="turning damping of a grip"
-    )
-    capture_distance: Array = parameter("m", bounds=UNLIMITED, default=np.inf, long_name="reach of a gripper")
-    closing_time: Array = parameter("s", bounds=NONNEGATIVE, default=0.0, long_name="closing time of a gripper")
-    closing_force: Array = parameter(
-        "N", bounds=POSITIVE_OR_INFINITE, default=np.inf, long_name="closing force of a gripper"
-    )
     limited_reach: bool = False  # some gripper has a capture distance
     rotational: bool = False  # grips transmit moments
     closes: bool = False  # some gripper takes time to close
@@ -209,14 +197,12 @@ def _with_closure(drag: Array, feet: Feet, closing: Closing) -> Array:
     return closing.closure[:, None] * drag + whole[:, None] * normal
 
 
-class Gripper(SpringGrip):
+class Gripper(declared.Gripper, SpringGrip):
     """A grip with one limit (ClimbLab's rule).
 
     A supporting limb lets go, from the next step on, when the ground pulls its foot down and the whole force is larger
     than the holding limit.
     """
-
-    holding_limit: Array = parameter("N", bounds=UNLIMITED, default=15.0, long_name="holding limit of a gripper")
 
     def step(
         self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array
@@ -234,10 +220,6 @@ class Gripper(SpringGrip):
         """
         # ClimbLab's rule with the 15 N of the paper (docs/explanation/departures.md, 11)
         return jnp.where(normal < 0, norm(force) / jnp.maximum(self.holding_limit, _TINY), 0.0)
-
-    def overloaded(self, force: Array, normal: Array) -> Array:
-        """Whether such forces are more than a grip holds, (limb,) bool."""
-        return self.utilization(force, normal) > 1
 
     def holding_force(self) -> Array:
         """The holding limit, () N; 0 where grippers are never torn off: margins are then those of bare feet."""

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from mjx_climb.component import FINITE, UNLIMITED, parameter
+from mjx_climb.component import parameter
 from mjx_climb.physics.contact.contact import Grip, along_normal
 from mjx_climb.physics.contact.gripper import GripperMemory, SpringGrip
 from mjx_climb.physics.kinematics import Feet, Surface, Turning
 from mjx_climb.physics.spatial import norm
+from mjx_climb.value_field import FINITE, UNLIMITED
 
 _TINY = 1e-9  # m, of a foot below the base, which has no direction outwards
 

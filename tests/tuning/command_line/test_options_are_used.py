@@ -90,9 +90,9 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "controller": "--controller end_effector_admittance",
     "delays": "--delays 0.01",
     "deviation_factor": "--deviation-factor 2",
-    "disturbances": "--disturbance LinkWrench",
+    "disturbances": "--disturbance link_wrench",
     "dpi": "--dpi 100",
-    "drive": "--drive VelocityCommanded",
+    "drive": "--drive velocity",
     "drop": "--drop",
     "engine": "--engine mjx",
     "ensemble": "--ensemble {folder}/ensemble.yaml",
@@ -113,7 +113,7 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "mass": "--mass 0.1",
     "mcap": "--mcap",
     "members": "--members 3",
-    "method": "--method lbfgs",
+    "method": "--method grid",
     "metrics": "--metric {folder}/mine.py:highest",
     "of_scenarios": "--schema",
     "no_worse_than_pd": "--may-be-worse-than-pd",
@@ -405,7 +405,7 @@ def test_of_two_walks_that_are_compared_the_rival_is_shown_first_and_the_walk_it
 def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_default(tmp_path):
     """Typed are all defaults, in the file is another value for each."""
     others = {
-        "method": "lbfgs", "space": "split", "inertia": True, "also": ("inertia",), "joint_gains": True,
+        "method": "grid", "space": "split", "inertia": True, "also": ("inertia",), "joint_gains": True,
         "bounds": {"damping": (1.0, 2.0)}, "pins": {"stiffness": 1.0}, "frozen": ("inertia",),
         "weights": {"peak_foot_force": 2.0}, "limits": {"travel": 1.0}, "deviation_factor": 2.0,
         "no_worse_than_pd": False, "starts": 3, "iterations": 2, "seed": 7, "precision": "float64",

@@ -106,7 +106,7 @@ def test_laws_have_names_of_their_own_or_given_ones(scenario, files):
         (["base_admittance"], {"also": ("cutoff",)}, "also: expected a gain that one of the laws has, got cutoff"),
         (["base_admittance"], {"pins": {"share": 1.0}}, "pins.share: expected a gain that one of the laws has"),
         (["base_admittance"], {"pins": {"kp": 50.0, "kd": 0.5}}, "pins: expected a gain left to search, got none"),
-        (["base_admittance"], {"method": "lbfgs"}, "method: expected cmaes, optuna or grid"),
+        (["base_admittance"], {"method": "gradient"}, "method: expected cmaes, optuna or grid"),
         (["base_admittance"], {"joint_gains": False}, "joint_gains: expected true"),
         (
             ["base_admittance"],
@@ -264,6 +264,7 @@ def made_up(monkeypatch):
         asked.append(level.shape)
         found = {name: level for name in metrics.names}
         found |= {"detached_limb": np.full(level.shape, -1), "diverged": np.zeros(level.shape, bool)}
+        found["peak_utilization"] = level / 10
         lost = np.full(level.shape, -1 if law is None else 1)
         return found | {"sensor_lost_limb": lost, "sensor_lost_at": np.full(level.shape, 0.25)}
 
@@ -320,3 +321,9 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     ]
     lost = f"warning: {'; '.join(each)}"
     assert lost in written.outcome and lost[9:] in (tmp_path / "report.html").read_text()
+
+
+def test_a_method_is_known_by_its_name():
+    """What is refused then is the law."""
+    with pytest.raises(ConfigError, match="nobody"):
+        tuning.compare(mc.load_scenario(CASE, SHORT), ["nobody"], Ensemble(members=2), method="cmaes")

@@ -1,5 +1,6 @@
 """Gains on worse hardware: the same members in every setting but for what it changes."""
 
+import json
 import re
 
 import numpy as np
@@ -60,8 +61,7 @@ def test_a_period_is_scaled_to_whole_time_steps_one_at_least(factor, period):
         ("delay=x-1", "delay: expected a factor above 0"),
         (
             "delay",
-            "expected delay|period|friction|backlash|noise|bias|armature=xFACTOR, PATH=xFACTOR or a key of the section "
-            "hardware, got",
+            "expected delay|period|friction|backlash|noise|bias|armature|PATH=xFACTOR, PATH=VALUE or a key of hardware",
         ),
         ("nothing=3", "nothing"),
         ("delay=x2,delay=x2", ""),
@@ -99,6 +99,11 @@ def test_tables_say_what_worse_hardware_takes_and_what_is_left_of_the_lead():
     assert losses.sections[-1][1] == [["lost of 64", "mine", "0", "16"], ["lost of 64", "pd", "0", "0"]]
     assert lead.sections[0][1] == [["force variation", "mine", "-20", "+20"]]
     said = pages.in_words(found, compared)
+    told = json.loads(pages.contents(found, compared, "").written.summary)
+    assert told["verdict"] == said and told["gains"]["mine"]["mean"]["dead"]["failed"] == 0.25
+    rows = {(each["setting"], each["metric"], each["statistic"]): each for each in told["differences"]}
+    own = rows["dead", "force_variation", "mean"]
+    assert own["claimed"] and own["gains"] == "mine" and 0 < own["low"] < own["difference"] < own["high"]
     assert said == (
         "64 walks in each of 1 settings: dead takes most from mine, +50 % force variation; dead loses 16 walks; beside "
         "pd as the config has it its force variation is -20 % as drawn and +20 % dead"
@@ -116,7 +121,8 @@ def test_the_command_walks_as_drawn_as_evaluate_does(call, tmp_path):
     words = ("case_1_2", "--set", "duration=0.3", "--gains", tmp_path / "mine.yaml", "--members", "3")
     assert call("evaluate", *words, "--out", tmp_path / "plain")[0] == 0
     worse = ("--worse", "force_sensor.bias=1.0", "--out", tmp_path / "worse")
-    code, out, _ = call("evaluate", *words, *worse)
+    code, out, err = call("evaluate", *words, *worse)
+    assert "3 test walks give no interval of any mean (from 10 on)" in err
     assert code == 0 and re.search(r"settings: (.* takes most|none takes force variation) from mine", out)
     plain = xr.load_dataset(tmp_path / "plain" / "judged.nc", engine="h5netcdf")
     both = xr.load_dataset(tmp_path / "worse" / "degraded.nc", engine="h5netcdf")

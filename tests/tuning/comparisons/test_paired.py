@@ -8,7 +8,6 @@ import pytest
 import scipy.stats
 import xarray as xr
 
-import tuning
 from tuning.comparisons import judge, paired
 from tuning.problem import ensemble
 from tuning.problem.ensemble import Worst
@@ -231,7 +230,10 @@ def test_the_sentence_says_which_law_and_what_sensor_and_hardware_are_worth():
     found = said(walks())
     size = r"\d+\.\d% \(\d+\.\d to \d+\.\d%\)"
     law, sensor, hardware = found.in_words.split("; ")
-    assert found.best == "mine" and re.fullmatch(f"mine is better than {BASE}, by {size} of the objective", law)
+    told = re.fullmatch(f"mine is better than {BASE}, by {size} of the objective, (.*) beside (.*)", law)
+    own, base = map(float, told.groups())
+    by = float(re.search(r"by (\d+\.\d)%", law)[1])
+    assert found.best == "mine" and 100 * (1 - own / base) == pytest.approx(by, abs=0.1)
     worth = f"the force sensor is worth {size} of force variation \\(mine\\), {size} of travel \\(mine\\)"
     assert re.fullmatch(f"{worth}, and 240 walks show none in peak pull force", sensor)
     assert re.fullmatch(
@@ -251,7 +253,10 @@ def test_the_sentence_says_so_where_no_law_is_better():
     nothing = said(walks(**level | {"force_variation": [100] * 5}))
     assert nothing.in_words.endswith("240 walks show no gain for pd by half the friction")
     worse = said(walks(**level | {"force_variation": [120, 130, 100, 100, 100]})).in_words
-    assert re.match(f"none is better than {BASE}: the nearest, mine, has 1\\d\\.\\d% more objective; ", worse)
+    assert re.match(
+        f"none is better than {BASE}: the nearest, mine, has 1\\d\\.\\d% more objective, 1\\.\\d+ beside 0\\.9\\d+; ",
+        worse,
+    )
 
 
 def test_what_cannot_be_told_says_how_many_walks_would():
@@ -313,11 +318,3 @@ def test_a_table_comes_back_from_beside_the_walks():
     data = walks()
     table = compared(data)
     xr.testing.assert_equal(paired.taken(paired.beside(data, table)), table)
-
-
-def test_names_of_the_last_version_say_the_new_ones(monkeypatch):
-    for name in ("evaluate", "evaluate_shard"):
-        monkeypatch.setattr(judge, name, lambda *given, **named: (given, named))
-    for old, new in ((tuning.judge, "evaluate"), (tuning.judge_shard, "evaluate_shard")):
-        with pytest.warns(DeprecationWarning, match=rf"is tuning\.{new} now"):
-            assert old("scenario", members=2) == (("scenario",), {"members": 2})

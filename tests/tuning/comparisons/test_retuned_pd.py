@@ -148,6 +148,8 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
     assert unknown.startswith(
         "64 walks cannot tell what the force sensor is worth (201 would, if the difference is what it seems): 25.0 % "
     )
+    few = worth(OURS, THEIRS, RIVAL, over=OverWalks(4, np.nan, np.nan, np.nan)).in_words
+    assert few.startswith("4 walks cannot tell what the force sensor is worth: 25.0 % less force variation than pd")
     others = ["peak pull force +71.0 %"], ["travel +3.0 %"]
     told = worth(OURS, THEIRS, RIVAL._replace(step=5e-4), others=others).in_words
     assert told.endswith(", both at a time step of 0.0005 s; worse: peak pull force +71.0 %; better: travel +3.0 %")
@@ -173,3 +175,17 @@ def test_what_is_compared_with_pd_walks_at_the_time_step_that_it_needs_too(kd, e
     steps = {name: scenario.time_step for name, (scenario, _) in found.items()}
     both = (retuned_pd.NAME, side_by_side.LEVEL)
     assert steps == (dict.fromkeys(both, expected) if expected else {retuned_pd.NAME: CASE.time_step})
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (-0.22, "the force sensor pays: 25.0 % less force variation than pd"),
+        (-0.02, "no verdict on the force sensor, since another search may turn differences of less than 3 % round: "),
+        (0.1, "no verdict on the force sensor, since a time step of 0.0005 s turns it round: 25.0 % less"),
+        (np.nan, "no verdict on the force sensor, since a time step of 0.0005 s turns it round: 25.0 % less"),
+    ],
+)
+def test_nothing_is_claimed_that_one_time_step_of_both_does_not_show(change, said):
+    level = side_by_side.AtOneStep(5e-4, change)
+    assert worth_of(OURS, THEIRS, RIVAL, level=level).in_words.startswith(said)

@@ -39,7 +39,7 @@ def test_a_walk_diverges_where_the_loop_is_unstable(case):
 
 def test_a_large_map_has_the_limit_at_some_of_its_cells(case, monkeypatch):
     monkeypatch.setattr(
-        stability_limit, "spectral_radius", lambda scenario, gains, law, engine: gains["damping"][:, 0] / 1e2
+        stability_limit, "spectral_radius", lambda scenario, gains, *_, law, engine: gains["damping"][:, 0] / 1e2
     )
     walks = swept(np.geomspace(1e2, 1e4, 200), np.geomspace(1e1, 1e3, 3))
     walks["stiffness"].attrs["units"] = "N/m"

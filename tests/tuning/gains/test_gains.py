@@ -515,7 +515,7 @@ def test_a_law_of_each_foots_force_has_no_moment_in_the_cpp_librarys_file():
         assert list(yaml.safe_load(text)["admittance_control"]) == kinds
 
 
-RUN = ("contact", "drive", "footholds", "disturbances")  # files that a walk in a config runs
+RUN = ("contact", "hardware.servo", "gait.footholds", "disturbance.others")  # files that a walk in a config runs
 
 
 @pytest.mark.parametrize(
@@ -527,13 +527,12 @@ def test_a_config_that_was_found_beside_the_gains_runs_nothing(export, tmp_path,
     monkeypatch.setattr(deployment, "check", lambda *_, **__: [])
     ran, file = tmp_path / "ran", tmp_path / "theirs.py"
     file.write_text(f"import pathlib\npathlib.Path({str(ran)!r}).touch()\n")
-    named = {"file": str(file), "name": "Theirs"}
-    own = {place: [named] if place in ("metrics", "disturbances") else named}
-    config = mc.load_scenario("case_1_2").with_overrides({"own": own})
+    named = {"kind": f"{file}:Theirs"} if place in RUN else {"file": str(file), "name": "Theirs"}
+    key = place if place in RUN else f"own.{place}"
+    value = [named] if place in ("metrics", "disturbance.others") else named
+    config = mc.load_scenario("case_1_2").with_overrides({key: value})
     code, _, err = export(GAINS, *(["--config", tmp_path / "config.yaml"] if asked else []), config=config)
     assert ran.exists() is asked
     if place in RUN:
         assert code == 2 and err.count("\n") == 1
-        assert asked or re.search(
-            rf"own\.{place}(\.0)?\.file: expected none in a config that was found, not given", err
-        )
+        assert asked or re.search(rf"{place}(\.0)?\.kind: expected none in a config that was found, not given", err)

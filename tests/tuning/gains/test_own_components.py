@@ -1,4 +1,4 @@
-"""Contact, drive and disturbances of a config and of the shell: `own.contact`, `--contact` and the like."""
+"""Contact, drive, disturbances and footholds of other kinds, in a config and at the shell."""
 
 import json
 import re
@@ -35,13 +35,17 @@ pole = PolyhedralGripper(**magnet(pull=15.0, friction=0.6))
 """
 SHORT = ["duration=0.3", "control.controller=pd"]
 ROWS = {"normals": [[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], "limits": [15.0, 8.0]}
+POLYHEDRON = {"kind": "polyhedron", "stiffness": 7e3, "only_pulled": True, **ROWS}
+VELOCITY = {"kind": "velocity", "velocity_gain": 4.0}
 ALL = {
-    "contact": {"name": "PolyhedralGripper", "values": ROWS, "options": {"only_pulled": True}},
-    "drive": {"name": "VelocityCommanded", "values": {"velocity_gain": 4.0}},
-    "disturbances": [
-        {"name": "LinkWrench", "values": {"limb": 1, "force": [1.0, 0.0, 0.0]}, "options": {"frame": "link"}},
-        {"name": "LinkWrench"},
-    ],
+    "contact": POLYHEDRON,
+    "hardware": {"servo": VELOCITY},
+    "disturbance": {
+        "others": [
+            {"kind": "link_wrench", "limb": 1, "force": [1.0, 0.0, 0.0], "frame": "link"},
+            {"kind": "link_wrench"},
+        ]
+    },
 }
 
 
@@ -57,24 +61,23 @@ def walk(**how):
 
 
 def test_a_config_reaches_contact_drive_and_disturbances_and_comes_back():
-    scenario = mc.Scenario(contact={"stiffness": 7e3}).with_overrides({"own": ALL})
+    scenario = mc.Scenario(**ALL)
     found = own_parameters(scenario)
     np.testing.assert_array_equal(found.contact.normals, ROWS["normals"])
-    assert found.contact.only_pulled and found.contact.stiffness == 7e3  # that of the contact section
+    assert found.contact.only_pulled and found.contact.stiffness == 7e3
     assert isinstance(found.drive, VelocityCommanded) and (found.drive.velocity_gain, found.drive.p) == (4.0, 10.0)
-    *shipped, first, second = found.disturbances
-    assert [type(each).__name__ for each in shipped] == ["Cargo"]
+    _, first, second = found.disturbances
     assert (first.frame, second.frame) == ("link", "world") and first.limb == 1
     assert mc.Scenario.from_yaml(scenario.to_yaml()) == scenario and hash(scenario) is not None
     for other in (under_pd(scenario), mc.Scenario.from_yaml(scenario.to_yaml())):
-        assert other.own.components == scenario.own.components
+        assert other.kinds == scenario.kinds and len(other.kinds) == 4
     assert mc.parameters(scenario, np.float32).contact.limits.dtype == np.float32
 
 
 @pytest.mark.slow
 def test_the_walk_of_a_config_is_that_of_a_simulation_in_python():
     scenario = walk().load().scenario
-    named = mc.rollout(scenario.with_overrides({"own": {"drive": ALL["drive"]}}))
+    named = mc.rollout(scenario.with_overrides({"hardware.servo": VELOCITY}))
     given = mc.Simulation(scenario, drive=VelocityCommanded(velocity_gain=4.0)).rollout()
     np.testing.assert_array_equal(named.base_position, given.base_position)
     assert type(named.parameters.drive) is type(given.parameters.drive) is VelocityCommanded
@@ -83,49 +86,79 @@ def test_the_walk_of_a_config_is_that_of_a_simulation_in_python():
 def test_options_take_the_place_of_a_configs_and_set_comes_last(file):
     loaded = walk(
         contact=f"{file}:weak",
-        drive="VelocityCommanded",
-        disturbances=("LinkWrench", "LinkWrench"),
-        changes=["own.contact.values.damping=11", "own.disturbances.1.values.limb=2"],
+        drive="velocity",
+        disturbances=("link_wrench", "link_wrench"),
+        changes=["contact.damping=11", "disturbance.others.1.limb=2"],
     ).load()
     found = own_parameters(loaded.scenario)
     assert type(found.contact).__name__ == "Weak" and (found.contact.holding_limit, found.contact.damping) == (0.5, 11)
-    assert [float(each.limb) for each in found.disturbances[-2:]] == [0, 2] and type(found.drive) is VelocityCommanded
+    assert [float(each.limb) for each in found.disturbances[1:]] == [0, 2] and type(found.drive) is VelocityCommanded
 
 
 @pytest.mark.parametrize(
-    ("own", "said"),
+    ("changes", "said"),
     [
-        ({"contact": {"name": "Nobody"}}, "own.contact.file: expected a file of Python, got none"),
-        ({"contact": {"name": "PolyhedralGripper"}}, "own.contact: values.normals: expected a value, got none"),
-        ({"drive": {"name": "VelocityCommanded", "values": {"q": 1.0}}}, "own.drive: values.q: expected one of p, d"),
         (
-            {"drive": {"name": "VelocityCommanded", "values": {"p": [1.0, 2.0]}}},
-            "values.p: expected that of one robot",
+            {"contact": {"kind": "Nobody"}},
+            "contact.kind: expected one of gripper, polyhedron, uncertain, or FILE.py:NAM",
         ),
         (
-            {"drive": {"name": "VelocityCommanded", "values": {"p": -1.0}}},
-            "values.p: expected numbers from 0.1 to 1000",
+            {"contact.kind": "uncertain", "contact.spred": 0.1},
+            "contact.spred: expected a known key, got an unknown one (did you mean spread?)",
         ),
         (
-            {"drive": {"name": "VelocityCommanded", "values": {"p": "x"}}},
-            "own.drive.values.p: expected a ",
+            {"contact.kind": "uncertain", "contact.spread": True},
+            "contact.spread: expected a number from 0 to 1, got true",
         ),
-        ({"disturbances": [{"name": "LinkWrench", "options": {"frame": 1.0}}]}, "own.disturbances.0: options.frame: "),
-        ({"disturbances": [{"name": "LinkWrench", "options": {"at": 1.0}}]}, "options.at: expected one of frame"),
+        (
+            {"contact.kind": "uncertain", "contact.spread": "0.1"},
+            'contact.spread: expected a number from 0 to 1, got "0.1"',
+        ),
+        (
+            {"contact.kind": "uncertain", "contact.holding_limit": "x"},
+            "contact.holding_limit: expected a finite number, 0 or",
+        ),
+        ({"hardware.servo": {"kind": "velocity", "q": 1.0}}, "hardware.servo.q: expected one of p, d, manager_period"),
+        (
+            {"hardware.servo": {"kind": "velocity", "p": [1.0, 2.0]}},
+            "hardware.servo.p: expected a number from 0.1 to 1000, got [1.0, 2.0]",
+        ),
+        (
+            {"hardware.servo": {"kind": "velocity", "p": -1.0}},
+            "hardware.servo.p: expected a number from 0.1 to 1000, got ",
+        ),
+        (
+            {"disturbance.others": [{"kind": "link_wrench", "frame": 1.0}]},
+            "disturbance.others.0.frame: expected a word",
+        ),
+        (
+            {"disturbance.others": [{"kind": "link_wrench", "att": 1.0}]},
+            "disturbance.others.0.att: expected a known key",
+        ),
+        ({"gait.footholds": {"kind": "planned"}}, "gait.footholds.kind: expected one of nearest, farthest"),
+        ({"gait.footholds": {"kind": "best_margin", "q": 1}}, "gait.footholds.q: expected one of distance_weight"),
+        (
+            {"own": {"contact": {"name": "PolyhedralGripper"}}},
+            "own.contact: expected the section contact, with kind and",
+        ),
+        (
+            {"own": {"disturbances": [{"name": "LinkWrench"}]}},
+            "own.disturbances: expected disturbance.others, with kind",
+        ),
     ],
 )
-def test_what_a_component_cannot_take_is_refused_in_one_line(own, said):
+def test_what_a_component_cannot_take_is_refused_in_one_line(changes, said):
     with pytest.raises(ConfigError, match=re.escape(said)) as refused:
-        own_parameters(mc.Scenario().with_overrides({"own": own}))
+        own_parameters(mc.Scenario().with_overrides(changes))
     assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
     ("option", "text", "said"),
     [
-        ("--contact", "Nobody", "FILE.py:NAME, or one of PolyhedralGripper, UncertainGripper, got 'Nobody'"),
+        ("--contact", "Nobody", "FILE.py:NAME, or one of gripper, polyhedron, uncertain, got 'Nobody'"),
         ("--drive", "{file}:Nobody", "expected a drive named Nobody, got none"),
-        ("--drive", "{file}:weak", "own.drive: expected a drive that inherits from mjx_climb.Actuator, got Weak("),
+        ("--drive", "{file}:weak", "hardware.servo: expected a drive that inherits from mjx_climb.Actuator, got Weak("),
         ("--disturbance", "gone.py:Wind", "gone.py: expected a readable file, got no such file or directory"),
     ],
 )
@@ -139,12 +172,12 @@ def test_a_bad_name_at_the_shell_is_one_line(file, call, tmp_path, option, text,
 def test_a_run_with_a_contact_of_ones_own_is_repeated_from_its_folder(file, call, tmp_path, monkeypatch):
     monkeypatch.setattr("tuning.comparisons.remedies.remedies", lambda *_: "")  # which walks many times
     typed = [word for change in SHORT for word in ("--set", change)]
-    touch = ["--disturbance", "LinkWrench", "--set", "own.disturbances.0.values.force=[0, 0, 9]"]
+    touch = ["--disturbance", "link_wrench", "--set", "disturbance.others.0.force=[0, 0, 9]"]
     code, _, err = call("run", "case_1_2", *typed, *touch, "--contact", f"{file}:weak", "--out", tmp_path / "out")
     assert code == 1, err  # half a newton holds nothing
-    assert "contact: grip.py:weak" in err and "disturbances.0: LinkWrench" in err
-    told = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["own"]["contact"]
-    assert (told["file"], told["name"]) == ("inputs/contact/grip.py", "weak") and len(told["digest"]) == 64
+    assert "contact: grip.py:weak" in err and "disturbance.others.0: link_wrench" in err
+    told = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["contact"]
+    assert told["kind"] == "inputs/contact/grip.py:weak" and len(told["digest"]) == 64
     first = json.loads((tmp_path / "out" / "metrics.json").read_text())
     (tmp_path / "out").rename(tmp_path / "moved")
     file.unlink()
@@ -154,7 +187,7 @@ def test_a_run_with_a_contact_of_ones_own_is_repeated_from_its_folder(file, call
     copy = tmp_path / "moved" / "inputs" / "contact" / "grip.py"
     copy.write_text(copy.read_text() + "# new\n")
     code, _, err = call("run", tmp_path / "moved" / "config.yaml", "--out", tmp_path / "third")
-    assert code == 2 and "own.contact.digest: expected " in err
+    assert code == 2 and "contact.digest: expected " in err
 
 
 def test_a_search_under_another_contact_is_another(file, tmp_path):
@@ -164,27 +197,23 @@ def test_a_search_under_another_contact_is_another(file, tmp_path):
     first = identity(f"{file}:weak")
     parts.Parts(tmp_path, first)
     parts.Parts(tmp_path, identity(f"{file}:weak"))
-    for other, differs in ((f"{file}:pole", r"scenario\.own\.contact\.name"), (None, "scenario")):
+    for other, differs in ((f"{file}:pole", r"scenario\.contact\.kind"), (None, "scenario")):
         with pytest.raises(OutputError, match=f"another that differs in {differs}"):
             parts.Parts(tmp_path, identity(other))
     file.write_text(TEXT.replace("0.5", "0.6"))
-    with pytest.raises(OutputError, match=r"scenario\.own\.contact"):
+    with pytest.raises(OutputError, match=r"scenario\.contact"):
         parts.Parts(tmp_path, identity(f"{file}:weak"))
 
 
 def test_config_yaml_keeps_the_digest_where_a_config_gave_none(file, tmp_path):
-    own = {"contact": {"file": str(file), "name": "pole"}}
-    written = write_config(mc.Scenario().with_overrides({"own": own}), tmp_path / "out")
-    assert written.own.contact.digest == scenario_files.digest(file)
+    written = write_config(mc.Scenario(contact={"kind": f"{file}:pole"}), tmp_path / "out")
+    assert written.contact.digest == scenario_files.digest(file)
 
 
 def test_a_copy_of_a_file_is_the_same_class_and_old_files_are_forgotten(file, tmp_path):
     copy = tmp_path / "copy.py"
     copy.write_text(file.read_text())
-    made = [
-        own_parameters(mc.Scenario().with_overrides({"own": {"contact": {"file": str(each), "name": "pole"}}})).contact
-        for each in (file, copy)
-    ]
+    made = [own_parameters(mc.Scenario(contact={"kind": f"{each}:pole"})).contact for each in (file, copy)]
     assert type(made[0]) is type(made[1])
     for n in range(70):
         copy.write_text(f"found = {n}")
@@ -192,20 +221,42 @@ def test_a_copy_of_a_file_is_the_same_class_and_old_files_are_forgotten(file, tm
     assert len(own_objects.RUN) == 64 and own_objects.RUN[-1][0].found == 69
 
 
-@pytest.mark.parametrize("command", ["excite", "identify"])
-def test_commands_that_fit_grippers_and_servos_refuse_others(command, call, tmp_path):
+def test_a_plan_of_a_log_refuses_other_drives(call, tmp_path):
     config = tmp_path / "mine.yaml"
-    config.write_text(yaml.safe_dump({"own": {"drive": ALL["drive"]}}))
-    typed = ["--log", "log.csv", "--fit", "control.kp"] if command == "identify" else []
-    code, _, err = call(command, config, *typed)
+    config.write_text(yaml.safe_dump({"hardware": {"servo": VELOCITY}}))
+    code, _, err = call("excite", config)
     [line] = err.splitlines()
-    assert code == 2 and f"own.drive: expected none with {command}, got VelocityCommanded" in line
+    assert code == 2 and "hardware.servo.kind: expected none with excite, got velocity" in line
 
 
 @pytest.mark.nightly
 def test_a_polyhedron_that_holds_is_as_stable_as_the_gripper_in_it():
     """The linearised loop knows no limits: contacts are those of the same springs and dampers."""
     scenario = mc.load_scenario("case_1_2", ["control.controller=pd"])
-    own = scenario.with_overrides({"own": {"contact": ALL["contact"]}})
+    own = scenario.with_overrides({"contact": POLYHEDRON | {"stiffness": scenario.contact.stiffness}})
     gripper, polyhedron = (spectral_radius(one, {"kp": 50.0, "kd": 0.2}) for one in (scenario, own))
     np.testing.assert_allclose(polyhedron, gripper, rtol=1e-9)
+
+
+def test_another_kind_starts_with_values_of_its_own_and_null_is_infinite():
+    scenario = mc.Scenario(contact={"stiffness": 7e3, "holding_limit": 3.0})
+    other = scenario.with_overrides({"contact.holding_limit": None, "contact.kind": "uncertain"})
+    found = own_parameters(other).contact
+    assert (found.stiffness, found.holding_limit) == (1e4, np.inf)
+    assert mc.paths(other)["contact.spread"]["bounds"] == (0.0, 1.0)
+    again = other.with_overrides({"contact.spread": 0.2, "contact.kind": "uncertain"})
+    assert again.contact.holding_limit is None and own_parameters(again).contact.spread == 0.2
+    assert again.contact.rotational_stiffness == 0  # of a key that it was not given: the gripper's
+    assert again.without_kinds() == mc.Scenario()
+
+
+def test_an_option_keeps_the_values_of_the_section_that_the_class_has_too(file):
+    found = own_parameters(walk(contact="uncertain", changes=["contact.spread=0.2"]).load().scenario).contact
+    assert (found.holding_limit, found.spread) == (15.0, 0.2)
+    kept = walk(contact=f"{file}:Weak", hardware="dynamixel_x").load().scenario
+    assert kept.contact.holding_limit == 15.0 and kept.contact.name == "Weak"
+
+
+def test_files_without_components_in_their_section_own_still_open():
+    text = "own: {law: {name: LoadTransfer}, contact: null, drive: null, disturbances: [], footholds: null}"
+    assert mc.Scenario.from_yaml(text).own.law.name == "LoadTransfer"

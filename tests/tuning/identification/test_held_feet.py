@@ -40,7 +40,7 @@ def test_a_step_of_a_millisecond_is_right_to_second_order(stiffness, damping):
         still = jnp.zeros(3)
         pose = robot.stance_position, robot.stance_orientation
         state = State(*pose, still, still, robot.stance_joints, jnp.zeros((4, 3)))
-        gripped = grips.Gripped(robot, hardware, grips.grips(robot, state, hardware))
+        gripped = grips.gripped(robot, hardware, state)
         held = np.stack([targets_of(time, command, time, 0.001)[0] for command in targets.T], axis=1)
         step = functools.partial(grips.advance, gripped)
         _, ours = jax.lax.scan(step, grips.begin(hardware, state), jnp.asarray(held.reshape(-1, 4, 3)))

@@ -22,7 +22,7 @@ from tuning.comparisons.of_ensemble import SHOWN
 from tuning.comparisons.of_front import FrontComparison
 from tuning.comparisons.of_search import TuneComparison
 from tuning.comparisons.of_sweep import SweepComparison
-from tuning.comparisons.side_by_side import differences
+from tuning.comparisons.side_by_side import AtOneStep, differences
 from tuning.comparisons.worth import of_front
 from tuning.pages import comparison, explorer, judge, laws, page, pareto, sweep, tune
 from tuning.problem.evaluation import Problem
@@ -395,9 +395,14 @@ def test_the_page_of_a_sweep_begins_with_its_verdict_and_folds_what_else_was_fou
     scenario = mc.Scenario().with_overrides({"duration": 0.3, "control.controller": "pd"})
     walks = dict.fromkeys(rows, mc.rollout(scenario))
     lines = histories_of(grid.isel(damping=[1]), np.zeros((2, 1, 2, 2)))
-    compared = SweepComparison(grid, best, walks, rows, 1, ["damping"], None, "the verdict", 5e-4, lines)
+    compared = SweepComparison(
+        grid, best, walks, rows, 1, ["damping"], None, "the verdict", AtOneStep(5e-4, np.nan), lines
+    )
     made = sweep.contents(Swept(grid, Problem(scenario)), compared, "").page(ORIGIN)
-    expected = ["1 of 4 walks lost a gripper or diverged", "worse than pd: base deviation +100 %"] if held else []
+    alone = "Walks alone, in double precision; the map is in single precision, where the best has 0 N"
+    expected = (
+        [alone, "1 of 4 walks lost a gripper or diverged", "worse than pd: base deviation +100 %"] if held else []
+    )
     cells = "the page holds the time histories of 2 of the cells; a click shows the nearest of them"
     step = "retuned_pd walks at a time step of 0.0005 s, which its kp and kd need"
     warning = "warning: the best lies on the edge of the grid: widen damping"
@@ -577,6 +582,14 @@ def test_the_first_screen_shows_every_law_and_every_statistic():
     means = [["force variation", "mean"], ["force variation", "worst 5%"], ["travel", "mean"]]
     both = dataclasses.replace(made, tables=[page.Table("", ["", ""], [("", means)])], main=page.MAIN)
     assert both.brief.sections == [("", means[:2])]
+
+
+def test_the_first_screen_takes_rows_without_a_name():
+    """As those of a front: its points have none."""
+    table = page.Table("", ["", "N"], [("", [["", "1"], ["", "2"], ["pd", "3"]])], 1)
+    said = page.Findings("", [], [])
+    made = page.Page("", ORIGIN, said, mc.Scenario(), tables=[table])
+    assert made.brief.sections == [("", [["", "1"], ["", "2"], ["pd", "3"]])]
 
 
 def test_a_terminal_ends_with_what_a_page_begins_with():

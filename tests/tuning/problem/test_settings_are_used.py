@@ -11,7 +11,7 @@ from tuning.problem.search import Search
 from tuning.searches import tune
 
 OTHERS = {
-    "method": "lbfgs", "space": "split", "inertia": True, "also": ("gait.step_height",), "joint_gains": True,
+    "method": "grid", "space": "split", "inertia": True, "also": ("gait.step_height",), "joint_gains": True,
     "bounds": {"damping": (10.0, 200.0)}, "pins": {"stiffness": 50.0}, "frozen": ("damping",),
     "weights": {"peak_foot_force": 2.0}, "limits": {"base_deviation": 0.01}, "deviation_factor": 2.0,
     "no_worse_than_pd": False, "starts": 5, "iterations": 3, "seed": 7, "precision": "float64",
@@ -37,7 +37,7 @@ def test_every_setting_changes_what_is_searched(name):
 
 @pytest.mark.parametrize(
     ("method", "name"),
-    [*((m, n) for m in ("lbfgs", "cmaes") for n in ("starts", "iterations", "seed")), ("grid", "starts")],
+    [*((m, n) for m in ("gradient", "cmaes") for n in ("starts", "iterations", "seed")), ("grid", "starts")],
 )
 def test_every_method_reads_the_settings_of_its_rounds(method, name):
     assert asked(method=method, **{name: OTHERS[name]}) != asked(method=method)

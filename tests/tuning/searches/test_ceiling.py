@@ -118,8 +118,8 @@ def test_the_first_disturbance_of_a_walk_is_what_tells():
         {"force": [1.0, 0.0, 0.0], "start": 0.7, "stop": 0.9},
     ]
     assert onset(**{"disturbance.pushes": pushes}) == pytest.approx(0.7)
-    touch = {"name": "LinkWrench", "values": {"force": [1.0, 0.0, 0.0], "start": 0.3}}
-    assert onset(**{"own.disturbances": [touch]}) == pytest.approx(0.3)
+    touch = {"kind": "link_wrench", "force": [1.0, 0.0, 0.0], "start": 0.3}
+    assert onset(**{"disturbance.others": [touch]}) == pytest.approx(0.3)
 
 
 def ended(name, merit, targets):

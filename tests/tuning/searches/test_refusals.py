@@ -12,6 +12,7 @@ from mjx_climb.walk.metrics import smallest
 from tuning.methods import Request
 from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, spaces
+from tuning.problem.evaluation import under_pd
 from tuning.problem.search import Search
 
 CASE = mc.load_scenario("case_1_2", ["duration=0.3"])
@@ -76,7 +77,7 @@ def draw(**hardware):
         ),
         (search(metrics=(OWN,)), "metrics: expected the shipped peak_foot_force among them"),
         (search(method="grid", space="diagonal"), "method: expected at most 4 numbers to search by grid, got 12: pin"),
-        (search(method="magic"), "method: expected gradient, lbfgs, grid, cmaes, optuna, optuna:SAMPLER or FILE.py:"),
+        (search(method="magic"), "method: expected gradient, grid, cmaes, optuna, optuna:SAMPLER or FILE.py:"),
         (search(method="own"), "method: expected own.method in the scenario, or tune(method=...), with own"),
         (search(method=3.0), "method: expected a name, a Method, or a function"),
         (method(np.zeros((2, 2))), "method: expected a Request of finite theta (B, 2), got a ndarray"),
@@ -91,8 +92,9 @@ def draw(**hardware):
         *((grid(axis), "stiffness: expected a list of finite numbers above 0")
           for axis in ([], [0.0, 1.0], [1.0, np.nan], [1.0, np.inf], [[1.0]])),
         (grid(inertia=[1.0]), "axes: expected two gains, got 3"),
+        (lambda: tuning.sweep(CASE, {}, precision="half"), "precision: expected float32 or float64, got 'half'"),
         (grid(speed=[1.0]), "axes.speed: expected a gain of the law, one of "),
-        (lambda: tuning.sweep(CASE.with_overrides(["control.controller=pd"]), {}), "an admittance law, got pd"),
+        (lambda: tuning.sweep(under_pd(CASE), {"stiffness": [1]}), "an admittance law, got pd"),
         (draw(friction=(0.5, 2.0)), "hardware.friction: expected friction in the scenario"),
         (draw(control_rate=(100.0, 2000.0)), "hardware.control_rate: expected at most the 1000 Hz"),
         (draw(force_delay=(0.0, 1e9)), "hardware.force_delay: expected at most 500 time steps, 0.5 s"),
@@ -106,7 +108,7 @@ def test_what_makes_no_sense_is_refused_in_one_line(call, message):
 
 @pytest.mark.parametrize(
     ("text", "where"),
-    [("cargo: {mass: [2, 1]}", "cargo: mass: expected low <= high"), ("slope: 3", "slope"), ("members: 0", "members"),
+    [("cargo: {mass: [2, 1]}", "cargo.mass: expected low <= high"), ("slope: 3", "slope"), ("members: 0", "members"),
      ("robot_mass: [0, 1]", "robot_mass"), ("[1]", "expected a mapping")],
 )  # fmt: skip
 def test_errors_name_file_and_key(tmp_path, text, where):

@@ -138,7 +138,8 @@ def test_values_are_relative_to_pd_there(table):
         ([0.8, 0.9], [1.0, 0.6], "no verdict on the force sensor, since pd was searched on a grid alone: less "
          "objective at 1 of 2 operating points, 0.800 to 1.500 times"),
         ([0.9, np.nan], [0.6, 0.5], "does not pay: less objective at 0 of 1 operating points, 1.500 times"),
-        ([np.nan], [0.5], "not to be compared with pd"),
+        ([np.nan], [0.5], "not to be compared with pd: the gains keep the limits at no operating point"),
+        ([0.5], [np.nan], "not to be compared with pd, which keeps the limits at no operating point"),
     ],
 )  # fmt: skip
 def test_what_a_force_sensor_is_worth_over_the_points(ours, theirs, expected):

@@ -101,7 +101,7 @@ sweep(scenario, {AXES}, batch_size={SIZE}, progress=die, out={str(tmp_path)!r})
         ("scenario.contact.damping", {"scenario": mc.load_scenario(CONFIG, ["duration=0.3", "contact.damping=21"])}),
         ("axes.stiffness", {"axes": {**AXES, "stiffness": [1e3, 1e4]}}),
         ("axes.damping", {"axes": {**AXES, "damping": [1e2, 2e3]}}),
-        ("dtype", {"dtype": np.float64}),
+        ("precision", {"dtype": np.float64}),
         ("batch_size", {"batch_size": 2}),
         ("metrics", {"metrics": mc.MetricTable(tuple(mc.METRICS)[:-1])}),
         ("engine", {"engine": "mjx"}),

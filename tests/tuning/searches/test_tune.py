@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.optimize
 import xarray as xr
 
 import mjx_climb as mc
@@ -17,7 +16,7 @@ from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.inputs.from_scenario import gains as gains_of
 from mjx_climb.robot_import.load import load_robot
-from tuning.methods import Method, Request, Task, descents, grid, lbfgs, method_of
+from tuning.methods import Method, Request, Task, grid, method_of
 from tuning.methods.rounds import follow, settled
 from tuning.problem import evaluation, known, objectives, search, spaces
 from tuning.problem.ensemble import Ensemble
@@ -278,21 +277,6 @@ class Slope(Bowl):
         return Evaluation(value, value, zero, np.ones(len(theta), bool), gradient, gradient, {})
 
 
-def test_lbfgs_takes_a_step_that_a_bound_cuts_for_what_is_left_of_it(scenario):
-    """What the gradient promises beyond the bound is not asked for: the start goes on along the other axis."""
-    space = spaces.space(scenario, search.Search())
-    slope, points = Slope(scenario, space), []
-    leg = descents.Leg((space.upper - [1e-5, 3.0])[None], np.eye(2), 4, "", np.ones(1))
-
-    def evaluate(request):
-        points.append(request.theta[0])
-        return slope.evaluate(request.theta, request.directions)
-
-    follow(lbfgs.by_lbfgs(Task(slope, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
-    assert points[-1][0] == space.upper[0]
-    assert (np.diff(points, axis=0)[:, 1] > 0).all()  # one that is refused is tried again, shorter
-
-
 def test_a_search_has_converged_when_it_finds_nothing_better_for_long_enough():
     """By evaluations, whatever their number in a round; one that is nowhere alive goes on."""
     merits = np.array([np.nan, 1.2, 1.0, 1.1, 0.9995, 1.3])
@@ -312,39 +296,6 @@ def test_a_search_of_patience_ends_where_it_has_converged(scenario):
     assert run(problem, search.Search(method="cmaes", starts=8, iterations=1)).converged  # nobody asked
 
 
-class Quadratic(Bowl):
-    """A convex quadratic whose axes are coupled, and whose bottom lies beyond the bounds."""
-
-    HESSIAN = np.array([[3.0, 2.0], [2.0, 3.0]])
-
-    @property
-    def bottom(self):
-        return self.space.upper + np.array([3.0, -6.0])
-
-    def evaluate(self, theta, directions=None):
-        off, zero = theta - self.bottom, np.zeros(len(theta))
-        value, gradient = 0.5 * ((off @ self.HESSIAN) * off).sum(1), off @ self.HESSIAN @ directions.T
-        return Evaluation(value, value, zero, np.ones(len(theta), bool), gradient, gradient, {})
-
-
-def test_lbfgs_finds_the_least_of_a_quadratic_between_bounds(scenario):
-    """Within a step of knowing how it curves: a step that the bound cuts counts with the length that it had."""
-    space, points = spaces.space(scenario, search.Search()), []
-    quadratic = Quadratic(scenario, space)
-    leg = descents.Leg((space.upper - [0.1, 8.0])[None], np.eye(2), 4, "", np.ones(1))
-
-    def evaluate(request):
-        points.append(request.theta[0])
-        return quadratic.evaluate(request.theta, request.directions)
-
-    follow(lbfgs.by_lbfgs(Task(quadratic, search.Search(), leg.theta[0]), leg, np.random.default_rng(0)), evaluate)
-    solution = scipy.optimize.lsq_linear(
-        root := np.linalg.cholesky(quadratic.HESSIAN).T, root @ quadratic.bottom, (space.lower, space.upper), tol=1e-12
-    )
-    assert solution.x[0] == pytest.approx(space.upper[0])
-    np.testing.assert_allclose(points[-1], solution.x, atol=1e-4)
-
-
 def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenario, monkeypatch):
     """About its best point alone: nothing between two points of a grid is left out by the next, finer one."""
     monkeypatch.setattr(grid, "CELLS", 1)
@@ -359,7 +310,7 @@ def test_a_refined_grid_reaches_as_far_as_the_next_points_of_the_last_one(scenar
         np.testing.assert_allclose(np.ptp(fine, axis=0), 2 * np.array(steps), rtol=1e-6)
 
 
-@pytest.mark.parametrize("method", ["grid", "cmaes", "gradient", "lbfgs"])
+@pytest.mark.parametrize("method", ["grid", "cmaes", "gradient"])
 def test_no_method_asks_for_gains_beyond_the_bounds(scenario, method, monkeypatch):
     monkeypatch.setattr(Bowl, "BOTTOM", 1.0)
     space = spaces.space(scenario, search.Search())

@@ -88,14 +88,14 @@ def test_a_search_without_gradients_has_the_program_of_the_tests_loaded_beside(m
     assert asked == [(2,)] * more
 
 
-def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
+def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkeypatch):
     """Without walking: what the verdict on the force sensor is given."""
 
     class Given(Exception):
         pass
 
-    def worth(ours, theirs, step, **_):
-        raise Given(ours, theirs, step)
+    def worth(ours, theirs, _, *, level, **__):
+        raise Given(ours["objective"], theirs["objective"], level)
 
     nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
     scenario = mc.load_scenario("case_1_2")
@@ -103,8 +103,8 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
         (verification, "tests", nothing), (of_search, "replaced", lambda *_: (scenario, None)),
         (verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
         (margins, "find", nothing), (of_search, "_with_joint_gains", nothing), (worths, "differences", nothing),
-        (of_search, "_scored", lambda _, metrics: metrics), (retuned_pd, "joint_of", lambda _: joint),
-        (retuned_pd, "rival_of", lambda retuned, step: step), (worths, "worth_of", worth),
+        (of_search, "_scored", lambda _, metrics: {"objective": metrics}), (retuned_pd, "joint_of", lambda _: joint),
+        (retuned_pd, "rival_of", nothing), (worths, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
@@ -115,7 +115,7 @@ def test_a_law_is_compared_with_pd_at_the_time_step_that_pd_needs(monkeypatch):
     begun = of_search.Begun(lambda _: types.SimpleNamespace(feasible=True), {}, nothing, {})
     with pytest.raises(Given) as given:
         of_search.compare(found, begun=begun)
-    assert scenario.time_step == 1e-3 and given.value.args == (5e-4, 5e-4, 5e-4)
+    assert scenario.time_step == 1e-3 and given.value.args == (1e-3, 5e-4, (5e-4, 0.0))
 
 
 def found_in(scenario):

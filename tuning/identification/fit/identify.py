@@ -9,6 +9,7 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.execution.contents import identity
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -22,7 +23,7 @@ from tuning.identification.fit.profile_changes import in_words, tried
 from tuning.identification.fit.result import Identified
 from tuning.identification.fit.shooting import Problem
 from tuning.identification.fit.stamps import Noise, change, noise_of
-from tuning.identification.model.gripped import cut_gripped, gripped_model
+from tuning.identification.model.gripped import check_parts, cut_gripped, gripped_model
 from tuning.identification.model.predicted import DELAY, SERVO_DELAY, Fit, model_of, with_nuisances
 from tuning.identification.model.replay import Base, base_of
 from tuning.identification.model.variables import Variable, begin, variables
@@ -75,12 +76,13 @@ def identify(
         out: a folder in which every iteration is kept: what was interrupted goes on there, with the same arguments.
 
     Raises:
-        ConfigError: no such key, or a log that holds nothing to fit.
+        ConfigError: no such key, a log that holds nothing to fit, or parts of your own that its model does not have.
         OutputError: `out` cannot be written to, or holds an unfinished computation of other arguments.
     """
     robot = load_robot(scenario.robot)
     log = log if isinstance(log, Log) else read_log(log, robot, signals)
     chosen_base = base_of(log, base, mass)
+    check_parts(own_parameters(scenario), held=chosen_base == "held")
     chosen = variables(scenario, fit, held=chosen_base == "held", changes=changes)
     if chosen_base == "held":
         problem = _held(scenario, log, robot, chosen, held_out, mass)
@@ -119,7 +121,7 @@ def _held(
 def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
     """Return the longest time that commands may take to the motors, s."""
     fitted, own = {v.key: v.upper for v in chosen}, scenario.hardware
-    nominal = {DELAY: own.command_delay, SERVO_DELAY: own.servo.delay}
+    nominal: dict[str, float] = {DELAY: own.command_delay, SERVO_DELAY: own.servo.delay}
     return sum(fitted.get(key, delay) for key, delay in nominal.items())
 
 
@@ -162,7 +164,7 @@ def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitte
         x, start = found.x[None], found.start[None]
         problem = dataclasses.replace(problem, noise=now.signals, clock=now.clock)
     if not np.isfinite(found.cost):
-        raise ConfigError("the model diverges at the values that it begins with (--set others)")
+        raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
     return found, problem
 
 

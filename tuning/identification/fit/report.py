@@ -105,8 +105,8 @@ def plot_residuals(found: Identified) -> Figure:
         of_panel = (lane == lanes[row]) & (limb == limbs[column])
         for each, color in zip(np.unique(kind), _COLOURS, strict=False):
             own = of_panel & (kind == each)
-            panel.plot(time[own & ~held], scaled[own & ~held], ",", color=color)
-            panel.plot(time[own & held], scaled[own & held], ",", color="0.75")
+            panel.plot(time[own & ~held], scaled[own & ~held], ".", ms=1.5, color=color)
+            panel.plot(time[own & held], scaled[own & held], ".", ms=1.5, color="0.75")
         panel.set_ylim(-6, 6)
         if row == 0:
             panel.set_title(robot.limbs[limbs[column]])

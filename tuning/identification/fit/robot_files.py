@@ -32,7 +32,7 @@ def write(source: str | RobotFile, robot: Robot, path: Path) -> dict[str, Any]:
     """
     nominal = load_robot(source)
     if nominal.driven is not None or nominal.spring is not None:
-        raise ConfigError("robot: expected one whose joints are all driven, to write its file, got springs")
+        raise ConfigError("", "robot", "one whose joints are all driven, to write its file", "springs")
     spec = load_spec(source)
     model = spec.compile()
     data = mujoco.MjData(model)

@@ -98,7 +98,7 @@ def standing(scenario: mc.Scenario, stages: Stages) -> Simulate:
         return state, Carried(sample.joint_angles, sample.joint_rates, sample.joint_torque, sample.foot_force)
 
     def carried_out(_: Robot, parameters: Parameters, commands: Commands) -> Carried:
-        start = simulation.start(None, parameters, None, stages=stages)
+        start = simulation.reset(None, parameters, stages=stages)
         done: Carried = jax.lax.scan(one_step, start, commands.sent.targets)[1]
         return done
 

@@ -17,6 +17,9 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb import execution
+from mjx_climb.disturbances.disturbance import Disturbance
+from mjx_climb.disturbances.on_base import Cargo, Push
+from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import hardware_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.parameter_types import Parameters
@@ -85,12 +88,12 @@ def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Wi
     for name in log.signals:
         if name.endswith(".support") and not log.signals[name].value.all():
             opened = float(log.signals[name].time[np.argmin(log.signals[name].value)])
-            raise ConfigError(f"{log.source}: expected all grippers shut (a sway), got {name} 0 at {opened:.4g} s")
+            raise ConfigError(log.source, "", "all grippers shut (a sway)", f"{name} 0 at {opened:.4g} s")
         if name.startswith(("base.force.", "base.moment.")) and log.signals[name].value.any():
-            raise ConfigError(f"{log.source}: expected no push on the base of a robot that is identified, got {name}")
+            raise ConfigError(log.source, "", "no push on the base of a robot that is identified", name)
     if missing := [name for joint in joints_of(robot) if (name := f"{joint}.command") not in log.signals]:
         expected = "the commands of all joints of a gripped robot"
-        raise ConfigError(f"{log.source}: expected {expected}, got none of {missing[0]} (--base held: some limbs)")
+        raise ConfigError(log.source, "", expected, f"none of {missing[0]} (--base held: some limbs)")
     return cut(log, robot, time_step, held_out, signals_beside(log, robot))
 
 
@@ -104,7 +107,7 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
     robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
     hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
     points = given.points + _of_grips(structure.places, point.x, robot)
-    gripped = grips.Gripped(robot, hardware, grips.grips(robot, given.stood, hardware, points))
+    gripped = grips.gripped(robot, hardware, given.stood, points)
     first = _about(point.start, center)
     limbs = first.limbs._replace(state=execution.of_limbs(first.limbs.state))
 
@@ -241,8 +244,30 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
     # a foot hangs below its grip by what it carries
     weight = float(robot.total_mass) * np.asarray(own.gravity) / len(robot.limbs)
     states = [_state(*_registered(robot, each, feet), each) for each in angles]
-    points = feet - weight / float(own.contact.stiffness)
+    points = feet - weight / float(own.contact.springs().stiffness)
     return GrippedModel(windows, tuple(every), structure, own, points, states[0], states)
+
+
+def check_parts(own: Parameters, *, held: bool) -> None:
+    """Refuse parts that the model of a log does not have, its base held or free.
+
+    Raises:
+        ConfigError: a disturbance, since the log has what acted on the robot; a drive that feels the load or whose
+            memory is no real numbers, with the base held any but servos; a contact without springs.
+    """
+    for place, each in own.components.items():
+        if isinstance(each, Disturbance) and not isinstance(each, Cargo | Push):
+            raise ConfigError("", place, "none with a log", type(each).__name__)
+    drive, name = own.drive, type(own.drive).__name__
+    if not isinstance(drive, Servos):
+        if held:
+            raise ConfigError("", "hardware.servo", "servos with the base held", name)
+        leaves = jax.tree.leaves(jax.eval_shape(drive.init, jnp.zeros((len(_AXES), len(_AXES)))))
+        if drive.feels_load or not all(jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves):
+            expected = "expected a drive that remembers real numbers and asks for no load"
+            raise ConfigError(f"hardware.servo: {expected} with a log, got {name}")
+    if not held and own.contact.springs() is None:
+        raise ConfigError("", "contact", "one with springs with a log", type(own.contact).__name__)
 
 
 def gripped_with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Collection[str]) -> list[Variable]:

@@ -49,7 +49,7 @@ class Moving(NamedTuple):
     """What goes from one step to the next."""
 
     state: State
-    servo: servo.Servo
+    servo: Any  # `mjx_climb.hardware.servo.Servo`, or the memory of another drive
     change: Array  # (limb, joint) rad/s, of the rates in the step before
 
 
@@ -75,7 +75,13 @@ def begin(stand: Stand, angles: Array, rates: Array) -> Moving:
     still = jnp.zeros_like(angles, shape=3)
     position, orientation = (jnp.asarray(v, angles.dtype) for v in (robot.stance_position, robot.stance_orientation))
     state = State(position, orientation, still, still, angles, rates)
-    return Moving(state, servo.begin(angles, stand.hardware.stages), jnp.zeros_like(rates))
+    return Moving(state, begun(stand.hardware, angles), jnp.zeros_like(rates))
+
+
+def begun(hardware: Hardware, angles: Array) -> Any:
+    """Return the memory of servos, or of another drive, that have rested at joint angles (limb, joint) rad."""
+    drive = hardware.parameters.drive
+    return servo.begin(angles, hardware.stages) if isinstance(drive, servo.Servos) else drive.init(angles)
 
 
 def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recorded]:
@@ -110,9 +116,12 @@ def advance_by(
     if hardware.stages.load_torque:
         before = before._replace(load=jnp.asarray(parameters.mass_scale * load_torque(stand.robot, state, loads)))
 
-    def driven(rates: Array) -> tuple[Array, tuple[servo.Servo, Drive]]:
+    def driven(rates: Array) -> tuple[Array, tuple[Any, Drive]]:
         joints = Joints(state.joint_angles, rates, None)
-        after, drive = servo.joint_loop(before, targets, joints, gains, smooth)
+        if isinstance(parameters.drive, servo.Servos):
+            after, drive = servo.joint_loop(before, targets, joints, gains, smooth)
+        else:
+            after, drive = parameters.drive.step(before, targets, gains, joints, step)
         return drive.motor_torque, (after, drive)
 
     rates, ahead = state.joint_rates, moving.change / 2
@@ -124,7 +133,7 @@ def advance_by(
     robot, torque = driven_robot(stand.robot, drive, state.joint_angles, parameters.mass_scale)
     torque = (torque + damping * ahead) / parameters.mass_scale
     state_now = dataclasses.replace(state, joint_rates=centred)
-    if before.bristle is not None:
+    if hardware.stages.dry_friction:
         most = servo.friction_bound(drive.motor_torque, before.load, centred, hardware)
         bristle = jnp.clip(before.bristle + rates * (step / parameters.drive.presliding), -1.0, 1.0)
         after = after._replace(bristle=bristle)

@@ -16,12 +16,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
-from mjx_climb.hardware import servo
 from mjx_climb.hardware.sensors import ForceSensor, measured_force
 from mjx_climb.hardware.stages import Hardware
-from mjx_climb.physics.contact.contact import Grip
-from mjx_climb.physics.contact.gripper import Attitude, GripperMemory
+from mjx_climb.physics.contact.contact import Contact, Grip
+from mjx_climb.physics.contact.gripper import GripperMemory, SpringGrip
 from mjx_climb.physics.kinematics import LimbFrames, Turning, foot_jacobian, foot_kinematics, foot_turning, limb_frames
 from mjx_climb.physics.limb_engine import build
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -38,7 +38,8 @@ class Gripped(NamedTuple):
 
     robot: Robot
     hardware: Hardware
-    contact: GripperMemory  # all grippers shut
+    contact: PyTree  # memory of the contacts, all grippers shut
+    ground: Array  # (limb,) m, height of the ground below each foot
 
 
 class Moving(NamedTuple):
@@ -62,21 +63,29 @@ class Recorded(NamedTuple):
     base_angular_velocity: Array  # (3,) rad/s, world
 
 
-def grips(robot: Robot, state: State, hardware: Hardware, points: Array | None = None) -> GripperMemory:
-    """Return contacts of a robot that gripped in a state, at points (limb, 3) m; None: where its feet are."""
+def gripped(robot: Robot, hardware: Hardware, state: State, points: Array | None = None) -> Gripped:
+    """Return a robot that gripped in a state, at points (limb, 3) m; None: where its feet are."""
     frames = limb_frames(robot, None, state.joint_angles)
     points = foot_kinematics(robot, frames, state).position if points is None else points
-    shut = jnp.ones(len(robot.limbs), bool)
-    attitude = None
-    if hardware.parameters.contact.transmits_moments:
-        attitude = Attitude(foot_turning(robot, frames, state).rotation, shut)
-    return GripperMemory(points, shut, ~shut, None, attitude)
+    shut, contact = jnp.ones(len(robot.limbs), bool), _unbreakable(hardware)
+    memory = contact.init(points, foot_turning(robot, frames, state).rotation)
+    if isinstance(memory, GripperMemory) and memory.attitude is not None:
+        memory = memory._replace(attitude=memory.attitude._replace(held=shut))
+    return Gripped(robot, hardware, memory, points[:, 2])
+
+
+def _unbreakable(hardware: Hardware) -> Contact:
+    """Return contacts that no force tears off, and that reach the ground wherever they shut."""
+    contact: Contact = hardware.parameters.contact.unbreakable()
+    return (
+        dataclasses.replace(contact, limited_reach=False, closes=False) if isinstance(contact, SpringGrip) else contact
+    )
 
 
 def begin(hardware: Hardware, state: State) -> Moving:
     """Return a robot whose servos and sensors begin in a state."""
     none = jnp.zeros_like(state.joint_rates)
-    limbs = stands.Moving(state, servo.begin(state.joint_angles, hardware.stages), none)
+    limbs = stands.Moving(state, stands.begun(hardware, state.joint_angles), none)
     return Moving(limbs, jnp.zeros_like(none, shape=6), jnp.zeros_like(none, shape=(len(none), 3)))
 
 
@@ -93,7 +102,7 @@ def advance(gripped: Gripped, moving: Moving, targets: Array) -> tuple[Moving, R
     turning = foot_turning(robot, frames, centred) if parameters.contact.transmits_moments else None
     foot_force, held = _held(gripped, frames, _changed(state, changes, (1 - AHEAD) / 2), turning)
     gravity = jnp.asarray(parameters.gravity)
-    mass = AHEAD * parameters.contact.damping * (hardware.time_step / 2)
+    mass = AHEAD * parameters.contact.springs().damping * (hardware.time_step / 2)
     moments = jnp.zeros_like(targets) if turning is None else jnp.vecmat(held.foot_moment, turning.jacobian)
     none = jnp.zeros_like(moving.base_change)
     wrench = none.at[3:].set(held.foot_moment.sum(0))
@@ -148,8 +157,6 @@ def _turning_round(robot: Robot, frames: LimbFrames, state: State) -> Array:
 
 def _held(gripped: Gripped, frames: LimbFrames, state: State, turning: Turning | None) -> tuple[Array, Grip]:
     """Return the forces of the grips (limb, 3) N in a state, and all that they do."""
-    feet, contact = foot_kinematics(gripped.robot, frames, state), gripped.contact
-    shut = jnp.ones(len(gripped.robot.limbs), bool)
-    gripper = dataclasses.replace(gripped.hardware.parameters.contact, limited_reach=False, closes=False)
-    _, held = gripper.step(contact, feet, turning, shut, contact.grip_point[:, 2])
+    feet, shut = foot_kinematics(gripped.robot, frames, state), jnp.ones(len(gripped.robot.limbs), bool)
+    _, held = _unbreakable(gripped.hardware).step(gripped.contact, feet, turning, shut, gripped.ground)
     return held.foot_force, held

@@ -106,11 +106,11 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None, mass: flo
     robot, signals, chosen = load_robot(scenario.robot), log.signals, base_of(log, base, mass)
     sent = [name for name in signals if name.endswith(".command")]
     if not sent:
-        raise ConfigError(f"{log.source}: expected commands of joints, such as LF.coxa.command, got none")
+        raise ConfigError(log.source, "", "commands of joints, such as LF.coxa.command", "none")
     steps = int(log.duration / scenario.time_step + 1e-6) + 1
     if not 2 <= steps <= MAX_STEPS:
         expected = f"a log of two to {MAX_STEPS} time steps of {scenario.time_step:g} s"
-        raise ConfigError(f"{log.source}: expected {expected}, got {log.duration:g} s")
+        raise ConfigError(log.source, "", expected, f"{log.duration:g} s")
     scenario = scenario.with_overrides({
         "duration": steps * scenario.time_step, "hardware.control_period": 0.0, "hardware.interpolation": "hold",
     })  # fmt: skip
@@ -118,9 +118,9 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None, mass: flo
     targets = _targets(log, robot, scenario, on_a_stand=chosen == "held")
     if len(sent) < (joints := targets[0].size):
         said.append(f"{len(sent)} joints of {joints} have commands, the others are sent where they began")
-    if chosen == "held" and scenario.own is not None and (components := scenario.own.components):
-        place, named = next(iter(components.items()))  # a stand knows the scenario's servos alone
-        raise ConfigError(f"scenario: own.{place}: expected none with the base held, got {named.name}")
+    if chosen == "held" and scenario.kinds:
+        place, named = next(iter(scenario.kinds.items()))  # a stand knows the scenario's servos alone
+        raise ConfigError("scenario", f"{place}.kind", "none with the base held", named.name)
     if chosen == "free" and schedule_of(signals, scenario.control.kp) is not None:
         said.append(f"{KP} and {OFF} of the log have no part in it: the base is free")
     if mass:
@@ -137,9 +137,9 @@ def base_of(log: Log, base: Base | None, mass: float) -> Base:
     grounded = any(name.startswith("base.") or ".force." in name for name in log.signals)
     found: Base = base or ("free" if grounded else "held")
     if not 0 <= mass < math.inf:
-        raise ConfigError(f"mass: expected a mass on each foot of 0 kg or more, got {mass}")
+        raise ConfigError("", "mass", "a mass on each foot of 0 kg or more", mass)
     if mass and found == "free":
-        raise ConfigError(f"mass: expected none with the base free, got {mass:g} kg")
+        raise ConfigError("", "mass", "none with the base free", f"{mass:g} kg")
     return found
 
 
@@ -196,7 +196,7 @@ def _with_pushes(scenario: mc.Scenario, log: Log) -> tuple[mc.Scenario, list[str
     ]
     if len(pushes) > _MOST_PUSHES:
         expected = f"pushes on the base in {_MOST_PUSHES} constant pieces at most (smooth or thin out what is noise)"
-        raise ConfigError(f"{log.source}: base.force, base.moment: expected {expected}, got {len(pushes)}")
+        raise ConfigError(log.source, "base.force, base.moment", expected, len(pushes))
     changed = scenario.with_overrides({"disturbance.pushes": pushes})
     return changed, [f"{len(pushes)} pushes are those of the log"]
 

@@ -20,7 +20,6 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb.component import ValueField
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.own_objects import load
 from mjx_climb.parameter_types import Parameters
@@ -28,6 +27,7 @@ from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternio
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.value_field import ValueField
 
 FACTOR = 1.0  # prior sd of the logarithm of what is positive: a factor of e, 7 at two sd
 _SCALES = {  # prior sd by unit, of what may be zero; the nominal value where that is larger
@@ -135,13 +135,13 @@ def variables(
             own = key if isinstance(key, Variable) else _loaded(key)
             if own.key in known or own.key in found:
                 raise ConfigError(
-                    f"--fit {key if isinstance(key, str) else own.key}: expected a key of its own, got {own.key}"
+                    "", f"--fit {(key if isinstance(key, str) else own.key)}", "a key of its own", own.key
                 )
             found[own.key] = own
             continue
         if key in _BY_STEPS:
-            expected = "expected a key with a derivative, got one that works by steps"
-            raise ConfigError(f"--fit {key}: {expected} (on a log it acts {_BY_STEPS[key]})")
+            got = f"one that works by steps (on a log it acts {_BY_STEPS[key]})"
+            raise ConfigError("", f"--fit {key}", "a key with a derivative", got)
         keys = [k for k in known if fnmatch.fnmatchcase(k, key) or k.startswith(f"{key}.")]
         grounded = [k for k in keys if held and k.startswith(ON_GROUND)]
         if key not in known:  # a pattern is of keys that such a log tells, with a value to begin at
@@ -149,30 +149,32 @@ def variables(
         if not keys:
             near = difflib.get_close_matches(key, [*known, *(k.rpartition(".")[0] for k in known)], 3, 0.5)
             meant = f" (did you mean {' or '.join(dict.fromkeys(near))}?)" if near else ""
-            raise ConfigError(f"--fit {key}: expected a key that can be fitted, got an unknown one{meant}")
+            raise ConfigError("", f"--fit {key}", "a key that can be fitted", f"an unknown one{meant}")
         if grounded and grounded[0] in keys:
             raise ConfigError(
-                f"--fit {key}: expected a key that a robot on a stand can tell, got {grounded[0]}; a log with base or "
-                "foot forces of a gripped robot tells it (--base free)"
+                "",
+                f"--fit {key}",
+                "a key that a robot on a stand can tell",
+                f"{grounded[0]}; a log with base or foot forces of a gripped robot tells it (--base free)",
             )
         found |= {k: known[k] for k in keys}
     for key, how in (changes or {}).items():
         if key not in found:
-            raise ConfigError(f"{key}: expected one of the keys that are fitted, {', '.join(found)}")
+            raise ConfigError("", key, f"one of the keys that are fitted, {', '.join(found)}")
         found[key] = dataclasses.replace(found[key], **how)
     for each in found.values():
         if not each.has_value:
             null = math.isinf(each.nominal)
             got = f"null (--set {each.key}=NUMBER)" if null else f"{each.nominal:g}"
             where = "config" if null else "robot"
-            raise ConfigError(f"--fit {each.key}: expected a value in the {where} to begin at, got {got}")
+            raise ConfigError("", f"--fit {each.key}", f"a value in the {where} to begin at", got)
     return tuple(each for each in found.values() if not each.frozen)
 
 
 def _loaded(text: str) -> Variable:
     made, file, name = load(text, "variable")
     if not isinstance(made, Variable) or made.change is None:
-        raise ConfigError(f"{file}: expected {name} to be a Variable with a change, got {made!r}")
+        raise ConfigError(file, "", f"{name} to be a Variable with a change", f"{made!r}")
     return made
 
 
@@ -214,7 +216,8 @@ def _linear(key: str, unit: str, nominal: float, lower: float, upper: float = ma
 def _of_scenario(key: str, field: ValueField, nominal: float, time_step: float) -> Variable:
     lower, upper = (math.inf * np.sign(end) if abs(end) == sys.float_info.max else end for end in field.bounds)
     if lower > 0:
-        return _positive(key, field.unit, nominal)
+        found = _positive(key, field.unit, nominal)
+        return dataclasses.replace(found, lower=max(found.lower, lower), upper=min(found.upper, upper))
     if field.unit == "s":
         upper = max(2 * nominal, _LONGEST, 2 * time_step)
     return _linear(key, field.unit, nominal, lower, upper)

@@ -140,11 +140,11 @@ def cut(
     placed = {name: place for name, place in placed.items() if name not in constant}
     names = tuple(placed)
     if constant and not names:
-        raise ConfigError(f"{log.source}: expected signals that change, got {several(constant)}, the same all the time")
+        raise ConfigError(log.source, "", "signals that change", f"{several(constant)}, the same all the time")
     if not names:
         missing = "the commands of all joints of a limb" if not whole else "positions, velocities or efforts"
         first = f"{robot.limbs[0]}.{robot.joint_names[0]}.{'position' if whole else 'command'}"
-        raise ConfigError(f"{log.source}: expected {missing}, as {first}, got {', '.join(list(log.signals)[:4])}")
+        raise ConfigError(log.source, "", f"{missing}, as {first}", ", ".join(list(log.signals)[:4]))
     signals, steps = [log.signals[name] for name in names], round(LENGTH / time_step)
     length = steps * time_step
     unknown = _unknown([each for place, each in commands.items() if place[0] in whole], log.signals.get(OFF))
@@ -154,7 +154,7 @@ def cut(
     if len(begin) < 2:
         known = f"{(ends - begin).sum():.3g} s of {log.duration:.3g} s in stretches of {SHORTEST:g} s or more"
         lost = f" (commands are missing in {len(unknown) - 1} holes)" if len(unknown) > 1 else ""
-        raise ConfigError(f"{log.source}: expected two seconds or more without gaps, got {known}{lost}")
+        raise ConfigError(log.source, "", "two seconds or more without gaps", f"{known}{lost}")
     count = len(begin) - min(round(held_out * len(begin)), len(begin) - 1)
     limb, joint, kind = np.array(list(placed.values())).T
     rows = _rows(signals, kind == 1, begin, ends, steps, time_step)

@@ -22,7 +22,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Stage, silent
 from tuning.identification.model import commanded
 from tuning.identification.model.commanded import Carried, Commands
@@ -114,7 +114,7 @@ def set_up(scenario: mc.Scenario, asked: Settings) -> Rig:
     if not held:
         if others := [v.key for v in wanted if v.key.startswith(("robot.", "hardware.force_sensor.filter"))]:
             expected = "a key of the scenario or of the log with --base free"
-            raise config_error("excite", f"--fit {others[0]}", expected, "one of the robot's or of a filter")
+            raise ConfigError("excite", f"--fit {others[0]}", expected, "one of the robot's or of a filter")
         scenario = commanded.swaying(scenario, asked.duration + SETTLING)
     for kp in asked.kp:
         check_time_step(scenario.with_overrides({"control.kp": kp}), f"--kp {kp:g}")
@@ -251,7 +251,7 @@ def within_limits(rig: Rig, made: dict[str, list[Segment]]) -> tuple[list[Motion
             break
     else:
         expected = f"limits that hold with a share of {margin:g} of each"
-        raise config_error("excite", worst[1], expected, f"{worst[0]:.3g} of it at any amplitude")
+        raise ConfigError("excite", worst[1], expected, f"{worst[0]:.3g} of it at any amplitude")
     found = []
     for (name, segments), used, aim in zip(made.items(), all_used, targets, strict=True):
         bound = tuple(f"{which}, {100 * share:.0f} % of it" for share, which in used)

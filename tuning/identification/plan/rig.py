@@ -20,7 +20,7 @@ from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternio
 from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.model import commanded
 from tuning.identification.model.commanded import Carried, Commands
 from tuning.identification.model.foot_mass import with_foot_mass
@@ -145,7 +145,7 @@ class Rig:
             name = f"torque of {robot.limbs[limb]}.{robot.joint_names[joint]}"
             expected = f"a rest stance that takes less than a share of {share:g} of the limit"
             got = f"{abs(holding[limb, joint]):.3g} of {self.torque_limit[limb, joint]:.3g} N m"
-            raise config_error("excite", name, expected, got)
+            raise ConfigError("excite", name, expected, got)
         return Axes(room.ravel(), np.full(room.size, share * self.speed_limit), (left / inertia).ravel())
 
     def at_rest(self) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from typing import Literal, Self
 
 from pydantic import model_validator
 
+from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.settings import NonNegative, Positive, Settings, setting
 
 FIT = ("hardware.servo.armature", "hardware.servo.coulomb_friction", "hardware.servo.viscous_friction",
@@ -47,10 +48,10 @@ class Excitation(Settings):
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
         if not self.low < self.high:
-            raise ValueError(f"high: expected a frequency above low = {self.low:g} Hz, got {self.high:g}")
+            raise ConfigError("", "high", f"a frequency above low = {self.low:g} Hz", f"{self.high:g}")
         if not self.fit:
-            raise ValueError("fit: expected a key or more, got none")
+            raise ConfigError("", "fit", "a key or more", "none")
         for name in ("kp", "mass", "drop", "limb_by_limb"):
             if self.base == "free" and getattr(self, name):
-                raise ValueError(f"{name}: expected none with base free, got {getattr(self, name)}")
+                raise ConfigError("", name, "none with base free", getattr(self, name))
         return self

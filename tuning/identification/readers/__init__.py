@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from mjx_climb.robot.constants import Robot
-from mjx_climb.scenario.messages import ConfigError, config_error
+from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.doubts import doubts, several
 from tuning.identification.readers.formats import record
 from tuning.identification.readers.formats.csv_file import write_csv as write_csv
@@ -58,7 +58,7 @@ def read_log(
     if not signals.signals:
         why = "; ".join(filter(None, [missing, *doubtful]))
         got = f"{_columns(there)} ({why})" if why else _columns(there)
-        raise ConfigError(f"{recording.source}: expected signals such as {_some(names(robot))}, got {got}")
+        raise ConfigError(recording.source, "", f"signals such as {_some(names(robot))}", got)
     signals = _in_degrees(signals, robot)
     raw = {name: _taken(recording, signals, name, robot, place) for name in signals.signals}
     read, said = cleaned(raw, signals)
@@ -130,34 +130,34 @@ def _taken(recording: Recording, signals: Signals, name: str, robot: Robot, plac
     """
     source, key = signals.signals[name], f"signals.{name}"
     if name not in names(robot):
-        raise config_error(place, key, "a signal of the robot", f"another name{_nearest(name, names(robot))}")
+        raise ConfigError(place, key, "a signal of the robot", f"another name{_nearest(name, names(robot))}")
     unit = unit_of(name)
     if source.unit and UNITS[source.unit][0] not in (unit, _SLIDING.get(unit) if robot.sliding is not None else unit):
         kind = [unit for unit, (si, _) in UNITS.items() if si == unit_of(name)]
-        raise config_error(place, f"{key}.unit", f"one of {', '.join(kind)}", source.unit)
+        raise ConfigError(place, f"{key}.unit", f"one of {', '.join(kind)}", source.unit)
     topic, field = source.topic or "", source.column or source.field
     if topic not in recording.tables:
         got = f"{topic}{_nearest(topic, recording.tables)}" if topic else "a recording of topics"
-        raise config_error(place, f"{key}.topic", f"a topic of {recording.source}", got)
+        raise ConfigError(place, f"{key}.topic", f"a topic of {recording.source}", got)
     table = recording.tables[topic]
     if field not in table.fields:
         which = "field" if topic else "column"
         where = f"a {which} of numbers in {topic or recording.source}"
-        raise config_error(place, f"{key}.{which}", where, f"{field}{_nearest(field, table.fields)}")
+        raise ConfigError(place, f"{key}.{which}", where, f"{field}{_nearest(field, table.fields)}")
     time, clock = _times(table, source, signals, recording, f"{place}: {key}")
     group = f"{table.topic} {clock}"
     value = table.fields[field]
     recorded = np.isfinite(time) & np.isfinite(value)
     if recorded.sum() < 2:
-        raise config_error(place, key, "two samples or more", f"{recorded.sum()} in {field}")
+        raise ConfigError(place, key, "two samples or more", f"{recorded.sum()} in {field}")
     time, value = time[recorded], value[recorded]
     for what, numbers in ((f"{field}: numbers", value), (f"{group.strip()}: times", time)):
         if not np.abs(numbers).max() < _LARGEST:
-            raise config_error(recording.source, what, f"below {_LARGEST:g}", f"{np.abs(numbers).max():g}")
+            raise ConfigError(recording.source, what, f"below {_LARGEST:g}", f"{np.abs(numbers).max():g}")
     later = np.count_nonzero(time[1:] > np.maximum.accumulate(time)[:-1])
     if later == 0 or 3 * later < len(time) - 1:
         pair = next((name for name in table.times if clock in name.split("+") and name != clock), "")
-        raise config_error(
+        raise ConfigError(
             recording.source, f"time: {clock}", "times that increase" + f" (time: {pair} in signals.yaml)" * bool(pair),
             f"{len(time) - 1 - later} of {len(time)} that come no later than one before them",
         )  # fmt: skip
@@ -175,7 +175,7 @@ def _times(table: Table, source: Source, signals: Signals, recording: Recording,
         if clock not in table.times:
             expected = f"a column of times in {recording.source} (time: NAME in signals.yaml)"
             got = f"{clock}{_nearest(clock, table.times)}"
-            raise config_error(place if source.time else recording.source, "time", expected, got)
+            raise ConfigError(place if source.time else recording.source, "time", expected, got)
     return unit * table.times[clock] + source.shift, clock
 
 

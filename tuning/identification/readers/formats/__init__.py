@@ -6,7 +6,7 @@ import pkgutil
 from collections.abc import Callable
 from pathlib import Path
 
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.table import Recording
 
 
@@ -28,13 +28,11 @@ def record(path: str | os.PathLike[str]) -> Recording:
     path = Path(path)
     if path.suffix.lower() in (".zstd", ".zst", ".gz", ".bz2", ".xz", ".zip", ".lz4"):
         how = "zstd -d" if path.suffix.lower() in (".zstd", ".zst") else "its program"
-        raise config_error(
-            str(path), "", f"a log that is not packed (unpack it before: {how} {path.name})", path.suffix
-        )
+        raise ConfigError(str(path), "", f"a log that is not packed (unpack it before: {how} {path.name})", path.suffix)
     if not path.exists():
-        raise config_error(str(path), "", "a log", "no such file or folder")
+        raise ConfigError(str(path), "", "a log", "no such file or folder")
     reader = READERS.get("" if path.is_dir() else path.suffix.lower() or "none")
     if reader is None:
         expected = f"a log: {', '.join(filter(None, READERS))} or the folder of a bag"
-        raise config_error(str(path), "", expected, path.suffix or "a name without suffix")
+        raise ConfigError(str(path), "", expected, path.suffix or "a name without suffix")
     return reader(path)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.files.writing import write_text_atomically
-from mjx_climb.scenario.messages import ConfigError, config_error
+from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.named import Columns, by_names
 from tuning.identification.readers.table import Recording, Table
 
@@ -64,23 +64,23 @@ def read(path: Path) -> Recording:
             rows = list(csv.reader(file, delimiter=max(",;\t", key=first.count), skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "another file"
-        raise config_error(str(path), "", "a table of text", reason.lower()) from None
+        raise ConfigError(str(path), "", "a table of text", reason.lower()) from None
     if len(rows) < 3:
-        raise config_error(str(path), "", "a line of names and two samples or more", f"{len(rows)} lines")
+        raise ConfigError(str(path), "", "a line of names and two samples or more", f"{len(rows)} lines")
     names = [name.strip() for name in rows[0]]
     if (value := _value_in(names)) is not None:
-        raise config_error(str(path), "line 1", "the names of the columns (time, ...)", f"the number {value}")
+        raise ConfigError(str(path), "line 1", "the names of the columns (time, ...)", f"the number {value}")
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
-        raise config_error(str(path), min(repeated), "one column of this name", "several")
+        raise ConfigError(str(path), min(repeated), "one column of this name", "several")
     for number, row in enumerate(rows[1:], 2):
         if row and len(row) != len(names):
-            raise config_error(str(path), f"line {number}", f"{len(names)} cells as in line 1", str(len(row)))
+            raise ConfigError(str(path), f"line {number}", f"{len(names)} cells as in line 1", str(len(row)))
     lines = [number for number, row in enumerate(rows[1:], 2) if row]
     fields: Columns = {}
     dates: Columns = {}
     words: dict[str, Sequence[str]] = {}
-    uneven: dict[str, str] = {}
+    uneven: dict[str, ConfigError] = {}
     for name, column in zip(names, zip(*(rows[line - 1] for line in lines), strict=True), strict=True):
         cells = [_TRUTH.get(cell.lower(), cell) for cell in map(str.strip, column)]
         place = f"{path}: {name}"
@@ -89,7 +89,7 @@ def read(path: Path) -> Recording:
             dates[name] = np.array([_seconds(cell) for cell in cells])
         elif filled and _is_list(filled[0]):
             packed, said = _unpacked(place, cells, lines)
-            uneven |= {f"{name}.{number}": said for number in range(len(packed)) if said}
+            uneven |= {f"{name}.{number}": said for number in range(len(packed)) if said is not None}
             columns = {f"{name}.{number}": entries for number, entries in enumerate(packed)}
             if all(_is_number(cell) for column in columns.values() for cell in column if cell):
                 fields |= {each: _numbers(place, column, lines) for each, column in columns.items()}
@@ -101,7 +101,7 @@ def read(path: Path) -> Recording:
             fields[name] = _numbers(place, cells, lines)
     named, used = by_names(fields, words)
     for name in uneven.keys() & (fields.keys() - used):
-        raise ConfigError(uneven[name])
+        raise uneven[name]
     unnamed = fields.keys() - {*names}
     times = dict(_pairs(fields)) | dates | fields
     said_words = frozenset(word for column in words.values() for word in column)
@@ -151,16 +151,17 @@ def _is_list(cell: str) -> bool:
     return (len(numbers) > 1 and all(map(_is_number, numbers))) or (len(words) > 1 and not any(map(_is_number, words)))
 
 
-def _unpacked(place: str, cells: Sequence[str], lines: Sequence[int]) -> tuple[list[list[str]], str]:
+def _unpacked(place: str, cells: Sequence[str], lines: Sequence[int]) -> tuple[list[list[str]], ConfigError | None]:
     """Return the columns of a list's entries, "" for none, and what is wrong with lists of several lengths."""
     found = [_entries(cell) if cell.lower() not in _MISSING else [] for cell in cells]
     width = max(map(len, found))
     if width > _MOST:
-        raise ConfigError(f"{place}: expected lists of {_MOST} numbers at most, got {width}")
-    said, first = "", next((len(each) for each in found if each), 0)
+        raise ConfigError("", place, f"lists of {_MOST} numbers at most", width)
+    said, first = None, next((len(each) for each in found if each), 0)
     for entries, line in zip(found, lines, strict=True):
         if entries and len(entries) != first:
-            said = f"{place}, line {line}: expected a list of {first} numbers as in the first cell, got {len(entries)}"
+            expected = f"a list of {first} numbers as in the first cell"
+            said = ConfigError("", f"{place}, line {line}", expected, len(entries))
             break
     return [[row[n] if n < len(row) else "" for row in found] for n in range(width)], said
 
@@ -183,9 +184,7 @@ def _numbers(place: str, cells: Sequence[str], lines: Sequence[int]) -> np.ndarr
             try:
                 values[row] = float(cell)
             except ValueError:
-                raise ConfigError(
-                    f"{place}, line {line}: expected a number or an empty cell, got {cell[:40]!r}"
-                ) from None
+                raise ConfigError(f"{place}, line {line}", "", "a number or an empty cell", f"{cell[:40]!r}") from None
     return values
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from mjx_climb.files import dataset
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.table import Recording, Table
 
 SUFFIXES = (".nc",)
@@ -28,7 +28,7 @@ def read(path: Path) -> Recording:
     """
     data = dataset.load(path)
     if "time" not in data.variables:
-        raise config_error(str(path), "", "variables over time", "none")
+        raise ConfigError(str(path), "", "variables over time", "none")
     fields: dict[str, np.ndarray] = {}
     unnamed = set()
     for name, variable in data.data_vars.items():

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mjx_climb.scenario.messages import config_error
+from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.table import Recording, Table
 
 SUFFIXES = (".mcap", ".db3", "")  # "": a folder
@@ -31,10 +31,10 @@ def read(path: Path) -> Recording:
             return _read(reader, str(path))
     except (AnyReaderError, ReaderError, OSError) as error:
         reason = str(getattr(error, "strerror", None) or error).rstrip(".")
-        raise config_error(str(path), "", expected, f"'{reason}'{_cure(reason, path)}") from None
+        raise ConfigError(str(path), "", expected, f"'{reason}'{_cure(reason, path)}") from None
     except Exception as error:  # of a damaged file rosbags raises what its decoders do
         reason = f"{type(error).__name__}: {error}"
-        raise config_error(str(path), "", f"{expected} that is whole", f"{reason}{_cure(reason, path)}") from None
+        raise ConfigError(str(path), "", f"{expected} that is whole", f"{reason}{_cure(reason, path)}") from None
 
 
 def _cure(reason: str, path: Path) -> str:

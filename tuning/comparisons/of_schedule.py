@@ -1,0 +1,39 @@
+"""A gain schedule beside pd, pd retuned and the config's gains, over its operating points."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tuning.comparisons import maps, verdicts
+from tuning.comparisons.worth import of_schedule
+from tuning.results.scheduled import Scheduled
+
+
+class ScheduleComparison(NamedTuple):
+    """The worth of a schedule."""
+
+    worth: str  # of a force sensor, in words
+    verdict: str  # the gains of each point against the best of the others
+
+
+def compare(found: Scheduled) -> ScheduleComparison:
+    """Score the walks of all operating points; nothing walks."""
+    data, problem = found.data, found.problem
+    values, feasible = {}, {}
+    for name in data["walk"].values.tolist():
+        own = data.sel(walk=name)
+        score = maps.score_of(problem.objective, {key: own[key].values.ravel() for key in problem.metrics.names})
+        failed = (own["detached_limb"] >= 0) | own["diverged"].astype(bool)
+        values[name], feasible[name] = np.where(failed.values.ravel(), np.nan, score.value), score.feasible
+    there = np.isfinite(values["tuned"])
+    held = there if there.any() else ~there
+    walked = {
+        name: verdicts.Walked(float(own[held].mean()), bool(feasible[name][held].all())) for name, own in values.items()
+    }
+    points = f"{held.sum()} of {held.size} operating points" if not there.all() else f"{held.size} operating points"
+    outside = int((~feasible["tuned"]).sum())
+    ours = "gains tuned for each point" + (f", which break a limit at {outside}" if outside else "")
+    return ScheduleComparison(
+        of_schedule(data),
+        verdicts.against_best(ours, walked, f"mean objective at {points}", breaks="breaks a limit at a point"),
+    )
