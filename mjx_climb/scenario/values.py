@@ -80,6 +80,8 @@ def _kind_of(field: dataclasses.Field[Any]) -> Any:
     """The type of a key that a field of a component has; None of a field that the program sets."""
     if "value" in field.metadata:
         return type_of(field.metadata["value"])
+    if "compiled" in field.metadata:
+        return None
     for kind, text in ((bool, "true or false"), (str, "a word"), (float, "a finite number"), (int, "a whole number")):
         if type(field.default) is kind:
             return Annotated[kind, Strict(), _expects(text)]

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import optax
 
 BACK = 0.5  # share of its steps that a row keeps which goes back
 
@@ -30,10 +31,9 @@ class Adam:
             scales: (B,) of the steps.
         """
         self.best, self.least, self.there = x, np.full(len(x), np.inf), np.zeros((len(x), moves))
-        self._memory, self._patience, self._tiny = memory, patience, tiny
+        self._adam, self._patience = optax.scale_by_adam(*memory, eps=tiny), patience
         self._scale, self._waited = np.broadcast_to(np.asarray(scales, float), len(x)), np.zeros(len(x), int)
-        self._mean = self._square = np.zeros((len(x), moves))
-        self._made = np.zeros((len(x), 1))
+        self._empty = self._memory = self._begun()
 
     def step(
         self, x: np.ndarray, merit: np.ndarray, slopes: np.ndarray, lost: np.ndarray
@@ -47,17 +47,19 @@ class Adam:
         self._scale = np.where(back & np.isfinite(self.least), BACK * self._scale, self._scale)
         self.forget(back)
         x, slopes = choose(back, (self.best, self.there), (x, slopes))
-        first, second = self._memory
-        self._made = self._made + 1
-        self._mean = first * self._mean + (1 - first) * slopes
-        self._square = second * self._square + (1 - second) * slopes**2
-        sizes = np.sqrt(self._square / (1 - second**self._made)) + self._tiny
-        return x, self._scale[:, None] * self._mean / (1 - first**self._made) / sizes
+        with jax.enable_x64(True):
+            # a memory for each row, as one may begin anew
+            moves, memory = jax.vmap(self._adam.update)(slopes, self._memory)
+        self._memory = jax.tree.map(np.asarray, memory)
+        return x, self._scale[:, None] * np.asarray(moves)
 
     def forget(self, rows: np.ndarray) -> None:
         """Empty the memory of some rows (B,)."""
-        memory = self._mean, self._square, self._made
-        self._mean, self._square, self._made = (np.where(rows[:, None], 0.0, each) for each in memory)
+        self._memory = choose(rows, self._empty, self._memory)
+
+    def _begun(self) -> Any:
+        with jax.enable_x64(True):
+            return jax.tree.map(np.asarray, jax.vmap(self._adam.init)(self.there))
 
 
 def choose(rows: np.ndarray, yes: Any, no: Any) -> Any:

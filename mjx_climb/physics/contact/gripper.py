@@ -5,7 +5,7 @@
 
 import dataclasses
 from collections.abc import Collection
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +21,10 @@ from mjx_climb.scenario import declared
 _TINY = 1e-30  # N, of a limit of zero
 _UP = np.array([0.0, 0.0, 1.0])
 _NORMAL = np.array([False, False, True])  # of the ground, among the axes of the world
+
+
+def _compiled(default: Any) -> Any:
+    return dataclasses.field(default=default, metadata={"compiled": True})
 
 
 class Reach(NamedTuple):
@@ -70,11 +74,12 @@ class SpringGrip(declared.SpringGrip, Contact):
     force, and the damper comes in alike.
     """
 
-    limited_reach: bool = False  # some gripper has a capture distance
-    rotational: bool = False  # grips transmit moments
-    closes: bool = False  # some gripper takes time to close
-    time_step: float = 1e-3  # s, of the walk
-    breaks: bool = True  # grips are torn off
+    # what a walk is compiled for, by the values of its robots
+    limited_reach: bool = _compiled(False)  # some gripper has a capture distance
+    rotational: bool = _compiled(False)  # grips transmit moments
+    closes: bool = _compiled(False)  # some gripper takes time to close
+    time_step: float = _compiled(1e-3)  # s, of the walk
+    breaks: bool = _compiled(True)  # grips are torn off
 
     def compiled_for(self, moving: Collection[str] = ()) -> Self:
         """Grippers with a reach, and with moments, where some robot has them."""
