@@ -74,7 +74,13 @@ def patience(valid_input_stops_here, tmp_path, capsys):
 
 
 def check_refusal(code, out: str, err: str, arguments: list[str]) -> None:
-    """A refusal is exit code 2, nothing on standard output, and one line that names a place in the input."""
+    """A refusal is exit code 2, nothing on standard output, and one line that names a place in the input.
+
+    What is suspected of a log is said before it: a fit may be refused later.
+    """
+    *before, last = err.splitlines(keepends=True)
+    assert all(line.startswith("warning: ") and ".csv: " in line for line in before), err
+    err = last
     assert (code, out) == (2, "")
     assert err.startswith("mjx-climb: error: ") and err.endswith("\n")
     assert len(err.splitlines()) == 1, err
