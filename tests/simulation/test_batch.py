@@ -83,21 +83,21 @@ def test_parts_of_a_batch_have_its_shape(scenario, batch, together):
         np.testing.assert_allclose(values.ravel(), together[name][rows], rtol=1e-11, err_msg=name)  # other shares
 
 
+STOOD = ("disturbance.pushes.0.force", "disturbance.pushes.0.moment", "ground.foothold_height")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "varies", [*(pytest.param(v, marks=pytest.mark.nightly) for v in ("push_force", "push_moment")), "foothold_height"]
-)
+@pytest.mark.parametrize("varies", [*(pytest.param(path, marks=pytest.mark.nightly) for path in STOOD[:2]), STOOD[2]])
 def test_what_varies_may_stand_beside_what_does_not(case, varies):
     """Forces with a batch axis beside moments without one, and so on: each walk is the one that it is alone."""
     push = {"force": [1.0, 0.3, 0.0], "moment": [0.1, 0.1, 0.1], "start": 0.01, "stop": 0.05}
     rough = {"disturbance.pushes": [push], "ground.footholds": {"LF": [0.0, 0.004], "RH": [0.006]}}
     scenario = case("case_1_2", "pd", {"duration": 0.1, "gait.cycle": 0.5, **rough})
-    own, times = own_parameters(scenario), np.arange(8.0)[:, None, None]
-    some = {varies: times * getattr(own, varies)}
-    names = ("push_force", "push_moment", "foothold_height")
-    whole = {name: np.broadcast_to(getattr(own, name), (8, *getattr(own, name).shape)) for name in names} | some
+    own = own_parameters(scenario)
+    some = {varies: np.multiply.outer(np.arange(8.0), own.at(varies))}
+    whole = {path: np.broadcast_to(own.at(path), (8, *np.shape(own.at(path)))) for path in STOOD} | some
     found, expected = (
-        mc.rollout_metrics(scenario, None, dataclasses.replace(own, **changes), dtype=np.float64)["peak_foot_force"]
+        mc.rollout_metrics(scenario, None, own.replace(changes), dtype=np.float64)["peak_foot_force"]
         for changes in (some, whole)
     )
     assert len(np.unique(found)) == 8
