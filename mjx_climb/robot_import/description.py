@@ -74,6 +74,8 @@ def described(file: str, looks: bool = False) -> mujoco.MjSpec:
     for joint in spec.joints:
         if joint.type in JOINTS and joint.name in fixed:
             joint.range = fixed[joint.name] + np.array([-_POINT, _POINT])
+            # MuJoCo 4 takes equal limits for none
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     return spec
 
 

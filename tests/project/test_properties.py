@@ -132,7 +132,7 @@ def test_an_option_says_what_the_file_would(data, scenario):
 PARAMETERS = jax.tree.map(np.asarray, mc.parameters(Scenario()))
 place = arrays(float, (4, 3), elements=st.floats(-0.1, 0.1, allow_subnormal=False))
 flags = arrays(bool, 4)
-contacts = st.builds(GripperMemory, place, flags, flags, reach=st.none(), attitude=st.none())
+contacts = st.builds(GripperMemory, place, flags, flags, reach=st.none(), attitude=st.none(), closing=st.none())
 
 
 @jax.jit
