@@ -51,7 +51,7 @@ from mjx_climb.parameter_types import Parameters, path_of_gain
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE, checked_engine
 from mjx_climb.physics.state import State
-from mjx_climb.robot_import.load import check_stance, load_robot
+from mjx_climb.robot_import.load import check_stance
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import summed_to
 from mjx_climb.trajectory import Trajectory
@@ -218,7 +218,7 @@ class Simulation:
             raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
         check_time_step(self.scenario, parameters=resolved.walked)
         shape = self._structure(resolved.walked, resolved.called)
-        robot = load_robot(self.scenario.robot)
+        robot = shape.robot
         under = () if targets is None else (np.asarray(targets, dtype),)
         if under and under[0].shape != (expected := (shape.steps, len(robot.limbs), robot.joints)):
             raise ValueError(f"targets: expected shape {expected}, got {under[0].shape}")
@@ -385,7 +385,7 @@ class Simulation:
         of_moving = {name: law.AXES.get(name, 0) for name in moving}
         shape = self._structure(resolved.walked, resolved.called)
         paths = [path_of_gain(name) for name in moving if name not in law.GAINS]
-        shape = shape._replace(stages=stages_of(resolved.walked, shape.time_step, load_robot(shape.robot), paths))
+        shape = shape._replace(stages=stages_of(resolved.walked, shape.time_step, shape.robot, paths))
         return execution.Robots((moving, law, own), (of_moving, *resolved.axes), resolved.shape), shape
 
     def simulate(self, gains: AnyGains | None = None, parameters: Parameters | None = None) -> Metrics:
@@ -473,8 +473,8 @@ class Simulation:
         """
         if gains is not None:
             state = self.with_gains(state, gains)
-        shape, robot = state.step.shape, load_robot(self.scenario.robot)
-        action = checked_action(action, robot, state.parameters.gravity.dtype, shape)
+        shape = state.step.shape
+        action = checked_action(action, self.structure.robot, state.parameters.gravity.dtype, shape)
         axes = axes_behind(state, shape), jax.tree.map(lambda _: 2 if isinstance(action, JointTargets) else 1, action)
         one_step: Callable[..., tuple[SimulationState, Sample]] = _carried_out(_step, self._structure_of(state))
         return over_batch(one_step, (state, action), axes, shape)

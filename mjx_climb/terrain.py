@@ -20,24 +20,24 @@ _LITTLE = 1e-2
 _HALVINGS = 7  # of the stride, in search of the longest one
 
 
-def foothold_heights(scenario: Scenario) -> np.ndarray:
-    """Return the heights (limb, N) m of every limb's footholds in order, limbs in the robot's; N is 0 on flat ground.
+def foothold_heights(scenario: Scenario, robot: Robot) -> np.ndarray:
+    """Heights (limb, N) m of every limb's footholds in order, limbs in the robot's; N is 0 on flat ground.
 
     Raises:
         ConfigError: a height map that cannot be read or does not reach as far as the walk.
     """
-    ground, limbs = scenario.ground, load_robot(scenario.robot).limbs
+    ground, limbs = scenario.ground, robot.limbs
     if ground.footholds is not None:
         given = dict(ground.footholds.items())
         lists = [given.get(limb, (0.0,)) for limb in limbs]
         count = max(map(len, lists))
         return np.array([[*heights, *[heights[-1]] * (count - len(heights))] for heights in lists])
-    return np.zeros((len(limbs), 0)) if ground.map is None else _sampled(ground.map, footholds(scenario), limbs)
+    return np.zeros((len(limbs), 0)) if ground.map is None else _sampled(ground.map, footholds(scenario, robot), limbs)
 
 
-def footholds(scenario: Scenario) -> np.ndarray:
-    """Return where the gait plans each limb's footholds, (limb, N, 2) m, in the world, the first ones included."""
-    robot, gait = load_robot(scenario.robot), scenario.gait
+def footholds(scenario: Scenario, robot: Robot) -> np.ndarray:
+    """Planned footholds of each limb, (limb, N, 2) m, in the world, the first ones included."""
+    gait = scenario.gait
     stance = (robot.stance_position + _stance_feet(robot))[:, None, :2]
     planned = stance + np.arange(_foothold_count(scenario))[:, None] * np.array([gait.stride, 0.0])
     c, s = np.cos(gait.heading), np.sin(gait.heading)
@@ -57,10 +57,11 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
     Raises:
         ConfigError: in one line, the longest stride, or the first foothold out of reach.
     """
-    _check_stride(scenario, source)
-    robot, heights = load_robot(scenario.robot), foothold_heights(scenario)[:, : _foothold_count(scenario)]
+    robot = load_robot(scenario.robot)
+    _check_stride(scenario, robot, source)
+    heights = foothold_heights(scenario, robot)[:, : _foothold_count(scenario)]
     for n in np.sort(np.unique(heights, axis=1, return_index=True)[1]) if heights.size else ():
-        height, feet = heights[:, n], _stance_feet(robot) - raised(scenario.robot, scenario.gait)
+        height, feet = heights[:, n], _stance_feet(robot) - raised(robot, scenario.gait)
         feet[:, 2] += (above := height - height.mean())
         missed = limb_joints(robot, feet).errors
         if missed.max() > MET:
@@ -75,14 +76,14 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
             )
 
 
-def _check_stride(scenario: Scenario, source: str) -> None:
+def _check_stride(scenario: Scenario, robot: Robot, source: str) -> None:
     """Refuse a stride after which a foot cannot lift off or touch down where it should, on level ground.
 
     Limbs that cannot give way to the base at all, those of fewer than three joints that are driven, do not count.
     """
-    gait, robot = scenario.gait, load_robot(scenario.robot)
+    gait = scenario.gait
     lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
-    feet = _stance_feet(robot) - raised(scenario.robot, gait)
+    feet = _stance_feet(robot) - raised(robot, gait)
     sway = sway_of(feet, lift_off, gait.duty, gait.sway)
     swung = [np.array([swayed(sway, at) for at in moments]) for moments in (lift_off, lift_off + 1 - gait.duty)]
     extremes = -rest_to_rest(lift_off), 1 - rest_to_rest(lift_off + 1 - gait.duty)  # strides from foot to base, ahead

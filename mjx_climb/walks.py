@@ -20,7 +20,6 @@ from mjx_climb.control import Law
 from mjx_climb.parameter_types import Parameters, path_of_gain
 from mjx_climb.physics.spatial import norm
 from mjx_climb.robot.constants import Robot
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.control_loop import JointTargets
 from mjx_climb.walk.metrics import Context, Running, accumulate, finish, start
@@ -179,7 +178,7 @@ def _over_steps(
 def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parameters) -> Metrics:
     """Return the metrics of samples stacked over time, of a walk that is over."""
     dtype, table = samples.base_position.dtype, structure.metrics
-    robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), load_robot(structure.robot))
+    robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), structure.robot)
     context = _context(structure, robot, parameters)
 
     def step(running: Running, sample: Sample) -> tuple[Running, None]:
@@ -190,7 +189,7 @@ def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parame
 
 def real_metrics(structure: Structure, parameters: Parameters) -> list[str]:
     """Return the names of the metrics that are real numbers, which have derivatives."""
-    table, context = structure.metrics, _context(structure, load_robot(structure.robot), parameters)
+    table, context = structure.metrics, _context(structure, structure.robot, parameters)
     found = jax.eval_shape(lambda: finish(table, start(table, jnp.zeros(()).dtype), context))
     return [name for name, value in found.items() if jnp.issubdtype(value.dtype, jnp.floating)]
 

@@ -16,9 +16,10 @@ from mjx_climb.gait.swing import lift, rest_to_rest
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.postures import MET, limb_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix
+from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import Gait, RobotFile, Scenario
+from mjx_climb.scenario.model import Gait, Scenario
 
 _HALVINGS = 10
 _SLACK = 1e-6  # of a cycle
@@ -61,20 +62,19 @@ def swayed(sway: Sway, phase: float | AnyArray) -> AnyArray:
     return found
 
 
-def raised(name: str | RobotFile, gait: Gait) -> np.ndarray:
-    """Return how far the gait has a robot's base from where it is in the rest stance, (3,) m, but for its sway."""
+def raised(robot: Robot, gait: Gait) -> np.ndarray:
+    """Offset of the base by the gait from the rest stance, (3,) m, without its sway."""
     lift: float = gait.height - 1
-    return lift * load_robot(name).stance_position * [0, 0, 1]
+    return lift * robot.stance_position * [0, 0, 1]
 
 
-def planned_feet(name: str | RobotFile, gait: Gait, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def planned_feet(robot: Robot, gait: Gait, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where the gait has the feet of a robot from its base on level ground, but for shapes added to a swing.
 
     Returns:
         feet (P, limb, 3) m at phases (P,) of the cycle, in axes that are the world's at heading zero, and the shares of
         their swings that are over, (P, limb), below 0 before a swing and above 1 after it.
     """
-    robot = load_robot(name)
     lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
     rotation = quaternion_to_matrix(robot.stance_orientation)
     feet = np.asarray(limb_frames(robot, rotation, robot.stance_joints).foot)
@@ -83,7 +83,7 @@ def planned_feet(name: str | RobotFile, gait: Gait, phases: np.ndarray) -> tuple
     moved = np.clip(swing / (1 - gait.settling), 0.0, 1.0)
     ahead = gait.stride * (rest_to_rest(moved) - rest_to_rest(phases)[:, None])
     above = gait.step_height * lift(moved)
-    base = raised(name, gait) + [swayed(sway, phase) for phase in phases]
+    base = raised(robot, gait) + [swayed(sway, phase) for phase in phases]
     return feet + np.stack([ahead, 0 * ahead, above], -1) - base[:, None], swing
 
 
@@ -93,15 +93,15 @@ def check_base(scenario: Scenario, source: str = "scenario") -> None:
     Raises:
         ConfigError: in one line, the key, and how far it could go.
     """
-    gait = scenario.gait
+    gait, robot = scenario.gait, load_robot(scenario.robot)
     for key in ("height", "sway"):
         none = {"height": 1.0, "sway": 0.0}[key]
         own = gait if key == "sway" else gait.model_copy(update={"sway": 0.0})
-        if (value := getattr(gait, key)) != none and _missed(scenario.robot, own):
+        if (value := getattr(gait, key)) != none and _missed(robot, own):
             low, high = none, value
             for _ in range(_HALVINGS):
                 middle = (low + high) / 2
-                missed = _missed(scenario.robot, own.model_copy(update={key: middle}))
+                missed = _missed(robot, own.model_copy(update={key: middle}))
                 low, high = (low, middle) if missed else (middle, high)
             expected = f"at {'most' if value > none else 'least'} {low:.3g}"
             raise ConfigError(
@@ -113,11 +113,10 @@ def check_base(scenario: Scenario, source: str = "scenario") -> None:
 
 
 @functools.lru_cache(maxsize=256)
-def _missed(name: str | RobotFile, gait: Gait) -> bool:
+def _missed(robot: Robot, gait: Gait) -> bool:
     """Return whether a foot cannot stand where it does in the rest stance from one of the places of the base."""
-    robot = load_robot(name)
     rotation = quaternion_to_matrix(robot.stance_orientation)
     feet = np.asarray(limb_frames(robot, rotation, robot.stance_joints).foot)
     places = sway_of(feet, [gait.lift_off[limb] for limb in robot.limbs], gait.duty, gait.sway).points
-    places = np.vstack([np.zeros(3), places]) + raised(name, gait)
+    places = np.vstack([np.zeros(3), places]) + raised(robot, gait)
     return any(limb_joints(robot, (feet - at) @ rotation, robot.stance_joints).errors.max() > MET for at in places)

@@ -18,8 +18,8 @@ from numpy.polynomial import chebyshev
 from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, solve_to_convergence
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
-from mjx_climb.robot_import.load import load_robot
-from mjx_climb.scenario.model import Gait, RobotFile, Scenario
+from mjx_climb.robot.constants import Robot
+from mjx_climb.scenario.model import Gait, Scenario
 
 COUNT = 6  # of added shapes for each axis
 _FINE, _NODES = 32, 12  # samples in each half of a swing: for eight digits, and for four in the search
@@ -82,7 +82,7 @@ class Reaction(NamedTuple):
 
 
 def swing_reaction(
-    name: str | RobotFile,
+    robot: Robot,
     gait: Gait,
     turned: bool,
     path: np.ndarray,
@@ -95,7 +95,7 @@ def swing_reaction(
     joints or more keep their attitudes. `near` (S, ..., limb, joint) are joint angles near those asked for, the rest
     stance where None.
     """
-    robot, (phase, derivative, weight) = load_robot(name), _samples(nodes)
+    phase, derivative, weight = _samples(nodes)
     span = (1 - gait.settling) * (1 - gait.duty) * gait.cycle
     rotation = quaternion_to_matrix(robot.stance_orientation)
     rest = limb_frames(robot, rotation, robot.stance_joints)
@@ -164,7 +164,7 @@ def _per_sample(values: np.ndarray, like: np.ndarray) -> np.ndarray:
 # --- the swing of least reaction
 
 
-def swing_path(scenario: Scenario) -> np.ndarray:
+def swing_path(scenario: Scenario, robot: Robot) -> np.ndarray:
     """Return the coefficients of a scenario's `gait.swing`, (limb, 3, K), in step heights; K is 0 for `cubic`.
 
     Axes: ahead, left, up; shapes as `added_shapes`. For `low_reaction` the integral of the squared reaction on the base
@@ -180,16 +180,16 @@ def swing_path(scenario: Scenario) -> np.ndarray:
     """
     if scenario.gait.swing == "cubic":
         return np.zeros((len(scenario.gait.lift_off), 3, 0))
-    return _least(scenario.robot, scenario.gait, scenario.contact.rotational_stiffness > 0).copy()
+    return _least(robot, scenario.gait, scenario.contact.rotational_stiffness > 0).copy()
 
 
 @functools.lru_cache(maxsize=64)
-def _least(name: str | RobotFile, gait: Gait, turned: bool) -> np.ndarray:
+def _least(robot: Robot, gait: Gait, turned: bool) -> np.ndarray:
     """Return the paths (limb, 3, K) by Gauss-Newton, one for each group of limbs that lift off together."""
-    robot, unknowns = load_robot(name), 3 * COUNT
+    unknowns = 3 * COUNT
     lift_off = np.array([gait.lift_off[limb] for limb in robot.limbs])
     groups = [lift_off == one for one in np.unique(lift_off)]
-    swung = functools.partial(swing_reaction, name, gait, turned, nodes=_NODES)
+    swung = functools.partial(swing_reaction, robot, gait, turned, nodes=_NODES)
     path = np.zeros((len(robot.limbs), 3, COUNT))
     now = swung(path)
     lower = np.minimum(robot.joint_lower, now.joints.min(0)) - _WITHIN

@@ -60,8 +60,8 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     control, hardware, happens = scenario.control, scenario.hardware, scenario.disturbance
     dead = hardware.force_sensor.dead
     instants = dict(dead.items()) if dead is not None else {}
-    limbs = load_robot(scenario.robot).limbs
-    ground: dict[str, Any] = {"foothold_height": foothold_heights(scenario), "holds": holds_of(scenario.ground)}
+    robot = load_robot(scenario.robot)
+    ground: dict[str, Any] = {"foothold_height": foothold_heights(scenario, robot), "holds": holds_of(scenario.ground)}
 
     def made(place: str, section: Any, plain: type[Component] = Component) -> Any:
         return component_of(section, place, source) if isinstance(section, Kind) else _of_section(plain, section)
@@ -73,11 +73,11 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         drive=made("hardware.servo", hardware.servo, Servos),
         joint_loop=_of_section(JointLoop, control, safe_kp=control.kp if control.safe_kp is None else control.safe_kp),
         force_sensor=_of_section(
-            ForceSensors, hardware.force_sensor, dead=[instants.get(limb, math.inf) for limb in limbs]
+            ForceSensors, hardware.force_sensor, dead=[instants.get(limb, math.inf) for limb in robot.limbs]
         ),
         base_estimate=_of_section(BaseEstimate, hardware.base_estimate),
         bus=_of_section(Bus, hardware),
-        gait=_of_section(PeriodicGait, scenario.gait, swing_path=_swing_path(scenario)),
+        gait=_of_section(PeriodicGait, scenario.gait, swing_path=_swing_path(scenario, robot)),
         ground=Ground(**ground),
         disturbances=(
             _of_section(Cargo, happens.cargo),
@@ -115,11 +115,11 @@ def _recovery(scenario: Scenario) -> Recovery | None:
     return _of_section(Recovery, given, margin=given.margin or 0.0)
 
 
-def _swing_path(scenario: Scenario) -> np.ndarray:
+def _swing_path(scenario: Scenario, robot: Robot) -> np.ndarray:
     """Return the coefficients (limb, 3, K) of the gait's swing, or of a published one."""
     gait = scenario.gait
     if gait.swing_file is None:
-        return swing_path(scenario)
+        return swing_path(scenario, robot)
     return published_path(gait.swing_file, gait, len(gait.lift_off))
 
 
@@ -129,7 +129,7 @@ def gains(scenario: Scenario) -> Gains:
     return Gains(*(jnp.asarray(value, float) for value in (control.inertia, control.damping, control.stiffness)))
 
 
-def check_parameters(parameters: Parameters, limbs: tuple[str, ...]) -> None:
+def check_parameters(parameters: Parameters, limbs: int) -> None:
     """Refuse parameters that no walk could have, as far as their values are known.
 
     Raises:
@@ -140,7 +140,7 @@ def check_parameters(parameters: Parameters, limbs: tuple[str, ...]) -> None:
         value = checked_value(f"parameters.{path}", values[path], field.shape, limits=field.bounds)
         if field.whole and not is_tracer(value) and (part := np.mod(np.asarray(value), 1)).any():
             raise ValueError(f"parameters.{path}: expected whole numbers, got {np.extract(part, value)[0]:g}")
-    sizes: Mapping[str, int | range] = {"limbs": len(limbs), "K": range(COUNT + 1)}
+    sizes: Mapping[str, int | range] = {"limbs": limbs, "K": range(COUNT + 1)}
     for path, dims in _OF_LIMBS.items():
         check_shape(f"parameters.{path}", np.shape(values[path]), dims, sizes)
 

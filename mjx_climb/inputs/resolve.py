@@ -19,7 +19,6 @@ from mjx_climb.gait.recovery import recovery_of
 from mjx_climb.inputs.from_scenario import check_parameters, compiled_for, own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, with_gait
 from mjx_climb.parameter_types import Gains, Parameters, path_of_gain, with_whole_steps
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import broadcasts
 
@@ -68,7 +67,7 @@ def resolve(
     """
     array = functools.partial(xp.asarray, dtype=checked_dtype(dtype))
     own = own_parameters(scenario) if parameters is None else parameters
-    check_parameters(own, load_robot(scenario.robot).limbs)
+    check_parameters(own, len(scenario.gait.lift_off))
     values = _values_by_name(law, gains)
     called = {path_of_gain(name): f"gains.{name}" for name in values if name in (*GAIT, *_JOINT_LOOP)}
     own = with_gait(

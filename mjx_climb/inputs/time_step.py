@@ -36,9 +36,9 @@ from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.postures import MET, limb_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import PASSIVE, Robot
-from mjx_climb.robot_import.load import load_model, load_robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import Gait, RobotFile, Scenario
+from mjx_climb.scenario.model import Gait, Scenario
 
 _ROUNDING = 1e-7  # a free motion is twice the eigenvalue 1: rounding parts the two by its square root, 1e-8
 # values that shorten the time step as they grow: stiffness and damping are linear in each
@@ -69,13 +69,17 @@ class Own(NamedTuple):
 _CONFIG = Own()
 
 
-@functools.lru_cache(maxsize=256)
 def growth(scenario: Scenario, time_step: float | None = None, own: Own = _CONFIG) -> float:
-    """Return by how much a small disturbance grows in one step, at worst: 1 or less where the step is short enough."""
+    """Growth of a small disturbance in one step, at worst: 1 or less where the step is short enough."""
     h = _LONGER * (scenario.time_step if time_step is None else time_step)
+    return _growth(scenario, load_robot(scenario.robot), h, own)
+
+
+@functools.lru_cache(maxsize=256)
+def _growth(scenario: Scenario, robot: Robot, h: float, own: Own) -> float:
     worst = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        for mass, stiffness, damping in _systems(scenario, h, own):
+        for mass, stiffness, damping in _systems(scenario, robot, h, own):
             mobility, one = np.linalg.inv(mass), np.eye(len(mass))
             k, d = h * mobility @ stiffness, h * mobility @ damping
             # v+ = v - h M^-1 (K x + D v), x+ = x + h v+, of x and h v
@@ -239,12 +243,16 @@ def _stiffest(scenario: Scenario, parameters: Parameters, springs: Own) -> Scena
 def _definite(scenario: Scenario, own: Own) -> np.ndarray:
     """Return 4 M - 2 h D - h^2 K of each posture, (S, 18, 18)."""
     h = _LONGER * scenario.time_step
-    return np.stack([4 * m - 2 * h * d - h * h * k for m, k, d in _systems(scenario, h, own)])
+    return np.stack(
+        [4 * m - 2 * h * d - h * h * k for m, k, d in _systems(scenario, load_robot(scenario.robot), h, own)]
+    )
 
 
-def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _systems(
+    scenario: Scenario, robot: Robot, h: float, own: Own
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield mass, stiffness and damping matrix (18, 18) at each posture, by steps of `h`."""
-    model = load_model(scenario.robot)
+    model = robot.model
     contact, servo = scenario.contact, scenario.hardware.servo
     joint = np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
     driven, spring = np.ones(model.nv), np.zeros(model.nv)
@@ -254,9 +262,9 @@ def _systems(scenario: Scenario, h: float, own: Own) -> Iterator[tuple[np.ndarra
     if own.drive is not None:  # the friction is that of the config's servos
         dry, viscous = 0 * dry, 0.0
     springs = contact if own.contact is None else own.contact
-    postures = _planned(scenario.robot, own.gait or scenario.gait)
+    postures = _planned(robot, own.gait or scenario.gait)
     if _chooses(scenario, own):
-        postures = [*postures, (np.ones(model.nsite, bool), _stretched(scenario.robot))]
+        postures = [*postures, (np.ones(model.nsite, bool), _stretched(robot))]
     for grips, (mass, *jacobians) in postures:
         places, turns = (jacobian[grips].reshape(-1, model.nv) for jacobian in jacobians)
         held = springs.stiffness * places.T @ places + springs.rotational_stiffness * turns.T @ turns
@@ -290,11 +298,10 @@ def _of_loop(scenario: Scenario) -> tuple[float, float]:
 
 
 @functools.lru_cache(maxsize=64)
-def _planned(robot: str | RobotFile, gait: Gait) -> list[tuple[np.ndarray, tuple[np.ndarray, ...]]]:
+def _planned(robot: Robot, gait: Gait) -> list[tuple[np.ndarray, tuple[np.ndarray, ...]]]:
     """Return which feet are held, (L,) bool, and the matrices of `_matrices`, at the moments of a gait."""
-    loaded = load_robot(robot)
     feet, swing = planned_feet(robot, gait, _moments(gait))
-    angles = _posture(loaded, feet @ quaternion_to_matrix(loaded.stance_orientation))
+    angles = _posture(robot, feet @ quaternion_to_matrix(robot.stance_orientation))
     held = (swing < 0) | (swing > 1)
     return [(grips, _matrices(robot, each)) for grips, each in zip(held, angles, strict=True)]
 
@@ -308,21 +315,20 @@ def _moments(gait: Gait) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def _stretched(robot: str | RobotFile) -> tuple[np.ndarray, ...]:
+def _stretched(robot: Robot) -> tuple[np.ndarray, ...]:
     """Return the matrices with all limbs stretched level outwards, as far as a gait chooses footholds."""
-    loaded = load_robot(robot)
-    frames, up = limb_frames(loaded, None, loaded.stance_joints), quaternion_to_matrix(loaded.stance_orientation)[2]
-    lever = frames.foot - loaded.frame_position[:, 0]
+    frames, up = limb_frames(robot, None, robot.stance_joints), quaternion_to_matrix(robot.stance_orientation)[2]
+    lever = frames.foot - robot.frame_position[:, 0]
     outwards = lever - (lever @ up)[:, None] * up
     feet = frames.foot + np.linspace(0.0, _FARTHEST, _SHARES)[:, None, None] * outwards
-    may = within_reach(loaded, limb_geometry(loaded), feet)
+    may = within_reach(robot, limb_geometry(robot), feet)
     farthest = feet[_SHARES - 1 - may[::-1].argmax(0), np.arange(len(outwards))]
-    return _matrices(robot, _posture(loaded, farthest))
+    return _matrices(robot, _posture(robot, farthest))
 
 
-def _matrices(robot: str | RobotFile, angles: np.ndarray) -> tuple[np.ndarray, ...]:
+def _matrices(robot: Robot, angles: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return mass matrix and foot Jacobians (L, 3, 18), of places and of turning, at joint angles (L, N) rad."""
-    model = load_model(robot)
+    model = robot.model
     data = mujoco.MjData(model)
     data.qpos[:] = model.key_qpos[0]
     data.qpos[7:] = angles.ravel()

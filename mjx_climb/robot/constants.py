@@ -1,6 +1,8 @@
 """The constants of a robot that the equations need, read off its MuJoCo model."""
 
 import dataclasses
+import functools
+import hashlib
 from typing import ClassVar
 
 import jax
@@ -22,14 +24,14 @@ _STATIC = {"static": True}  # to JAX
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Robot:
     """A base with limbs of as many joints each, revolute or prismatic: masses, frames and limits.
 
     Every link has a frame at its joint whose z axis is the joint's axis; with the joint at zero, `frame_rotation` and
     `frame_position` place it in its parent's frame. The base frame sits at the base's centre of mass. Axes: limb, joint
     (from the base outwards), components. SI units; a prismatic joint's values are in m where a revolute one's are
-    in rad.
+    in rad. Robots are equal where constants and model are, wherever their files lie.
     """
 
     # whose first axis runs over the limbs
@@ -67,6 +69,25 @@ class Robot:
     joint_names: tuple[str, ...] = dataclasses.field(default=(), metadata=_STATIC)  # of a limb, from the base outwards
     # limbs in the order of the robot's file, with the names that their joints have there
     joints_in_file: tuple[tuple[str, tuple[str, ...]], ...] = dataclasses.field(default=(), metadata=_STATIC)
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Digest of the constants and of the compiled model."""
+        model = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
+        mujoco.mj_saveModel(self.model, None, model)
+        own = (getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "model")
+        parts = [value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode() for value in own]
+        return hashlib.sha256(b"\0".join([*parts, model.tobytes()])).hexdigest()
+
+    def __getstate__(self) -> dict[str, object]:
+        # without the digest, which only some have computed yet
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Robot) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
 
     @property
     def joints(self) -> int:

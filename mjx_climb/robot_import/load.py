@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import os
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 
@@ -32,31 +33,41 @@ def model_path(name: str | RobotFile) -> Path:
     return path
 
 
-@functools.cache
 def load_model(name: str | RobotFile) -> mujoco.MjModel:
-    """Return the compiled MuJoCo model of a robot: one that comes with mjx_climb, or one from a file."""
-    if isinstance(name, RobotFile):
-        return load_spec(name).compile()
-    return mujoco.MjModel.from_xml_path(str(model_path(name)))
+    """The compiled MuJoCo model of a robot: one that comes with mjx_climb, or one from a file."""
+    return load_robot(name).model
 
 
 def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
-    """Return the editable description that `load_model` compiles."""
+    """The editable description of `load_model`."""
     if isinstance(name, RobotFile):
         return spec_of(name)
     return mujoco.MjSpec.from_file(str(model_path(name)))
 
 
-@functools.cache
 def load_robot(name: str | RobotFile) -> Robot:
-    """Return the constants of a robot, read off its MuJoCo model with the joints at zero.
+    """The constants of a robot, from its MuJoCo model with the joints at zero; its files are read again once edited.
 
     Raises:
         RobotError: no such robot, or a model other than a floating base with limbs of as many joints each and a foot.
     """
+    return _loaded(name, tuple(_times(model_path(name))))
+
+
+def _times(file: Path) -> Iterator[tuple[int, int]]:
+    """Yield when a file and those that it includes were written, ns, and their sizes."""
+    included = mujoco.mju_getXMLDependencies(str(file)) if file.suffix == ".xml" and file.exists() else []
+    for each in {file, *(file.parent / other for other in included)}:
+        if each.exists():
+            yield each.stat().st_mtime_ns, each.stat().st_size
+
+
+@functools.lru_cache(maxsize=64)
+def _loaded(name: str | RobotFile, times: tuple[tuple[int, int], ...]) -> Robot:
+    model = load_spec(name).compile()
     if isinstance(name, str):
-        return robot_from_model(load_model(name), name)
-    robot = robot_from_model(load_model(name), Path(name.file).stem)
+        return robot_from_model(model, name)
+    robot = robot_from_model(model, Path(name.file).stem)
     # as the section lists them: `mjx-climb robot` writes them in the file's order
     return dataclasses.replace(robot, joints_in_file=tuple((limb, own.joints) for limb, own in name.limbs.items()))
 
@@ -88,13 +99,12 @@ def check_stance(scenario: Scenario, source: str = "scenario") -> None:
     Raises:
         ConfigError: in one line, the limb and the smallest singular value of its Jacobian.
     """
-    if wrong := _singular_limb(scenario.robot, scenario.contact.rotational_stiffness > 0):
+    if wrong := _singular_limb(load_robot(scenario.robot), scenario.contact.rotational_stiffness > 0):
         raise wrong.moved(source=source)
 
 
 @functools.lru_cache(maxsize=64)
-def _singular_limb(name: str | RobotFile, moments: bool) -> ConfigError | None:
-    robot = load_robot(name)
+def _singular_limb(robot: Robot, moments: bool) -> ConfigError | None:
     turned = moments and keeps_attitude(robot)
     values = least_singular_values(robot, robot.stance_joints, turned)
     limb, least, does = robot.limbs[values.argmin()], values.min(), "move and turn" if turned else "move"
@@ -104,7 +114,6 @@ def _singular_limb(name: str | RobotFile, moments: bool) -> ConfigError | None:
         "",
         f"robot.limbs.{limb}.foothold",
         f"a stance in which the limb can {does} its foot every way",
-        f"a singular one (smallest singular value of its Jacobian {least:.2g}, lengths over the limb's): another "
-        "height "
-        "or foothold",
+        f"a singular one (smallest singular value of its Jacobian {least:.2g}, lengths over the limb's): "
+        "another height or foothold",
     )

@@ -50,7 +50,6 @@ from mjx_climb.physics.kinematics import (
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.physics.state import Acceleration, Loads, State, integrate
 from mjx_climb.robot.constants import Robot
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk import control_loop
 from mjx_climb.walk.sample import Sample, Step, sample_of
 from mjx_climb.walk.structure import Structure
@@ -88,7 +87,7 @@ class Carry(NamedTuple):
 
 def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
     """Return hardware and gait plan of a walk, for a law whose gains have their full length."""
-    robot = _in_precision(load_robot(structure.robot), parameters.gravity.dtype)
+    robot = _in_precision(structure.robot, parameters.gravity.dtype)
     base_rotation = quaternion_to_matrix(robot.stance_orientation)
     feet = robot.stance_position + limb_frames(robot, base_rotation, robot.stance_joints).foot
     return Setup(
@@ -101,7 +100,7 @@ def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
 
 def walk_of(structure: Structure, setup: Setup) -> Walk:
     """Return the walk of what has been set up, beside all that every robot of this structure shares."""
-    robot = load_robot(structure.robot)
+    robot = structure.robot
     geometry = limb_geometry(robot, setup.parameters.contact.transmits_moments)
     robot, geometry = _in_precision((robot, geometry), setup.parameters.gravity.dtype)
     robot = execution.of_limbs(robot)  # from here on execution knows which arrays have the limbs first

@@ -1,22 +1,19 @@
 """The static inputs of a compiled walk: all that it depends on beside its law and the values of its parameters."""
 
-import functools
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
-
-import numpy as np
 
 from mjx_climb.control import LAWS, Law
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.hardware.stages import IDEAL, Stages
 from mjx_climb.inputs.from_scenario import stages_under_trace
-from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.equations_of_motion import ENGINES
-from mjx_climb.robot_import.load import load_model, load_robot
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import RobotFile, Scenario
+from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import METRICS, SENSORS, Metric, MetricTable
 
 _PACKAGE = __name__.split(".")[0] + "."
@@ -25,7 +22,7 @@ _PACKAGE = __name__.split(".")[0] + "."
 class Structure(NamedTuple):
     """What a compiled walk depends on beside its law and the values of its parameters; hashable."""
 
-    robot: str | RobotFile
+    robot: Robot
     engine: str
     lift_off: tuple[tuple[str, float], ...]  # of each limb, as a share of the cycle
     base_reference: str
@@ -34,7 +31,6 @@ class Structure(NamedTuple):
     metrics: MetricTable = METRICS
     smooth: bool = False  # no gripper is torn off
     stages: Stages = IDEAL  # of hardware between law and joints
-    model: str = ""  # digest of what a robot's own file says, empty for one that comes with the package
     # digest of law, components, metrics and engine of the user's own: a global that they read may have changed
     own_code: str = ""
     free: bool = False  # the limb that gains most swings next
@@ -83,8 +79,9 @@ def structure(
         own_code = identity(own) if own else ""
     except Unidentifiable:
         own_code = ""
+    robot = load_robot(scenario.robot)
     return Structure(
-        robot=scenario.robot,
+        robot=robot,
         engine=engine,
         lift_off=tuple(scenario.gait.lift_off.items()),
         base_reference=scenario.gait.base_reference,
@@ -92,8 +89,7 @@ def structure(
         time_step=scenario.time_step,
         metrics=table.with_companions if smooth else table,
         smooth=smooth,
-        stages=stages_under_trace(scenario, parameters, load_robot(scenario.robot), called),
-        model=_digest(scenario.robot, engine),
+        stages=stages_under_trace(scenario, parameters, robot, called),
         own_code=own_code,
         free=scenario.gait.order == "free",
         way_points=scenario.gait.way_points,
@@ -104,16 +100,3 @@ def structure(
 def planning_steps(scenario: Scenario, parameters: Parameters) -> int:
     """Return the number of steps between decisions of the gait; 0: the periodic gait, whatever happens."""
     return 0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps
-
-
-@functools.lru_cache(maxsize=64)
-def _digest(robot: str | RobotFile, engine: str) -> str:
-    """Return a digest of all that a robot's own file says, but where it lies; of its constants, or for MJX of all."""
-    if isinstance(robot, str):
-        return ""
-    content = {name: value for name, value in vars(load_robot(robot)).items() if name != "model"}
-    if engine != "limb":
-        model = load_model(robot)
-        content["model"] = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-        mujoco.mj_saveModel(model, None, content["model"])
-    return identity(content)

@@ -43,7 +43,7 @@ def robots(tmp_path_factory):
 
 
 def swing_reaction(scenario, path):
-    return swing.swing_reaction(scenario.robot, scenario.gait, False, path)
+    return swing.swing_reaction(load_robot(scenario.robot), scenario.gait, False, path)
 
 
 def by_mujoco(scenario, walked, limb):
@@ -76,7 +76,7 @@ def by_mujoco(scenario, walked, limb):
 def test_the_reaction_is_mujocos(robots, name):
     """Forces and moments of every limb's swing agree with inverse dynamics of the same joint path to 1e-8."""
     scenario = robots[name]
-    walked = swing_reaction(scenario, swing_path(scenario))
+    walked = swing_reaction(scenario, swing_path(scenario, load_robot(scenario.robot)))
     for limb in range(walked.joints.shape[1]):
         force, moment = by_mujoco(scenario, walked, limb)
         np.testing.assert_allclose(walked.force[:, limb], force, atol=1e-8 * np.abs(force).max())
@@ -96,7 +96,7 @@ def test_no_swing_nearby_puts_less_on_the_base(robots, name):
     Limbs of two joints cannot follow another path, and keep the cubic. Joints keep their limits, the feet their ways.
     """
     scenario = robots[name]
-    robot, path = load_robot(scenario.robot), swing_path(scenario)
+    robot, path = load_robot(scenario.robot), swing_path(scenario, load_robot(scenario.robot))
     lift_off = np.array([scenario.gait.lift_off[limb] for limb in robot.limbs])
     aside = path + 0.05 * np.random.default_rng(1).normal(size=(20, *path.shape))
     least, around = swing_reaction(scenario, path), swing_reaction(scenario, aside)
@@ -119,7 +119,10 @@ def test_no_swing_nearby_puts_less_on_the_base(robots, name):
 def test_the_nominal_posture_is_the_one_a_walk_settles_at(robots):
     """Five joints, two of them spare: the walk's own inverse kinematics stay where the nominal swing is."""
     scenario = robots["three limbs of five"]
-    robot, walked = load_robot(scenario.robot), swing_reaction(scenario, swing_path(scenario))
+    robot, walked = (
+        load_robot(scenario.robot),
+        swing_reaction(scenario, swing_path(scenario, load_robot(scenario.robot))),
+    )
     feet = limb_frames(robot, None, walked.joints).foot
     follow = functools.partial(inverse_kinematics, limb_geometry(robot), feet)
     np.testing.assert_allclose(follow(walked.joints).joint_angles, walked.joints, atol=1e-9)
@@ -152,7 +155,7 @@ def test_swings_stay_above_uneven_ground(robots):
 def test_a_swing_out_of_reach_stays_the_cubic(robots):
     """A stride that only two of HubRobo's limbs can follow: the others keep what they have."""
     scenario = robots["hubrobo"].with_overrides({"gait.stride": 0.3})
-    path = swing_path(scenario)
+    path = swing_path(scenario, load_robot(scenario.robot))
     walked, cubic = (swing_reaction(scenario, one) for one in (path, np.zeros_like(path)))
     missed = cubic.missed.max(0) > 1e-9
     assert 0 < missed.sum() < 4

@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb import terrain
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.terrain import check_reach, foothold_heights, footholds
+from mjx_climb.terrain import check_reach
 from tests.robot import climbers
 from tuning.proposal.propose import propose
 
 STEPS = {"LF": [0.0, 0.02], "LH": [0.01, -0.01], "RH": [0.0, 0.015, 0.03], "RF": [-0.01]}
 CALM = {"duration": 3.2, "gait.cycle": 1.6, "gait.stride": 0.02, "time_step": 0.001}
+
+
+def foothold_heights(scenario):
+    return terrain.foothold_heights(scenario, load_robot(scenario.robot))
+
+
+def footholds(scenario):
+    return terrain.footholds(scenario, load_robot(scenario.robot))
 
 
 @pytest.fixture(scope="module")

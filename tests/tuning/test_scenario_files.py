@@ -46,7 +46,7 @@ def kept(scenario, folder):
 
 def test_a_folder_with_copies_can_be_moved(config, tmp_path):
     scenario = mc.load_scenario(config)
-    robot, heights = load_robot(scenario.robot), foothold_heights(scenario)
+    robot, heights = load_robot(scenario.robot), foothold_heights(scenario, load_robot(scenario.robot))
     made = kept(scenario, tmp_path / "out")
     assert kept(mc.load_scenario(tmp_path / "out" / "config.yaml"), tmp_path / "out") == made  # repeated in place
     xarray = xr.Dataset({"x": 1.0}, attrs={"scenario": made.to_yaml()})
@@ -57,7 +57,7 @@ def test_a_folder_with_copies_can_be_moved(config, tmp_path):
     again = mc.load_scenario(moved / "config.yaml")
     assert Path(again.robot.file) == moved / "inputs" / "robot" / "robot.urdf"
     np.testing.assert_array_equal(load_robot(again.robot).link_inertia, robot.link_inertia)
-    np.testing.assert_array_equal(foothold_heights(again), heights)
+    np.testing.assert_array_equal(foothold_heights(again, robot), heights)
     assert again.with_files(lambda key, _: key) == scenario.with_files(lambda key, _: key)
     loaded = dataset.load(moved / "made.nc")  # a dataset names the files beside it
     assert str(tmp_path) not in loaded.attrs["scenario"]
