@@ -8,9 +8,7 @@ asks for, the plain one is taken, and a warning says so once.
 import functools
 import json
 import math
-import sys
 from collections.abc import Callable, Hashable, Sequence
-from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -23,10 +21,10 @@ from jax.tree_util import PyTreeDef
 from mjx_climb.execution import devices, gpu_kernel, paths
 from mjx_climb.execution.cache import (
     cached_jit,
+    code_digest,
     enable_cache,
     executable_file,
     read_whole,
-    source_digest,
     store_whole,
 )
 from mjx_climb.execution.contents import Unidentifiable, identity
@@ -213,10 +211,10 @@ def _program(path: str, device: str | None, briefly: bool) -> Callable[..., dict
 
 def _identity(call: _Call, *trees: PyTree) -> str | None:
     """Return the identity of a call, None where its function cannot be identified."""
-    package = sys.modules[call.function.__module__.partition(".")[0]]
+    kinds = [type(tree) for tree in trees]
     try:
-        known = identity((call.function, call.structure, [type(tree) for tree in trees]))
-        return repr((known, *call[2:], source_digest(Path(str(package.__file__)).parent)))
+        known = identity((call.function, call.structure, kinds))
+        return repr((known, *call[2:], code_digest({each.__module__ for each in (call.function, *kinds)})))
     except Unidentifiable:
         return None
 

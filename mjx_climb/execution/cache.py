@@ -4,9 +4,9 @@ It is in the user's cache folder, so that a second start does not wait for the c
 folder) or switches it off (`off`); a folder that the user has set in JAX itself is left. What lies there is executed,
 so a folder in which another user may have put something is not used.
 
-With a cached executable a warm start neither traces nor compiles. It is found by a digest of this package's files, of
-the versions of what compiles and computes, the machine, JAX's settings, the shapes of the arguments, and all that the
-caller says it depends on. A file that cannot be read, or is not what was written under its name, is made again.
+With a cached executable a warm start neither traces nor compiles. Its name is a digest of the files that the traced
+function imports, the versions of compiler and libraries, the machine, JAX's settings, the shapes of the arguments, and
+the caller's identity of its inputs. A file that cannot be read, or was not written under its name, is made again.
 """
 
 import contextlib
@@ -16,12 +16,14 @@ import importlib.metadata
 import os
 import pickle
 import platform
+import re
+import sys
 import tempfile
 import threading
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -38,6 +40,8 @@ from mjx_climb.execution.jax_types import Function, PyTree
 VARIABLE = "MJX_CLIMB_CACHE"
 _LONGEST = 3600  # s that a file is written
 _OFF = {"off", "0", "no", "none", "false"}
+_PACKAGE = Path(__file__).parents[1]
+_IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|.*)|import\s+([\w.]+))", re.MULTILINE)
 
 
 def asked_folder() -> Path | None:
@@ -130,12 +134,40 @@ def source_digest(folder: Path) -> str:
     return digest.hexdigest()
 
 
+def code_digest(modules: Iterable[str]) -> str:
+    """Digest of modules of this package, or of a part of it, and of the modules of both that they import."""
+    tops = {_PACKAGE.name, *(name.partition(".")[0] for name in modules)}
+    parts = [top for top in tops if _PACKAGE.name in (top, getattr(sys.modules.get(top), "__part_of__", ""))]
+    return digest_of_imports(frozenset(modules), tuple(Path(str(sys.modules[top].__file__)).parent for top in parts))
+
+
+@functools.cache
+def digest_of_imports(modules: frozenset[str], folders: tuple[Path, ...]) -> str:
+    """Digest of the files of modules, and of the modules in some packages' folders that they import, and so on.
+
+    Imports inside functions, and those that type checkers alone read, count too.
+    """
+    files = {_module(path, folder): path for folder in folders for path in folder.rglob("*.py")}
+    texts: dict[str, str] = {}
+    waiting = [name for name in modules if name in files]
+    while waiting:
+        if (name := waiting.pop()) not in texts:
+            texts[name] = files[name].read_text()
+            for home, names, alone in _IMPORT.findall(texts[name]):
+                taken = (f"{home}.{each}" for each in re.findall(r"\w+", names))
+                waiting += [each for each in (home, alone, *taken) if each in files]
+    return hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()
+
+
+def _module(path: Path, folder: Path) -> str:
+    return ".".join(path.relative_to(folder.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
 # --- executables
 
 _Result = TypeVar("_Result")
 Options = dict[str, str | int]  # of the compiler
 
-_PACKAGE = Path(__file__).parents[1]
 _OF_NO_EFFECT = ("cache", "log", "traceback", "profiler")  # in names of JAX's settings that change no executable
 # events that JAX records where XLA's cache gave a program, for whoever shows how long compilation took
 _HIT, _SECONDS = "/jax/compilation_cache/cache_hits", "/jax/core/compile/backend_compile_duration"
@@ -191,8 +223,8 @@ def executable_file(function: Function, known: str, key: Hashable, options: Opti
     if folder is None or cache_in_use() != str(folder) or jax.process_count() > 1:
         return None
     made_of = (
-        function.__module__, function.__qualname__, known, str(key), sorted(options.items()), source_digest(_PACKAGE),
-        machine(),
+        function.__module__, function.__qualname__, known, str(key), sorted(options.items()),
+        code_digest([function.__module__]), machine(),
     )  # fmt: skip
     return folder / "programs" / hashlib.sha256(repr(made_of).encode()).hexdigest()
 

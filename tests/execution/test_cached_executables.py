@@ -2,6 +2,7 @@
 
 import os
 import runpy
+import shutil
 import subprocess
 import sys
 import time
@@ -206,6 +207,31 @@ def test_an_executable_is_found_under_the_settings_of_jax_that_it_was_compiled_u
     for precision in ("highest", "highest", "bfloat16"):
         call(precision)
     assert files[0] == files[1] != files[2]
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "same"),
+    [
+        ("viz/__init__.py", "", "# a comment", True),
+        ("files/dataset.py", "import", "# a comment\nimport", True),
+        ("control/virtual_mass.py", "2e-3", "3e-3", False),
+        ("control/__init__.py", "LAWS", "_LAWS", False),
+        ("gait/swing.py", "(3 - 2 * phase)", "(3 - 2.1 * phase)", False),
+    ],
+)
+def test_a_walks_program_is_found_by_the_files_that_take_part_in_it(tmp_path, file, old, new, same):
+    """Those that the walk's module imports, and that these import."""
+    package = tmp_path / "mjx_climb"
+    shutil.copytree(ROOT / "mjx_climb", package, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def digest():
+        cache.digest_of_imports.cache_clear()
+        return cache.digest_of_imports(frozenset(["mjx_climb.walks"]), (package,))
+
+    before, text = digest(), (package / file).read_text()
+    assert old in text
+    (package / file).write_text(text.replace(old, new, 1))
+    assert (digest() == before) == same
 
 
 @pytest.mark.parametrize("variable", ["XLA_FLAGS", "LIBTPU_INIT_ARGS"])
