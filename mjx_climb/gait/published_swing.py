@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.gait.swing import COUNT, added_shapes, lift, rest_to_rest
+from mjx_climb.reading import check_regular
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Gait, SwingFile
 
@@ -73,6 +74,7 @@ def _read(file: str, frame: str) -> Swing:
     if (reader := readers.get(path.suffix.lower())) is None:
         raise ConfigError(file, "gait.swing_file", f"a swing as {', '.join(readers)}", path.suffix or "no suffix")
     try:
+        check_regular(path)
         return reader(path, frame)
     except ConfigError:
         raise

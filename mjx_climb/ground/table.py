@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
+from mjx_climb.reading import check_regular
 from mjx_climb.scenario.messages import ConfigError
 
 Column = tuple[str, np.ndarray]
@@ -68,6 +69,7 @@ def packed(content: bytes, layout: DTypeLike, count: int, at: int = 0) -> np.nda
 def reading(file: str, key: str, expected: str) -> Iterator[None]:
     """Refuse a file in one line whatever its reader raises: libraries raise what their decoders do on damaged ones."""
     try:
+        check_regular(file)
         yield
     except ConfigError:
         raise

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
+from mjx_climb.reading import check_regular
 from mjx_climb.robot.constants import RobotError
 from mjx_climb.robot_import.markup import (
     check_numbers,
@@ -82,6 +83,12 @@ def described(file: str, looks: bool = False) -> mujoco.MjSpec:
 def _read(file: str, looks: bool) -> mujoco.MjSpec:
     if not file.endswith((".xml", ".urdf")):
         raise RobotError(f"{file}: expected a file whose name ends in .xml or .urdf")
+    try:
+        check_regular(file)
+    except FileNotFoundError:  # MuJoCo says so
+        pass
+    except OSError as error:
+        raise RobotError(f"{file}: expected an MJCF or URDF, got {error.strerror}") from None
     text = text_of(file)
     if macro := re.search(r"<xacro:\w+", text):
         place = f"{file}:{text.count(chr(10), 0, macro.start()) + 1}"

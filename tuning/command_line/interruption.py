@@ -3,8 +3,9 @@
 An exception out of a signal handler surfaces wherever the process happens to be, and is lost where that is a callback
 of JAX's. So the handler only notes the signal; commands look between rounds, parts and stages. Python runs handlers
 when the main thread next runs Python, which may be after minutes in XLA's compiler: a second thread, woken by the
-signal itself, sees to it that a second signal ends the process even then. Where no Python runs at all any more, as in
-a library that hangs, the system does (glibc's): a handler is good for one signal, until that thread puts it back.
+signal itself, sees to it that a second signal ends the process even then, and a first one where nothing would be kept
+(`at_once`). Where no Python runs at all any more, as in a library that hangs, the system does (glibc's): a handler is
+good for one signal, until that thread puts it back.
 """
 
 import contextlib
@@ -13,19 +14,20 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from types import FrameType
 
 CODE = 130  # exit code, as of shells
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
 
 
 class Watch:
     """Watches both signals from its making on, in the main thread."""
 
     def __init__(self) -> None:
-        self.requested = False
+        self.requested = self.at_once = False
         self._woken, self.waker = socket.socketpair()
         self.waker.setblocking(False)
         signal.set_wakeup_fd(self.waker.fileno(), warn_on_full_buffer=False)
@@ -46,6 +48,9 @@ class Watch:
             count, self.requested = count + 1, True
             if count > 1:
                 _say(b"interrupted at once: what was finished is kept; the same command goes on from there")
+                os._exit(CODE)
+            if self.at_once:
+                _say(NOTHING_KEPT.encode())
                 os._exit(CODE)
             _say(b"interrupted: ends after what is under way; a second signal ends it at once")
         self._woken.close()
@@ -79,6 +84,25 @@ def check() -> None:
     """Raise KeyboardInterrupt where the program was asked to end."""
     if requested():
         raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def at_once() -> Iterator[None]:
+    """Have the first signal end the process within a block of which nothing would be kept.
+
+    Raises:
+        KeyboardInterrupt: the program was asked to end before.
+    """
+    watching = _WATCH.get()
+    if watching is None:
+        yield
+        return
+    watching.at_once = True
+    try:
+        check()
+        yield
+    finally:
+        watching.at_once = False
 
 
 class Interrupted(Exception):

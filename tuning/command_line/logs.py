@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import mjx_climb as mc
+from tuning.command_line import interruption
 from tuning.command_line.from_models import command
 from tuning.command_line.options import Output, Walk, fitted
 from tuning.command_line.program import InputError, origin, repeated
@@ -83,10 +84,11 @@ class Recorded(Options):
 
     def read(self, scenario: "mc.Scenario") -> "Log":
         """Return the log."""
-        from mjx_climb.robot_import.load import load_robot
-        from tuning.identification.readers import read_log
+        with interruption.at_once():
+            from mjx_climb.robot_import.load import load_robot
+            from tuning.identification.readers import read_log
 
-        return read_log(self.log, load_robot(scenario.robot), self.signals)
+            return read_log(self.log, load_robot(scenario.robot), self.signals)
 
     def files_from(self, folder: Path) -> list[str]:
         """Return the options that name its files, as seen from another folder: a log may be too large to be copied."""

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from tuning.pages.page import Origin
 
 ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
-NOTHING_KEPT = "interrupted: nothing was kept; the same command starts again"
 COMMANDS = {  # which question each answers
     "run": "How does this walk go?",
     "sweep": "How does it depend on two gains?",
@@ -134,7 +133,7 @@ def run(arguments: Sequence[str]) -> int:
         code = program(asked)(arguments or ["--help"], prog_name="mjx-climb", standalone_mode=False)
         sys.stdout.flush()
     except (interruption.Interrupted, KeyboardInterrupt) as interrupt:
-        _say(f"interrupted: {interrupt}" if str(interrupt) else NOTHING_KEPT)
+        _say(f"interrupted: {interrupt}" if str(interrupt) else interruption.NOTHING_KEPT)
         return interruption.CODE
     except SystemExit as ended:
         if {"typer", "click"} & {*_last_file(ended).split("/")}:  # which print what a shell completes, and end
@@ -157,7 +156,7 @@ def run(arguments: Sequence[str]) -> int:
             pass
         return 2
     if code == interruption.CODE:  # a KeyboardInterrupt that typer caught
-        _say(NOTHING_KEPT)
+        _say(interruption.NOTHING_KEPT)
     elif interruption.requested():
         _say("interrupted: the command had come to its end, and all that it writes is written")
         return interruption.CODE

@@ -8,6 +8,7 @@ import typer
 from pydantic import BeforeValidator
 
 import mjx_climb as mc
+from tuning.command_line import interruption
 from tuning.command_line.from_models import command
 from tuning.command_line.options import ROOF, SLOPE, Output, inclined
 from tuning.command_line.program import InputError
@@ -59,20 +60,39 @@ def robot(asked: Robot) -> None:
       mjx-climb robot limbero.urdf --gravity 1.62 --slope 30
     """
     from mjx_climb.files import dataset
-    from mjx_climb.inputs.time_step import largest_time_step
-    from mjx_climb.scenario.model import validated
     from mjx_climb.viz import rendering
-    from tuning.command_line.session import Session, duration
-    from tuning.comparisons import first_walks
-    from tuning.proposal.propose import propose
 
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(write, "", "another file than the robot's own")
+    with interruption.at_once():
+        scenario, walks = _walked(asked)
+    if write is None:
+        typer.echo("\n" + scenario.to_yaml(), nl=False)
+    else:
+        dataset.write_text_atomically(write, scenario.relative_to(write.absolute().parent).to_yaml())
+        typer.echo(f"\nwrote {write}: mjx-climb run {write}")
+        try:
+            picture = rendering.save_image(write.with_suffix(".png"), rendering.stance(scenario.robot))
+            typer.echo(f"wrote {picture}: where its feet are")
+        except (mc.RobotError, rendering.RenderingError) as error:
+            typer.echo(f"no picture: {error}")
+    if not walks:
+        raise typer.Exit(1)
+
+
+def _walked(asked: Robot) -> tuple[mc.Scenario, bool]:
+    """Return a scenario for a robot, and whether it walks; print how both came about."""
+    from mjx_climb.inputs.time_step import largest_time_step
+    from mjx_climb.scenario.model import validated
+    from tuning.command_line.session import Session, duration
+    from tuning.comparisons import first_walks
+    from tuning.proposal.propose import propose
+
     gravity = inclined((0.0, 0.0, -asked.strength()), asked.slope, asked.roof)
-    proposal = propose(file, asked.gravity, asked.base, asked.limbs)
-    scenario = validated(mc.Scenario, {**proposal.sections, "gravity": gravity, "time_step": 0.001}, str(file))
-    step = min(0.001, largest_time_step(scenario, str(file)))
+    proposal = propose(asked.file, asked.gravity, asked.base, asked.limbs)
+    scenario = validated(mc.Scenario, {**proposal.sections, "gravity": gravity, "time_step": 0.001}, str(asked.file))
+    step = min(0.001, largest_time_step(scenario, str(asked.file)))
     scenario = scenario.with_overrides({"time_step": step})
     rows = [*proposal.notes, ("changed", f"time step {step:g} s", "short enough for contacts and joint loop")]
     what = max(len(row[1]) for row in rows)
@@ -102,15 +122,4 @@ def robot(asked: Robot) -> None:
         tell("warning", "load", heavy)
     if hung:
         tell("taken" if hung[0] else "warning", "ceiling", hung[1])
-    if write is None:
-        typer.echo("\n" + scenario.to_yaml(), nl=False)
-    else:
-        dataset.write_text_atomically(write, scenario.relative_to(write.absolute().parent).to_yaml())
-        typer.echo(f"\nwrote {write}: mjx-climb run {write}")
-        try:
-            picture = rendering.save_image(write.with_suffix(".png"), rendering.stance(scenario.robot))
-            typer.echo(f"wrote {picture}: where its feet are")
-        except (mc.RobotError, rendering.RenderingError) as error:
-            typer.echo(f"no picture: {error}")
-    if not walks:
-        raise typer.Exit(1)
+    return scenario, walks

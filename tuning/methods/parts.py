@@ -20,8 +20,8 @@ import mjx_climb as mc
 from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.files.locks import alone, refused
-from mjx_climb.files.reading import read_found
 from mjx_climb.files.writing import OutputError, write_in_place
+from mjx_climb.reading import read_found
 from mjx_climb.robot_import.load import model_path
 from tuning import scenario_files
 from tuning.problem.evaluation import Problem

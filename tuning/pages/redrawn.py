@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mjx_climb.files import dataset
-from mjx_climb.files.reading import read_found
+from mjx_climb.reading import read_found
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.viz import plots
 from tuning.comparisons import paired

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from mjx_climb.files.dataset import check_folder, write_text_atomically
-from mjx_climb.files.reading import read_found
+from mjx_climb.reading import read_found
 from mjx_climb.scenario.messages import printable
 from tuning.numbers import number
 from tuning.pages.page import ENVIRONMENT

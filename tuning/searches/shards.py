@@ -17,7 +17,7 @@ import numpy as np
 
 from mjx_climb import execution
 from mjx_climb.files.dataset import OutputError, write_text_atomically
-from mjx_climb.files.reading import read_found
+from mjx_climb.reading import read_found
 from mjx_climb.scenario.messages import ConfigError
 from tuning.methods import parts as finished_parts
 from tuning.methods.parts import Parts

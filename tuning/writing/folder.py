@@ -10,7 +10,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.files.reading import leaving
+from mjx_climb.reading import leaving
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.viz import plots
 from tuning.background import Stage, silent

@@ -24,8 +24,8 @@ import mjx_climb as mc
 from mjx_climb.execution.contents import Unidentifiable
 from mjx_climb.files.dataset import OutputError, check_folder
 from mjx_climb.files.locks import alone, is_held, refused
-from mjx_climb.files.reading import leaving, read_found
 from mjx_climb.files.writing import write_in_place
+from mjx_climb.reading import leaving, read_found
 from tuning.methods import parts
 from tuning.problem.evaluation import Problem
 from tuning.results.result import RESULTS, WITHOUT_PARTS

@@ -48,20 +48,22 @@ def test_a_signal_where_exceptions_are_lost_is_heard(number, monkeypatch, call, 
 
 
 _WHILE_IMPORTING = """
-import signal, sys
+import signal, sys, time
 class Finder:
     def find_spec(self, name, *_):
         if name == sys.argv[1]:
             signal.raise_signal(signal.SIGINT)
+            {then}
 sys.meta_path.insert(0, Finder())
 from tuning.command_line import main
 main(sys.argv[2:])
 """
 
 
-def interrupted_in(module, folder):
-    """Run the program in a process of its own that gets a signal as it imports a module."""
-    command = [sys.executable, "-c", _WHILE_IMPORTING, module, *RUN, "--out", str(folder)]
+def interrupted_in(module, folder, command=RUN, then="pass"):
+    """Run the program in a process of its own that gets a signal as it imports a module, and `then` does something."""
+    out = ["--out", str(folder)] if command is RUN else []
+    command = [sys.executable, "-c", _WHILE_IMPORTING.format(then=then), module, *command, *out]
     return subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)
 
 
@@ -112,6 +114,35 @@ def test_the_second_signal_ends_what_never_looks():
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err == "mjx-climb: interrupted at once: what was finished is kept; the same command goes on from there\n"
+
+
+def test_the_first_signal_ends_what_would_keep_nothing():
+    """As a log of many columns that is read, or a compiled walk: Python may run, and looks for no signal."""
+    work = "with interruption.at_once():\n    import time\n    print(end='in it\\n', flush=True)\n    time.sleep(60)"
+    process = busy(work, stderr=subprocess.PIPE)
+    assert process.stdout.readline() == "in it\n"
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (
+        130,
+        "mjx-climb: interrupted: nothing was kept; the same command starts again\n",
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("module", "command"),
+    [
+        ("tuning.proposal.propose", ["robot", interrupts.ROBOT]),
+        ("rosbags.highlevel", ["identify", interrupts.CASE, "--log", "{log}", "--fit", "control.kp"]),
+    ],
+)
+def test_the_first_signal_ends_a_robot_s_first_walks_and_the_reading_of_a_log(module, command, tmp_path):
+    """As a file of 100 limbs, or a log of 100,000 columns, takes minutes: here an import takes 5 s."""
+    (log := tmp_path / "log.mcap").write_text("no bag")
+    done = interrupted_in(module, tmp_path, [part.format(log=log) for part in command], then="time.sleep(5)")
+    assert (done.returncode, done.stdout) == (130, ""), done.stderr
+    assert done.stderr == "mjx-climb: interrupted: nothing was kept; the same command starts again\n"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks glibc")

@@ -6,6 +6,7 @@ import pkgutil
 from collections.abc import Callable
 from pathlib import Path
 
+from mjx_climb.reading import check_regular
 from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.table import Recording
 
@@ -35,4 +36,9 @@ def record(path: str | os.PathLike[str]) -> Recording:
     if reader is None:
         expected = f"a log: {', '.join(filter(None, READERS))} or the folder of a bag"
         raise ConfigError(str(path), "", expected, path.suffix or "a name without suffix")
+    if not path.is_dir():
+        try:
+            check_regular(path)
+        except OSError as error:
+            raise ConfigError(str(path), "", "a log", error.strerror or str(error)) from None
     return reader(path)

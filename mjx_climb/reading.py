@@ -1,4 +1,4 @@
-"""Files that are found, not given: somebody else may have put them there."""
+"""Files that may have a reader wait forever, or that were found, not given: somebody else may have put them there."""
 
 import errno
 import os
@@ -15,9 +15,18 @@ def read_found(path: str | os.PathLike[str]) -> str:
         UnicodeDecodeError: other text.
     """
     with open(path, encoding="utf-8", opener=_without_waiting) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "no regular file", os.fspath(path))
+        check_regular(path, file.fileno())
         return file.read()
+
+
+def check_regular(path: str | os.PathLike[str], opened: int | None = None) -> None:
+    """Check a file before a library reads it; `opened` is its descriptor, where it is open.
+
+    Raises:
+        OSError: it is not there, or is a pipe or a device, which could have a reader wait forever.
+    """
+    if not stat.S_ISREG(os.stat(path if opened is None else opened).st_mode):
+        raise OSError(errno.EINVAL, "no regular file", os.fspath(path))
 
 
 def _without_waiting(path: str, flags: int) -> int:
