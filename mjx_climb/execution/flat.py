@@ -26,6 +26,7 @@ from mjx_climb.execution.jax_internals import (
     with_inner,
 )
 from mjx_climb.execution.jax_types import Atom, Function, Parameters
+from mjx_climb.execution.simpler import is_made_simpler, simpler
 
 
 def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
@@ -44,9 +45,10 @@ def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
             return atom if isinstance(atom, core.Literal) else atoms[atom]
 
         for equation in program.jaxpr.eqns:
-            given, inner = [read(atom) for atom in equation.invars], inner_program(equation)
+            given = [read(atom) for atom in equation.invars]
             if called_at is not None and not line_of(equation):  # of a function of JAX's: the line that calls it
                 equation = equation.replace(source_info=called_at.source_info)
+            inner = inner_program(equation) or simpler(equation, differentiated=False)
             if inner is not None:
                 atoms |= zip(equation.outvars, written_out(inner, given, equation), strict=True)
                 continue
@@ -176,14 +178,17 @@ def tangents_of(program: core.ClosedJaxpr, moving: Sequence[bool]) -> tuple[core
 
     It returns the results and then their tangents.
     """
-    both, moved = jvp_jaxpr(with_stable_maxima(program), tuple(moving), instantiate=False)
+    both, moved = jvp_jaxpr(with_stable_choices(program), tuple(moving), instantiate=False)
     return both, list(moved)
 
 
 @functools.lru_cache(maxsize=128)
-def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
-    """Return a program without `max`, `min` and their reductions, outside of functions with their own derivative."""
-    if not _has_maxima(program.jaxpr):
+def with_stable_choices(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
+    """Return a program without `max`, `min`, their reductions and what `simpler` knows.
+
+    Functions with their own derivative stay.
+    """
+    if not _has_choices(program.jaxpr):
         return program
 
     def results_of(equation: core.JaxprEqn, values: list[Array]) -> list[Array]:
@@ -194,10 +199,12 @@ def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
         if compare is not None:
             axes = equation.params.get("axes")
             return [_better(compare, *values) if axes is None else _best(compare, values[0], axes)]
+        if inner is None:
+            inner = simpler(equation, differentiated=True)
         if inner is not None and not primitive.name.startswith("custom"):
-            results: list[Array] = core.jaxpr_as_fun(with_stable_maxima(inner))(*values)
+            results: list[Array] = core.jaxpr_as_fun(with_stable_choices(inner))(*values)
             return results
-        return carried_out(primitive, with_inner(with_stable_maxima, equation), values)
+        return carried_out(primitive, with_inner(with_stable_choices, equation), values)
 
     def evaluated(*arguments: Array) -> list[Array]:
         known = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
@@ -216,9 +223,11 @@ def with_stable_maxima(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
     return jax.make_jaxpr(evaluated)(*program.in_avals)
 
 
-def _has_maxima(jaxpr: core.Jaxpr) -> bool:
+def _has_choices(jaxpr: core.Jaxpr) -> bool:
     return any(
-        equation.primitive.name in _COMPARISONS or any(map(_has_maxima, core.jaxprs_in_params(equation.params)))
+        equation.primitive.name in _COMPARISONS
+        or is_made_simpler(equation, differentiated=True)
+        or any(map(_has_choices, core.jaxprs_in_params(equation.params)))
         for equation in jaxpr.eqns
     )
 

@@ -32,6 +32,17 @@ def _row_by_row(carry, given, number, reverse):
     return lax.scan(lambda carry, each: _read(carry, each, number), carry, given, reverse=reverse)
 
 
+def _well(matrix):
+    """Return a matrix (3, 3) that is far from singular, and whose elimination exchanges rows."""
+    return matrix[:3] * 0.2 + np.roll(np.eye(3), 1, 0) * 2
+
+
+def _of_six(vector, matrix):
+    """Return a matrix (6, 6) that is far from singular."""
+    part = matrix[:3] * 0.2
+    return jnp.block([[part, jnp.eye(3) * 3], [2 * jnp.eye(3) + part.T * vector, part.T]])
+
+
 def _draw(vector, matrix, number):
     key = jax.random.fold_in(jax.random.key(3), number)
     first, second = jax.random.split(key)
@@ -156,28 +167,68 @@ KNOWN = {
         for rows, reverse in ((m, False), (jnp.sin(m), True))
     ],
     "switch": lambda v, m, n: lax.switch(n, [lambda a: a, lambda a: a * a, lambda a: -a], v),
-    "checkpoint": lambda v, m, n: jax.checkpoint(jnp.sin)(v),
-}
-# what no kernel does: it may be refused, not wrong
-OTHERS = {
-    "cond of a known choice": lambda v, m, n: lax.cond(jnp.asarray(TABLE[0] > 0), lambda a: a * 2, lambda a: a - 1, v),
-    "reduce_xor": lambda v, m, n: lax.reduce_xor_p.bind((m * 8).astype(jnp.int32), axes=(0,)),
-    "cumsum": lambda v, m, n: (jnp.cumsum(m, 0), lax.cumsum(m, 1, reverse=True)),
+    "scatter": lambda v, m, n: (
+        m.at[n].set(1.0),
+        m.at[n].add(v),
+        m.at[n].max(0.5),
+        m.at[n, 1].min(v[0]),
+        m.at[n + 2].multiply(2.0, mode="clip"),
+        v.at[jnp.stack([n, n])].add(v[:2]),
+    ),
+    "scatter to known places": lambda v, m, n: (
+        jnp.zeros(6).at[2].set(v[0]),
+        jnp.zeros(6).at[2:5].set(v),
+        m.at[1:3, :2].add(v[:2]),
+        jnp.zeros(6).at[::2].set(v),
+        v.at[jnp.array([0, 0, 2])].add(v),
+    ),
+    "scatter of a window": lambda v, m, n: lax.scatter(
+        m, n[None], m[:2] * 2, lax.ScatterDimensionNumbers((0, 1), (), (0,)), mode="drop"
+    ),
+    "scatter in rows": lambda v, m, n: jax.vmap(lambda row, at: row.at[at].set(7.0))(m, jnp.arange(4) + n),
+    "segment_sum": lambda v, m, n: (
+        jax.ops.segment_sum(m, np.array([0, 1, 0, 1]), 3),
+        jax.ops.segment_sum(v, jnp.stack([n, n, n * 0]), 3),
+    ),
+    "cumsum": lambda v, m, n: (jnp.cumsum(m, 0), lax.cumsum(m, 1, reverse=True), jnp.cumprod(v)),
     "cummax": lambda v, m, n: (lax.cummax(m, 0), lax.cummin(m, 1, reverse=True)),
     "argmax": lambda v, m, n: (m.argmax(0), m.argmin(1), jnp.round(m).argmax(), jnp.stack([v, v]).argmax(0)),
     "argmax of NaN": lambda v, m, n: jnp.where(m > 1, jnp.nan, m).argmax(0),
     "a part of a product": lambda v, m, n: jnp.take_along_axis(m, jnp.argmax(m, 0)[None], 0),
+    "sort": lambda v, m, n: (
+        jnp.sort(m, 0),
+        jnp.argsort(v),
+        jnp.argsort(jnp.round(m).ravel()),
+        jnp.lexsort((v, jnp.round(v))),
+    ),
+    "sort of NaN": lambda v, m, n: jnp.argsort(jnp.where(m > 1, jnp.nan, m), 1),
+    "median": lambda v, m, n: (jnp.median(v), jnp.median(m, 0), jnp.percentile(v, 30.0)),
+    "top_k": lambda v, m, n: (lax.top_k(v, 2), lax.top_k(jnp.round(m), 2)[1]),
+    "solve": lambda v, m, n: (jnp.linalg.solve(_well(m), v), jnp.linalg.solve(_well(m), m.T)),
+    "inv": lambda v, m, n: (jnp.linalg.inv(_well(m)), jnp.linalg.det(m[:3])),
+    "inv of six": lambda v, m, n: jnp.linalg.inv(_of_six(v, m)),
+    "qr": lambda v, m, n: (jnp.linalg.qr(_well(m)), jnp.linalg.qr(_well(m)[:, :2])),
+    "cholesky": lambda v, m, n: jnp.linalg.cholesky(m.T @ m + jnp.eye(3)),
+    "convolve of a vector": lambda v, m, n: (
+        jnp.convolve(v, m[0]),
+        jnp.convolve(m.ravel(), v, mode="same"),
+        jnp.correlate(m.ravel(), v),
+    ),
+    "checkpoint": lambda v, m, n: jax.checkpoint(jnp.sin)(v),
+}
+# what no kernel does: it may be refused, not wrong
+OTHERS = {
+    "qr of a wide matrix": lambda v, m, n: (jnp.linalg.qr(m.T), jnp.linalg.qr(m, mode="complete")),
+    "a long sort": lambda v, m, n: jnp.sort(jnp.cos(jnp.arange(40.0)) * v[0]),
+    "cond of a known choice": lambda v, m, n: lax.cond(jnp.asarray(TABLE[0] > 0), lambda a: a * 2, lambda a: a - 1, v),
+    "reduce_xor": lambda v, m, n: lax.reduce_xor_p.bind((m * 8).astype(jnp.int32), axes=(0,)),
     "gather that fills at known places": lambda v, m, n: m.at[jnp.array([0, 9])].get(mode="fill", fill_value=7.0),
     "threefry": _draw,
     "known keys": lambda v, m, n: jax.random.normal(jax.random.key(1), (3,)) * v,
     "while_loop": lambda v, m, n: lax.while_loop(lambda a: a.sum() < 20, lambda a: jnp.abs(a) + 1, v),
-    "sort": lambda v, m, n: (jnp.sort(m, 0), jnp.argsort(v)),
     "erf": lambda v, m, n: jax.scipy.special.erf(v),
-    "scatter": lambda v, m, n: (m.at[n].set(1.0), m.at[n].add(v), m.at[n].max(0.5)),
     "fft": lambda v, m, n: jnp.abs(jnp.fft.fft(v)),
-    "cholesky": lambda v, m, n: jnp.linalg.cholesky(m.T @ m + jnp.eye(3)),
     "reduce_window": lambda v, m, n: lax.reduce_window(m, 0.0, lax.add, (2, 1), (1, 1), "VALID"),
-    "conv": lambda v, m, n: jnp.convolve(v, m[0]),
     "reduce": lambda v, m, n: lax.reduce(m, 0.0, lambda a, b: a + b * b, (0,)),
     "reduce_precision": lambda v, m, n: lax.reduce_precision(v, 5, 4),
     "bitcast to another size": lambda v, m, n: lax.bitcast_convert_type(jnp.round(v), jnp.uint16),
