@@ -157,10 +157,15 @@ class OwnSwings(Periodic):
         return self.lift_off(at_tick(memory, step), now, reference.base_position, body)
 
     def lift_off(self, memory: Swings, now: Schedule, base_path: Array, body: Body) -> Swings:
-        """The memory with new swings of limbs that lift off before the next tick; the base should be at (3,) m."""
+        """The memory with new swings of limbs that lift off before the next tick; the base should be at (3,) m.
+
+        A planned foothold is no hold, whatever the limb stood on: recovery may have landed it on one.
+        """
         lifts, wait = self.due(memory, now)
-        planned = self.footholds_at(memory.clock + wait)
-        return self.swung(memory, lifts, wait, start=body.grip_point, goal=planned, below=memory.goal[:, 2])
+        planned, held = self.footholds_at(memory.clock + wait), no_holds(self.holds, memory.goal)
+        left = None if memory.held is None else memory.held.normal
+        places = {"start": body.grip_point, "goal": planned, "below": memory.goal[:, 2], "held": held, "left": left}
+        return self.swung(memory, lifts, wait, **places)
 
     def due(self, memory: Swings, now: Schedule) -> tuple[Array, Array]:
         """Which limbs lift off before the next tick, by the periodic gait, and in how many steps, (limb,)."""

@@ -360,6 +360,18 @@ def test_limbs_lift_off_before_the_next_tick(name):
     assert (found.step, found.interruptions) == (step, 0) and found.running == before.running
 
 
+def test_a_planned_swing_from_a_hold_ends_on_no_hold():
+    """Recovery landed LF and RH on holds: LF swings on, to level ground without a limit; RH stands on its hold."""
+    given = {"recovery": NEVER, "holds": ground_of(FEET, np.random.default_rng(2))}
+    tilted = np.tile([0.6, 0.0, 0.8], (4, 1))
+    before = begun(planner_of(**given), begun=[-1400.0, -1600.0, -1200.0, -1000.0], step=190.0, clock=190.0)
+    on = Held(jnp.asarray(tilted), jnp.full((4, 2, 3), 0.5), jnp.full((4, 2), 3.0))
+    found, *_ = tick(given, before._replace(held=on), 190)
+    np.testing.assert_array_equal(found.held.normal, only(LF, UP, tilted))
+    np.testing.assert_array_equal(found.held.bound, only(LF, np.full((4, 2), np.inf), on.bound))
+    np.testing.assert_array_equal(found.left, only(LF, tilted, before.left))
+
+
 def pull_of(holds, number):
     """Return the pull that a grip of 15 N bears on a hold."""
     down = np.maximum(-np.asarray(holds.limit_matrix[number])[:, 2], 1e-30)
