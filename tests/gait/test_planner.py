@@ -136,6 +136,11 @@ def test_a_hold_bears_what_its_polyhedron_says(soft, rock):
     # until then both walks are one
     np.testing.assert_array_equal(weak.foot_force[: first + 1], strong.foot_force[: first + 1])
     assert weak.torn_off[first, LH] and weak.torn_off.sum() == 1 and not weak.support[first + 1, LH]
+    # of the limits of hold and gripper that counts which is nearer
+    pulls = pull > 0
+    of_gripper = np.linalg.norm(strong.foot_force[pulls, LH], axis=1) / soft.contact.holding_limit
+    np.testing.assert_allclose(strong.utilization[pulls, LH], np.maximum(of_gripper, pull[pulls] / 1e3))
+    assert weak.utilization[first, LH] == pytest.approx(pull[first] / limit) and of_gripper.max() < pull[first] / limit
 
 
 def test_the_axes_of_a_hold_are_those_of_the_reference():

@@ -386,14 +386,17 @@ def rock(random, planned):
 
 
 def test_a_limb_swings_to_a_hold_and_the_base_moves_with_it():
-    """The base goes where it stands over all goals as over the footholds, from its path; the hold has its normal."""
+    """The base goes where it stands over all goals as over the footholds, from its path; the hold has its normal.
+
+    The gait has stood still for 300 steps: the base moves by the gait's own time, the foot by that of the steps.
+    """
     random = np.random.default_rng(8)
     holds, grip = rock(random, FEET + ADVANCE), FEET + np.array([0.0, 0.001, 0.004])
     given = {"rule": LIGHT, "holds": holds, "recovery": NEVER}
     before = begun(
-        planner_of(**given), step=190.0, clock=190.0, base_begun=150.0, base_goal=BASE + np.array([0.02, 0, 0.0])
+        planner_of(**given), step=490.0, clock=190.0, base_begun=150.0, base_goal=BASE + np.array([0.02, 0, 0.0])
     )
-    found, _, reference = tick(given, before, 190, grip)
+    found, _, reference = tick(given, before, 490, grip)
     # with the limb off the ground, and the robot where it is a swing later
     each, normals = (np.asarray(value)[:-1] for value in (holds.position, holds.normal))
     pulls = [pull_of(holds, number) for number in range(len(each))]
@@ -403,7 +406,7 @@ def test_a_limb_swings_to_a_hold_and_the_base_moves_with_it():
     best = by_loops.best_margin(each, normals, pulls, may, *situation, 15 * UP, distance_weight=0.1)[LF]
     assert best not in (by_loops.NONE, by_loops.nearest(each, may, FEET + ADVANCE)[LF])
     point = each[best]
-    new = {"start": grip, "goal": point, "below": 0.004, "begun": 200.0, "span": SWING, "rise": 0.02}
+    new = {"start": grip, "goal": point, "below": 0.004, "begun": 500.0, "span": SWING, "rise": 0.02}
     assert_swings(found, before, LF, **new, touched=before.begun + SWING)
     np.testing.assert_allclose(found.held.normal, only(LF, holds.normal[best], UP))
     np.testing.assert_array_equal(found.held.bound[LF], holds.limit_bound[best])
@@ -414,11 +417,11 @@ def test_a_limb_swings_to_a_hold_and_the_base_moves_with_it():
     np.testing.assert_allclose(found.base_goal, middle, atol=1e-9)
     assert found.base_begun == 190
     # the next swing leaves the ground of that hold
-    landed = found._replace(begun=found.begun - 800, step=jnp.asarray(990.0), clock=jnp.asarray(990.0))
+    landed = found._replace(begun=found.begun - 1100, step=jnp.asarray(990.0), clock=jnp.asarray(990.0))
     again, *_ = tick(given, landed, 990, np.asarray(found.goal))
     np.testing.assert_array_equal(again.left[LF], holds.normal[best])
     # between lift-offs nothing changes
-    later, *_ = tick(given, found, 230, grip)
+    later, *_ = tick(given, found, 530, grip)
     assert_swings(later, found, None)
     np.testing.assert_array_equal(later.base_goal, found.base_goal)
 

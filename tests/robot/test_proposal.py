@@ -13,6 +13,7 @@ import mjx_climb as mc
 from mjx_climb.inputs.time_step import check_time_step, growth, largest_time_step
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.physics.postures import least_singular_values, limb_joints
 from mjx_climb.robot_import.bodies import rerooted
 from mjx_climb.robot_import.description import bare, compiled, described
 from mjx_climb.robot_import.load import load_model, load_robot
@@ -181,6 +182,26 @@ def test_any_number_of_limbs(saved, limbs, joints):
     assert len(scenario.gait.sequence) == limbs and scenario.gait.duty >= 1 - 1 / limbs
     assert scenario.gait.cycle == limbs * max(1, 3 / (limbs - 1))  # as four limbs have it, for the load on a foot
     assert (scenario.contact.rotational_stiffness > 0) == (limbs <= 3)
+
+
+def test_room_to_joint_limits_counts_for_a_stance_up_to_a_share_of_their_range(saved):
+    """Beyond it the worth is the smallest singular value alone; it falls to nothing towards the limits."""
+    text = climbers.mjcf(4, 3)
+    stance, found = Stance(0.12, np.array([[0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.2, -0.2]])), []
+    for wide in (1.0, 1.2, 2.0):
+        limits = lambda at, wide=wide: f'range="{wide * float(at[1])} {wide * float(at[2])}"'  # noqa: E731
+        file = saved(re.sub(r'range="(\S+) (\S+)"', limits, text))
+        section = propose(file).sections["robot"]
+        standing = Standing(section, stance.footholds)
+        robot = standing.robot
+        feet = np.column_stack([stance.footholds, np.full(4, -0.12)])[standing.rows] - standing.offset
+        angles = limb_joints(robot, feet).angles
+        room = np.minimum(angles - robot.joint_lower, robot.joint_upper - angles)
+        share = float((room / (robot.joint_upper - robot.joint_lower)).min())
+        least = float(least_singular_values(robot, angles, False).min())
+        assert standing.worth(stance) == pytest.approx(least * min(share / 0.15, 1.0))
+        found.append(share)
+    assert min(found) < 0.15 < max(found)
 
 
 @pytest.mark.slow

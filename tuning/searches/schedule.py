@@ -173,7 +173,7 @@ def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, tran
     scenario, space, table, law = problem.scenario, problem.space, problem.metrics, problem.law
     shape, here = (len(asked.gravity), len(asked.cargo)), ("gravity", "cargo")
     gains = to_gains64(space, theta)
-    pd, (joint, without) = under_pd(scenario), _retuned(problem)
+    pd, (joint, without) = under_pd(scenario), pd_of_each(problem)
     own = {name: np.full(len(theta), float(getattr(scenario.control, name))) for name in joint}  # pd's one program
     walkers: dict[str, tuple[mc.Scenario, AnyGains | None, mc.Law | None]]
     walkers = {"tuned": (scenario, gains, law), "config": (scenario, None, law)}
@@ -205,7 +205,7 @@ def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, tran
     return xr.Dataset(data, coordinates | axes_of(tuned), {**attrs, **dataset.provenance(scenario)})
 
 
-def _retuned(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def pd_of_each(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return kp and kd, (P,) each, with which pd is best at each point, of a grid, and what it is worth, 1 for pd."""
     how: dict[str, Any] = {"metrics": problem.metrics, "dtype": problem.dtype, "engine": problem.engine}
     gains, walks = retuned_pd.walked_on_grid(problem.scenario, parameters=problem.parameters, **how)

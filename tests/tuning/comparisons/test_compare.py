@@ -166,6 +166,10 @@ def test_better_hardware_is_half_or_twice_of_what_was_drawn(scenario):
     assert rate.bus.control_period.min() >= 1e-3
     for other in (friction, rate):
         np.testing.assert_array_equal(other.force_sensor.delay, drawn.force_sensor.delay)
+    # a rate of one time step is as high as it gets
+    fast = drawn.replace({"hardware.control_period": np.array([1e-3, 0.0, 3e-3, 5e-3, 1e-3])})
+    _, _, rate = compare.on_better_hardware(scenario, fast).values()
+    np.testing.assert_allclose(rate.bus.control_period, [1e-3, 0.0, 2e-3, 2e-3, 1e-3])
     ideal = mc.load_scenario(CASE, SHORT)
     assert compare.on_better_hardware(ideal, mc.parameters(ideal)) == {}
 

@@ -283,6 +283,15 @@ def test_the_answer_that_a_line_asks_for_settles_it(tmp_path, break_it, answer, 
     assert read(tmp_path, columns, Signals.make({"time": "time", "signals": sources, **top})).warnings == ()
 
 
+@pytest.mark.parametrize(("length", "kept"), [(3, 997), (4, 1000)])
+def test_a_joint_alone_is_at_rest_where_it_reads_0_for_long(tmp_path, length, kept):
+    """A lost read, or two, or three, are none of it: of four samples it may be at rest there."""
+    columns = recorded()
+    columns["RH.tibia.position"][500 : 500 + length] = 0.0
+    log = read(tmp_path, columns, Signals.make({"outliers": "drop"}))
+    assert len(log.signals["RH.tibia.position"].time) == kept
+
+
 def test_dropped_zeros_leave_the_rest_of_their_messages_as_it_was(tmp_path):
     columns = recorded()
     broken = zeros(columns | {"LF.coxa.velocity": np.gradient(columns["LF.coxa.position"], columns["time"])})

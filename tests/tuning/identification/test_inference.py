@@ -12,6 +12,7 @@ from tuning.identification.fit.least_squares import Fitted, LeastSquares, Normal
 from tuning.identification.fit.report import findings
 from tuning.identification.fit.result import Estimate
 from tuning.identification.fit.stamps import Stamped
+from tuning.identification.model.predicted import DELAY
 from tuning.identification.model.variables import Variable
 
 KP = Variable("control.kp", "N m/rad", 50.0, np.log(50.0), 1.0, 0.05, 5e4, log=True)
@@ -74,14 +75,15 @@ def test_a_fit_that_does_not_predict_what_was_held_out_tells_nothing():
 class Line(LeastSquares):
     """Two signals of white noise, each a line of its own variable; nothing is simulated."""
 
-    def __init__(self, blocks=40, samples=25, seed=0):
+    def __init__(self, blocks=40, samples=25, seed=0, keys="ab", time_step=1e-3):
         count = 2 * blocks * samples
         signal, place = np.repeat([0, 1], count // 2), np.tile(np.repeat(np.arange(blocks), samples), 2)
         along = np.zeros((count, 2))
         along[np.arange(count), signal] = 1.0
-        names = SimpleNamespace(names=("a", "b"), time_step=1e-3)
+        names = SimpleNamespace(names=("a", "b"), time_step=time_step)
+        variables = tuple(Variable(key, "1", 0.0, 0.0, 100.0, -np.inf, np.inf) for key in keys)
         vars(self).update(
-            model=SimpleNamespace(variables=(FIRST, SECOND), windows=names), rows=SimpleNamespace(signal=signal),
+            model=SimpleNamespace(variables=variables, windows=names), rows=SimpleNamespace(signal=signal),
             place=place, limb=np.zeros(count, int), clock=0.0, along=along,
             residuals=np.random.default_rng(seed).normal(0, 1, count),
         )  # fmt: skip
@@ -89,7 +91,7 @@ class Line(LeastSquares):
     def sensitivity(self, found):
         return self.along
 
-    def known(self, share=0.0, residuals=None):
+    def known(self, share=0.0, residuals=None, x=(0.0, 0.0)):
         """Return the posterior where a share of the first signal's residuals is not modelled."""
         count, none = len(self.along), np.zeros((0, 1, 0))
         weight = np.ones(count)
@@ -98,13 +100,10 @@ class Line(LeastSquares):
             0.0, self.along.T @ residuals, self.along.T @ self.along, none, none[..., None], none[..., None],
             np.zeros((0, 1, 2, 0)), residuals, Stamped(0 * weight, 0 * weight, weight, np.zeros(0), 0.0),
         )  # fmt: skip
-        found = Fitted(np.zeros(2), np.zeros((1, 0)), np.ones(2), 0.0, normal, 0.0, 1, np.zeros(2), "converged")
+        found = Fitted(np.array(x), np.zeros((1, 0)), np.ones(2), 0.0, normal, 0.0, 1, np.zeros(2), "converged")
         each = (("a", share), ("b", 0.0))
         tests = [Whiteness(name, 0.5, np.zeros(3), 0.01, own, count // 2) for name, own in each]
         return posterior(self, found, tests)
-
-
-FIRST, SECOND = (Variable(key, "1", 0.0, 0.0, 100.0, -np.inf, np.inf) for key in "ab")
 
 
 def test_what_one_signal_lacks_widens_what_that_signal_tells_alone_and_no_more_than_the_prior():
@@ -137,6 +136,18 @@ def test_few_blocks_count_by_students_quantile():
     few, many = found
     assert many == pytest.approx(3 * np.sqrt(4), rel=0.01)
     assert few / many == pytest.approx(2.364624 / 1.961, rel=0.05)
+
+
+@pytest.mark.parametrize(("other", "shown", "added"), [
+    ("b", 0.5, 1.0),  # a tenth of a time step: nothing shows how well times are meant
+    ("log.velocity.delay", 0.05, 0.0),  # within three of its sd, 0.03
+    ("log.velocity.delay", -0.5, 0.5),
+    ("log.velocity.delay", 7.0, 1.0),
+])  # fmt: skip
+def test_a_delay_of_commands_is_no_better_known_than_the_clock(other, shown, added):
+    plain = Line().known().covariance
+    found = Line(keys=(DELAY, other), time_step=10.0).known(x=(0.0, shown)).covariance
+    np.testing.assert_allclose(found - plain, np.diag([added**2, 0.0]), atol=1e-9)
 
 
 @pytest.mark.parametrize(("x", "sd", "seen"), [

@@ -1,6 +1,7 @@
 """The Pareto front: what is on it, and a search that goes on after an interrupt with the same result."""
 
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -59,31 +60,61 @@ def test_knee_is_furthest_from_the_line_between_the_ends():
     assert knee(np.array([1.0]), np.array([1.0])) == 0
 
 
-def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(few, monkeypatch):
-    """Metrics that are shares of the space: the feet's force has a limit, the base's deviation those of the rows."""
+class Shares(Problem):
+    """Metrics that are shares of the space; the margin is the larger the more the force varies."""
 
-    class Shares(Problem):
-        def evaluate(self, theta, directions=None):
-            shares = (theta - self.space.lower) / (self.space.upper - self.space.lower)
-            found = {"base_deviation": shares[:, 0] + 0.1, "force_variation": 1.1 - shares[:, 0]}
-            found["peak_foot_force"] = shares[:, 1]
-            ones = np.ones(len(theta))
-            slopes = np.zeros((len(theta), 0 if directions is None else len(directions)))
-            return Evaluation(ones, ones, 0 * ones, ones > 0, slopes, slopes, found)
+    def evaluate(self, theta, directions=None):
+        if directions is not None and self.asked is not None:
+            self.asked.append((theta, self.objective.limits[-1].value))
+        shares = (theta - self.space.lower) / (self.space.upper - self.space.lower)
+        found = {"base_deviation": shares[:, 0] + 0.1, "force_variation": 1.1 - shares[:, 0]}
+        found |= {"peak_foot_force": shares[:, 1], "min_tsm": 0.1 + 1.0 - shares[:, 0]}
+        ones = np.ones(len(theta))
+        slopes = np.zeros((len(theta), 0 if directions is None else len(directions)))
+        return Evaluation(ones, ones, 0 * ones, ones > 0, slopes, slopes, found)
 
-    class Given(Exception):
-        pass
+    # what was asked for with gradients, and the rows' limits
+    asked: ClassVar[list | None] = None
+
+
+class Given(Exception):
+    pass
+
+
+@pytest.fixture
+def given(few, monkeypatch):
+    """Have a search of a front end with what it would make a dataset of."""
 
     def dataset(problem, asked, walked, widest):
         raise Given(walked, widest)
 
     monkeypatch.setattr(pareto, "_dataset", dataset)
+
+
+def test_rows_begin_at_the_best_point_within_their_limit(given, monkeypatch):
+    """Of a metric that is better the larger it is, too."""
+    monkeypatch.setattr(Shares, "asked", [])
+    goal = Objective((Term("force_variation", 1.0, 1.0, 1.0),), ())
+    problem = Shares(mc.Scenario(), spaces.space(mc.Scenario(), Search()), goal)
+    with pytest.raises(Given) as found:
+        pareto.run(problem, Search(), Pareto(against="min_tsm", points=3))
+    walked, _ = found.value.args
+    theta, limits = Shares.asked[0]
+    first = walked.values["min_tsm"][:6], walked.values["force_variation"][:6]
+    for row, limit in zip(theta, limits, strict=True):
+        inside = np.where(first[0] >= limit, first[1], np.inf)
+        np.testing.assert_array_equal(row, walked.theta[inside.argmin()])
+    assert len(np.unique(theta, axis=0)) > 1
+
+
+def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(given):
+    """The feet's force has a limit, the base's deviation those of the rows."""
     limits = tuple(Limit(name, 0.5, 0.5, 0.02, "") for name in ("base_deviation", "peak_foot_force"))
     goal = Objective((Term("force_variation", 1.0, 1.0, 1.0),), limits)
     problem = Shares(mc.Scenario(), spaces.space(mc.Scenario(), Search()), goal)
-    with pytest.raises(Given) as given:
+    with pytest.raises(Given) as found:
         pareto.run(problem, Search(), Pareto(points=2))
-    walked, widest = given.value.args
+    walked, widest = found.value.args
     assert widest == pytest.approx(0.5)  # the limit itself, where the least variation is below it
     theta, held = walked.theta, walked.held
     deviation, force = ((theta - problem.space.lower) / (problem.space.upper - problem.space.lower)).T

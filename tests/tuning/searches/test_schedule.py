@@ -17,6 +17,8 @@ from tuning.comparisons.worth import of_schedule
 from tuning.gains.own_section import load_law
 from tuning.pages import schedule as pages
 from tuning.pages.schedule import plot_schedule
+from tuning.problem.evaluation import Problem
+from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Schedule, Search
 from tuning.results.scheduled import lookup
 from tuning.searches import schedule
@@ -55,6 +57,31 @@ def test_each_operating_point_has_its_gravity_and_its_cargo(scenario, monkeypatc
     assert points.problem.dtype is np.float64
     np.testing.assert_allclose(points.problem.parameters.gravity[:, 2], [-0.981] * 3 + [-9.81] * 3)
     assert points.problem.parameters.disturbances[0].mass.tolist() == [0.0, 0.5, 2.0] * 2
+
+
+@pytest.mark.parametrize(("limits", "expected"), [({}, [1e-3, 6e-3]), ({"base_deviation": 5e-4}, [5e-4, 5e-4])])
+def test_a_base_may_deviate_a_millimetre_where_pd_hardly_sags(scenario, monkeypatch, limits, expected):
+    """Three times pd's own, but without cargo or weight that is nothing; a limit that a user names stays."""
+    pd = dict.fromkeys(mc.METRICS.names, np.ones(2)) | {"diverged": np.zeros(2)}
+    monkeypatch.setattr(schedule, "pd_of", lambda *_, **__: pd | {"base_deviation": np.array([1e-5, 2e-3])})
+    asked = Schedule(gravity=(1.0,), cargo=(0.0, 2.0))
+    goals = schedule.operating_points(scenario, Search(limits=limits), asked).goals
+    found = [limit.value for goal in goals for limit in goal.limits if limit.metric == "base_deviation"]
+    assert found == expected
+
+
+def test_pd_of_each_point_is_the_best_of_a_grid_that_keeps_the_limits(monkeypatch):
+    """Where none keeps them it is that of the least value and penalty, at the last point, and is worth nothing."""
+    kp, kd = np.array([20.0, 30.0, 40.0])[:, None], np.ones((3, 1))
+    values, deviation = [[0.5], [0.9], [0.7]], [[2.0, 2.0], [1.0, 2.5], [1.0, 1.01]]
+    walks = {"force_variation": np.broadcast_to(values, (3, 2)), "base_deviation": np.array(deviation)}
+    walks |= {"diverged": np.zeros((3, 2), bool)}
+    grid = {"kp": kp[:, 0], "kd": kd[:, 0]}, walks | {"detached_limb": np.full((3, 2), -1)}
+    monkeypatch.setattr(schedule.retuned_pd, "walked_on_grid", lambda *_, **__: grid)
+    goal = Objective((Term("force_variation", 1.0, 1.0, 1.0),), (Limit("base_deviation", 1.0, 1.0, 0.02, ""),))
+    joint, worth = schedule.pd_of_each(Problem(mc.Scenario(), objective=goal))
+    assert joint["kp"].tolist() == [40.0, 40.0] and joint["kd"].tolist() == [1.0, 1.0]
+    np.testing.assert_allclose(worth, [0.7, np.nan])
 
 
 @pytest.mark.nightly
