@@ -77,15 +77,15 @@ def test_each_grid_has_the_best_of_the_one_before():
 
     def values(joint):
         walked.append(np.stack([joint["kp"], joint["kd"]], 1))
-        return (np.log(walked[-1] / [46.0, 0.19]) ** 2).sum(1)
+        return (np.log(walked[-1] / [53.0, 0.21]) ** 2).sum(1)
 
     grids = retuned_pd.Grids(np.log([40.0, 0.15]), np.full(2, 0.3), (2, 2), 3, 0.5)
     joint, value = retuned_pd.closer(CASE, values, grids)
-    best = [grid[(np.log(grid / [46.0, 0.19]) ** 2).sum(1).argmin()] for grid in walked]
+    best = [grid[(np.log(grid / [53.0, 0.21]) ** 2).sum(1).argmin()] for grid in walked]
     np.testing.assert_allclose([grid[-1] for grid in walked], [[50.0, 0.2], *best[:-1]])
     np.testing.assert_allclose(best[1], best[0])  # what the second grid misses is not lost
     np.testing.assert_allclose([joint["kp"], joint["kd"]], best[-1])
-    assert value == pytest.approx((np.log(best[-1] / [46.0, 0.19]) ** 2).sum())
+    assert value == pytest.approx((np.log(best[-1] / [53.0, 0.21]) ** 2).sum())
 
 
 def test_kp_and_kd_that_no_time_step_follows_are_not_found(monkeypatch):
