@@ -366,6 +366,8 @@ class Body:
     def __init__(self, walk):
         scenario = walk.scenario
         self.model = model = load_model(scenario.robot).__copy__()
+        self.as_filed = load_model(scenario.robot).__copy__()
+        self.as_filed.opt.gravity[:] = scenario.gravity
         for values in (model.body_mass, model.body_inertia):
             values *= float(walk.parameters.mass_scale)
         model.opt.gravity[:] = scenario.gravity
@@ -383,6 +385,18 @@ class Body:
         for limb, (linear, angular) in enumerate(found):
             mujoco.mj_jacSite(self.model, data, linear, angular, limb)
         return found
+
+    def felt(self, quaternion, angles, torque):
+        """Return the forces on the feet that hold limbs of the file's masses still under their motors' torques."""
+        data = mujoco.MjData(self.as_filed)
+        data.qpos[:] = np.concatenate([np.zeros(3), quaternion, angles.ravel()])
+        mujoco.mj_forward(self.as_filed, data)
+        missing = (data.qfrc_bias[6:] - torque.ravel()).reshape(self.shape)
+        columns = [np.empty((3, self.model.nv)) for _ in range(self.limbs)]
+        for limb, own in enumerate(columns):
+            mujoco.mj_jacSite(self.as_filed, data, own, None, limb)
+        limbs = [own[:, 6 + 3 * limb : 9 + 3 * limb] for limb, own in enumerate(columns)]
+        return np.array([np.linalg.solve(own.T, each) for own, each in zip(limbs, missing, strict=True)])
 
     def joints_for(self, position, rotation, feet, angles):
         """Return the joint angles, near some, that put feet of three joints each there, by Newton's method."""
@@ -473,7 +487,7 @@ def again(walk, law=None):
     known = True
     read, by_law = np.zeros(feet.size + 6), sensor.filtered_by == "law"
     share = 1 - np.exp(-2 * np.pi * (law.period if by_law else h) * number(sensor.filter))
-    period, rows = round(law.period / h), []
+    period, rows, turned_by, drift = round(law.period / h), [], np.zeros_like(angles), np.zeros_like(feet)
     names = [f"base_{name}" for name in ("position", "orientation", "linear_velocity", "angular_velocity")]
     names += ["joint_angles", "joint_rates"]
     for step in range(len(walk.time)):
@@ -494,8 +508,14 @@ def again(walk, law=None):
         def wrench_of(force, lever=lever, moments=moments):
             return np.concatenate([force.sum(0), np.cross(lever, force).sum(0) + moments])
 
-        forces.append(held["foot_force"])
-        force = late(forces, sensor.delay / h) + sensor.bias
+        acting = held["foot_force"]
+        if sensor.source == "joint_effort":
+            acting = np.where(held["support"][:, None], body.felt(quaternion, angles, turned_by), 0.0)
+        forces.append(acting * (Z if sensor.axes == "z" else 1.0))
+        drift = (
+            drift + sensor.drift * h**0.5 * noise(hardware.seed, step, 2000 + np.arange(drift.size)).reshape(3, -1).T
+        )
+        force = late(forces, sensor.delay / h) + sensor.bias + drift
         if sensor.noise:
             force = force + sensor.noise * noise(hardware.seed, step, np.arange(force.size)).reshape(3, -1).T
         if sensor.resolution:
@@ -538,6 +558,7 @@ def again(walk, law=None):
             more = body.touched(each, (step + 0.5) * h)
             touch, by_touch = touch + more[0], by_touch + more[1]
         torque, turning, armature = servos.turn(step, goal, angles, rates, body.loads(held, touch))
+        turned_by = torque
         cargo, push = windows(scenario, step)
         body.model.body_mass[1] = body.mass[1] + cargo
         mass = body.model.body_mass.sum()

@@ -8,10 +8,23 @@ from mjx_climb.control.base_admittance import MeasuredPoseAdmittance, VirtualMod
 from mjx_climb.control.climb_sdk import ClimbSDK
 from mjx_climb.control.combined import combined
 from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
+from mjx_climb.control.foot_offsets import FootOffsets
 from mjx_climb.control.internal_force import InternalForce
-from mjx_climb.control.law import PD, Command, JointGains, Law, Measurement, Reference, Start, begin, gain, shifted
+from mjx_climb.control.law import (
+    PD,
+    Command,
+    JointGains,
+    Law,
+    Measurement,
+    Reference,
+    Start,
+    begin,
+    gain,
+    shifted,
+)
 from mjx_climb.control.load_transfer import LoadTransfer
 from mjx_climb.control.phased import phased
+from mjx_climb.control.planned_transfer import PlannedTransfer
 from mjx_climb.control.recovering import Recovering
 from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.scenario.messages import ConfigError
@@ -25,15 +38,15 @@ LAWS: dict[tuple[str, str], type[Law]] = {
     ("base_admittance", "measured_pose"): MeasuredPoseAdmittance,
     ("end_effector_admittance", "virtual_model"): EndEffectorAdmittance,
 }
-_OTHERS: tuple[type[Law], ...] = (LoadTransfer, InternalForce, ClimbSDK, Recovering)
+_OTHERS: tuple[type[Law], ...] = (LoadTransfer, PlannedTransfer, FootOffsets, InternalForce, ClimbSDK, Recovering)
 # by the names that --law, a gains file and `own.law.name` take
 SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), *_OTHERS)}
 
 __all__ = [
-    "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "InternalForce",
-    "JointGains", "Law", "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "Recovering", "Reference",
-    "Start", "VirtualModelAdmittance", "begin", "combined", "gain", "is_shipped", "law_of", "phased", "shifted",
-    "shipped",
+    "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "FootOffsets", "InternalForce",
+    "JointGains", "Law", "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "PlannedTransfer", "Recovering",
+    "Reference", "Start", "VirtualModelAdmittance", "begin", "combined", "gain", "is_shipped", "law_of", "phased",
+    "shifted", "shipped",
 ]  # fmt: skip
 
 

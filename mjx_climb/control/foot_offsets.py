@@ -1,14 +1,15 @@
-"""What laws share that move single feet: offsets from where the gait wants them."""
+"""What laws share that move single feet: offsets from where the gait wants them; a law of nothing but offsets."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.law import Command, Measurement, Reference, Start
-from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
+from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply, quaternion_to_matrix
 
 RELEASE = 0.05  # s, in which an offset fades once its gripper has opened
+_SMALL = 1e-12  # m^2: a foot right under the base has no way outward
 LEAST = 0.02  # weight of a foot that stands: three of them can always take the wrench
 
 
@@ -46,3 +47,25 @@ def feet_shifted(reference: Reference, offsets: Offsets, rotation: Array) -> Com
     feet = reference.foot_position + offsets.displacement @ rotation.T
     no_shift = jnp.zeros_like(reference.base_position, shape=6)
     return Command(reference.base_position, reference.base_orientation, feet, no_shift)
+
+
+class FootOffsets(Law):
+    """Feet held off where the gait wants them, without a sensor: `FootOffsets@outward,upward` by gait phase."""
+
+    outward: Array = gain("m", length=1, bounds=(-1e-2, 1e-2), default=0.0, long_name="offset away from the base")
+    upward: Array = gain("m", length=1, bounds=(-1e-2, 1e-2), default=0.0, long_name="offset along the ground's normal")
+
+    LIMBWISE: ClassVar[frozenset[str]] = frozenset({"outward", "upward"})
+
+    def init(self, start: Start) -> tuple[()]:
+        """Return no state."""
+        return ()
+
+    def step(self, state: tuple[()], measured: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
+        """Return the reference with shifted feet."""
+        rotation = quaternion_to_matrix(reference.base_orientation)
+        flat, up = jnp.array([1.0, 1.0, 0.0], rotation.dtype), jnp.array([0.0, 0.0, 1.0], rotation.dtype)
+        lever = (reference.foot_position - reference.base_position) @ rotation * flat
+        out = lever / jnp.sqrt((lever * lever).sum(1, keepdims=True) + _SMALL)
+        moved = jnp.atleast_1d(self.outward) * out + jnp.atleast_1d(self.upward) * up
+        return state, feet_shifted(reference, Offsets(moved, jnp.zeros((), moved.dtype)), rotation)

@@ -42,10 +42,15 @@ def least_forces(wrench: Array, lever: Array, weight: Array) -> Array:
     return weight[:, None] * moved_rigidly(lever, twist)
 
 
+def rigid_twist(lever: Array, displacement: Array, weight: Array) -> Array:
+    """Return the twist (6,) that is nearest to displacements (limb, 3), by least squares with weights (limb,)."""
+    moments = net_wrench(lever, weight[:, None] * displacement)
+    return jnp.asarray(solve_symmetric(weighted_grasp(lever, weight), moments[:, None])[:, 0])
+
+
 def rigid_part(lever: Array, displacement: Array, weight: Array) -> Array:
     """Return the rigid motion (limb, 3) that is nearest to displacements, by least squares with weights (limb,)."""
-    moments = net_wrench(lever, weight[:, None] * displacement)
-    return moved_rigidly(lever, solve_symmetric(weighted_grasp(lever, weight), moments[:, None])[:, 0])
+    return moved_rigidly(lever, rigid_twist(lever, displacement, weight))
 
 
 class Sharing(NamedTuple):

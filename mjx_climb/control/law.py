@@ -13,7 +13,7 @@ import abc
 import dataclasses
 import functools
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, dataclass_transform
 
@@ -45,6 +45,18 @@ class Measurement(NamedTuple):
     joint_rates: Array | float = 0.0  # (limb, joint) rad/s
     joint_torque: Array | float = 0.0  # (limb, joint) N m, of the motors in the time step before, from their current
     forces_known: Array | bool = True  # () bool: no force sensor is dead; where one is, all forces and the wrench are 0
+    foot_lever: Array | float = 0.0  # (limb, 3) m, base axes: from its centre of mass to the feet, by the encoders
+
+
+# fields of a measurement by the sensor that they come from
+SENSORS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "forces": ("foot_force", "wrench", "forces_known"),
+        "base pose": ("base_position", "base_orientation", "base_linear_velocity", "base_angular_velocity"),
+        "joint angles": ("joint_angles", "joint_rates", "foot_lever"),
+        "joint efforts": ("joint_torque",),
+    }
+)
 
 
 class Reference(NamedTuple):
@@ -86,6 +98,9 @@ class Start(NamedTuple):
     period: float | Array  # () s, from one step of the law to the next
     reference: Reference  # at the start
     joint_angles: Array | None = None  # (limb, joint) rad; None: not known
+    weight: Array | float = 0.0  # (3,) N, world axes, of the robot without cargo, as its file has it
+    # (limb, 3, 3) m/N, base axes: of a foot, by the joint loop's stiffness, `J kp^-1 J^T`
+    compliance: Array | float = 0.0
 
 
 def shifted(reference: Reference, displacement: Array, turn: Array | None = None) -> Command:
@@ -186,9 +201,18 @@ class Beginning(NamedTuple):
     """What is known of a law before its first step."""
 
     state: PyTree
-    reads_forces: bool  # whether its step looks at foot forces or their wrench
-    reads_servos: bool  # whether it looks at what the joints' servos report
+    reads: frozenset[str]  # names of `SENSORS` on which its step depends
     joint_gains: JointGains | None  # of its first command: ones; None: the law leaves them alone
+
+    @property
+    def reads_forces(self) -> bool:
+        """Whether its step depends on foot forces or their wrench."""
+        return "forces" in self.reads
+
+    @property
+    def reads_servos(self) -> bool:
+        """Whether its step depends on reports of the joints' servos."""
+        return bool(self.reads & {"joint angles", "joint efforts"})
 
 
 def begin(law: Law, start: Start) -> PyTree:
@@ -223,12 +247,12 @@ def beginning(law: Law, start: Start) -> Beginning:
         if jax.tree.flatten(own) != jax.tree.flatten(other):
             raise ValueError(f"{type(law).__name__}.step: expected {what}, {own}, got {other}")
 
-    def reads(*names: str) -> bool:
+    def reads(names: Sequence[str]) -> bool:
         of_measured = [name in names for name in Measurement._fields]
         none = jax.tree.map(lambda _: False, (state, start.reference))
         return any(reached(program.jaxpr, jax.tree.leaves((none[0], of_measured, none[1]))))
 
-    return Beginning(state, reads("foot_force", "wrench"), reads("joint_angles", "joint_rates", "joint_torque"), gains)
+    return Beginning(state, frozenset(name for name, fields in SENSORS.items() if reads(fields)), gains)
 
 
 def constants(law: Law, begun: PyTree, measured: Measurement, reference: Reference) -> list[bool | Array]:
@@ -278,4 +302,6 @@ def measurement_at(reference: Reference, joints: Array) -> Measurement:
     """Return a measurement of the shapes and types that a walk has, at the pose of the reference."""
     position, orientation, feet = reference[:3]
     six, support, known = jnp.zeros_like(position, shape=6), jnp.ones(len(feet), bool), jnp.asarray(True)
-    return Measurement(position, orientation, position, position, feet, six, support, joints, joints, joints, known)
+    return Measurement(
+        position, orientation, position, position, feet, six, support, joints, joints, joints, known, feet
+    )

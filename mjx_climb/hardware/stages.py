@@ -31,7 +31,10 @@ _OF_LOAD = ("external_load_friction", "stribeck_external_load_friction", *_QUADR
 class Stages(NamedTuple):
     """The stages that a walk has; lengths of buffers in samples, 0 without one. Static: a walk is compiled for them."""
 
+    joint_effort: bool = False  # forces are those of the joints' efforts
+    force_along_normal: bool = False  # along z alone
     force_delay: int = 0
+    force_drift: bool = False
     force_noise: bool = False
     force_bias: bool = False
     force_resolution: bool = False
@@ -65,7 +68,7 @@ class Stages(NamedTuple):
     def force(self) -> bool:
         """Whether the law reads other foot forces than act."""
         chain = self.force_delay, self.force_noise, self.force_bias, self.force_resolution, self.force_filter
-        return any((*chain, self.force_dead))
+        return any((*chain, self.joint_effort, self.force_along_normal, self.force_drift, self.force_dead))
 
     @property
     def silent_sensors(self) -> bool:
@@ -118,6 +121,9 @@ def stages_of(
     force, period = "hardware.force_sensor", some("hardware.control_period")
     filtered, by_law = finite(f"{force}.filter"), parameters.force_sensor.filtered_by == "law"
     return Stages(
+        joint_effort=parameters.force_sensor.source == "joint_effort",
+        force_along_normal=parameters.force_sensor.axes == "z",
+        force_drift=some(f"{force}.drift"),
         force_delay=length(f"{force}.delay"),
         force_noise=some(f"{force}.noise"),
         force_bias=some(f"{force}.bias"),

@@ -211,6 +211,10 @@ class ForceSensors(Values):
     bias: Array = value(
         "N", FINITE, "offset of the force sensors", "offset on every axis of every sensor, world axes", default=0.0
     )
+    drift: Array = value(
+        "N/sqrt(s)", NONNEGATIVE, "drift of the force sensors",
+        "random walk of the offset per axis, from 0 at the start: standard deviation after 1 s", default=0.0,
+    )  # fmt: skip
     resolution: Array = value(
         "N", NONNEGATIVE, "resolution of the force sensors", "smallest step that the sensor tells; 0: any", default=0.0
     )

@@ -488,6 +488,10 @@ class ForceSensor(v.ComponentSection):
 
     COMPONENT = declared.ForceSensors
 
+    source: Literal["sensor", "joint_effort"] = setting(
+        "sensor", "a sensor in each foot, or the statics of each limb under its motors' torques, without friction"
+    )
+    axes: Literal["xyz", "z"] = setting("xyz", "world axes that are measured; others read 0")
     filtered_by: Literal["sensor", "law"] = setting(
         "sensor", "forces of each foot every time step, or the law's own samples of them and of the wrench"
     )

@@ -18,7 +18,7 @@ from mjx_climb.hardware.actuator import Actuator, ActuatorGains, Drive, Joints
 from mjx_climb.hardware.stages import Hardware
 from mjx_climb.physics.contact.contact import Grip
 from mjx_climb.physics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
-from mjx_climb.physics.kinematics import Feet, Turning, base_wrench_of_foot_force
+from mjx_climb.physics.kinematics import Feet, Turning, base_wrench_of_foot_force, foot_jacobian, limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot
@@ -78,7 +78,7 @@ class LastCommand(NamedTuple):
 class Reports(NamedTuple):
     """What the servos send back over the bus."""
 
-    buffers: tuple[signals.Buffer, ...]  # of angles, rates and torques
+    buffers: tuple[signals.Buffer, ...]  # of angles, rates, torques and levers
     torque: Array  # (limb, joint) N m, of the motors in the step before
 
 
@@ -94,8 +94,18 @@ class Memory(NamedTuple):
     targets: signals.Buffer  # of joint targets (limb, joint) rad
     actuator: PyTree  # of the actuators
     posture: Array | None  # (limb, joint) rad, the joint angles last solved for; None: there is a closed form
-    reports: Reports | None  # None: the law does not read them
+    reports: Reports | None  # None: neither the law nor a sensor reads them
     joint_gains: tuple[signals.Buffer, ...]  # of what is sent of the joint gains
+
+
+def foot_compliance(robot: Robot, joint_angles: Array, kp: Array) -> Array:
+    """Return by how much feet give way to forces, (limb, 3, 3) m/N in the base's axes: `J kp^-1 J^T`.
+
+    Joints that nothing drives give way by nothing.
+    """
+    jacobian, driven = foot_jacobian(robot, limb_frames(robot, None, joint_angles)), kp > 0
+    soft = jnp.broadcast_to(jnp.where(driven, 1 / jnp.where(driven, kp, 1.0), 0.0), joint_angles.shape)
+    return jnp.asarray((jacobian * soft[:, None]) @ jacobian.mT)
 
 
 class Actual(NamedTuple):
@@ -107,9 +117,10 @@ class Actual(NamedTuple):
     contact: PyTree  # memory of the contacts after the step
     grip: Grip
     wrench: Array  # (6,) N, N m, on the base, of all that the feet transmit
+    felt: Array | None = None  # (limb, 3) N, by the joints' efforts; None: the forces have sensors of their own
 
 
-def begin(controller: Controller, state: State, reference: Reference) -> Memory:
+def begin(controller: Controller, robot: Robot, state: State, reference: Reference) -> Memory:
     """Return the memory of a robot that has always rested in a state, with its feet where the reference has them.
 
     Raises:
@@ -118,7 +129,9 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
     hardware, angles, feet = controller.hardware, state.joint_angles, reference.foot_position
     stages, no_force, no_torque = hardware.stages, jnp.zeros_like(feet), jnp.zeros_like(angles)
     no_wrench = jnp.zeros_like(state.base_position, shape=6)
-    law = beginning(controller.law, Start(hardware.law_period, reference, angles))
+    weight = jnp.asarray(hardware.parameters.gravity) * robot.total_mass
+    compliance = foot_compliance(robot, angles, servo.gains_of(hardware).kp)
+    law = beginning(controller.law, Start(hardware.law_period, reference, angles, weight, compliance))
     watch = sensor_watch.begin(feet) if stages.silent_sensors and law.reads_forces else None
     held = None
     if stages.control_period:
@@ -127,10 +140,14 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
             command, JointSolution(angles, jnp.ones(len(angles), bool)), angles if stages.linear else None
         )
     base = sensors.true_base(state) if stages.base_delay else ()
-    reported = tuple((value,) * stages.command_delay for value in (angles, state.joint_rates, no_torque))
+    lever = (feet - state.base_position) @ quaternion_to_matrix(state.base_orientation)
+    reported = tuple((value,) * stages.command_delay for value in (angles, state.joint_rates, no_torque, lever))
+    drift = no_force if stages.force_drift else None
     return Memory(
         law=law.state,
-        force_sensor=sensors.ForceSensor((no_force,) * stages.force_delay, no_force if stages.force_filter else None),
+        force_sensor=sensors.ForceSensor(
+            (no_force,) * stages.force_delay, no_force if stages.force_filter else None, drift
+        ),
         sensor_watch=watch,
         filtered=(no_force, no_wrench) if stages.sampled_filter else None,
         base_estimate=tuple((value,) * stages.base_delay for value in base),
@@ -138,7 +155,7 @@ def begin(controller: Controller, state: State, reference: Reference) -> Memory:
         targets=(angles,) * stages.command_delay,
         actuator=controller.actuator.init(angles),
         posture=angles if isinstance(controller.geometry, Chain) else None,
-        reports=Reports(reported, no_torque) if law.reads_servos else None,
+        reports=Reports(reported, no_torque) if law.reads_servos or stages.joint_effort else None,
         joint_gains=tuple((value,) * stages.command_delay for value in _sent(law.joint_gains, watch).values()),
     )
 
@@ -228,6 +245,7 @@ def _measure(
     stages, share = hardware.stages, hardware.pace.filter_share
     sensor, force, wrench = memory.force_sensor, actual.grip.foot_force, actual.wrench
     if stages.force:
+        force = force if actual.felt is None else actual.felt
         sensor, force = sensors.measured_force(sensor, force, step, hardware)
     watch, known = memory.sensor_watch, jnp.asarray(True)
     if watch is not None:
@@ -244,18 +262,21 @@ def _measure(
             force, wrench = signals.held(into == 0, (force, wrench), filtered)
         filtered = force, wrench
     buffers, base = sensors.estimated_base(memory.base_estimate, sensors.true_base(actual.state), step, hardware)
-    reports, joints = _reported(hardware, memory.reports, actual.state)
+    reports, joints = _reported(hardware, memory.reports, actual)
     memory = memory._replace(force_sensor=sensor, sensor_watch=watch, filtered=filtered)
     memory = memory._replace(base_estimate=buffers, reports=reports)
-    measured = Measurement(*base, force, wrench, actual.grip.support, *joints)
-    return memory, measured._replace(forces_known=known)
+    *servos, lever = joints
+    measured = Measurement(*base, force, wrench, actual.grip.support, *servos)
+    return memory, measured._replace(forces_known=known, foot_lever=lever)
 
 
-def _reported(hardware: Hardware, reports: Reports | None, state: State) -> tuple[Reports | None, tuple[Array, ...]]:
-    """Return the servos' reports on the bus, and angles, rates and torques as the law receives them."""
+def _reported(hardware: Hardware, reports: Reports | None, actual: Actual) -> tuple[Reports | None, tuple[Array, ...]]:
+    """Return the servos' reports on the bus; angles, rates, torques and levers of the feet as the law receives them."""
+    state = actual.state
+    lever = actual.feet.lever @ quaternion_to_matrix(state.base_orientation)
     if reports is None:
-        return None, (state.joint_angles, state.joint_rates, jnp.zeros_like(state.joint_rates))
-    joints, buffers = (state.joint_angles, state.joint_rates, reports.torque), reports.buffers
+        return None, (state.joint_angles, state.joint_rates, jnp.zeros_like(state.joint_rates), lever)
+    joints, buffers = (state.joint_angles, state.joint_rates, reports.torque, lever), reports.buffers
     if hardware.stages.command_delay:
         late = [signals.delayed(*each, hardware.pace.command) for each in zip(buffers, joints, strict=True)]
         buffers, joints = zip(*late, strict=True)

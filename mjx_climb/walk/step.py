@@ -31,6 +31,7 @@ from mjx_climb.gait.periodic import Periodic
 from mjx_climb.gait.recovery import RecoveringGait, recovery_of
 from mjx_climb.gait.schedule import Plan, Schedule, plan
 from mjx_climb.hardware.actuator import Drive
+from mjx_climb.hardware.sensors import effort_force
 from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import Hardware, hardware_of
 from mjx_climb.parameter_types import Parameters
@@ -151,7 +152,7 @@ def begin(walk: Walk) -> Carry:
     state = State(reference.base_position, reference.base_orientation, still, still, joints, jnp.zeros_like(joints))
     attitudes = limb_frames(robot, rotation, joints).rotation[:, -1]
     contact = walk.contact.init(reference.foot_position, attitudes)
-    memory = control_loop.begin(walk.controller, state, reference)
+    memory = control_loop.begin(walk.controller, walk.robot, state, reference)
     return Carry(state, contact, remembered, memory)
 
 
@@ -176,6 +177,9 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
 
     grip_point = actual.grip.grip_point
     remembered, reference = walk.gait.reference(carry.gait, now, step, state.base_position, grip_point)
+    if (reports := carry.memory.reports) is not None and walk.structure.stages.joint_effort:
+        felt = effort_force(walk.robot, frames, state, reports.torque, jnp.asarray(parameters.gravity))
+        actual = actual._replace(felt=jnp.where(actual.grip.support[:, None], felt, 0.0))
     external = _external(walk, Body(walk.robot, frames, state), step)
     load = None
     # of all but the actuators: what their gears carry

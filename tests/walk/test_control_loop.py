@@ -60,7 +60,7 @@ def test_a_pass_of_the_loop_is_that_of_numpy(who):
     reference = mc.Reference(jnp.asarray(BASE), jnp.asarray(ROBOT.stance_orientation), jnp.asarray(FEET))
     rest = jnp.asarray(ROBOT.stance_joints)
     state = State(reference.base_position, reference.base_orientation, jnp.zeros(3), jnp.zeros(3), rest, 0 * rest)
-    memory, random = control_loop.begin(controller, state, reference), np.random.default_rng(0)
+    memory, random = control_loop.begin(controller, ROBOT, state, reference), np.random.default_rng(0)
     lever, share = jnp.asarray(FEET - BASE), 1 - np.exp(-2 * np.pi * 60.0 * PERIOD * STEP)
     targets: list[Any] = [np.asarray(rest)]
     factors: list[Any] = [1.0]

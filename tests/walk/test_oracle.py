@@ -110,6 +110,13 @@ WALKS = {  # changes, and what is to happen
         },
         lambda walk: np.isinf(walk.tsm).any(),
     ),
+    "forces by joints' efforts": (
+        {
+            "hardware.force_sensor": {"source": "joint_effort", "axes": "z", "drift": 2.0, "delay": 0.0015},
+            "hardware.servo.coulomb_friction": 0.01, "hardware.servo.armature": 0.001,
+        },
+        lambda walk: np.ptp(walk.base_displacement),
+    ),
     "motors that follow rates, limbs that are touched": (
         {},
         lambda walk: np.ptp(walk.push[:, :3]) > 4.0 and (np.abs(walk.joint_torque) == 1.2).any(),
@@ -129,7 +136,7 @@ OF_THE_JOINTS = 'damping="0.03" armature="0.002" frictionloss="0.015" actuatorfr
 
 
 LONG = (
-    "measured pose",
+    "measured pose", "forces by joints' efforts",
     "hardware on uneven ground", "servos on a voltage", "servos of limited current", "end effector",
     "a base that sways, low over feet that land fast", "a robot of its own",
     "motors that follow rates, limbs that are touched",

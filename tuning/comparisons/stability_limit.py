@@ -446,5 +446,5 @@ def _stance(walk: Walk, plan: gait.Plan, step: Array) -> Carry:
     feet = foot_kinematics(walk.robot, frames, state)
     turning = foot_turning(walk.robot, frames, state) if walk.contact.transmits_moments else None
     contact, _ = walk.contact.step(begun, feet, turning, now.closed, ground)  # in which feet that swing let go
-    memory = control_loop.begin(walk.controller, state, reference)
+    memory = control_loop.begin(walk.controller, walk.robot, state, reference)
     return carry._replace(state=state, contact=contact, memory=memory)

@@ -47,7 +47,7 @@ _BY_STEPS = {  # keys without a derivative, and what they act as on a log
 }
 _OTHERS = (  # keys whose values no log of joint commands tells
     "gait.", "disturbance.", "contact.capture_distance", "hardware.seed", "hardware.base_estimate.",
-    "hardware.force_sensor.noise", "control.safe_kp",
+    "hardware.force_sensor.noise", "hardware.force_sensor.drift", "control.safe_kp",
 )  # fmt: skip
 Change = Callable[[Any, Parameters, Robot], tuple[Parameters, Robot]]  # pure, of a value in SI units
 ON_GROUND = ("contact.", "hardware.force_sensor.", "robot.base.", "log.")  # a robot on a stand does not tell them
