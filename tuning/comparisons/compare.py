@@ -320,15 +320,20 @@ def on_better_hardware(scenario: mc.Scenario, drawn: mc.Parameters) -> dict[str,
     return found
 
 
-def reads_forces(problem: Problem) -> bool:
-    """Tell whether what a law does depends on the forces that are measured, by its program."""
+def readings(problem: Problem) -> frozenset[str]:
+    """Return the sensors on which a law depends, by its program: names of `mjx_climb.control.law.SENSORS`."""
     scenario, law = problem.scenario, problem.law or law_of(problem.scenario)
     one = resolve_in(scenario, law, None, own_parameters(scenario), np.float64).law
     robot = load_robot(scenario.robot)
     # of any values: only the program is looked at
     zero, feet, joints, each = map(jnp.zeros, (3, robot.foot_center.shape, robot.stance_joints.shape, len(robot.limbs)))
     reference = Reference(zero, jnp.array([1.0, 0.0, 0.0, 0.0]), feet, each, each)
-    return beginning(one, Start(scenario.time_step, reference, joints)).reads_forces
+    return beginning(one, Start(scenario.time_step, reference, joints)).reads
+
+
+def reads_forces(problem: Problem) -> bool:
+    """Tell whether a law depends on the forces that are measured, by its program."""
+    return "forces" in readings(problem)
 
 
 def file_name(law: str) -> str:
