@@ -25,7 +25,6 @@ sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "guides
 import ceiling as study
 import ceiling_laws as searched
 
-import mjx_climb as mc
 import tuning
 from mjx_climb.control import shipped
 from mjx_climb.inputs.gait_values import scenario_with_gait
@@ -125,7 +124,7 @@ class Cell:
             **how,
         )  # fmt: skip
         walked = searched.values(fresh, theta)
-        gains = {gain: float(np.asarray(value)) for gain, value in gains_file.by_name(found.gains).items()}
+        gains = {gain: float(np.ravel(value)[0]) for gain, value in gains_file.by_name(found.gains).items()}
         self.rows.append({
             "law": name, "seed": seed, "reads": sorted(readings(of_search)), "rounds": len(rounds), "gains": gains,
             "feasible": bool(found.feasible), "search": searched.means(searched.values(of_search, theta)),
