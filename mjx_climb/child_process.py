@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-# in which a file is read: s, and the bytes of it that add one
+# to read a file: s, and the bytes of it that add one
 PATIENCE, BYTES_A_SECOND = 20.0, 20e6
 
 

@@ -1,4 +1,4 @@
-"""What laws, contacts, actuators and disturbances have in common: classes whose fields are their values.
+"""The common base of laws, contacts, actuators and disturbances: classes whose fields are their values.
 
 ```python
 class Magnet(mjx_climb.Contact):
@@ -51,7 +51,7 @@ class Component:
     def compiled_for(self, moving: Collection[str] = ()) -> Self:
         """This component with the options that its values ask of a compiled walk; of a batch, those of any robot.
 
-        Values that `moving` names are differentiated by: they need what any value of theirs would.
+        Derivatives run along the values that `moving` names: these have the options of any value.
         """
         return self
 
@@ -102,7 +102,7 @@ def checked_value(
     zero: bool = False,
     limits: tuple[float, float] | None = None,
 ) -> AnyArray:
-    """Return a value as an array, of whatever precision it has.
+    """A value as an array, in its own precision.
 
     A value of one axis may be a scalar, or have a last axis of one; of more axes a scalar or all of them.
 
@@ -140,7 +140,7 @@ def checked_value(
 
 
 def real_numbers(name: str, value: ArrayLike) -> AnyArray:
-    """Return real numbers as an array, of whatever precision they have; single ones of Python's in double precision.
+    """Real numbers as an array, in their own precision; single ones of Python's in double precision.
 
     Raises:
         ValueError: complex numbers, truth values, text, dates, and arrays with masks.

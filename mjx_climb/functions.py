@@ -1,4 +1,4 @@
-"""What a `Simulation` does, in one call: names that notebooks and scripts begin with."""
+"""The methods of a `Simulation` as functions, for notebooks and scripts."""
 
 import dataclasses
 import functools
@@ -129,13 +129,13 @@ def simulator(
     return _SIMULATORS.setdefault((scenario, simulation.structure, tree, values), simulation.simulate)
 
 
-_SIMULATORS: dict[Any, Callable[..., Metrics]] = {}  # by what they simulate
+_SIMULATORS: dict[Any, Callable[..., Metrics]] = {}  # by scenario, structure and gains
 
 
 def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict[str, float | str | bool | None]:
     """Return the metrics of one walk, those of `mjx_climb.METRICS` or others, in their units.
 
-    `detached_at` and `detached_limb` (a name) are None while all limbs hold, as is what is not defined. Where the state
+    `detached_at` and `detached_limb` (a name) are None while all limbs hold, as are undefined metrics. Where the state
     stopped being finite, `diverged`, the others are those of the walk until then.
 
     Raises:

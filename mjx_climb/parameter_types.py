@@ -22,7 +22,7 @@ _Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | fl
 _JointGain = Real[_Values, "..."] | float
 _Scalar = Real[_Values, "..."]
 MAX_GRAVITY = 1e4  # m/s^2, a thousand G
-ROUNDING = 2.0**-21  # of a number of steps: what single precision may be off
+ROUNDING = 2.0**-21  # of a number of steps: the error of single precision
 
 
 def _of(unit: str, long_name: str, default: object = dataclasses.MISSING) -> Any:
@@ -59,7 +59,7 @@ class Parameters:
     """Every number of a walk, SI units: a tree of components, whose values have any leading batch axes.
 
     Each value has a path, the key of a config: "contact.stiffness", "hardware.servo.armature".
-    Arrays of JAX, or of NumPy, which keep double precision whatever JAX's own setting.
+    Arrays of JAX, or of NumPy, which keep double precision under any setting of JAX.
     """
 
     VALUES: ClassVar[Mapping[str, ValueField]] = MappingProxyType(
@@ -206,7 +206,7 @@ def path_of_gain(name: str) -> str:
 def whole_steps(seconds: AnyArray, time_step: float) -> AnyArray:
     """Return the whole number of time steps nearest to each time in s, of two the larger; arrays of JAX or of NumPy.
 
-    What lies below half a step by no more than the rounding of single precision counts as half a step.
+    A time below half a step by no more than the rounding of single precision counts as half a step.
     """
     steps = seconds / time_step + 0.5
     return namespace(steps).floor(steps + _slack(steps))

@@ -1,6 +1,6 @@
-"""Shapes of the arrays that a caller passes, checked by the strings in which annotations state them.
+"""Shapes of the arrays that a caller passes, checked by the strings of annotations.
 
-In `"... limbs 3 K"` the axes of one robot follow any batch axes; what a name stands for is a size, or a range of them.
+In `"... limbs 3 K"` the axes of one robot follow any batch axes; a name stands for a size, or a range of sizes.
 """
 
 import dataclasses

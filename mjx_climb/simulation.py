@@ -1,4 +1,4 @@
-"""What is simulated: a scenario, a control law, metrics and an engine, prepared once.
+"""A simulation: a scenario, a control law, metrics and an engine, prepared once.
 
     simulation = Simulation(scenario)
     simulation.rollout(gains)                  one robot, full time histories
@@ -89,8 +89,8 @@ class SimulationState:
     """A robot between two steps; of a batch, every array has the batch axes first."""
 
     step: Array  # () how many have been made
-    carry: Carry  # what one step hands to the next
-    setup: Setup  # the law with its gains, parameters, and what is computed from them
+    carry: Carry  # state between two steps
+    setup: Setup  # the law with its gains, parameters, and constants computed from them
 
     @property
     def law(self) -> Law:
@@ -143,19 +143,19 @@ class Simulation:
         """Prepare a simulation.
 
         Arguments:
-            scenario: what walks where, and under which disturbance.
+            scenario: robot, ground, gait and disturbances.
             law: the control law with its gains, the scenario's own where None.
-            metrics: what walks are evaluated by, as `mjx_climb.METRICS + (mine,)`.
+            metrics: metrics of walks, as `mjx_climb.METRICS + (mine,)`.
             engine: the dynamics, one of `mjx_climb.ENGINES`.
-            contact: what holds feet to the ground, in place of the scenario's gripper.
-            drive: what turns the joints, in place of the scenario's servos.
-            disturbances: what acts from outside, beside the scenario's cargo and pushes.
-            smooth: for searches: no gripper is torn off, whatever the force (`peak_pull_force` tells), and the metrics
+            contact: holds feet to the ground, in place of the scenario's gripper.
+            drive: turns the joints, in place of the scenario's servos.
+            disturbances: act beside the scenario's cargo and pushes.
+            smooth: for searches: no gripper is torn off by any force (`peak_pull_force` tells), and the metrics
                 have smooth companions, see `mjx_climb.walk.metrics`.
 
         Raises:
             ConfigError: no such engine, or a rest stance that is singular.
-            RuntimeError: a process that was forked from one in which JAX had begun.
+            RuntimeError: a process that was forked after JAX had begun.
             ValueError: no control law, contact, actuator or disturbance, or two metrics of one name.
         """
         checked_engine(engine)
@@ -175,7 +175,7 @@ class Simulation:
 
     @functools.cached_property
     def structure(self) -> Structure:
-        """What the scenario's own walk is compiled for."""
+        """The structure of the scenario's own walk."""
         return self._structure(self._given(None), {})
 
     def _given(self, parameters: Parameters | None) -> Parameters:
@@ -207,7 +207,7 @@ class Simulation:
             gains: in place of the law's own.
             parameters: in place of the scenario's.
             dtype: precision of the simulation; float64 needs no setting of JAX's.
-            targets: of the joints in each step, rad, in place of what the law commands, as `JointTargets`.
+            targets: of the joints in each step, rad, in place of the law's commands, as `JointTargets`.
 
         Raises:
             ConfigError: a time step too long for the scenario's contacts and joints.
@@ -284,7 +284,7 @@ class Simulation:
         """Walk a batch of robots and return metrics, and their tangents along k directions in the gains.
 
         A direction costs about as much as the walk itself, and nothing is stored over time. The other arguments and
-        what is raised are those of `metrics`.
+        errors are those of `metrics`.
 
         Arguments:
             directions: rates of change of the gains, in their units and by their names: values (k, *batch, n), of
@@ -309,7 +309,7 @@ class Simulation:
         """Walk a batch of robots and return the derivatives, by all the gains given, of k weighted sums of metrics.
 
         Reverse mode: it costs as much for one gain as for hundreds, and keeps the begins of stretches of the walk. The
-        other arguments and what is raised are those of `metrics`.
+        other arguments and errors are those of `metrics`.
 
         Arguments:
             weights: of the metrics in the sums, by the names of those that are real numbers, (k, *batch) each.
@@ -318,7 +318,7 @@ class Simulation:
             Arrays (k, ...) by the names of the gains, of their shapes behind the first axis; 0 for times of the gait.
 
         Raises:
-            ValueError: weights of another shape, or of what is no metric or a whole number.
+            ValueError: weights of another shape, of no metric, or of a metric in whole numbers.
         """
         resolved, run = self._prepared(gains, parameters, over_time=True, **how)
         batch, dtype = resolved.shape, resolved.parameters.gravity.dtype
@@ -378,7 +378,7 @@ class Simulation:
         return resolved, functools.partial(execution.run, over_time=over_time, batch_size=batch_size, progress=progress)
 
     def _moving(self, resolved: WalkInputs, names: Iterable[str]) -> tuple[execution.Robots, Structure]:
-        """Return the arguments of `metrics_of_moved` for derivatives by some gains, and what that is compiled for."""
+        """Return the arguments of `metrics_of_moved` for derivatives by some gains, and their structure."""
         law, own = resolved[:2]
         values = own.values
         moving = {n: np.asarray(getattr(law, n) if n in law.GAINS else values[path_of_gain(n)]) for n in names}
@@ -393,11 +393,11 @@ class Simulation:
 
         Arguments:
             gains: in place of the law's own, with any leading batch axes; their precision is the simulation's.
-            parameters: with leading batch axes that broadcast with the gains'. What JAX traces of them may have a value
+            parameters: with leading batch axes that broadcast with the gains'. Values that JAX traces may be such
                 that decides about a stage of hardware only where the scenario has that stage.
 
         Returns:
-            Arrays with the batch axes, named and in units as the metrics say. NaN stands for what is not defined:
+            Arrays with the batch axes, named and in units as the metrics say. NaN stands for undefined values:
             `detached_at` while all limbs hold (`detached_limb` is then -1, else the index of the limb). Where the state
             stopped being finite, `diverged`, the others are those of the walk until then.
 
@@ -430,7 +430,7 @@ class Simulation:
             parameters: in place of the scenario's, with batch axes that broadcast with the gains'.
             batch: further axes, where neither has them: (64,), or 64, for 64 equal robots.
             dtype: precision of the simulation; JAX's own setting where None.
-            stages: those of the hardware, whatever the parameters, which JAX may trace then.
+            stages: those of the hardware, for any parameters, which JAX may trace then.
 
         Raises:
             ConfigError: a time step too long for the robot's contacts and joints.
@@ -459,9 +459,9 @@ class Simulation:
         """Return the robots one time step later, and the sample of this step; pure and compiled.
 
         Arguments:
-            state: what `reset` or the last `step` returned.
+            state: the result of `reset` or of the last `step`.
             action: for this step, in place of the law, which then stays as it is; for all robots, or with the batch
-                axes of the state. None: what the law commands.
+                axes of the state. None: the law's command.
             gains: from this step on, as of `with_gains`.
 
         Returns:
@@ -487,7 +487,7 @@ class Simulation:
     def with_gains(self, state: SimulationState, gains: AnyGains) -> SimulationState:
         """Return a robot, or a batch of them with its axes in front, that goes on with other gains; pure.
 
-        Gains that are not given stay; so does what the law remembers. It works the law out anew: call it when gains
+        Gains that are not given stay; so does the law's memory. It works the law out anew: call it when gains
         change.
 
         Raises:
@@ -532,7 +532,7 @@ def _carried_out(function: Callable[..., Returned], structure: Structure) -> Cal
 
 @functools.partial(jax.jit, static_argnums=0)
 def _with_law(structure: Structure, state: SimulationState, law: Law, parameters: Parameters) -> SimulationState:
-    """Return a state with another law; the law's state stays, but for what its `init` made of the gains alone."""
+    """A state with another law; the law's memory stays, but for values that its `init` makes of the gains alone."""
     setup, carry = set_up(structure, law, parameters), state.carry
     walk, (before, tree) = walk_of(structure, setup), jax.tree.flatten(carry.memory.law)
     begun = begin(walk)

@@ -19,7 +19,7 @@ class Trajectory(Quantities[np.ndarray]):
 
     scenario: Scenario  # as it walked
     gains: Gains | Mapping[str, np.ndarray]  # by name, where the law has others than the paper's
-    parameters: Parameters  # the scenario's, or what was given in their place
+    parameters: Parameters  # the scenario's, or those given in their place
     limbs: tuple[str, ...]  # their names, in order
     law: str = ""  # name of the control law, where it is not the scenario's
 
@@ -31,7 +31,7 @@ class Trajectory(Quantities[np.ndarray]):
 
 
 def named(values: Mapping[str, Any], limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
-    """Return scalar metrics with None for what is not defined and the limb by name: what goes into JSON."""
+    """Scalar metrics for JSON: None if undefined, and the limb by name."""
     result = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()}
     if "detached_limb" in values:
         result["detached_limb"] = limbs[values["detached_limb"]] if values["detached_limb"] >= 0 else None

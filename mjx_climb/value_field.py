@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 _LEAST, _MOST = math.ulp(0.0), sys.float_info.max
 BELOW_ONE = math.nextafter(1.0, 0.0)
-# bounds, both of which a value may have
+# bounds, ends included
 FINITE = (-_MOST, _MOST)
 NONNEGATIVE = (0.0, _MOST)
 POSITIVE = (_LEAST, _MOST)
@@ -19,7 +19,7 @@ OPEN = (_LEAST, _MOST, BELOW_ONE, math.inf)  # ends that no value of any precisi
 
 
 class ValueField(NamedTuple):
-    """What a component declares of a value beside its default."""
+    """The declaration of a value beside its default."""
 
     unit: str
     shape: tuple[int | None, ...]  # of one robot's value; () of one number; None: any length
@@ -30,7 +30,7 @@ class ValueField(NamedTuple):
     in_steps: bool = False  # a time that is counted in whole time steps
     limits: tuple[float, float] | None = None  # that a value must lie in; None: those of a search do not bind
     whole: bool = False  # a whole number
-    meaning: str = ""  # in full, for the keys of a config; "; null: ..." at its end says what null stands for
+    meaning: str = ""  # in full, for the keys of a config; "; null: ..." at its end gives the meaning of null
 
     @property
     def description(self) -> str:

@@ -1,4 +1,4 @@
-"""Whole walks of one robot, from law and parameters to metrics or histories: what `mjx_climb.execution` carries out.
+"""Whole walks of one robot, from law and parameters to metrics or histories, as functions for `mjx_climb.execution`.
 
 Histories that are kept for a batch are small: the least and the largest value of `LINES` in each stretch of a walk.
 """
@@ -28,8 +28,8 @@ from mjx_climb.walk.step import Carry, Walk, advance, begin, look_ahead, prepare
 from mjx_climb.walk.structure import Structure
 
 Metrics = dict[str, Array]
-Record = TypeVar("Record")  # what is kept of each sample
-Scan = Callable[..., tuple[PyTree, PyTree]]  # as `jax.lax.scan` of a step, what it begins with, and `length`
+Record = TypeVar("Record")  # kept of each sample
+Scan = Callable[..., tuple[PyTree, PyTree]]  # as `jax.lax.scan` of a step, its first carry, and `length`
 
 STRETCHES = 200
 _LEAST = "least of "  # before a line's name
@@ -135,7 +135,7 @@ def _walked(
     scan: Scan = jax.lax.scan,
     targets: Float[Array, "time limb joint"] | None = None,
 ) -> tuple[Metrics, Record]:
-    """Return the metrics of a walk, and what `record` keeps of each sample, stacked over time.
+    """The metrics of a walk, and `record` of each sample, stacked over time.
 
     Joint targets, rad, take the law's place where there are some.
     """
@@ -157,7 +157,7 @@ def _over_steps(
 ) -> tuple[PyTree, PyTree]:
     """Return the last carry and the records of a walk's steps, by periods of a gait that looks ahead.
 
-    What is carried is a `Carry`, or a pair of one and running metrics; what is read is nothing, or begins with steps.
+    The carry is a `Carry`, or a pair of one and running metrics; inputs are none, or begin with steps.
     """
     steps, period = walk.structure.steps, walk.structure.planning
     if not period:
@@ -214,7 +214,7 @@ def stretches(steps: int) -> tuple[int, int]:
 def histories(trajectory: Trajectory, steps: int | None = None) -> dict[str, Float[np.ndarray, "extreme stretch"]]:
     """Return `LINES` of one walk, (2, stretches): the least and the largest value in each stretch.
 
-    The stretches of time are those of a walk of so many `steps`, of which each is one or more of this walk's.
+    The stretches of time are those of a walk of so many `steps`, each one or more of this walk's.
     """
     return together({name: np.asarray(value) for name, value in _extremes(_lines(trajectory), steps).items()})
 

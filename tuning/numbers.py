@@ -133,7 +133,7 @@ def ahead_of(scenario: "Scenario") -> list[str]:
     """Return the objections to a scenario before any walk."""
     control, step = scenario.control, scenario.time_step
     heavy = sum(value**2 for value in scenario.gravity) > WEIGHT**2
-    low_reaction = scenario.gait.swing == "low_reaction" and scenario.contact.capture_distance is None
+    low_reaction = scenario.gait.swing == "low_reaction" and scenario.value("contact.capture_distance") is None
     measured = control.controller == "base_admittance" and control.reading == "measured_pose"
     usual = scenario.hardware.control_period or step == type(scenario).model_fields["time_step"].default
     found = {

@@ -15,7 +15,7 @@ from mjx_climb.robot.constants import Robot
 
 
 class External(NamedTuple):
-    """What acts on the robot from outside, as the equations of motion take it; None: nothing of the kind."""
+    """External loads as the equations of motion take them; None: no such load."""
 
     # (6,) N, N m: the whole force, and its moment about the base's centre of mass, world axes
     base_wrench: Any = None
@@ -45,7 +45,7 @@ class Body(NamedTuple):
         """
         axes, position = joint_axes(self.robot, self.frames), self.frames.position
         about_base = moment + jnp.cross(point, force)
-        # a joint feels what acts on its own link and on those beyond it
+        # a joint bears loads on its own link and on those beyond it
         beyond, turning = _from_foot_inwards(force), _from_foot_inwards(about_base)
         turned = turning - jnp.cross(position, beyond)
         torque = (axes.angular * turned).sum(-1)
@@ -88,9 +88,9 @@ class Disturbance(Component, abc.ABC):
 
     @abc.abstractmethod
     def act(self, time: Array, body: Body) -> External:
-        """What acts in a step.
+        """The loads in a step.
 
         Arguments:
-            time: () s, of the middle of the step: what starts at an instant starts with the step nearest to it.
+            time: () s, of the middle of the step: a load that starts at an instant starts with the step nearest to it.
             body: the robot at the beginning of the step.
         """

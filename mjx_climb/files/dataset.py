@@ -55,7 +55,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     )
     for field in dataclasses.fields(Sample)
 }
-# without which there is no walk: the state, and what tells whether it diverged
+# a walk has these at least: the state, and the quantities that tell divergence
 _NEEDED = {"time", "limb", "joint", *(field.name for field in dataclasses.fields(State)), "joint_torque", "foot_force"}
 
 
@@ -96,7 +96,7 @@ def sweep_dataset(
         metrics: arrays of metrics, with one axis per coordinate, in their order.
         coordinates: the values along each axis: names of gains or paths of the scenario's parameters, or others with a
             DataArray that has units.
-        scenario: what all the walks have in common.
+        scenario: the common part of all walks.
         table: the metrics themselves.
 
     Raises:
@@ -158,7 +158,7 @@ def scenario_of(dataset: xr.Dataset) -> Scenario:
 
 
 def provenance(scenario: Scenario) -> dict[str, str]:
-    """Return the attributes by which a computation can be repeated: scenario, versions, revision."""
+    """The attributes that allow a computation to be repeated: scenario, versions, revision."""
     attrs = {"scenario": scenario.to_yaml()}
     for name, distribution in PACKAGES.items():
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -221,7 +221,7 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
     HDF5 may hang where a file is damaged: one without the digest of `save` is read by another process first.
 
     Raises:
-        ConfigError: no netCDF4 file, not what `save` wrote, or one that is not read in time.
+        ConfigError: no netCDF4 file, a damaged one, or one that is not read in time.
     """
     try:
         content = Path(path).read_bytes()
@@ -231,7 +231,7 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
         elif seal != _seal(content[: -len(seal)]):
             raise ValueError("damaged")
         return xr.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError, LookupError, TypeError, RuntimeError) as error:  # what its readers raise
+    except (OSError, ValueError, LookupError, TypeError, RuntimeError) as error:  # its readers' errors
         number = getattr(error, "errno", None)  # HDF5's own text is long
         reason = os.strerror(number) if number else "another file, or a damaged one"
         raise ConfigError(os.fspath(path), "", "a netCDF4 file", reason.lower()) from None
@@ -249,7 +249,7 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     if missing := sorted(_NEEDED - set(dataset.variables)):
         raise ConfigError(os.fspath(path), "", "a walk", f"a dataset without {missing[0]}")
     dtype = dataset["base_position"].dtype
-    # a file of an older version lacks what was not known then
+    # a file of an older version lacks newer quantities
     arrays = unknown(dataset.sizes["time"], {str(dim): size for dim, size in dataset.sizes.items()}, dtype)
     arrays |= {name: dataset[name].values for name in arrays if name in dataset.variables}
     by_name = _from_json(dataset.attrs["gains"], dtype)

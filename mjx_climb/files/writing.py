@@ -11,15 +11,15 @@ from mjx_climb.scenario.messages import printable
 
 
 class OutputError(ValueError):
-    """A place that cannot be written to; in one line: path, what was expected, what was got."""
+    """A place that cannot be written to; in one line: path, expected, got."""
 
 
 @contextlib.contextmanager
 def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path that becomes the file where the block ends well, and is removed where it does not.
 
-    Missing folders are made. A link is written through. What is no regular file, a pipe for example, is never replaced:
-    it is itself what is given.
+    Missing folders are made. A link is written through. A pipe or a device is never replaced:
+    it is given as it is.
 
     Raises:
         OutputError: the file cannot be written.

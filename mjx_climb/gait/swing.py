@@ -164,7 +164,7 @@ def _per_sample(values: np.ndarray, like: np.ndarray) -> np.ndarray:
 # --- the swing of least reaction
 
 
-def swing_path(scenario: Scenario, robot: Robot) -> np.ndarray:
+def swing_path(scenario: Scenario, robot: Robot, turned: bool = False) -> np.ndarray:
     """Return the coefficients of a scenario's `gait.swing`, (limb, 3, K), in step heights; K is 0 for `cubic`.
 
     Axes: ahead, left, up; shapes as `added_shapes`. For `low_reaction` the integral of the squared reaction on the base
@@ -180,7 +180,7 @@ def swing_path(scenario: Scenario, robot: Robot) -> np.ndarray:
     """
     if scenario.gait.swing == "cubic":
         return np.zeros((len(scenario.gait.lift_off), 3, 0))
-    return _least(robot, scenario.gait, scenario.contact.rotational_stiffness > 0).copy()
+    return _least(robot, scenario.gait, turned).copy()
 
 
 @functools.lru_cache(maxsize=64)

@@ -31,7 +31,7 @@ def holds_of(ground: model.Ground) -> Holds | None:
     """The points of a ground that can be held; None: it can be held everywhere.
 
     Raises:
-        ConfigError: in one line with file and key, what cannot be read, too many points, or none.
+        ConfigError: in one line with file and key, an unreadable file, too many points, or none.
     """
     if (section := ground.holds) is None:
         return None

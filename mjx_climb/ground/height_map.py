@@ -1,4 +1,4 @@
-"""Height maps: grids of heights from a file, where they lie in the world, and what of them can be held."""
+"""Height maps: grids of heights from a file, their place in the world, and their samples that can be held."""
 
 import functools
 from collections.abc import Callable
@@ -49,7 +49,7 @@ def grid_of(file: str, key: str = "ground.map.file", gaps: bool = False) -> np.n
     """The samples of a grid: rows along y, columns along x, both ascending; `gaps` are NaN.
 
     Raises:
-        ConfigError: in one line that begins with file and key, what cannot be read or is no grid.
+        ConfigError: in one line that begins with file and key, an unreadable file or no grid.
     """
     readers: dict[str, Callable[[str], np.ndarray]] = {".csv": _csv, ".npy": _npy, ".png": _png}
     suffix = Path(file).suffix.lower()

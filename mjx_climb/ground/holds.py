@@ -45,7 +45,7 @@ class Holds(Component):
 
 
 def pull_within(used: AnyArray, bound: AnyArray) -> AnyArray:
-    """Return the largest pull, (...) N, of which a newton uses up (..., m) N of limits (..., m) N; infinite: any."""
+    """The largest pull, (...) N, by uses (..., m) of limits (..., m) N a newton; infinite: any."""
     xp = namespace(bound, used)
     most = xp.where(used > 0, bound / xp.where(used > 0, used, 1.0), np.inf)
     return most.min(-1, initial=np.inf)

@@ -1,4 +1,4 @@
-"""Columns of numbers from a file, and the one way in which files of points and grids are refused."""
+"""Columns of numbers from a file, and the one way to refuse files of points and grids."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -67,7 +67,7 @@ def packed(content: bytes, layout: DTypeLike, count: int, at: int = 0) -> np.nda
 
 @contextlib.contextmanager
 def reading(file: str, key: str, expected: str) -> Iterator[None]:
-    """Refuse a file in one line whatever its reader raises: libraries raise what their decoders do on damaged ones."""
+    """Refuse a file in one line for any error of its reader, its decoders included."""
     try:
         check_regular(file)
         yield

@@ -23,7 +23,7 @@ class ActuatorGains(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """How the joints are in a step, whatever their encoders say."""
+    """The true state of the joints in a step, not the encoders'."""
 
     angles: Array  # (limb, joint) rad, m of sliding joints
     rates: Array  # (limb, joint) rad/s, m/s
@@ -31,7 +31,7 @@ class Joints(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What the actuators do in a step."""
+    """Torques of the actuators in a step."""
 
     motor_torque: Array  # (limb, joint) N m
     joint_torque: Array  # (limb, joint) N m, less friction
@@ -58,7 +58,7 @@ class Actuator(Component, abc.ABC):
         return False
 
     def spring(self, period: float) -> JointSpring | None:
-        """The spring that holds a joint, by which a time step, s, is checked; None: not known, and left out there."""
+        """The spring that holds a joint, for the check of a time step, s; None: not known, and not checked."""
         return None
 
     @abc.abstractmethod
@@ -69,7 +69,7 @@ class Actuator(Component, abc.ABC):
     def step(
         self, memory: PyTree, targets: Array, gains: ActuatorGains, joints: Joints, period: float
     ) -> tuple[PyTree, Drive]:
-        """The memory after a step, of the same structure and shapes, and what the actuators do in it.
+        """The memory after a step, of the same structure and shapes, and the actuators' torques in it.
 
         Arguments:
             memory: of `init` or the step before.

@@ -46,7 +46,7 @@ def weights(steps: Array, length: int) -> Buffer:
     """Return how much of each sample of a buffer makes up the signal as it was `steps` () time steps ago.
 
     Between samples the signal is linear, so that the delay has a derivative: at a whole number of steps the one towards
-    longer delays. A delay beyond the buffer is cut to what the buffer holds.
+    longer delays. A delay beyond the buffer is cut to the buffer's length.
     """
     steps = jnp.minimum(steps, length - 1)
     whole = jax.lax.stop_gradient(jnp.floor(steps * (1 + ROUNDING)))
@@ -82,10 +82,10 @@ def steps_into(step: Array, steps: Array) -> Array:
 
 
 def held(now: Array, new: Tree, before: Tree) -> Tree:
-    """Return `new` where the law is evaluated `now` (), else what it returned before; trees of arrays."""
+    """Return `new` where the law is evaluated `now` (), else its last result; trees of arrays."""
 
     def choose(fresh: Array, old: Array) -> Array:
-        # what a law hands on unchanged stays the same value, which a loop over steps need not carry
+        # a value that a law hands on unchanged stays the same, and a loop over steps need not carry it
         return old if fresh is old else jnp.where(now, fresh, old)
 
     result: Tree = jax.tree.map(choose, new, before)

@@ -25,7 +25,7 @@ REGULARIZATION = 8.0  # in units of rounding: a stretched limb feels no force al
 
 
 class ForceSensors(declared.ForceSensors, Component):
-    """The force sensors of the feet; `filtered_by` the "sensor" every time step, or the "law" what it samples.
+    """The force sensors of the feet; `filtered_by` the "sensor" every time step, or the "law" at its samples.
 
     The `source` of forces is a "sensor", or "joint_effort": see `effort_force`. `axes`: "xyz", or "z" alone.
     """
@@ -45,11 +45,11 @@ class ForceSensors(declared.ForceSensors, Component):
 
 
 class BaseEstimate(declared.BaseEstimate, Component):
-    """What the law knows of the base's pose and rates."""
+    """The law's knowledge of the base's pose and rates."""
 
 
 class ForceSensor(NamedTuple):
-    """What the feet's force sensors remember; empty, or None, where they have no such stage."""
+    """Memory of the feet's force sensors; empty, or None, where they have no such stage."""
 
     buffer: signals.Buffer  # of (limb, 3) N
     filtered: Array | None = None  # (limb, 3) N
@@ -77,7 +77,7 @@ def effort_force(robot: Robot, frames: LimbFrames, state: State, torque: Array, 
 
 
 def measured_force(sensor: ForceSensor, force: Array, step: Array, hardware: Hardware) -> tuple[ForceSensor, Array]:
-    """Return the sensors after this step and what they read of `force` (limb, 3) N.
+    """The sensors after this step and their readings of `force` (limb, 3) N.
 
     The order is that of a real sensor's chain: axes, delay, bias and drift, noise, resolution, filter; one that is dead
     reads 0.

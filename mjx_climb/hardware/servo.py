@@ -1,12 +1,12 @@
 """The joints' servos: from joint targets to the torque that turns the joint.
 
-A servo's loop is a PID, evaluated at its own rate. What it asks for is a torque, which the motor gives up to its
-torque-speed line, or a share of the supply voltage (PWM), of which the back EMF takes its part.
+A servo's loop is a PID, evaluated at its own rate. Its output is a torque, which the motor gives up to its
+torque-speed line, or a share of the supply voltage (PWM), less the back EMF.
 
 Dry friction bears up to a bound (`friction_bound`) by a bristle, a spring with a damper, that slips once it bears as
 much as the friction can (an elastic, perfectly plastic element, also called Jenkin's, damped as LuGre's bristles are):
 a joint at rest does not creep. A bristle that is not to ring is damped more than light links can bear in a step of
-explicit Euler. So what it bears in a step is taken at the rates after the step: `(H + A) qdd = f - borne(rates
+explicit Euler. So friction in a step is taken at the rates after the step: `(H + A) qdd = f - borne(rates
 before)` with `A = h dborne/drate` on the joints' diagonal of H, where an armature is too. It then holds at any time
 step.
 
@@ -31,17 +31,17 @@ RELAXATION = 5e-3  # s, damper over spring: close to the critical damping of a l
 
 
 class Loop(NamedTuple):
-    """What the joint loop remembers; None where it has no such stage."""
+    """Memory of the joint loop; None where it has no such stage."""
 
     goal: Array | None = None  # (limb, joint) rad, on its way to the joint targets
     goal_rate: Array | None = None  # (limb, joint) rad/s
     integral: Array | None = None  # (limb, joint) rad s, of the error
-    # (limb, joint) N m, what the loop asked for when it was evaluated last, and () time steps since then
+    # (limb, joint) N m, the loop's last output, and () time steps since then
     asked: tuple[Array, Array] | None = None
 
 
 class Servo(NamedTuple):
-    """What the servos remember; empty, or None, where they have no such stage."""
+    """Memory of the servos; empty, or None, where they have no such stage."""
 
     buffer: signals.Buffer  # of torques (limb, joint) N m
     bristle: Array | None  # (limb, joint) 1, see `dry_friction`
@@ -63,7 +63,7 @@ class Servos(declared.Servos, Actuator):
     """
 
     drive: str = "torque"
-    # what a walk is set up for
+    # the hardware that a walk is set up with
     hardware: Hardware | None = dataclasses.field(default=None, metadata={"tree": True})
 
     @property
@@ -78,7 +78,7 @@ class Servos(declared.Servos, Actuator):
     def step(
         self, memory: Servo, targets: Array, gains: ActuatorGains, joints: Joints, period: float
     ) -> tuple[Servo, Drive]:
-        """The servos after a step, and what they do in it: see `joint_loop`."""
+        """The servos after a step, and their torques in it: see `joint_loop`."""
         memory = memory if joints.load is None else memory._replace(load=joints.load)
         return joint_loop(memory, targets, joints, gains, self._set_up)
 
@@ -105,7 +105,7 @@ def begin(angles: Array, stages: Stages) -> Servo:
 def joint_loop(
     servo: Servo, targets: Array, joints: Joints, gains: ActuatorGains, hardware: Hardware
 ) -> tuple[Servo, Drive]:
-    """Return the servos after this step and what they do in it, for joint targets (limb, joint) rad.
+    """The servos after this step and their torques in it, for joint targets (limb, joint) rad.
 
     The loop is `tau = kp (phi_des - phi) + ki int(phi_des - phi) - kd phidot`: the desired rate is zero, D acts on the
     measured rate. A voltage drive takes `tau` over the stall torque for its share of the voltage.
@@ -121,7 +121,7 @@ def joint_loop(
 
 
 def pid(loop: Loop, targets: Array, joints: Joints, gains: ActuatorGains, hardware: Hardware) -> tuple[Loop, Array]:
-    """Return the loop once evaluated, and what it asks for, (limb, joint) N m, whatever the motor can give."""
+    """The loop once evaluated, and its output, (limb, joint) N m, before the motor's limits."""
     stages, servos, period = hardware.stages, hardware.parameters.drive, hardware.servo_period
     if loop.goal is not None and loop.goal_rate is not None:
         fastest = jnp.asarray(servos.profile_velocity), jnp.asarray(servos.profile_acceleration)
@@ -169,7 +169,7 @@ def profiled(
 
 
 def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tuple[Servo, Drive]:
-    """Return the servos after this step and what they do in it, asked for `torque` (limb, joint) N m."""
+    """The servos after this step and their torques in it, asked for `torque` (limb, joint) N m."""
     buffer, bristle = servo.buffer, servo.bristle
     servos, stages, time_step = hardware.parameters.drive, hardware.stages, hardware.time_step
     if stages.servo_delay:
@@ -219,7 +219,7 @@ def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Arra
 def friction_bound(torque: Array, load: Array | None, rate: Array, hardware: Hardware) -> Array:
     """Return the bound of dry friction, N m, under the motor's torque and that of the load, at a rate.
 
-    The gears carry `|k_e load - k_m torque|` of the two, which have opposite signs where one holds the other; what
+    The gears carry `|k_e load - k_m torque|` of the two, which have opposite signs where one holds the other; the
     there is at standstill alone falls as `exp(-|rate / velocity|^exponent)` (M1 to M6 of Duclusaud et al.).
     """
     stages, p = hardware.stages, hardware.parameters.drive
@@ -244,7 +244,7 @@ def friction_bound(torque: Array, load: Array | None, rate: Array, hardware: Har
 def dry_friction(
     bristle: Array, rate: Array, most: Array, presliding: Array, time_step: float
 ) -> tuple[Array, Array, Array]:
-    """Return the bristle after a step at `rate` rad/s, its torque, N m, and what it adds to the armature, kg m^2.
+    """Return the bristle after a step at `rate` rad/s, its torque, N m, and its addition to the armature, kg m^2.
 
     The bristle is its bend as a share of `presliding`, rad, -1 to 1; the friction can bear `most`, N m.
     """

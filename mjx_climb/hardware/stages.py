@@ -1,4 +1,4 @@
-"""Which stages of hardware a walk has, decided once before it is compiled, and what they need of its parameters."""
+"""Which stages of hardware a walk has, decided once before it is compiled, and constants of them."""
 
 import dataclasses
 from collections.abc import Collection
@@ -40,7 +40,7 @@ class Stages(NamedTuple):
     force_resolution: bool = False
     force_filter: bool = False
     force_dead: bool = False
-    sampled_filter: bool = False  # the law filters what it samples
+    sampled_filter: bool = False  # the law filters its samples
     base_delay: int = 0
     base_noise: bool = False
     control_period: bool = False
@@ -84,11 +84,11 @@ def stages_of(
 ) -> Stages:
     """Return the stages that some robot of a batch needs; buffers are as long as the longest delay needs.
 
-    The values at the paths `moving` have their stages whatever they are, as derivatives along them need.
+    The values at the paths `moving` always have their stages, as derivatives along them need.
 
     Raises:
         ValueError: motors on a voltage without a torque at standstill or a speed without load.
-        TypeError: parameters that JAX traces, by which nothing can be decided: see `stages_under_trace`.
+        TypeError: parameters that JAX traces, which cannot decide: see `stages_under_trace`.
     """
     values = parameters.values
     for path, value in values.items():
@@ -162,7 +162,7 @@ def lacking(stages: Stages, asked: Stages) -> bool:
 
 
 class Pace(NamedTuple):
-    """What is computed once of a robot's delays, filter and control period; empty, or None, without such a stage."""
+    """Constants of a robot's delays, filter and control period; empty, or None, without such a stage."""
 
     force: Buffer  # weights of the samples, see `signals.weights`
     base: Buffer
@@ -176,7 +176,7 @@ class Pace(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Hardware:
-    """The hardware of one robot: what it is compiled for, and its parameters."""
+    """The hardware of one robot: the stages that it is compiled for, and its parameters."""
 
     parameters: Parameters  # those of joints are (), or (limb, joint) where the robot's file says something of them
     pace: Pace
@@ -195,7 +195,7 @@ class Hardware:
 
 
 def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot: Robot | None = None) -> Hardware:
-    """Return the hardware of a robot; what its file says of its joints comes beside the scenario's parameters.
+    """The hardware of a robot; values of its file's joints come beside the scenario's parameters.
 
     Frictions add up, the lower torque limit holds, and a joint that nothing drives has no gains.
     """
@@ -204,7 +204,7 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
         period = period_steps(jnp.asarray(parameters.bus.control_period), time_step)
     if stages.force_filter or stages.sampled_filter:
         sampled = time_step if period is None or not stages.sampled_filter else time_step * period
-        # what a first-order filter takes in of an input held over a period: 1 - exp(-2 pi f h)
+        # share of an input held over a period that a first-order filter takes in: 1 - exp(-2 pi f h)
         share = -jnp.expm1(-2 * jnp.pi * sampled * parameters.force_sensor.filter)
     late: dict[str, Buffer] = {}
     for part, path in DELAYED.items():
@@ -230,7 +230,7 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
 
 
 def _at_supply_voltage(parameters: Parameters, stages: Stages) -> Parameters:
-    """Return parameters with what motors give and how fast they are at the supply voltage in place of the rated one.
+    """Parameters with the motors' torque and speed at the supply voltage in place of the rated one.
 
     A loop that gives a share of the voltage has gains in N m/rad that grow with it, one that asks for torques does not.
     """

@@ -14,7 +14,7 @@ from mjx_climb.hardware.actuator import Actuator, ActuatorGains, Drive, Joints, 
 
 
 class Commanded(NamedTuple):
-    """What the manager remembers."""
+    """Memory of the manager."""
 
     rate: Array  # (limb, joint) rad/s, commanded
     error: Array  # (limb, joint) rad, of the position when it was commanded
@@ -51,7 +51,7 @@ class VelocityCommanded(Actuator):
     def step(
         self, memory: Commanded, targets: Array, gains: ActuatorGains, joints: Joints, period: float
     ) -> tuple[Commanded, Drive]:
-        """The manager's memory after a step, and what the motors do in it."""
+        """The manager's memory after a step, and the motors' torques in it."""
         steps = jnp.maximum(jnp.round(jnp.asarray(self.manager_period) / period), 1.0)
         error, now = targets - joints.angles, memory.age == 0
         wanted = self.p * error + self.d * (error - memory.error) / (steps * period)

@@ -1,4 +1,4 @@
-"""What a file that a scenario names takes in, and a digest of it all."""
+"""Files that a scenario's file includes or imports, and a digest of them all."""
 
 import ast
 import hashlib
@@ -11,7 +11,7 @@ from mjx_climb.scenario.messages import ConfigError
 
 
 def digest(file: Path) -> str:
-    """Return a digest of a file and of what it takes in.
+    """A digest of a file and of all that it includes or imports.
 
     Raises:
         ConfigError: a file cannot be read.
@@ -21,7 +21,7 @@ def digest(file: Path) -> str:
 
 
 def needed(file: Path) -> list[Path]:
-    """Return a file and what it takes in, as absolute paths, without what are only looks."""
+    """A file and all that it includes or imports, as absolute paths, without visual parts."""
     file = Path(os.path.abspath(file))
     found = {file}
     if file.suffix.lower() == ".xml":

@@ -1,4 +1,4 @@
-"""The values of a scenario as a pytree: what may differ from one robot of a batch to the next."""
+"""The values of a scenario as a pytree: they may differ from one robot of a batch to the next."""
 
 import dataclasses
 import math
@@ -66,10 +66,11 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     def made(place: str, section: Any, plain: type[Component] = Component) -> Any:
         return component_of(section, place, source) if isinstance(section, Kind) else _of_section(plain, section)
 
+    contact = made("contact", scenario.contact, Gripper).compiled_for()
     return Parameters(
         gravity=np.asarray(scenario.gravity, float),
         mass_scale=np.asarray(1.0),
-        contact=made("contact", scenario.contact, Gripper).compiled_for(),
+        contact=contact,
         drive=made("hardware.servo", hardware.servo, Servos),
         joint_loop=_of_section(JointLoop, control, safe_kp=control.kp if control.safe_kp is None else control.safe_kp),
         force_sensor=_of_section(
@@ -77,7 +78,9 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         ),
         base_estimate=_of_section(BaseEstimate, hardware.base_estimate),
         bus=_of_section(Bus, hardware),
-        gait=_of_section(PeriodicGait, scenario.gait, swing_path=_swing_path(scenario, robot)),
+        gait=_of_section(
+            PeriodicGait, scenario.gait, swing_path=_swing_path(scenario, robot, contact.transmits_moments)
+        ),
         ground=Ground(**ground),
         disturbances=(
             _of_section(Cargo, happens.cargo),
@@ -115,11 +118,11 @@ def _recovery(scenario: Scenario) -> Recovery | None:
     return _of_section(Recovery, given, margin=given.margin or 0.0)
 
 
-def _swing_path(scenario: Scenario, robot: Robot) -> np.ndarray:
+def _swing_path(scenario: Scenario, robot: Robot, turned: bool) -> np.ndarray:
     """Return the coefficients (limb, 3, K) of the gait's swing, or of a published one."""
     gait = scenario.gait
     if gait.swing_file is None:
-        return swing_path(scenario, robot)
+        return swing_path(scenario, robot, turned)
     return published_path(gait.swing_file, gait, len(gait.lift_off))
 
 
@@ -133,7 +136,7 @@ def check_parameters(parameters: Parameters, limbs: int) -> None:
     """Refuse parameters that no walk could have, as far as their values are known.
 
     Raises:
-        ValueError: in one line, the path of the first value that is wrong, what was expected and what was got.
+        ValueError: in one line, the path of the first wrong value, expected and got.
     """
     values = parameters.values
     for path, field in parameters.paths.items():
@@ -153,9 +156,9 @@ _OF_LIMBS = {
 
 
 class _Known:
-    """Parameters of which JAX may trace some, with values in place of those that it traces.
+    """Parameters with values in place of those that JAX traces.
 
-    A value that a derivative alone traces is known; what `jit` or `vmap` traces counts as the scenario's own.
+    Under jvp and grad the value is known; under jit and vmap the scenario's decides.
     """
 
     def __init__(self, scenario: Scenario, parameters: Parameters) -> None:
@@ -216,7 +219,7 @@ def stages_under_trace(
     robot: Robot | None = None,
     called: Callable[[str], str] = "parameters.{}".format,
 ) -> Stages:
-    """Return the stages that parameters need, of which JAX may trace some.
+    """The stages that parameters need; JAX may trace some of these.
 
     Arguments:
         called: how a value, by its path, is called where it is refused.
@@ -235,6 +238,6 @@ def stages_under_trace(
 
 
 def _undecided(name: str, otherwise: str) -> str:
-    """Return the refusal of a traced value that decides what a walk is compiled for."""
+    """The refusal of a traced value that decides about a walk's structure."""
     known = f"a value that is known where the walk is compiled{otherwise}"
     return f"{name}: expected {known}, got one that JAX traces: trace only what varies"

@@ -56,7 +56,7 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
     """Return the object that FILE.py:NAME names, and both names; the file is run.
 
     Raises:
-        ConfigError: in one line, no such file or name, or a file that fails; `what` was wanted, as "law".
+        ConfigError: in one line, no such file or name, or a file that fails; `what`: the wanted kind, as "law".
     """
     file, colon, name = text.rpartition(":")
     if not (colon and file and name):
@@ -68,7 +68,7 @@ def load(text: str, what: str) -> tuple[Any, str, str]:
     if spec is None or not isinstance(spec.loader, importlib.machinery.SourceFileLoader):
         raise ConfigError(path, "", "a file of Python, whose name ends in .py")
     module, of_files = importlib.util.module_from_spec(spec), digest(path)
-    sys.path.insert(0, str(path.absolute().parent))  # for what the file itself imports, as python FILE does
+    sys.path.insert(0, str(path.absolute().parent))  # for the file's own imports, as python FILE does
     try:
         # not `exec_module`, whose bytecode of a file that was changed within a second is the old one's
         with in_one_line(str(path)):

@@ -1,4 +1,4 @@
-"""What a caller passes as law, gains and parameters, resolved and checked once, before anything is traced."""
+"""A caller's law, gains and parameters, resolved and checked once, before anything is traced."""
 
 import dataclasses
 import functools
@@ -62,7 +62,7 @@ def resolve(
 
     Raises:
         ValueError: in one line, an unknown name, a wrong shape, a gain that is not positive, a parameter that no
-            scenario could have, or a precision other than float32 and float64. Of what is being traced only shapes are
+            scenario could have, or a precision other than float32 and float64. Of traced values only shapes are
             known.
     """
     array = functools.partial(xp.asarray, dtype=checked_dtype(dtype))
@@ -179,11 +179,11 @@ def by_name(gains: AnyGains) -> dict[str, AnyArray]:
 
 
 def _values_by_name(law: Law, gains: AnyGains | None, what: str = "gains") -> dict[str, AnyArray]:
-    """Return the values given, by name, six of which may be cut to the translations of a law of three axes."""
+    """The values given, by name; values of six axes are cut to the translations for a law of three."""
     values = dict(gains or {}) if isinstance(gains, Mapping | None) else by_name(gains)
     values = {name: real_numbers(f"{what}.{name}", value) for name, value in values.items()}
     known = [*law.GAINS, *_JOINT_LOOP]
-    if values.keys() >= Gains.AXES.keys():  # those of the paper, whatever else stands beside them
+    if values.keys() >= Gains.AXES.keys():  # those of the paper, others beside them or not
         for name, field in law.GAINS.items():
             if field.shape == (3,) and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
                 values[name] = values[name][..., :3]

@@ -2,17 +2,16 @@
 
 Held by contact springs, joint loop, back EMF and the joints' friction alone (no admittance law, no gravity, no delays),
 the robot is a linear system near each posture, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D v)`,
-then `x += h v`. Light links at the end of a stiff contact are what takes it out of the unit circle. Postures are those
+then `x += h v`. Light links at the end of a stiff contact take it out of the unit circle. Postures are those
 that the gait plans at both ends of each swing and in its middle: a limb is farthest back when it lifts off and farthest
-ahead when it lands. What a law adds is in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may
+ahead when it lands. The law's part is in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may
 be stretched farther than the gait plans, and are stiffer at the foot: then the posture with all of them stretched level
-outwards, as far as the gait lets them, counts too. A contact or an actuator of the user's own says by which springs
-it holds feet or joints; where it does not, these are left out, and a refusal says so.
+outwards, as far as the gait lets them, counts too. A contact or an actuator of the user's own names the springs
+of feet or joints; where it does not, these are left out, and a refusal says so.
 """
 
 import functools
 import math
-import operator
 import warnings
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -38,7 +37,7 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import PASSIVE, Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import Gait, Scenario
+from mjx_climb.scenario.model import Gait, Scenario, Servo
 
 _ROUNDING = 1e-7  # a free motion is twice the eigenvalue 1: rounding parts the two by its square root, 1e-8
 # values that shorten the time step as they grow: stiffness and damping are linear in each
@@ -50,7 +49,7 @@ _STIFFENING = (
 _LONGER = 1.01  # time steps
 _BESIDE = 1e-3  # of a swing, from its ends
 _AT_ONCE = 1024  # robots
-_FARTHEST, _SHARES = 3.0, 512  # of a foot's way outwards, of which the largest share within reach counts
+_FARTHEST, _SHARES = 3.0, 512  # of a foot's way outwards; the largest share within reach counts
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
@@ -63,7 +62,7 @@ class Own(NamedTuple):
     contact: Springs | None = None
     drive: JointSpring | None = None
     gait: Gait | None = None
-    chooses: bool = False  # whether limbs may land on any hold within reach, whatever the config says
+    chooses: bool = False  # whether limbs may land on any hold within reach, beside the config's rule
 
 
 _CONFIG = Own()
@@ -103,7 +102,7 @@ def largest_time_step(scenario: Scenario, source: str = "scenario", own: Own = _
     """
     spans = [scenario.duration, scenario.gait.cycle]
     spans += [scenario.hardware.control_period] if scenario.hardware.control_period else []
-    spans += [1 / scenario.hardware.servo.rate] if scenario.hardware.servo.rate else []
+    spans += [1 / rate] if (rate := scenario.value("hardware.servo.rate")) else []
     for step in _STEPS:
         whole = all(math.isclose(span / step, round(span / step), rel_tol=1e-9) and round(span / step) >= 1
                     for span in spans)  # fmt: skip
@@ -119,7 +118,7 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
 
     Parameters, with any batch axes, replace the scenario's: the step is short enough for each robot. Those that JAX
     traces stay the scenario's, and so do values of the gait that differ from robot to robot. A warning names a contact
-    or an actuator that does not say by which springs it holds: it is left out.
+    or an actuator that does not name its springs: it is left out.
 
     Raises:
         ConfigError: in one line, the time step that would do.
@@ -187,14 +186,16 @@ def _shared_gait(parameters: Parameters, own: Gait) -> Gait:
 
 def _words(scenario: Scenario, own: Own, parameters: Parameters | None) -> tuple[str, str]:
     """Return the descriptions of the springs of feet and joints, for a refusal."""
-    contact, control, friction = scenario.contact, scenario.control, scenario.hardware.servo.coulomb_friction
+    control, friction = scenario.control, scenario.value("hardware.servo.coulomb_friction", 0.0)
     emf = _of_loop(scenario)[1] - control.kd
     driven = f", a back EMF of {emf:.3g} N m s/rad" if emf else ""
     sticking = f", hardware.servo.coulomb_friction {friction:g}" if friction else ""
-    feet = f"contact.stiffness {contact.stiffness:g}, contact.damping {contact.damping:g}"
     joints = f"{sticking}{driven}, control.kp {control.kp:g} and control.kd {control.kd:g}"
     if parameters is not None and own.contact is not None:
         feet = _of_own(parameters.contact, own.contact, "N/m", "N s/m")
+    else:
+        contact = _springs(scenario)
+        feet = f"contact.stiffness {contact.stiffness:g}, contact.damping {contact.damping:g}"
     if parameters is not None and own.drive is not None:
         joints = f" and {_of_own(parameters.drive, own.drive, 'N m/rad', 'N m s/rad')}"
     stretched = ", limbs stretched to the farthest footholds that may be chosen" if _chooses(scenario, own) else ""
@@ -212,11 +213,11 @@ def _stiffest(scenario: Scenario, parameters: Parameters, springs: Own) -> Scena
     """Return the scenario of a robot that the time step is too long for, of the stiffest where there is none.
 
     Where the step is short enough for the largest value of each parameter it is for all robots: a disturbance does not
-    grow while 4 M - 2 h D - h^2 K is positive definite, of which the three are symmetric.
+    grow while 4 M - 2 h D - h^2 K is positive definite, all three being symmetric.
     """
     values = parameters.values
     known = {n: np.asarray(values[n], float) for n in _STIFFENING if n in values and not is_traced(values[n])}
-    own = {path: float(operator.attrgetter(path)(scenario)) for path in known}
+    own = {path: scenario.value(path, math.nan) for path in known}
     largest = {name: float(values.max()) for name, values in known.items()}
 
     def of(values: Mapping[str, float]) -> Scenario:
@@ -253,15 +254,15 @@ def _systems(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield mass, stiffness and damping matrix (18, 18) at each posture, by steps of `h`."""
     model = robot.model
-    contact, servo = scenario.contact, scenario.hardware.servo
+    servo = _servo(scenario) if own.drive is None else Servo()
     joint = np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
     driven, spring = np.ones(model.nv), np.zeros(model.nv)
     driven[6:], spring[6:] = model.jnt_group[1:] != PASSIVE, model.jnt_stiffness[1:]
     dry, viscous = servo.coulomb_friction + servo.stribeck_friction + model.dof_frictionloss, servo.viscous_friction
     loop = JointSpring(*_of_loop(scenario)) if own.drive is None else own.drive
-    if own.drive is not None:  # the friction is that of the config's servos
-        dry, viscous = 0 * dry, 0.0
-    springs = contact if own.contact is None else own.contact
+    if own.drive is not None:
+        dry = 0 * dry
+    springs = _springs(scenario) if own.contact is None else own.contact
     postures = _planned(robot, own.gait or scenario.gait)
     if _chooses(scenario, own):
         postures = [*postures, (np.ones(model.nsite, bool), _stretched(robot))]
@@ -286,9 +287,22 @@ def _chooses(scenario: Scenario, own: Own) -> bool:
     return own.chooses or (scenario.gait.footholds != "planned" and scenario.ground.holds is not None)
 
 
+def _springs(scenario: Scenario) -> Springs:
+    """The springs of a config's contact; one without such a key has none there."""
+    return Springs(*(scenario.value(f"contact.{name}", 0.0) for name in Springs._fields))
+
+
+def _servo(scenario: Scenario) -> Servo:
+    """The servos of a config; a kind of its own has their defaults where it names no value."""
+    servo = scenario.hardware.servo
+    if isinstance(servo, Servo):
+        return servo
+    return Servo(**{key: value for key, value in servo.items() if key in Servo.model_fields and key != "kind"})
+
+
 def _of_loop(scenario: Scenario) -> tuple[float, float]:
     """Return stiffness, N m/rad, and damping, N m s/rad, of the joint loop and of the back EMF under a voltage."""
-    control, servo = scenario.control, scenario.hardware.servo
+    control, servo = scenario.control, _servo(scenario)
     if servo.drive == "torque" or servo.torque_limit is None or servo.no_load_speed is None:
         return control.kp, control.kd
     richer = 1.0

@@ -1,1 +1,1 @@
-"""The physics of one robot, as in the paper: Eq. 1 and what it needs, the contacts of Eq. 5, stability margins."""
+"""The physics of one robot, as in the paper: Eq. 1 and its terms, the contacts of Eq. 5, stability margins."""

@@ -28,7 +28,7 @@ _SETTLED = 1e-12  # rad, or m: steps shorter than this change nothing
 
 
 class LimbGeometry(NamedTuple):
-    """What the closed form needs of the limbs: plane coordinates are (outward, up) in the coxa's own frame."""
+    """Constants of the limbs for the closed form: plane coordinates are (outward, up) in the coxa's own frame."""
 
     hip_position: np.ndarray  # (limb, 3) m, base frame
     hip_rotation: np.ndarray  # (limb, 3, 3): x outward in the limb's plane, z along the coxa's axis
@@ -135,11 +135,11 @@ def solve_to_convergence(
     pull: bool = True,
     longest: float = _LONGEST_STEP,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return where steps of inverse kinematics settle, (..., limb, joint), and what the feet miss, (..., limb) m.
+    """The limit of steps of inverse kinematics, (..., limb, joint), and the feet's errors, (..., limb) m.
 
     For NumPy, before anything is compiled: as many steps as it takes, from `angles` (..., limb, joint), none longer
-    than `longest` in any joint. With `pull`, what moves no foot is as near the rest posture as the steps of a walk pull
-    it, else where it was.
+    than `longest` in any joint. With `pull`, spare joints are as near the rest posture as the steps of a
+    walk pull them, else where they were.
     """
     for _ in range(steps):
         weight, way = _toward_rest(chain, angles)

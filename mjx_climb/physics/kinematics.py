@@ -32,7 +32,7 @@ class LimbFrames(NamedTuple):
 
 
 class JointAxes(NamedTuple):
-    """Velocity of what is beyond each joint per unit of its rate, of the point at the joint."""
+    """Velocity of the links beyond each joint per unit of its rate, of the point at the joint."""
 
     angular: AnyArray  # (limb, joint, 3), zero for sliding joints
     linear: AnyArray | None  # (limb, joint, 3), zero for revolute joints; None: no joint slides

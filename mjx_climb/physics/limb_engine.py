@@ -3,7 +3,7 @@
 The limbs meet in the base alone, so the mass matrix is an arrow: a 6 x 6 block of the base, an N x N block for each
 limb of N joints and 6 x N couplings between them. Each limb is eliminated by its own block, and a 6 x 6 Schur
 complement is left for the base. The mass matrix comes from composite rigid bodies, the bias from recursive
-Newton-Euler at zero acceleration. All in the base's axes, in which the mass matrix depends on the joints alone; moments
+Newton-Euler at zero acceleration. All in the base's axes, where the mass matrix depends on the joints alone; moments
 about the base's centre of mass.
 
 References:
@@ -54,7 +54,7 @@ def factorized(robot: Robot, joint_angles: Array, cargo_mass: Array) -> Factors:
 
 
 def eliminated(limb: Limb, frames: LimbFrames, axes: JointAxes) -> tuple[_Three, _Three]:
-    """Return the factors of a limb's joints, and what is left for the base: its inertia less what its joints give way.
+    """The factors of a limb's joints, and the Schur complement on the base: its inertia less the joints' part.
 
     The former are the first three of `Factors`, the latter the blocks A, C, D of the mass matrix (3, 3).
     """
@@ -99,7 +99,7 @@ def accelerations(factors: Factors, forces: Forces) -> _Three:
     moment = forces.moment + (forces.limb_moment - jnp.matvec(factors.moment, forces.joint)).sum(0)
     angular = factors.angular @ (moment - factors.columns.T @ force)
     linear = factors.linear @ force - factors.columns @ angular
-    # back substitution: the joints' own forces, less what the base's acceleration takes
+    # back substitution: the joints' own forces, less those for the base's acceleration
     joints = jnp.matvec(factors.joints, forces.joint) - linear @ factors.force - angular @ factors.moment
     return linear, angular, joints
 
@@ -139,7 +139,7 @@ def _jvp(primals: Primals, tangents: Tangents) -> tuple[tuple[Array, ...], tuple
     """
     robot, state, *acting = primals
     factors, acceleration = solved(robot, state, Loads(*acting))
-    # what is missing is zero: so is what the turn of the base's axes adds to it
+    # the missing terms are zero, with those of the turn of the base's axes
     change = missing_change(primals, tangents, Acceleration(*acceleration))
     return acceleration, _in_world_axes(state, *accelerations(factors, change))
 

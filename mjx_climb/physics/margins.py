@@ -34,7 +34,7 @@ class Axes(NamedTuple):
 
 
 def support_axes(foot_position: Array, support: Array) -> Axes:
-    """Return the axes of the support polygon of feet (limb, 3) m, `support` (limb,) of which hold."""
+    """The axes of the support polygon of feet (limb, 3) m that hold, by `support` (limb,)."""
     shifts = range(1, len(support))
     held = jnp.stack([jnp.roll(support, -s) for s in shifts], axis=1)
     others = jnp.stack([jnp.roll(foot_position, -s, axis=0) for s in shifts], axis=1)

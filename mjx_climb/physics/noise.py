@@ -30,7 +30,7 @@ def normal(seed: Array, sample: Array, channels: Array, dtype: jnp.dtype) -> Arr
 
 
 def _mixed(word: Array) -> Array:
-    """Return 32 bits of which each depends on every bit of `word`, by invertible multiplications and shifts.
+    """32 bits, each dependent on every bit of `word`, by invertible multiplications and shifts.
 
     The constants are those of Wellons' `lowbias32` (2018), found by search for the least bias.
     """

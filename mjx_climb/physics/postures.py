@@ -64,7 +64,7 @@ def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) 
 
 
 def _reached(robot: Robot, feet: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return postures from some starts (start, limb, joint), and what the feet miss, infinite beyond the limits."""
+    """Postures from some starts (start, limb, joint), and the feet's distances, infinite beyond the limits."""
     if robot.driven is not None:
         slack = robot.model.qpos_spring[7:].reshape(robot.driven.shape)
         starts = np.where(robot.driven, starts, slack)

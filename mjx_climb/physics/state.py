@@ -32,7 +32,7 @@ class State:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Acceleration:
-    """What the equations of motion give."""
+    """The result of the equations of motion."""
 
     base_linear: _Vector  # m/s^2, world axes, of the base's centre of mass
     base_angular: _Vector  # rad/s^2, world axes
@@ -40,7 +40,7 @@ class Acceleration:
 
 
 class Loads(NamedTuple):
-    """What acts on a robot, beside the bias."""
+    """The loads on a robot, beside the bias."""
 
     joint_torque: Array  # (limb, joint) N m, N of sliding joints
     foot_force: Array  # (limb, 3) N, of the ground, world axes

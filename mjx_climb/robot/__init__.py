@@ -1,1 +1,1 @@
-"""What a robot is: its constants, and the models that come with the program."""
+"""Robots: their constants, and the models that come with the program."""

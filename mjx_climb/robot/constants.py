@@ -16,7 +16,7 @@ FILLING = 2  # group of the joints that only fill up a limb of fewer joints than
 
 
 class RobotError(ValueError):
-    """A model that mjx_climb cannot use: the message names the model and what was expected."""
+    """A model that mjx_climb cannot use: the message names the model and the expected."""
 
 
 _DRIVES = {"armature": "dof_armature", "damping": "dof_damping", "friction": "dof_frictionloss"}  # by MuJoCo's names
@@ -42,7 +42,7 @@ class Robot:
 
     name: str = dataclasses.field(metadata=_STATIC)
     limbs: tuple[str, ...] = dataclasses.field(metadata=_STATIC)
-    model: mujoco.MjModel = dataclasses.field(metadata=_STATIC)  # what the constants were read off
+    model: mujoco.MjModel = dataclasses.field(metadata=_STATIC)  # the source of the constants
     base_mass: Float[np.ndarray, ""]  # kg
     base_inertia: Float[np.ndarray, "3 3"]  # kg m^2, base frame
     link_mass: Float[np.ndarray, "limb joint"]  # kg
@@ -188,7 +188,7 @@ def _frames(model: mujoco.MjModel, bodies: np.ndarray) -> dict[str, np.ndarray]:
         return np.asarray(principal_axes @ np.diag(model.body_inertia[body]) @ principal_axes.T)
 
     def exact(value: np.ndarray) -> np.ndarray:
-        """Return 0, 1 and -1 where rounding has missed them: a kernel leaves out what these multiply."""
+        """Return 0, 1 and -1 where rounding has missed them: a kernel leaves out products with these."""
         whole = value.round()
         return np.where((np.abs(value - whole) < 1e-14) & (np.abs(whole) < 2), whole + 0.0, value)  # no -0.0
 

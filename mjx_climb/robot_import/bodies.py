@@ -67,7 +67,7 @@ def rerooted(model: mujoco.MjModel, base: str) -> mujoco.MjSpec:
     """Return a robot with another of its bodies as the root: masses, joints, sites and constraints, no shapes.
 
     With the joints at zero all bodies are where they were; a joint that is passed the other way round turns about the
-    opposite axis, so that its angle stays what it was. Joints between the old root and the world are left out.
+    opposite axis, so that its angle stays. Joints between the old root and the world are left out.
     """
     data, spec = at_zero(model), mujoco.MjSpec()
     spec.compiler.degree = False

@@ -1,4 +1,4 @@
-"""A robot's own MJCF or URDF as its author wrote it, without what the dynamics do not need."""
+"""A robot's own MJCF or URDF as its author wrote it, without the parts that the dynamics do not need."""
 
 import collections
 import re
@@ -47,8 +47,8 @@ def described(file: str, looks: bool = False) -> mujoco.MjSpec:
     """Return the description in a file, with a name for every body and joint and hinges in place of ball joints.
 
     A body without a name is called after its parent and its place among the children, a joint after its body. A ball
-    joint `hip` becomes hinges `hip_x`, `hip_y`, `hip_z` about the body's own axes. What a URDF has only to be looked
-    at is left out, unless with `looks`.
+    joint `hip` becomes hinges `hip_x`, `hip_y`, `hip_z` about the body's own axes. Visual parts of a URDF
+    are left out, unless with `looks`.
 
     Raises:
         RobotError: a file that MuJoCo does not read, or numbers that no joint and no body can have.
@@ -94,7 +94,7 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
         place = f"{file}:{text.count(chr(10), 0, macro.start()) + 1}"
         raise RobotError(f"{place}: expected a URDF that xacro has written out, got {macro[0]}>")
     check_numbers(file)
-    mujoco.set_mju_user_warning(lambda message: None)  # what is wrong is said once, by what is raised
+    mujoco.set_mju_user_warning(lambda message: None)  # the error that is raised says it once
     try:
         if is_urdf(file):
             text, visible = needed(text), '<mujoco><compiler discardvisual="false"/></mujoco>'
@@ -116,7 +116,7 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
 
 
 def _check_numbers(file: str, spec: mujoco.MjSpec) -> None:
-    """Refuse what MuJoCo takes for something else, or passes over.
+    """Refuse numbers and names that MuJoCo misreads or ignores.
 
     Those are limits the wrong way round (for none), a mass below zero (for none), numbers that are none, a drive of a
     joint that is not there (its own compiler, which would refuse it, sees no drives here).
@@ -172,8 +172,8 @@ def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
     A URDF has its inertias written down, and so have many an MJCF's bodies: their shapes, and the files of meshes, do
     not matter. Plain shapes stay, without a mass: they tell where a limb ends. Moments of inertia that no body can have
     are made equal, as MuJoCo does (`balanceinertia`), and links without a mass get a speck of one. Keyframes that are
-    not as long as the robot has positions are left out. Bodies in `shaped` keep the meshes that are there, and what is
-    only looked at.
+    not as long as the robot has positions are left out. Bodies in `shaped` keep the meshes that are there, and their
+    visual parts.
 
     Raises:
         RobotError: a file that MuJoCo does not read.
@@ -186,7 +186,7 @@ def bare(file: str, shaped: Collection[str] = ()) -> mujoco.MjSpec:
     positions = sum(_POSITIONS.get(int(joint.type), 1) for joint in spec.joints)
     for key in spec.keys:
         key.ctrl, key.act = [], []
-        if len(key.qpos) not in (0, positions):  # MuJoCo would fill up what is missing
+        if len(key.qpos) not in (0, positions):  # MuJoCo would fill up the rest
             spec.delete(key)
     for body in spec.bodies:
         _mend(body)
@@ -245,7 +245,7 @@ def impossible(body: mujoco.MjsBody) -> bool:
 
 
 def _mend(body: mujoco.MjsBody) -> None:
-    """Make moments equal that no body can have, and lift those of points, rods and plates off what MuJoCo refuses."""
+    """Make impossible moments equal, and raise those of points, rods and plates to the least that MuJoCo takes."""
     if not body.explicitinertial:
         return
     moments = _moments(body)
@@ -271,7 +271,7 @@ def _moments(body: mujoco.MjsBody) -> np.ndarray:
 
 
 def _limit_torques(spec: mujoco.MjSpec) -> None:
-    """Write what the actuators can give, in sum, into the joints that they turn, where these have no limits."""
+    """Write the summed limits of the actuators into the joints that they turn, where these have none."""
     most: dict[str, float] = collections.defaultdict(float)
     off = mujoco.mjtLimited.mjLIMITED_FALSE
     for actuator in (each for each in spec.actuators if each.trntype in TURNED):
@@ -301,7 +301,7 @@ def compiled(file: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what is old-fashioned in somebody's file
+            warnings.simplefilter("ignore")  # deprecated elements of somebody's file
             return spec.compile()
     except (ValueError, OSError, mujoco.FatalError) as error:
         raise _unreadable(file, error) from None
@@ -313,7 +313,7 @@ def _unreadable(file: str, error: Exception) -> RobotError:
     lines, number = lines_of(Path(file)), _NUMBER.search(reason)
     if number and int(number[1]):
         place = f"{file}:{number[1]}"
-    elif number:  # 0 of what stands in an included file: asked for again with all in one file
+    elif number:  # 0 in an included file: compiled again with all in one text
         try:
             mujoco.MjSpec.from_string("\n".join(text for _, text in lines)).compile()
         except (ValueError, OSError, mujoco.FatalError) as other:

@@ -76,7 +76,7 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
     """Return a robot file as simulated, see `unposed`, in its rest stance.
 
     Raises:
-        RobotError: in one line, the key of the config, what was expected and what the file has.
+        RobotError: in one line, the key of the config, the expected and the found.
     """
     spec, robot, offset = unposed(source)
     limbs = dict(source.limbs.items())
@@ -94,12 +94,12 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
 
 
 def check_stance(scenario: Scenario, source: str = "scenario") -> None:
-    """Refuse a rest stance in which a limb is singular: it cannot move its foot every way, or turn it as its grip asks.
+    """Refuse a rest stance with a singular limb: it cannot move its foot every way, or turn it as its grip asks.
 
     Raises:
         ConfigError: in one line, the limb and the smallest singular value of its Jacobian.
     """
-    if wrong := _singular_limb(load_robot(scenario.robot), scenario.contact.rotational_stiffness > 0):
+    if wrong := _singular_limb(load_robot(scenario.robot), scenario.value("contact.rotational_stiffness", 0.0) > 0):
         raise wrong.moved(source=source)
 
 

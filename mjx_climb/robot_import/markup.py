@@ -1,4 +1,4 @@
-"""A robot's file as text: its elements, where they stand, and what of a URDF the dynamics need."""
+"""A robot's file as text: its elements, their lines, and the parts of a URDF that the dynamics need."""
 
 import contextlib
 import math
@@ -21,7 +21,7 @@ _NUMBERS = frozenset(
 )
 _LIMITS = frozenset("lower upper effort velocity range forcerange ctrlrange actfrcrange".split())  # huge: none
 _FLOATING = ("floating", "planar")
-# what stays of a URDF's elements; MuJoCo refuses some of the others, such as a second <material/>
+# the URDF's elements that stay; MuJoCo refuses some of the others, such as a second <material/>
 _KEPT = {
     "robot": {"link", "joint", "mujoco"},
     "link": {"inertial", "visual", "collision"},
@@ -77,13 +77,13 @@ def text_of(file: str) -> str:
 
 
 def is_urdf(file: str) -> bool:
-    """Return whether a file is a URDF, by its outermost element; MuJoCo goes by that too, whatever a file is called."""
+    """Return whether a file is a URDF, by its outermost element; MuJoCo goes by that too, not by the file's name."""
     outermost = re.search(r"<\s*([\w:]+)", re.sub(r"<[?!].*?>", "", text_of(file), flags=re.DOTALL))
     return outermost is not None and outermost[1] == "robot"
 
 
 def needed(text: str) -> str:
-    """Return a URDF without what the dynamics do not need, line by line; as it is where it is no XML.
+    """A URDF without the parts that the dynamics do not need, line by line; as it is where it is no XML.
 
     A joint that floats, or slides and turns on a plane, begins a robot of its own: MuJoCo has it hang on the world. One
     that is continuous has no limits.
@@ -132,7 +132,7 @@ def check_numbers(file: str) -> None:
     """Refuse numbers of a file that are none, or so large that no robot has them.
 
     Raises:
-        RobotError: in one line, the place, the element, what was expected and what the file has.
+        RobotError: in one line, the place, the element, the expected and the found.
     """
     lines = lines_of(Path(file))
     found = elements("\n".join(text for _, text in lines))
@@ -189,9 +189,9 @@ def first_line(file: str, *patterns: str) -> str | None:
 
 
 def line_of(file: str, name: str) -> str:
-    """Return a file, and after a colon the line in which it, or one that it includes, first names an element so.
+    """A file, a colon and the line where it, or a file that it includes, first names an element so.
 
-    Or else the line in which the name first stands in quotes.
+    Or else the first line with the name in quotes.
     """
     quoted = rf"[\"']{re.escape(name)}[\"'])"
     element = rf"<\s*(?:body|joint|freejoint|link|geom|site)\s[^<>]*?(name\s*=\s*{quoted}"

@@ -42,7 +42,7 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, Robot, np.ndarray]:
     filled up with joints at its foot that move nothing.
 
     Raises:
-        RobotError: in one line, the key of the config, what was expected and what the file has.
+        RobotError: in one line, the key of the config, the expected and the found.
     """
     file = _File(source)
     axes, center = file.data.xmat[file.base].reshape(3, 3), file.trunk.center
@@ -75,7 +75,7 @@ def unposed(source: RobotFile) -> tuple[mujoco.MjSpec, Robot, np.ndarray]:
 
 
 class RootLink(NamedTuple):
-    """The link of a robot's file that all others hang on, by which viewers place the whole of it."""
+    """The link of a robot's file that all others hang on: viewers place the whole robot by it."""
 
     name: str
     links: tuple[str, ...]  # names of all links
@@ -118,7 +118,7 @@ _PAD = _Link(1e-9, np.zeros(3), 1e-12 * np.eye(3))  # of a joint that only fills
 
 
 class _File:
-    """What a robot's section of a scenario names in the robot's file, with the joints at zero."""
+    """The joints, links and feet that a scenario's section names in a robot's file, with the joints at zero."""
 
     def __init__(self, source: RobotFile) -> None:
         self.source, self.model = source, robot_in(source.file, source.base)
@@ -156,7 +156,7 @@ class _File:
         return max((j for j in moving if model.jnt_bodyid[j] == parent), default=-1), parent
 
     def _wrong(self) -> Iterator[tuple[str, str, str, str]]:
-        """Yield what cannot be simulated: the key, what was expected, what was got, and the element in the file."""
+        """Yield refusals: the key, the expected, the found, and the element in the file."""
         model, names = self.model, [self.model.joint(joint).name for joint in range(self.model.njnt)]
         base, ours = model.body(self.base).name, [joint for chain in self.chains.values() for joint in chain]
         for limb, chain in self.chains.items():
@@ -234,7 +234,7 @@ class _File:
         return foot_of(model, self.data, name, self.limbs[limb].at)
 
     def axes(self, limb: str) -> list[np.ndarray]:
-        """Return the axes of a limb's joints; of a yaw and two pitches, nearly, what has a closed form, exactly."""
+        """Return the axes of a limb's joints; near a yaw and two pitches, exactly these, which have a closed form."""
         chain = self.chains[limb]
         axes = list(self.data.xaxis[chain])
         if len(axes) != 3 or (self.model.jnt_type[chain] != mujoco.mjtJoint.mjJNT_HINGE).any():
@@ -248,7 +248,7 @@ class _File:
 
 
 def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
-    """Return names of the joints from the base outwards: the file's, without what tells its limbs apart.
+    """Return names of the joints from the base outwards: the file's, without the part that differs between limbs.
 
     LF_hip_joint, LF_knee_joint, RF_hip_joint and RF_knee_joint are hip and knee. Where nothing is left, or names are
     alike, joint1, joint2 and so on.

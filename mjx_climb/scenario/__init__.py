@@ -1,1 +1,1 @@
-"""What walks where, under which controller and disturbance: a validated YAML file."""
+"""Scenarios: robot, ground, gait, controller and disturbances in a validated YAML file."""

@@ -1,4 +1,4 @@
-"""Bad scenarios in words: one line with the file, the dotted key, what was expected and what was got."""
+"""Bad scenarios in words: one line with the file, the dotted key, expected and got."""
 
 from __future__ import annotations
 
@@ -119,5 +119,5 @@ def show(value: object) -> str:
 
 
 def printable(text: str, keep: str = "") -> str:
-    """A text in which control characters are spelt out, but for those in `keep`: it can be encoded and shown."""
+    """A text with control characters spelt out, but for those in `keep`: it can be encoded and shown."""
     return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in text)

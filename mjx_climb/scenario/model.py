@@ -1,12 +1,13 @@
-"""The scenario: what walks where, under which controller and disturbance, key by key as in its YAML."""
+"""The scenario: robot, ground, gait, controller and disturbances, key by key as in its YAML."""
 
 from __future__ import annotations
 
 import math
+import operator
 import os
 from collections.abc import Callable, ItemsView, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
@@ -38,7 +39,7 @@ class _ByName(v.Section):
         return hash(tuple(self.items()))
 
     def items(self) -> ItemsView[str, Any]:
-        """The names and their values, in the order in which they were given."""
+        """The names and their values, in the order given."""
         return (self.__pydantic_extra__ or {}).items()
 
 
@@ -50,7 +51,7 @@ class Kind(_ByName):
 
     model_config = ConfigDict(json_schema_extra=lambda schema, kind: schema["properties"]["kind"].update(kind.others()))
     KNOWN: ClassVar[tuple[str, ...]] = ()  # the shipped kinds
-    PLAIN: ClassVar[BaseModel | None] = None  # the section of the paper's kind: it has the keys that this kind lacks
+    PLAIN: ClassVar[str | None] = None  # the paper's kind, which has a section of its own
     __pydantic_extra__: dict[str, v.Given]
 
     kind: v.OwnName = Field(description="name of a shipped kind, or FILE.py:NAME, beside the config, if relative")
@@ -59,7 +60,7 @@ class Kind(_ByName):
     @classmethod
     def others(cls) -> dict[str, Any]:
         """The part of a JSON schema that keeps the paper's kind out."""
-        return {} if cls.PLAIN is None else {"not": {"const": getattr(cls.PLAIN, "kind", None)}}
+        return {} if cls.PLAIN is None else {"not": {"const": cls.PLAIN}}
 
     @property
     def file(self) -> str | None:
@@ -76,18 +77,6 @@ class Kind(_ByName):
         if self.KNOWN and self.kind not in self.KNOWN and not (self.file and self.name):
             raise failure(f"one of {', '.join(self.KNOWN)}, or FILE.py:NAME", key="kind", got=self.kind)
         return self
-
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any: ...
-
-    else:
-
-        def __getattr__(self, name):
-            if name.startswith("_"):
-                raise AttributeError(name)
-            extra = self.__pydantic_extra__ or {}
-            return extra[name] if name in extra else getattr(self.PLAIN, name)
 
 
 def _one_of_kinds(plain: str) -> Discriminator:
@@ -185,7 +174,7 @@ class Gait(v.ComponentSection):
 
 
 class Footholds(_ByName):
-    """Heights of each limb's footholds, m, in the order in which it uses them, the first included; the last one stays.
+    """Heights of each limb's footholds, m, in the order of use, the first included; the last one stays.
 
     By the limb's name; a limb that is not named has all of them at zero.
     """
@@ -272,7 +261,7 @@ class Pipe(_Area):
 
 
 class HoldWall(_Area):
-    """Climbing holds on a grid in which every other row is shifted by half a pitch."""
+    """Climbing holds on a grid, every other row shifted by half a pitch."""
 
     pitch: v.Positive = setting(0.1, "distance of holds in a row, and of rows, m")
     filled: v.Part = setting(1.0, "share of the places that have a hold, 1")
@@ -377,7 +366,7 @@ class ContactKind(Kind):
     """Another contact than the gripper of Eq. 5."""
 
     KNOWN: ClassVar[tuple[str, ...]] = ("gripper", "polyhedron", "uncertain")
-    PLAIN: ClassVar[BaseModel | None] = Contact()
+    PLAIN: ClassVar[str | None] = "gripper"
 
 
 AnyContact = Annotated[
@@ -470,7 +459,7 @@ class DisturbanceKind(Kind):
 
 
 class Disturbance(v.Section):
-    """What happens to the robot on its way."""
+    """Disturbances of the robot on its way."""
 
     cargo: Cargo = setting(Cargo(), "cargo on the base")
     pushes: tuple[Push, ...] = setting((), "pushes on the base; they add up where they overlap")
@@ -579,14 +568,14 @@ class DriveKind(Kind):
     """Another actuator than servos."""
 
     KNOWN: ClassVar[tuple[str, ...]] = ("servo", "velocity")
-    PLAIN: ClassVar[BaseModel | None] = Servo()
+    PLAIN: ClassVar[str | None] = "servo"
 
 
 AnyServo = Annotated[Annotated[Servo, Tag(PLAIN_TAG)] | Annotated[DriveKind, Tag(OTHER_TAG)], _one_of_kinds("servo")]
 
 
 class Hardware(v.ComponentSection):
-    """What stands between the control law and the joints; all zero or null: nothing."""
+    """The hardware between control law and joints; all zero or null: none."""
 
     COMPONENT = declared.Bus
 
@@ -662,7 +651,7 @@ AnyRobot = Annotated[
 
 
 class OwnObject(v.Section):
-    """What a file of the user's defines, and the options that name it as FILE.py:NAME."""
+    """An object in a file of the user's, named as FILE.py:NAME by options."""
 
     file: v.FileName | None = setting(
         None, "file of Python, beside the config, if relative; null: it was defined in a session"
@@ -735,8 +724,9 @@ class Scenario(v.Section):
 
     @model_validator(mode="after")
     def _gains_of_registers(self) -> Scenario:
-        servo = self.hardware.servo
-        held, scale, stall_torque = servo.registers, servo.register_scale, servo.torque_limit
+        held, scale, stall_torque = (
+            self.value(f"hardware.servo.{key}") for key in ("registers", "register_scale", "torque_limit")
+        )
         if held is not None and scale is not None and stall_torque is not None:
             found = registers.gains_of(registers.Registers(held.p, held.i, held.d), scale, stall_torque)._asdict()
             self.__dict__["control"] = self.control.model_copy(update=found)  # frozen, but not read by anyone yet
@@ -752,13 +742,12 @@ class Scenario(v.Section):
                 raise failure(f"at most {MAX_STEPS} {step}", key=key, got=span)
             if (not none and round(steps) < 1) or not math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9):
                 raise failure(f"a whole number of {step}{none}", key=key, got=span)
-        if (rate := hardware.servo.rate) is not None:
+        if (rate := self.value("hardware.servo.rate")) is not None:
             steps = 1 / (rate * self.time_step)
             if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
                 raise failure(f"a rate whose period is a whole number of {step}", key="hardware.servo.rate", got=rate)
-        delays = {f"{key}.delay": getattr(hardware, key).delay for key in ("force_sensor", "base_estimate", "servo")}
-        for key, delay in {"command_delay": hardware.command_delay, **delays}.items():
-            if delay / self.time_step > MAX_DELAY:
+        for key in ("command_delay", "force_sensor.delay", "base_estimate.delay", "servo.delay"):
+            if (delay := self.value(f"hardware.{key}", 0.0)) / self.time_step > MAX_DELAY:
                 raise failure(f"at most {MAX_DELAY} {step}", key=f"hardware.{key}", got=delay)
         if int((1 - self.gait.duty) * self.gait.cycle / self.time_step + 1e-6) < 2:
             raise failure(f"a swing, (1 - duty) cycle, of two {step} or more", key="gait.duty", got=self.gait.duty)
@@ -793,6 +782,13 @@ class Scenario(v.Section):
             if all(other <= phase < other + swing - _ROUNDING for other in gait.lift_off.values()):
                 raise failure("a limb on the ground at every moment", key=f"gait.phases.{limb}", got=phase)
         return self
+
+    def value(self, key: str, default: Any = None) -> Any:
+        """The value at a dotted key; `default` where the section's component has no such field, or names none."""
+        try:
+            return operator.attrgetter(key)(self)
+        except AttributeError:
+            return default
 
     @property
     def steps(self) -> int:
@@ -864,7 +860,7 @@ class Scenario(v.Section):
         )
 
     def relative_to(self, folder: str | os.PathLike[str]) -> Scenario:
-        """A copy in which paths of files inside a folder are relative to it."""
+        """A copy with paths of files inside a folder relative to it."""
         folder = Path(folder).absolute()
         return self.with_files(
             lambda _, file: Path(file).relative_to(folder).as_posix() if Path(file).is_relative_to(folder) else file
@@ -888,7 +884,7 @@ def validated(kind: type[AnySection], data: object, source: str) -> AnySection:
     """Return the model of plain data.
 
     Raises:
-        ConfigError: in one line, `source`, key, what was expected and what was got.
+        ConfigError: in one line, `source`, key, expected and got.
     """
     try:
         return kind.model_validate(data)
@@ -909,7 +905,7 @@ def overridden(scenario: Scenario, overrides: Sequence[str] | Mapping[str, objec
         # another kind has other keys: those set beside it come after it
         for key, value in sorted(pairs(overrides, source), key=lambda pair: not str(pair[0]).endswith(".kind")):
             _set_kind(data, key, value, source) if str(key).endswith(".kind") else assign(data, key, value, source)
-            if key in _OF_REGISTERS:  # what is set last holds
+            if key in _OF_REGISTERS:  # the last one set holds
                 assign(data, "hardware.servo.registers", None, source)
     except RecursionError:
         raise ConfigError(source, "", "overrides of a few levels", "endless nesting") from None

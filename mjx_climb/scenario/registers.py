@@ -14,7 +14,7 @@ from mjx_climb.scenario.values import setting
 
 
 class RegisterScale(v.Section):
-    """What one unit of each register of the servo's position loop stands for: a share of the supply voltage."""
+    """The value of one unit of each register of the servo's position loop: a share of the supply voltage."""
 
     p: v.Positive = Field(description="of Position P Gain, for an error of one rad, 1/rad")
     i: v.PositiveOrNull = setting(None, "of Position I Gain, for its integral, 1/(rad s); null: not known")

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-_ENSEMBLE = "ensemble"  # what the names of ensembles begin with
+_ENSEMBLE = "ensemble"  # prefix of the names of ensembles
 _HARDWARE = "hardware"  # the folder of profiles
 _PACKAGES = Path(__file__).parents[2]
 _FOLDERS = (_PACKAGES / "mjx_climb" / "configs", _PACKAGES / "configs")  # installed, or in a checkout

@@ -1,4 +1,4 @@
-"""The sections of a scenario and the types of their values, each of which says in words what it expects."""
+"""The sections of a scenario and the types of their values; each type has its expectation in words."""
 
 import dataclasses
 import math

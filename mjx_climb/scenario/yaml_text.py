@@ -1,6 +1,6 @@
 """YAML, and single keys in its data replaced by dotted name.
 
-It is the core schema of YAML 1.2, in which 2e3 is a number, without tags, anchors, aliases or duplicate keys. PyYAML
+It is the core schema of YAML 1.2, where 2e3 is a number, without tags, anchors, aliases or duplicate keys. PyYAML
 reads YAML 1.1; ruamel.yaml reads 1.2, but would need the same checks on top of it.
 """
 
@@ -67,9 +67,9 @@ for _tag, _pattern in {
 
 
 class Dumper(yaml.SafeDumper):
-    """Writes what `Loader` reads as the same."""
+    """Writes text that `Loader` reads back as the same."""
 
-    yaml_implicit_resolvers = Loader.yaml_implicit_resolvers  # quotes what would load as a number
+    yaml_implicit_resolvers = Loader.yaml_implicit_resolvers  # quotes words that would load as numbers
 
 
 def read(source: str) -> str:

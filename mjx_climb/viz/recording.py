@@ -23,7 +23,7 @@ from mjx_climb.trajectory import Trajectory
 WORLD = "world"
 FRAMES_PER_SECOND = 100  # of transforms, which are there to be looked at
 _JOINTS, _WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
-_Types = Mapping[str, Callable[..., object]]  # what makes the messages of a type, by its name
+_Types = Mapping[str, Callable[..., object]]  # the class of the messages of a type, by its name
 
 
 class _Topic(NamedTuple):

@@ -54,7 +54,7 @@ def save_rrd(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
         _log_bodies(rr, stream, trajectory, rows, times)
         if (holds := holds_of(trajectory.scenario.ground)) is not None:
             stream.log("world/holds", rr.Points3D(holds.shown()[0], radii=0.004 * size_of(trajectory)), static=True)
-        limit, length = trajectory.scenario.contact.holding_limit, marks.scale([trajectory])
+        limit, length = trajectory.scenario.value("contact.holding_limit"), marks.scale([trajectory])
 
         def arrows(entity: str, at: np.ndarray, forces: np.ndarray, colors: np.ndarray) -> None:
             lengths = [1] * len(rows)

@@ -37,7 +37,7 @@ class BaseShift(NamedTuple):
     displacement: Real[Array | np.ndarray, "... 6"]  # m, rad: a translation and a rotation vector
 
 
-Action = JointTargets | BaseShift | None  # None: what the law commands
+Action = JointTargets | BaseShift | None  # None: the law's command
 
 
 def checked_action(action: Action, robot: Robot, dtype: DTypeLike, batch: tuple[int, ...] = ()) -> Action:
@@ -59,7 +59,7 @@ def checked_action(action: Action, robot: Robot, dtype: DTypeLike, batch: tuple[
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Controller:
-    """What stays the same from step to step."""
+    """Constants of the control loop."""
 
     law: Law
     geometry: LimbGeometry | Chain
@@ -76,14 +76,14 @@ class LastCommand(NamedTuple):
 
 
 class Reports(NamedTuple):
-    """What the servos send back over the bus."""
+    """Records that the servos send back over the bus."""
 
     buffers: tuple[signals.Buffer, ...]  # of angles, rates, torques and levers
     torque: Array  # (limb, joint) N m, of the motors in the step before
 
 
 class Memory(NamedTuple):
-    """What goes from one pass to the next; empty, or None, where a walk has no such stage of hardware."""
+    """State from one pass to the next; empty, or None, where a walk has no such stage of hardware."""
 
     law: PyTree  # its state
     force_sensor: sensors.ForceSensor
@@ -95,7 +95,7 @@ class Memory(NamedTuple):
     actuator: PyTree  # of the actuators
     posture: Array | None  # (limb, joint) rad, the joint angles last solved for; None: there is a closed form
     reports: Reports | None  # None: neither the law nor a sensor reads them
-    joint_gains: tuple[signals.Buffer, ...]  # of what is sent of the joint gains
+    joint_gains: tuple[signals.Buffer, ...]  # of the joint gains on their way
 
 
 def foot_compliance(robot: Robot, joint_angles: Array, kp: Array) -> Array:
@@ -124,7 +124,7 @@ def begin(controller: Controller, robot: Robot, state: State, reference: Referen
     """Return the memory of a robot that has always rested in a state, with its feet where the reference has them.
 
     Raises:
-        ValueError: the law's `step` does not keep what its `init` returns.
+        ValueError: the law's `step` does not keep the structure of its `init`.
     """
     hardware, angles, feet = controller.hardware, state.joint_angles, reference.foot_position
     stages, no_force, no_torque = hardware.stages, jnp.zeros_like(feet), jnp.zeros_like(angles)
@@ -169,7 +169,7 @@ def control(
     load: Array | None,
     action: Action = None,
 ) -> tuple[Memory, Command, JointSolution, Drive]:
-    """Return the memory after a step, the command, the joint targets that come of it, and what the actuators do.
+    """Return the memory after a step, the command, the joint targets from it, and the actuators' torques.
 
     An action takes the place of the law, whose state then stays as it is; its way to the joints is the same. `step`
     counts steps, (). `load` is that on the joints, where the actuator asks for it.
@@ -217,7 +217,7 @@ def control(
 
 
 def _sent(factors: JointGains | None, watch: sensor_watch.SensorWatch | None) -> dict[str, Array]:
-    """Return the changes of the joint loop's gains by name: factors of them, and the share by which kp rises."""
+    """Return the changes of the joint loop's gains by name: factors of them, and kp's rising share."""
     return ({} if factors is None else factors.moved) | ({} if watch is None else {"kp_rise": watch.kp_rise})
 
 
@@ -241,7 +241,7 @@ def _joint_gains(
 def _measure(
     hardware: Hardware, memory: Memory, actual: Actual, step: Array, into: Array
 ) -> tuple[Memory, Measurement]:
-    """Return the memory with what the sensors remember, and what they measure."""
+    """The memory with that of the sensors, and their measurement."""
     stages, share = hardware.stages, hardware.pace.filter_share
     sensor, force, wrench = memory.force_sensor, actual.grip.foot_force, actual.wrench
     if stages.force:

@@ -1,8 +1,8 @@
-"""The metrics of a walk: what a metric is, the shipped ones in one table, and how a walk accumulates them.
+"""The metrics of a walk: the type, the shipped ones in one table, and their accumulation over a walk.
 
 A plain extreme has a derivative almost everywhere, but one that sees a single instant and jumps where another instant
 takes over. So each has a smooth companion. The power mean of order 32 over all instants (and feet, or joints) tends to
-the maximum, to within some ten per cent, and sees every instant close to it. Of what may be negative the companion is a
+the maximum, to within some ten per cent, and sees every instant close to it. Of signed values the companion is a
 log-sum-exp mean in units of a hundredth of the first value. They serve searches that follow gradients; results are
 reported with the true extremes.
 """
@@ -36,7 +36,7 @@ _Transport = tuple[Array, Array, _Way]  # work, J, largest mass so far, kg, and 
 
 
 class Context(NamedTuple):
-    """What a metric may know beside a sample: what stays the same all through a walk, and how far this has come."""
+    """Inputs of a metric beside a sample: constants of a walk, and its progress."""
 
     robot: Robot  # as heavy as it is in this walk
     gravity: Array | np.ndarray  # (3,) m/s^2
@@ -131,7 +131,7 @@ class MetricTable(tuple[Metric, ...]):
         return f"MetricTable({', '.join(self.names)})"
 
 
-# --- what makes a metric: integrals and extremes over time
+# --- constructors of metrics: integrals and extremes over time
 
 
 def total(name: str, unit: str, long_name: str, value: Value, *, larger_is_better: bool = False) -> Metric:

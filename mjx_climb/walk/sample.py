@@ -1,4 +1,4 @@
-"""The quantities of a walk: what each of them is, declared once, and its value in a step, computed once.
+"""The quantities of a walk, each declared once, and its value in a step computed once.
 
 Trajectories, files, their units and the API reference follow from `Quantities`. A new quantity is a field there and its
 value in `sample_of`.
@@ -115,7 +115,7 @@ def unknown(steps: int, sizes: Mapping[str, int], dtype: DTypeLike = float) -> d
 
 
 class Step(NamedTuple):
-    """What happens in a step."""
+    """All states, forces and commands of a step."""
 
     time: Array  # () s
     robot: Robot

@@ -1,6 +1,6 @@
-"""One walk of one robot: what happens in a time step, in the order in which it happens.
+"""One walk of one robot: the parts of a time step, in their order.
 
-`prepare` computes what stays the same, `begin` gives the start, `advance` makes one step:
+`prepare` computes constants, `begin` gives the start, `advance` makes one step:
 
     kinematics -> grips -> gait -> control loop -> disturbances -> accelerations -> integration
 
@@ -57,7 +57,7 @@ from mjx_climb.walk.structure import Structure
 
 
 class Setup(NamedTuple):
-    """Law and parameters of a walk, and what is computed of them once, before its first step."""
+    """Law and parameters of a walk, and constants computed from them before its first step."""
 
     law: Law
     parameters: Parameters
@@ -66,7 +66,7 @@ class Setup(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """What stays the same from step to step."""
+    """Constants of a walk."""
 
     robot: Robot  # as its file says: `mass_scale` is none of it
     parameters: Parameters
@@ -78,7 +78,7 @@ class Walk(NamedTuple):
 
 
 class Carry(NamedTuple):
-    """What goes from one step to the next."""
+    """State between two steps."""
 
     state: State
     contact: PyTree  # memory of the contacts
@@ -100,7 +100,7 @@ def set_up(structure: Structure, law: Law, parameters: Parameters) -> Setup:
 
 
 def walk_of(structure: Structure, setup: Setup) -> Walk:
-    """Return the walk of what has been set up, beside all that every robot of this structure shares."""
+    """The walk of a setup, beside the constants that all robots of this structure share."""
     robot = structure.robot
     geometry = limb_geometry(robot, setup.parameters.contact.transmits_moments)
     robot, geometry = _in_precision((robot, geometry), setup.parameters.gravity.dtype)
@@ -182,7 +182,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         actual = actual._replace(felt=jnp.where(actual.grip.support[:, None], felt, 0.0))
     external = _external(walk, Body(walk.robot, frames, state), step)
     load = None
-    # of all but the actuators: what their gears carry
+    # of all but the actuators: the load on their gears
     if walk.controller.actuator.feels_load:
         loads = _loads(walk, actual, jnp.zeros_like(state.joint_angles), external)
         load = jnp.asarray(parameters.mass_scale * load_torque(walk.robot, state, loads))

@@ -20,7 +20,7 @@ _PACKAGE = __name__.split(".")[0] + "."
 
 
 class Structure(NamedTuple):
-    """What a compiled walk depends on beside its law and the values of its parameters; hashable."""
+    """Static inputs of a compiled walk, beside its law and the values of its parameters; hashable."""
 
     robot: Robot
     engine: str
@@ -54,7 +54,7 @@ def structure(
     batch axes, say which stages of hardware there are; see `stages_under_trace`.
 
     Raises:
-        ConfigError: footholds to be chosen where there are no holds, or what goes with chosen ones alone.
+        ConfigError: footholds to be chosen where there are no holds, or keys of chosen ones without a choice.
         ValueError: two metrics of one name, parameters that JAX traces and that decide about a stage, or a contact
             without `tear_off` where the holds have limits.
     """
@@ -98,5 +98,5 @@ def structure(
 
 
 def planning_steps(scenario: Scenario, parameters: Parameters) -> int:
-    """Return the number of steps between decisions of the gait; 0: the periodic gait, whatever happens."""
+    """Return the number of steps between decisions of the gait; 0: the periodic gait throughout."""
     return 0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps

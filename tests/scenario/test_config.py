@@ -263,3 +263,14 @@ def test_an_error_of_a_config_says_its_parts():
     assert str(error) == f"mine.yaml: contact.stiffness: expected {error.expected}, got -1"
     moved = pickle.loads(pickle.dumps(error.moved(source="other.yaml")))
     assert str(moved) == str(error).replace("mine", "other") and moved.expected == error.expected
+
+
+def test_a_component_of_another_kind_has_none_of_the_papers_values():
+    """Readers that ask for one get its absence, not the gripper's 15 N or the servos' defaults."""
+    scenario = Scenario().with_overrides({"contact.kind": "polyhedron", "hardware.servo.kind": "velocity"})
+    assert scenario.value("contact.holding_limit", "none") == "none"
+    assert scenario.value("hardware.servo.armature", "none") == "none"
+    with pytest.raises(AttributeError):
+        _ = scenario.contact.holding_limit
+    named = scenario.with_overrides({"contact.stiffness": 5e3})
+    assert named.value("contact.stiffness") == named.contact.stiffness == 5e3

@@ -9,6 +9,7 @@ import abc
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from mujoco import batch, rollout
@@ -43,7 +44,8 @@ class Walker:
         Raises:
             ValueError: a scenario with another law or gait than these peers know.
         """
-        control, gait, contact = scenario.control, scenario.gait, scenario.contact
+        control, gait = scenario.control, scenario.gait
+        contact: Any = scenario.contact  # the gripper
         if (control.controller, control.reading) != ("base_admittance", "virtual_model"):
             raise ValueError("the NumPy peers know base admittance with its virtual model alone")
         if gait.base_reference != "nominal" or gait.heading or gait.swing != "cubic":

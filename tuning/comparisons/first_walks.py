@@ -144,7 +144,7 @@ def slow_enough(scenario: Scenario, told: Told = lambda _: None) -> FirstWalk:
             return FirstWalk(scenario, True, how, float(walked["peak_foot_force"][np.argmax(held)]))
     if walked["upright"][-1]:
         limb = robot.limbs[int(walked["detached_limb"][-2])]
-        pull, limit = walked["peak_pull_force"][-1], scenario.contact.holding_limit
+        pull, limit = walked["peak_pull_force"][-1], scenario.value(_LIMIT, math.inf)
         why = f"limb {limb} lets go; a grip that held would pull {pull:.3g} N, contact.holding_limit is {limit:g} N"
     elif walked["diverged"][-1]:
         why = "diverges, with grips that never let go too: see stance, joint limits and control"
@@ -160,7 +160,7 @@ def on_ceiling(scenario: Scenario, told: Told = lambda _: None) -> tuple[bool, s
 
     It is the largest pull on grips that never let go, rounded up: any limit above that changes nothing in the walk.
     """
-    strength, own = float(np.linalg.norm(scenario.gravity)), scenario.contact.holding_limit
+    strength, own = float(np.linalg.norm(scenario.gravity)), scenario.value(_LIMIT, math.inf)
     limit, gravity = math.inf if own is None else own, np.array([0.0, 0.0, strength])
     walked = _walked(scenario, {"gravity": gravity, _LIMIT: np.array([limit, math.inf])})
     told(ON_CEILING)

@@ -21,7 +21,7 @@ from mjx_climb.inputs.resolve import AnyGains, with_gains
 from mjx_climb.inputs.resolve import by_name as by_name
 from mjx_climb.scenario import registers
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import overridden
+from mjx_climb.scenario.model import Servo, overridden
 from mjx_climb.scenario.yaml_text import parse, read
 from tuning.gains import own_section
 from tuning.gains.ros2_control import commented
@@ -258,7 +258,11 @@ def registers_in_words(scenario: mc.Scenario, gains: AnyGains) -> str:
     """
     walked = applied(scenario, gains)
     servo, control = walked.hardware.servo, walked.control
-    if servo.torque_limit is None or (servo.drive == "torque" and scenario.hardware.servo.registers is None):
+    if (
+        not isinstance(servo, Servo)
+        or servo.torque_limit is None
+        or (servo.drive == "torque" and scenario.value("hardware.servo.registers") is None)
+    ):
         return ""
     wanted = registers.LoopGains(control.kp, control.ki, control.kd)
     if (scale := servo.register_scale) is None:

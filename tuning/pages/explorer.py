@@ -55,7 +55,7 @@ def explorer(
         "time": {"count": count, "stretch": steps * scenario.time_step, "end": scenario.steps * scenario.time_step},
         "windows": [window[:3] for window in plots.disturbances(first)],
         "grips": plots.grip_changes(first).tolist(),
-        "holding_limit": scenario.contact.holding_limit,
+        "holding_limit": scenario.value("contact.holding_limit"),
         "walks": drawn,
         "points": points if points and (points["scales"] or not points["axes"]) else None,  # none without a number
     }  # fmt: skip

@@ -24,7 +24,7 @@ numpy.savez(sys.stdout.buffer, **{name: value for name, value in held.items() if
 
 
 def read(path: Path, topic: str | None) -> Table:
-    """Columns x, y, z of all points; what cannot be held is NaN."""
+    """Columns x, y, z of all points; NaN: cannot be held."""
     done = read_apart(_READ, path)
     if done.returncode:
         raise ValueError(done.stderr.decode(errors="replace").strip().rpartition("\n")[2])

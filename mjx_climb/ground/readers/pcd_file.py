@@ -79,13 +79,13 @@ def read(path: Path, topic: str | None) -> Table:
     return Table(
         str(path),
         [(name, value[:, 0]) for name, value in zip(names, values, strict=True) if name != "_" and value.shape[1]],
-        # all zeros, which is what programs write that know of none
+        # all zeros: programs that know of none write these
         viewpoint if viewpoint.any() else None,
     )
 
 
 def unpacked_lzf(data: bytes, size: int) -> bytes:
-    """Content compressed by LZF: literal runs, and copies of what came up to 8192 bytes before.
+    """Content compressed by LZF: literal runs, and copies from up to 8192 bytes before.
 
     Raises:
         ValueError: damaged content, or of another size.

@@ -1,4 +1,4 @@
-"""What happened in a walk, for those who draw it: how far it goes, torn grippers, changes of grip, disturbances."""
+"""Events of a walk for its pictures: how far it goes, torn grippers, changes of grip, disturbances."""
 
 import math
 

@@ -42,7 +42,7 @@ def draw_holds(
     """Draw points that can be held in a panel, with a colour bar where the figure is given.
 
     Arguments:
-        placed: maps points (n, 3) m of the world to what the panel shows.
+        placed: maps points (n, 3) m of the world to the panel's coordinates.
         axes: which of three axes it shows.
     """
     points = holds.shown()

@@ -43,8 +43,8 @@ def plot_map(
         baseline: value of pd, a line on the colour bar.
         title: above the figure.
 
-    Walks that failed are hatched, by lines where a gripper was torn off (`detached_at` set), whatever became of the
-    walk, and crosswise where it `diverged` with all of them; what is not a number is grey. Where the dataset has a
+    Walks that failed are hatched, by lines where a gripper was torn off (`detached_at` set), however the
+    walk ended, and crosswise where it `diverged` with all of them; NaN is grey. Where the dataset has a
     `spectral_radius` (largest eigenvalue of one step), a red line is the limit of stability.
     """
     figure = Figure(figsize=(COLUMN, 2.9), layout="constrained")
@@ -101,7 +101,7 @@ def plot_maps(
 
 
 class _Grid:
-    """Walks over two gains, and what all maps of them show."""
+    """Walks over two gains, and the layers that all their maps share."""
 
     def __init__(self, dataset: xr.Dataset, metric: str, marks: Marks | None):
         self.dataset, self.marks = dataset, marks or {}
@@ -286,7 +286,7 @@ def color_scale(
         reach = 0.5 * (high - low)
         low = min(low, baseline) if baseline > low - reach else low
         high = max(high, baseline) if baseline < high + reach else high
-        if low < baseline < high and larger_is_better:  # colours for what is better, and for how little is worse
+        if low < baseline < high and larger_is_better:  # one half of the colours is better, the other worse
             low = max(low, baseline - 3 * (high - baseline))
         elif low < baseline < high:
             high = min(high, baseline + 3 * (baseline - low))

@@ -23,9 +23,9 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 LIMB_COLORS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, "#8C6D31", "#4D4D4D")
 AXIS_COLORS = (VERMILLION, SKY, BLACK)
-# colour and width: the baseline is a broad band, so that what runs on top of it does not hide it
+# colour and width: the baseline is a broad band, so that lines on top of it do not hide it
 SERIES = (("0.65", 1.8), (VERMILLION, 0.8), (BLUE, 0.8), (GREEN, 0.8), (ORANGE, 0.8), (PURPLE, 0.8))
-RED = "#D00000"  # what must not be passed: a torn gripper; on maps the baseline and the limit of stability
+RED = "#D00000"  # a limit that must not be passed: a torn gripper; on maps the baseline and the limit of stability
 CARGO, PUSH = "#F6F0E1", "#DCE9F4"
 GREY = "#BDBDBD"
 SAME = "#EDEDED"  # a map on which all walks are equal
@@ -58,7 +58,7 @@ def over_style(settings: Mapping[str, object]) -> Iterator[None]:
 
 
 def key(label: str, **look: Any) -> Line2D:
-    """Return a line of a legend, which looks as what it stands for."""
+    """A line of a legend with the look of its series."""
     return Line2D([], [], label=label, **look)
 
 
@@ -104,7 +104,7 @@ def save_figure(
             for line in text.get_text().split("\n"):
                 if line.count("$") > 1:
                     MathTextParser("path").parse(line)
-        except ValueError:  # what stands between dollars, as in a limb's name, need not be mathematics
+        except ValueError:  # text between dollars, as in a limb's name, need not be mathematics
             text.set_parse_math(False)
     if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)

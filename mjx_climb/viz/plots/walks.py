@@ -26,7 +26,7 @@ _SMALL: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5}  # wor
 
 
 class _Panel(NamedTuple):
-    """What one panel shows of a walk over time."""
+    """One quantity of a walk over time, for one panel."""
 
     label: str
     lines: np.ndarray  # (T, N), or (T,) of a length or a margin: then the axis begins at zero
@@ -64,7 +64,7 @@ def plot_walk(trajectory: Trajectory) -> Figure:
     )  # fmt: skip
     low, high = of_base.get_ylim()
     of_base.set_ylim(low, high + 0.3 * (high - low))
-    _mark_holding_limit(axes[0], trajectory.scenario.contact.holding_limit)
+    _mark_holding_limit(axes[0], trajectory.scenario.value("contact.holding_limit"))
     _draw_gait(axes[-1], trajectory)
     _mark_events(axes, trajectory)
     if (rows := events.finite_rows(trajectory)) < trajectory.time.size:  # there is no state any more
@@ -122,7 +122,7 @@ def _compared(walk: Trajectory, *, per_limb: bool) -> list[_Panel]:
 
 
 def _of_any_walk(walks: Sequence[Sequence[_Panel]]) -> list[list[_Panel]]:
-    """Return the panels of walks without those in which no walk has a number."""
+    """The panels of walks, without quantities that no walk has."""
     known = [any(np.isfinite(panel.lines).any() for panel in alike) for alike in zip(*walks, strict=True)]
     return [list(itertools.compress(own, known)) for own in walks]
 
@@ -152,8 +152,7 @@ def _over_time(heights: Sequence[float], end: float, height: float) -> tuple[Fig
 def _draw_lines(axes: Sequence[Axes], trajectory: Trajectory, panels: Sequence[_Panel], **look: Any) -> None:
     """Draw all lines of a walk up to where its state stopped being finite; `look` is in place of the panels' own.
 
-    What comes after a failure may be thousands of times larger: the axes reach at most two spans beyond what was
-    before.
+    Values after a failure may be thousands of times larger: the axes reach at most two spans beyond those before.
     """
     rows, failed = events.finite_rows(trajectory), events.failure_time(trajectory)
     for place, panel in zip(axes, panels, strict=False):
@@ -238,7 +237,7 @@ def _mark_failure(
 ) -> bool:
     """Mark the first torn gripper by a red cross on the line of every panel that is furthest from zero.
 
-    What failed when stands in the first panel, `level` lines below its top. False where nothing failed.
+    Failure and time are written in the first panel, `level` lines below its top. False without a failure.
     """
     failures, first = [], axes[0]  # instants, s, and words
     for instant, limb in events.detachments(trajectory)[:1]:

@@ -24,7 +24,7 @@ TRIAL_SECONDS = 60
 
 
 class RenderingError(ValueError):
-    """Pictures that cannot be made here; in one line: what is missing and what to install."""
+    """Rendering is not possible here; in one line: the missing part and the package to install."""
 
 
 def has_display() -> bool:

@@ -16,10 +16,10 @@ MICROGRAVITY = 0.02  # m/s^2; below, there is no down
 MARGIN = 1.12
 STRAYS = 0.15  # m, of HubRobo's: a base that strays farther from its reference is followed
 LOST = 30.0  # m, of HubRobo's: a walk whose base has come so far shows where it was before
-FARTHEST = 0.6  # m, of HubRobo's: what is farther from its base does not fit into the picture
-LOOKED_AT = 40  # instants of a walk, at which what is to be seen is measured
+FARTHEST = 0.6  # m, of HubRobo's: parts farther from its base do not fit into the picture
+LOOKED_AT = 40  # instants of a walk, at which the robot's extent is measured
 MAX_GEOMS = 4000
-OPAQUE = 70  # of 255: a mark at least this bright hides what is behind it
+OPAQUE = 70  # of 255: a mark at least this bright hides the picture behind it
 
 Draw = Callable[[mujoco.MjvScene], None]
 
@@ -84,7 +84,7 @@ def follower(
         beyond = max(0.0, 1 - STRAYS * size / max(float(np.linalg.norm(strays)), 1e-9))
         return np.asarray([np.interp(time, first.time[:rows], line) for line in path.T] + beyond * strays)
 
-    data, seen = mujoco.MjData(model), []  # m, places of links and feet, from what is followed
+    data, seen = mujoco.MjData(model), []  # m, places of links and feet, relative to the camera's path
     for walk in trajectories:
         for row in np.unique(np.linspace(0, shown_rows(walk) - 1, LOOKED_AT).round().astype(int)):
             pose(model, data, walk, row)
@@ -138,7 +138,7 @@ class Canvas:
         camera.azimuth, camera.elevation = view.azimuth, ELEVATION
         mujoco.mjv_updateScene(self._model, data, self._options, None, camera, everything, scene)
         for geom in scene.geoms[: scene.ngeom]:
-            # what stands still casts no shadow: on itself it is specks, as fine as the cells of the shadow map
+            # the ground casts no shadow: on itself it is specks, as fine as the cells of the shadow map
             if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and self._model.geom_bodyid[geom.objid] == 0:
                 geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         up = view.axes()[1]

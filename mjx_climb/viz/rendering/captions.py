@@ -63,7 +63,7 @@ def newtons(value: float) -> str:
 
 
 class Caption:
-    """Draws over the pictures of one walk, in which an arrow of 1 N is `scale` m long."""
+    """Captions over the pictures of one walk; an arrow of 1 N is `scale` m long there."""
 
     def __init__(self, trajectory: Trajectory, label: str, size: tuple[int, int], scale: float):
         self._walk, self._label, self._size, self._scale = trajectory, label, size, scale
@@ -74,7 +74,7 @@ class Caption:
     def draw(self, picture: np.ndarray, row: int, view: View, pixels_per_meter: float | None) -> np.ndarray:
         """Return the picture (H, W, 3) of a row with everything on it; with a legend where pixels per meter are known.
 
-        They are at the distance of what the camera looks at.
+        They hold at the distance of the camera's target.
         """
         image, unit, line = Image.fromarray(picture), self._unit, case(self._walk.scenario)
         draw = ImageDraw.Draw(image, "RGBA")
@@ -104,7 +104,7 @@ class Caption:
         draw.rounded_rectangle([round(place) for place in corners], round(0.4 * self._unit), fill=DARK)
 
     def _state(self, draw: ImageDraw.ImageDraw, row: int) -> None:
-        """Write time and forces, and what is or went wrong, at the bottom left."""
+        """Write time, forces and failures at the bottom left."""
         walk, unit, plain, bold = self._walk, self._unit, font(self._unit), font(self._unit, bold=True)
         limb = int(self._forces[row].argmax())
         now, peak = self._forces[row, limb], self._forces[: row + 1].max()
@@ -126,8 +126,8 @@ class Caption:
             draw.text((1.3 * unit, top + 0.3 * unit + number * step), words, fill, letters)
 
     def _legend(self, draw: ImageDraw.ImageDraw, pixels_per_newton: float) -> None:
-        """Say what the arrows' colours and lengths mean, at the bottom right."""
-        unit, text, limit = self._unit, font(0.85 * self._unit), self._walk.scenario.contact.holding_limit
+        """Draw the key of the arrows' colours and lengths at the bottom right."""
+        unit, text, limit = self._unit, font(0.85 * self._unit), self._walk.scenario.value("contact.holding_limit")
         pulled = f"pulled, share of {limit:g} N" if limit else "foot force, pulled"
         entries = {"foot force, pressed": marks.PRESSED, pulled: marks.pulled(0.5)}
         if self._walk.scenario.disturbance.pushes:
@@ -167,7 +167,7 @@ class ForceTrace:
             rows = whole(walk)
             time, forces = walk.time[:rows], largest_foot_force(walk)[:rows]
             lines.append(thin(time, forces))
-            # at most three times what was before a failure
+            # at most three times the largest force before a failure
             limits.append(min(forces.max(), 3 * forces[time <= failure_time(walk)].max(initial=0.0) or np.inf))
         self._walk, self._size, self._unit = trajectories[number], size, max(size[1] / 6, 7.0)  # pixels, a line of text
         self._forces, highest = largest_foot_force(self._walk), max(*limits, 1e-9 / 1.08)

@@ -73,7 +73,7 @@ def pictures(
 
 
 def check(trajectories: Sequence[Trajectory], labels: Sequence[str] | None, size: tuple[int, int]) -> None:
-    """Refuse what cannot be shown.
+    """Refuse walks that cannot be shown together.
 
     Raises:
         ValueError: no walk, walks of different robots, a label too few or too many, or an impossible size.
@@ -115,7 +115,7 @@ def frames(
 
     Raises:
         RenderingError: no OpenGL on this machine.
-        ValueError: what cannot be shown.
+        ValueError: as `check`.
     """
     yield from pictures(trajectories, frame_times(trajectories, fps), labels=labels, size=size, trace=TRACE)
 
@@ -146,7 +146,7 @@ def save_video(
     Raises:
         RenderingError: no OpenGL on this machine.
         OutputError: the file cannot be written.
-        ValueError: what cannot be shown.
+        ValueError: as `check`.
     """
     check(trajectories, labels, size)
     shown, total = frames(*trajectories, labels=labels, fps=fps, size=size), frame_times(trajectories, fps).size
@@ -169,7 +169,7 @@ def encode(
     with whole(path) as part, av.open(str(part), "w", format="mp4", options=first) as container:
         stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": QUALITY, "preset": "veryfast"})
         stream.width, stream.height = size
-        stream.pix_fmt = "yuv420p"  # what all players decode
+        stream.pix_fmt = "yuv420p"  # all players decode it
         stream.codec_context.time_base = Fraction(1, fps)
         for done, picture in enumerate(pictures, 1):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))

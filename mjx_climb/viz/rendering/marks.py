@@ -1,4 +1,4 @@
-"""What is drawn into the scene beside the robot: forces, grips, foot paths, cargo and pushes, as MuJoCo's geoms."""
+"""Marks in the scene beside the robot: forces, grips, foot paths, cargo and pushes, as MuJoCo's geoms."""
 
 import itertools
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ def pulled(share: float) -> RGB:
 
 def forces(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, scale: float) -> None:
     """Add an arrow for the force on every foot, one for the push on the base, and a cross on torn feet."""
-    limit, size = trajectory.scenario.contact.holding_limit, size_of(trajectory)
+    limit, size = trajectory.scenario.value("contact.holding_limit"), size_of(trajectory)
     for limb, force in enumerate(trajectory.foot_force[row]):
         foot = trajectory.foot_position[row, limb]
         arrow(scene, foot, foot + scale * force, color(force, limit), size)
@@ -82,7 +82,7 @@ def forces(scene: mujoco.MjvScene, trajectory: Trajectory, row: int, scale: floa
 def around(scene: mujoco.MjvScene, trajectory: Trajectory, row: int) -> None:
     """Add the grip points and foot paths up to this row, the cargo, and the points that can be held.
 
-    A disc is a point that a limb gripped, a larger one what it holds now.
+    A disc is a point that a limb gripped, a larger one the point that it holds now.
     """
     holds(scene, trajectory, row)
     every = max(round(PATH_STEP / trajectory.scenario.time_step), 1)

@@ -1,4 +1,4 @@
-"""What the robot walks on, for the eye: rock under gravity, the panels of a station without."""
+"""The ground of pictures: rock under gravity, the panels of a station without."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

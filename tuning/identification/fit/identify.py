@@ -121,7 +121,7 @@ def _held(
 def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
     """Return the longest time that commands may take to the motors, s."""
     fitted, own = {v.key: v.upper for v in chosen}, scenario.hardware
-    nominal: dict[str, float] = {DELAY: own.command_delay, SERVO_DELAY: own.servo.delay}
+    nominal: dict[str, float] = {DELAY: own.command_delay, SERVO_DELAY: scenario.value(SERVO_DELAY, 0.0)}
     return sum(fitted.get(key, delay) for key, delay in nominal.items())
 
 

@@ -145,7 +145,7 @@ def limits(found: Excited) -> Table:
 
 def notes(found: Excited) -> list[str]:
     """Return the warnings before anyone turns the robot on."""
-    asked, hardware, gravity = found.asked, found.scenario.hardware, np.linalg.norm(found.scenario.gravity)
+    asked, value, gravity = found.asked, found.scenario.value, np.linalg.norm(found.scenario.gravity)
     how = "Hold the base, limbs in the air" if asked.base == "held" else "Shut all grippers"
     said = [
         f"{how}, and bring the joints to the first posture before the log begins.",
@@ -154,9 +154,9 @@ def notes(found: Excited) -> list[str]:
         f"The deviations hold if the robot is like its model. They are {found.gain:.2g} times smaller than after the "
         f"plain chirp within the same limits; taken is {found.best.motion.name}.",
     ]
-    if hardware.servo.torque_limit is None and found.robot.torque_limit is None:
+    if value("hardware.servo.torque_limit") is None and found.robot.torque_limit is None:
         said.append("The config has no torque limit (hardware.servo.torque_limit): none was kept.")
-    if hardware.servo.no_load_speed is None:
+    if value("hardware.servo.no_load_speed") is None:
         said.append(f"The config has no speed limit (hardware.servo.no_load_speed): {SPEED:g} rad/s were taken.")
     if abs(gravity - _EARTH) > 0.2:
         said.append(
