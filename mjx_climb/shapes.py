@@ -3,7 +3,6 @@
 In `"... limbs 3 K"` the axes of one robot follow any batch axes; a name stands for a size, or a range of sizes.
 """
 
-import dataclasses
 import functools
 from collections.abc import Hashable, Mapping, Sequence
 from typing import get_args
@@ -11,17 +10,6 @@ from typing import get_args
 import numpy as np
 
 Sizes = Mapping[str, int | range]
-
-
-def check_fields(of: str, tree: object, sizes: Sizes) -> None:
-    """Refuse a dataclass with an array of another shape than its field has; fields without a shape are any.
-
-    Raises:
-        ValueError: in one line, the field after `of`, the shape that was expected and the one that was got.
-    """
-    for field in dataclasses.fields(tree):  # type: ignore[arg-type]  # a dataclass
-        if dims := dims_of(field.type):
-            check_shape(f"{of}.{field.name}", np.shape(getattr(tree, field.name)), dims, sizes)
 
 
 def dims_of(annotation: object) -> str:
@@ -39,7 +27,7 @@ def check_shape(name: str, shape: Sequence[int], dims: str, sizes: Sizes, batch:
     """Refuse the shape of an array that is not `dims`, or whose batch axes do not broadcast to `batch`.
 
     Raises:
-        ValueError: as of `check_fields`.
+        ValueError: in one line, the name, the expected shape and the one that was got.
     """
     own = dims.removeprefix("...").split()
     lead, tail = tuple(shape[: max(0, len(shape) - len(own))]), shape[max(0, len(shape) - len(own)) :]

@@ -123,10 +123,9 @@ def sweep_dataset(
             raise ValueError(f"metric {name}: expected shape {tuple(shape)} as the coordinates, got {values.shape}")
         attrs = metric_attributes(table[name])
         if name == "detached_limb":
-            limbs = load_robot(scenario.robot).limbs
             values = values.astype(np.int32)
-            attrs["flag_values"] = np.arange(-1, len(limbs), dtype=np.int32)
-            attrs["flag_meanings"] = " ".join(["none", *limbs])
+            attrs["flag_values"] = np.arange(-1, len(scenario.limbs), dtype=np.int32)
+            attrs["flag_meanings"] = " ".join(["none", *scenario.limbs])
         data[name] = (tuple(coords), values, attrs)
     attrs = {"title": "metrics of walks of a limbed climbing robot", **provenance(scenario)}
     return xr.Dataset(data, coords, attrs)

@@ -126,9 +126,7 @@ class _File:
         self.held = {self._joint(name, f"locked.{name}", *sought): value for name, value in source.locked.items()}
         self.data, self.part = at_zero(self.model, self.held), rigid_parts(self.model, set(self.held))
         self.springs = dict(source.springs.items())
-        # counter-clockwise from straight ahead, as the stability margins need them
-        angle = {name: np.arctan2(*limb.foothold[::-1]) % (2 * np.pi) for name, limb in source.limbs.items()}
-        self.limbs = dict(sorted(source.limbs.items(), key=lambda item: angle[item[0]]))
+        self.limbs = source.in_order
         known = ", ".join(self.model.joint(i).name for i in range(self.model.njnt)) or "none"
         expected = f"revolute or prismatic joints of the file ({known[:200]})"
         self.chains = {

@@ -643,6 +643,11 @@ class RobotFile(v.Section):
     locked: Locked = setting(Locked(), "joints of the file that belong to no limb, held at a value")
     springs: Springs = setting(Springs(), "joints of limbs that nothing drives, each on a spring")
 
+    @property
+    def in_order(self) -> dict[str, Limb]:
+        """The limbs counter-clockwise from straight ahead, as the stability margins need them."""
+        return dict(sorted(self.limbs.items(), key=lambda item: math.atan2(*item[1].foothold[::-1]) % (2 * math.pi)))
+
 
 AnyRobot = Annotated[
     Annotated[v.Name, Tag(PLAIN_TAG)] | Annotated[RobotFile, Tag(OTHER_TAG)],
@@ -782,6 +787,11 @@ class Scenario(v.Section):
             if all(other <= phase < other + swing - _ROUNDING for other in gait.lift_off.values()):
                 raise failure("a limb on the ground at every moment", key=f"gait.phases.{limb}", got=phase)
         return self
+
+    @property
+    def limbs(self) -> tuple[str, ...]:
+        """The names of the robot's limbs, in its order."""
+        return SHIPPED_LIMBS if isinstance(self.robot, str) else tuple(self.robot.in_order)
 
     def value(self, key: str, default: Any = None) -> Any:
         """The value at a dotted key; `default` where the section's component has no such field, or names none."""

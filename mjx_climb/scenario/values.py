@@ -140,8 +140,6 @@ Positive = Annotated[Finite, Field(gt=0), _expects("a finite number above 0")]
 NonNegative = Annotated[Finite, Field(ge=0), _expects("a finite number, 0 or above")]
 Share = Annotated[Finite, Field(ge=0, lt=1), _expects("a number from 0 to below 1")]
 Part = Annotated[Finite, Field(gt=0, le=1), _expects("a number above 0, 1 at most")]
-Duty = Annotated[Finite, Field(gt=0, lt=1), _expects("a number above 0 and below 1")]
-Angle = Annotated[Finite, Field(ge=-2 * math.pi, le=2 * math.pi), _expects("an angle in rad between -2 pi and 2 pi")]
 Limit = Annotated[NonNegative | None, _expects("a finite number, 0 or above, or null")]
 PositiveOrNull = Annotated[Positive | None, _expects("a finite number above 0, or null")]
 Register = Annotated[
@@ -165,8 +163,6 @@ Gain = Annotated[
 Gravity = Annotated[
     tuple[_Gravity, _Gravity, _Gravity], _expects(f"a list of three numbers from {-MAX_GRAVITY:g} to {MAX_GRAVITY:g}")
 ]
-Way = Annotated[Finite, Field(ge=0, le=MAX_LENGTH), _expects(f"a number from 0 to {MAX_LENGTH:g}")]
-Height = Annotated[Finite, Field(gt=0, le=MAX_LENGTH), _expects(f"a number above 0, {MAX_LENGTH:g} at most")]
 Pair = Annotated[tuple[Finite, Finite], _expects("a list of two finite numbers")]
 Pairs = Annotated[tuple[tuple[Finite, Finite], ...], _expects("a list of lists of two finite numbers")]
 Sides = Annotated[tuple[_Length, _Length], _expects(f"a list of two numbers above 0, {MAX_LENGTH:g} at most")]

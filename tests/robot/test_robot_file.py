@@ -485,3 +485,9 @@ def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
     assert not good["diverged"]
     assert good["peak_foot_force"] < 2 * 1.705 * 9.81
     assert bad["diverged"] or bad["peak_foot_force"] > 1e3
+
+
+@pytest.mark.parametrize("name", ["case_1_2", "hexapod_ceiling", "station_arms_handrail"])
+def test_a_scenario_names_the_limbs_in_the_robots_order(name):
+    scenario = mc.load_scenario(name)
+    assert scenario.limbs == load_robot(scenario.robot).limbs

@@ -23,7 +23,6 @@ from mjx_climb.inputs.gait_values import GAIT, gait_of
 from mjx_climb.inputs.resolve import AnyGains, resolve_in
 from mjx_climb.parameter_types import path_of_gain
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import FAILURES, SENSORS
 from tuning.gains import gains_file
@@ -158,7 +157,7 @@ class Draw:
         data[LOST] = (("gains", "member"), each_lost, {"long_name": "walk loses a gripper or diverges"})
         attrs: dict[str, Any] = {"title": "gains on the walks of an ensemble", **dataset.provenance(scenario)}
         attrs["ensemble"] = ensemble.to_yaml()
-        names, limbs = [*self.gains, *self.pd, PD], load_robot(scenario.robot).limbs
+        names, limbs = [*self.gains, *self.pd, PD], scenario.limbs
         sensors = {name: _lost(arrays, number, limbs) for number, name in enumerate(names)}
         attrs[LOST_SENSORS] = "; ".join(f"{name} {text}" for name, text in sensors.items() if text)
         return xr.Dataset(data, {"gains": names, "member": np.arange(members)}, attrs)

@@ -9,7 +9,6 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from mjx_climb import trajectory
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
 from tuning.comparisons import verdicts
 from tuning.comparisons.of_sweep import SweepComparison, own_name, variation_of
@@ -77,7 +76,7 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
         return None
     (scenario, law), about = found.walker(), found.problem.metrics
     at = {axis: best[axis].item() for axis in found.axes}
-    limbs = load_robot(scenario.robot).limbs
+    limbs = scenario.limbs
     own = trajectory.named({key: best[key].item() for key in about.names}, limbs)
     configs = own_values(dataclasses.replace(found.problem, scenario=scenario), found.axes)
     gains = {"best": at, "pd": None}

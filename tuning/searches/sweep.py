@@ -20,7 +20,6 @@ from mjx_climb.files.dataset import sweep_dataset
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walks import LINES, stretches
 from tuning.gains import gains_file
 from tuning.gains.gains_file import replaced
@@ -172,7 +171,7 @@ class Grid:
             return {}
         count = len(execution.walking_with(range(len(points)), min(self.size, self.rows)))
         values = {name: np.resize([point[name] for point in points.values()], count) for name in self.axes}
-        found, limbs = self._walk(values), load_robot(self.walked.scenario.robot).limbs
+        found, limbs = self._walk(values), self.walked.scenario.limbs
         return {
             name: trajectory.named({key: found[key][place].item() for key in self.walked.metrics.names}, limbs)
             for place, name in enumerate(points)

@@ -15,7 +15,6 @@ from mjx_climb.arrays import AnyArray
 from mjx_climb.hardware.stages import Stages, hardware_of
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.robot.constants import Robot
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.walk.control_loop import JointTargets
 from tuning.identification.model import held_base as stands
 
@@ -79,7 +78,7 @@ def held(stages: Stages, time_step: float) -> Simulate:
 
 def swaying(scenario: mc.Scenario, duration: float) -> mc.Scenario:
     """Return a scenario in which the robot stands still on all feet for a time, s: its gait comes to no swing."""
-    limbs = load_robot(scenario.robot).limbs
+    limbs = scenario.limbs
     gait = scenario.gait.model_dump(mode="json") | {
         "stride": 0.0, "cycle": math.ceil(10 * duration / scenario.time_step) * scenario.time_step, "duty": 0.95,
         "phases": {limb: 0.2 + 0.08 * n for n, limb in enumerate(limbs)},
