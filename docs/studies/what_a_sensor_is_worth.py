@@ -28,11 +28,11 @@ import ceiling_laws as searched
 import tuning
 from mjx_climb.control import shipped
 from mjx_climb.inputs.gait_values import scenario_with_gait
-from tuning.comparisons.compare import readings
 from tuning.gains import gains_file
 from tuning.problem import ensemble as ensembles
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.readings import readings
 from tuning.problem.search import Search
 
 HARDWARE = ("ideal", "dynamixel_x", "mx_64")

@@ -7,18 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import execution
-from mjx_climb.control import PD, Reference, Start, law_of
-from mjx_climb.control.law import beginning
-from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.resolve import AnyGains, resolve_in
+from mjx_climb.control import PD, PlannedTransfer
+from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Callback as Told
 from tuning.background import Stage, silent
@@ -29,6 +25,7 @@ from tuning.methods.rounds import Callback
 from tuning.problem import spaces
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.readings import reads_forces
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.variations import Factor, changed, scalable
 from tuning.results.judged import Comparison
@@ -50,6 +47,8 @@ HARDWARE = {  # what retuned pd walks with at half the value besides: sections, 
 _KEYS = ("also", "bounds", "pins", "frozen")  # settings that name gains
 
 
+Place = tuple[mc.Scenario, mc.Law | None]  # scenario and law; None: the scenario's
+PLANNED = PlannedTransfer.__name__  # rival of laws that read forces, beside pd
 Laws = Iterable[str | mc.Law] | Mapping[str, str | mc.Law]
 
 
@@ -81,8 +80,10 @@ def compare(
 
     Each search ends when `PATIENCE` rounds of its points have found nothing better by a thousandth, however many gains
     it has, or when its rounds are spent. All that a search finds is judged: the intervals are of a law that is
-    searched once more. pd with kp and kd retuned is always among them. All search kp and kd too; a gain that `also`,
-    `bounds`, `pins` or `frozen` name is searched, bounded, pinned or frozen where a law has it.
+    searched once more. pd with kp and kd retuned is always among them, and `PlannedTransfer`, which hands loads over
+    without a force sensor, where a law reads forces and the method is not grid: the walks of one law more. All search
+    kp and kd too; a gain that `also`, `bounds`, `pins` or `frozen` name is searched, bounded, pinned or frozen where a
+    law has it.
     `tuning.write(tuning.compare(scenario, laws, ensemble, out="results/mine"), "results/mine")` is
     `mjx-climb tune --law --law`.
 
@@ -141,13 +142,13 @@ def alike(wanted: Search, *given: Search | Mapping[str, Any] | None) -> Search:
     return wanted.model_copy(update=how)
 
 
-def named(scenario: mc.Scenario, laws: Laws) -> dict[str, tuple[mc.Scenario, mc.Law | None]]:
+def named(scenario: mc.Scenario, laws: Laws) -> dict[str, Place]:
     """Return scenario and law (None: the scenario's) by name, pd the last.
 
     Raises:
         ConfigError: an unknown law, a law twice, or none beside pd.
     """
-    found: dict[str, tuple[mc.Scenario, mc.Law | None]] = {}
+    found: dict[str, Place] = {}
     own = without(scenario)
     for name, law in laws.items() if isinstance(laws, Mapping) else ((_name(law), law) for law in laws):
         if name in found or name in HARDWARE:
@@ -171,6 +172,18 @@ def named(scenario: mc.Scenario, laws: Laws) -> dict[str, tuple[mc.Scenario, mc.
     return found | {NAME: (under_pd(scenario), None)}
 
 
+def _with_plan(laws: dict[str, Place], search: Search) -> dict[str, Place]:
+    """Return the laws with the best rival that reads no forces, where one of them reads forces.
+
+    Not on a grid, which takes fewer gains than it has.
+    """
+    *others, last = laws.items()
+    reading = (reads_forces(Problem(scenario, law=law)) for _, (scenario, law) in others)
+    if PLANNED in laws or search.method == "grid" or not any(reading):
+        return laws
+    return dict([*others, (PLANNED, (without(last[1][0]), PlannedTransfer())), last])
+
+
 def _name(law: str | mc.Law) -> str:
     if law in ("pd", PD.__name__) or type(law) is PD:
         return NAME
@@ -185,7 +198,7 @@ def contestants(
     `method` is the user's own, where the settings say so.
     """
     found = {}
-    for name, (place, law) in named(scenario, laws).items():
+    for name, (place, law) in _with_plan(named(scenario, laws), search).items():
         own = _own(search, place, law)
         found[name] = Contestant(place, law, own, spaces.space(place, own, law))
         if search.method == "cmaes" and found[name].space.size == 1:
@@ -318,22 +331,6 @@ def on_better_hardware(scenario: mc.Scenario, drawn: mc.Parameters) -> dict[str,
             whole = np.where(period > 0, np.maximum(np.round(period / step), 1) * step, 0.0)
             found[words] = found[words].replace({_PERIOD: whole})
     return found
-
-
-def readings(problem: Problem) -> frozenset[str]:
-    """Return the sensors on which a law depends, by its program: names of `mjx_climb.control.law.SENSORS`."""
-    scenario, law = problem.scenario, problem.law or law_of(problem.scenario)
-    one = resolve_in(scenario, law, None, own_parameters(scenario), np.float64).law
-    robot = load_robot(scenario.robot)
-    # of any values: only the program is looked at
-    zero, feet, joints, each = map(jnp.zeros, (3, robot.foot_center.shape, robot.stance_joints.shape, len(robot.limbs)))
-    reference = Reference(zero, jnp.array([1.0, 0.0, 0.0, 0.0]), feet, each, each)
-    return beginning(one, Start(scenario.time_step, reference, joints)).reads
-
-
-def reads_forces(problem: Problem) -> bool:
-    """Tell whether a law depends on the forces that are measured, by its program."""
-    return "forces" in readings(problem)
 
 
 def file_name(law: str) -> str:

@@ -8,11 +8,13 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.inputs.from_scenario import gains as scenario_gains
+from mjx_climb.inputs.resolve import AnyGains
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.comparisons import verdicts
-from tuning.comparisons.side_by_side import VARIATION, retuned
-from tuning.comparisons.worth import Worth, between, over_walks
+from tuning.comparisons.side_by_side import VARIATION, planned, retuned
+from tuning.comparisons.worth import BesidePd, Worth, between, over_walks
+from tuning.gains.gains_file import Whole
 from tuning.problem.objectives import Objective
 from tuning.results.tuned import Robust
 from tuning.searches import retuned_pd
@@ -47,13 +49,20 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     assert isinstance(goal, Objective)
     with stage("retuned pd", unit="rounds") as told:
         rival = retuned(problem, found.search, found.seeds, out)(told)
+    with stage("load transfer by plan", unit="rounds") as told:
+        plan = planned(problem, found.search, found.seeds, out)(told)
     walked, pd, step, joint = problem, {}, None, dict[str, float]()
     if rival is not None:  # as short a time step as it needs, for all that are compared
         pd, joint = {retuned_pd.NAME: rival.gains}, retuned_pd.joint_of(rival)
         shortest = retuned_pd.time_step_for(found.scenario, joint)
         step = None if shortest == found.scenario.time_step else shortest
         walked = dataclasses.replace(problem, scenario=found.scenario.with_overrides({"time_step": shortest}))
-    rivals = {"robust": found.gains, "config": problem.law or scenario_gains(found.scenario)}
+    rivals: dict[str, AnyGains | Whole] = {
+        "robust": found.gains,
+        "config": problem.law or scenario_gains(found.scenario),
+    }
+    if plan is not None:
+        rivals[retuned_pd.PLANNED] = Whole(plan.law, plan.gains)
     fresh = judging.fresh(ensemble.model_copy(update={"members": found.judges}))
     draws = {
         "fresh draw": judging.through(walked, rivals, fresh, pd),
@@ -69,10 +78,14 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     worth, over = None, None
     if rival is not None:
         means = judging.plain(summed, shown(problem.metrics))
-        both = {name: means[name]["mean"] for name in ("robust", retuned_pd.NAME)}
+        without, of_rival = retuned_pd.NAME, retuned_pd.rival_of(rival, step)
+        beside = None if plan is None else BesidePd(float(scores.sel(gains=without)), of_rival)
+        if plan is not None and scores.sel(gains=retuned_pd.PLANNED) < scores.sel(gains=without):
+            without, of_rival = retuned_pd.PLANNED, retuned_pd.rival_of(plan, step)
+        both = {name: means[name]["mean"] for name in ("robust", without)}
         values = [{"objective": float(scores.sel(gains=n)), VARIATION: mean[VARIATION]} for n, mean in both.items()]
-        over = over_walks(walks, "robust", goal)
-        worth = between(both.values(), values, retuned_pd.rival_of(rival, step), problem, over=over)
+        over = over_walks(walks, "robust", goal, without)
+        worth = between(both.values(), values, of_rival, problem, over=over, pd=beside)
     most = broken.max("limit") if broken.size else xr.zeros_like(scores)
     reached = {
         name: verdicts.Walked(float(scores.sel(gains=name)), bool(most.sel(gains=name) <= most.sel(gains="robust")))
@@ -81,5 +94,5 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     ours, what = verdicts.named("robust gains", found.gains, problem), f"objective over {found.judges} unseen walks"
     said = verdicts.against_best(ours, reached, what, joint=joint, breaks="breaks a limit in more walks")
     if over is not None and not (over.low > 0 or over.high < 0):
-        said += f"; {over.walks} walks do not tell them from {retuned_pd.NAME}"
+        said += f"; {over.walks} walks do not tell them from {without}"
     return RobustComparison(walks, summed, worth, said, joint, judging.binding(seen, goal, "robust"))

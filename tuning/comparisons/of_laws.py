@@ -1,14 +1,15 @@
 """Which differences between laws are real, and what that says of the force sensor and of better hardware."""
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 
 import xarray as xr
 
 from tuning.background import Stage, silent
-from tuning.comparisons import paired
-from tuning.comparisons.compare import reads_forces
+from tuning.comparisons import judge, paired
 from tuning.comparisons.of_ensemble import shown
 from tuning.problem.objectives import Objective
+from tuning.problem.readings import reads_forces
 from tuning.results.judged import Comparison
 from tuning.searches import retuned_pd
 
@@ -29,9 +30,32 @@ def compare(found: Comparison, stage: Stage = silent) -> LawsComparison:
     problem = found.problem
     assert isinstance(problem.objective, Objective)
     reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]
+    of_laws, goal = shown(problem.metrics, SHOWN), problem.objective
     with stage("intervals", compiles=False):
-        of_laws, goal = shown(problem.metrics, SHOWN), problem.objective
         table = paired.compared(found.data, of_laws, retuned_pd.NAME, goal, shared=found.hardware)
-    joint = retuned_pd.joint_of(found.tuned[retuned_pd.NAME])
-    verdict = paired.verdict(table, found.laws, reading, found.hardware, found.outside, found.unsettled, joint)
+        joint = retuned_pd.joint_of(found.tuned[retuned_pd.NAME])
+        sensor = _sensor(found, table, reading, joint)
+    verdict = paired.verdict(table, found.laws, sensor, found.hardware, found.outside, found.unsettled, joint)
     return LawsComparison(table, verdict, reading)
+
+
+def _sensor(found: Comparison, table: xr.Dataset, reading: Sequence[str], joint: Mapping[str, float]) -> str:
+    """Return what a force sensor is worth, in words: of both kinds the law whose searches found the least counts."""
+    laws = [name for name in (*found.laws, retuned_pd.NAME) if name not in found.outside]
+    searched = found.data["search_value"].mean("seed").sel(gains=laws)
+
+    def best(names: Sequence[str]) -> str | None:
+        return min(names, key=lambda name: float(searched.sel(gains=name)), default=None)
+
+    ours, without = best([n for n in laws if n in reading]), best([n for n in laws if n not in reading])
+    if not reading:
+        return "no law here reads forces"
+    if ours is None or without is None or len(laws) == len(reading) + (retuned_pd.NAME in laws):
+        return "what a force sensor is worth is not told: no law beside pd was searched that reads no forces"
+    goal = found.problem.objective
+    assert isinstance(goal, Objective)
+    walks = found.data.sel(gains=[ours, without, judge.PD])
+    beside = paired.compared(walks, shown(found.problem.metrics, SHOWN), without, goal)
+    pd = float(table["value"].sel(metric="objective", statistic="mean", gains=retuned_pd.NAME))
+    by_effort = found.problem.scenario.hardware.force_sensor.source == "joint_effort"
+    return paired.sensor_in_words(beside, ours, pd, joint, "reading joint efforts" if by_effort else "a force sensor")

@@ -22,9 +22,10 @@ from tuning.comparisons.side_by_side import (
     beside_retuned,
     gains_of,
     one_walk,
+    planned,
     retuned,
 )
-from tuning.comparisons.worth import Worth, between
+from tuning.comparisons.worth import BesidePd, Worth, between
 from tuning.gains.gains_file import replaced
 from tuning.methods import method_of
 from tuning.numbers import failed
@@ -41,6 +42,7 @@ class Begun(NamedTuple):
     """What a search is compared with, independent of what it finds: works that may begin before it."""
 
     retuned: Work[Tuned | None]  # pd retuned
+    planned: Work[Tuned | None]  # load transfer by plan
     walks: Mapping[str, Work[mc.Trajectory]]  # pd, config
     over: Work[xr.Dataset | None] | None  # the map; None where it depends on the result
     on_hardware: Mapping[str, Work[xr.Dataset]]  # pd, config: the first walks on worse hardware
@@ -57,6 +59,7 @@ def begin(problem: Problem, search: Search, start: Begin, *, seeds: int = 1, out
     )  # then one map serves all results
     return Begun(
         start(retuned(problem, search, seeds, out)),
+        start(planned(problem, search, seeds, out)),
         {"pd": start(one_walk(under_pd(scenario), None, engine)), "config": start(one_walk(scenario, law, engine))},
         start(lambda report: verification.map_with(problem, scenario, None, progress=report)) if on_the_map else None,
         {
@@ -76,8 +79,8 @@ def load_tests(problem: Problem, search: Search, start: Begin) -> None:
 class TuneComparison:
     """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
 
-    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd
-    rows: Compared  # tuned, retuned_pd, config, pd
+    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd, planned_transfer
+    rows: Compared  # tuned, retuned_pd, planned_transfer, config, pd
     over: xr.Dataset | None  # the map around it
     hardware: margins.Found  # on worse hardware
     checked: verification.Verification
@@ -104,6 +107,10 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         walking = {**others.walks, "tuned": start(one_walk(*ours, engine))}
         with stage("retuned pd", unit="rounds") as told:
             rival = others.retuned(told)
+        with stage("load transfer by plan", unit="rounds") as told:
+            plan = others.planned(told)
+        if plan is not None:
+            walking[retuned_pd.PLANNED] = start(one_walk(*replaced(plan.scenario, plan.law, plan.gains), engine))
         rivals = {"config": margins.Walker(problem.law, {})}
         joint, step, apart = {} if rival is None else retuned_pd.joint_of(rival), None, None
         if rival is not None:
@@ -142,8 +149,10 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             there = _scored(problem.objective, mc.metrics(leveled, problem.metrics))
             apart = AtOneStep(step, there["objective"] / scored[1]["objective"] - 1)
         worth = between(both, scored, retuned_pd.rival_of(rival), problem, level=apart)
+        if plan is not None:
+            worth = _beside_plan(both, scored, (rival, plan), metrics[retuned_pd.PLANNED], problem, apart)
         gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
-    order = [name for name in ("tuned", retuned_pd.NAME, "config", "pd") if name in walks]
+    order = [name for name in ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, "config", "pd") if name in walks]
     rows = {name: (gains[name], metrics[name]) for name in order}
     walked = {
         name: verdicts.Walked(
@@ -153,6 +162,19 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
     }
     said = verdicts.against_best(verdicts.named("tuned gains", found.gains, problem), walked, "objective", joint=joint)
     return TuneComparison(walks, rows, over, hardware, checked, worth, said, apart)
+
+
+def _beside_plan(
+    both: tuple[Values, Values], scored: list[dict[str, float]], rivals: tuple[Tuned, Tuned], by_plan: Values,
+    problem: Problem, apart: AtOneStep | None,
+) -> Worth:  # fmt: skip
+    """Return the worth of a force sensor beside the better of pd retuned and load transfer by plan."""
+    ours, pd = scored
+    planned, (retuned, plan) = _scored(problem.objective, by_plan), (retuned_pd.rival_of(each) for each in rivals)
+    beside = BesidePd(pd["objective"], retuned)
+    if not planned["objective"] < pd["objective"]:
+        return between(both, scored, retuned, problem, level=apart, pd=beside)
+    return between((both[0], by_plan), (ours, planned), plan, problem, pd=beside)
 
 
 def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:

@@ -387,7 +387,7 @@ class Verdict(NamedTuple):
 
 
 def verdict(
-    table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str],
+    table: xr.Dataset, laws: Sequence[str], sensor: str, hardware: Sequence[str],
     outside: Collection[str] = (), unsettled: Collection[str] = (), joint: Mapping[str, float] | None = None,
 ) -> Verdict:  # fmt: skip
     """Return which law is better than the baseline, what a force sensor is worth, and what hardware would be.
@@ -395,22 +395,21 @@ def verdict(
     Arguments:
         table: see `compared`.
         laws: names of those that were tuned beside the baseline.
-        reading: those of them that read forces.
+        sensor: what a force sensor is worth, in words, see `sensor_in_words`.
         hardware: names of the baseline's walks with better hardware.
         outside: those, of the laws and the baseline, of which a search found no gains that keep its limits.
         unsettled: those of which a search had not converged when it ended.
         joint: the gains of the baseline.
     """
     base = verdicts.in_words(table.attrs["baseline"], joint)
-    said = _verdict(table, laws, reading, hardware, outside, base)
+    said = _verdict(table, laws, sensor, hardware, outside, base)
     if not unsettled:
         return said
     return said._replace(in_words=f"{said.in_words}; not every search of {', '.join(unsettled)} had converged")
 
 
 def _verdict(
-    table: xr.Dataset, laws: Sequence[str], reading: Collection[str], hardware: Sequence[str], outside: Collection[str],
-    base: str,
+    table: xr.Dataset, laws: Sequence[str], sensor: str, hardware: Sequence[str], outside: Collection[str], base: str,
 ) -> Verdict:  # fmt: skip
     if table.attrs["baseline"] in outside:
         return Verdict(None, f"no verdict: a search of {base} found no gains that keep its limits")
@@ -425,7 +424,7 @@ def _verdict(
         said += f", though worse in {', '.join(worse)}" if worse else ""
     else:
         said = _none_better(table, laws, told, base)
-    said += f"; {_sensor(table, [name for name in laws if name in reading])}"
+    said += f"; {sensor}" if sensor else ""
     if not hardware:
         return Verdict(best, said + "; the scenario has no delay, friction or rate to better")
     most = max(hardware, key=lambda name: told[name].size)
@@ -503,24 +502,29 @@ def _walks(table: xr.Dataset) -> str:
     return f"{walks} and {seeds} seeds" if seeds > 1 else walks
 
 
-def _sensor(table: xr.Dataset, laws: Sequence[str]) -> str:
-    """Return in words the largest real improvement of each metric by a law that reads forces."""
-    if not laws:
-        return "no law here reads forces"
-    worth, nothing = [], []
-    for metric in _metrics(table):
-        gains = {name: _gain(table, name, metric) for name in laws}
-        law = max(laws, key=lambda name: (gains[name].real, gains[name].size))
-        words = metric.replace("_", " ")
-        if gains[law].real:
-            worth.append(f"{gains[law]} of {words} ({law})")
-        else:
-            nothing.append(words)
-    if not worth:
-        return f"{_walks(table)} show no worth of the force sensor"
-    return f"the force sensor is worth {', '.join(worth)}" + (
-        f", and {_walks(table)} show none in {', '.join(nothing)}" if nothing else ""
-    )
+def sensor_in_words(
+    table: xr.Dataset, name: str, whole: float, joint: Mapping[str, float] | None = None, what: str = "a force sensor"
+) -> str:
+    """Return what measured forces are worth: the best law that reads forces beside the best that does not.
+
+    Arguments:
+        table: see `compared`; its baseline is the best law that reads no forces.
+        name: of the best law that does.
+        whole: objective of pd retuned, of which all worths are parts.
+        joint: gains of pd retuned.
+        what: where the forces come from.
+    """
+    base, own = verdicts.in_words(table.attrs["baseline"], joint), _gain(table, name, "objective")
+    best = f"{base}, the best law that reads no forces"
+    if not own.real:
+        return f"{_walks(table)} show no worth of {what}: {name} beside {best}: {_beside(table, [name])}"
+    row = table.sel(metric="objective", statistic="mean", gains=name)
+    share = abs(float(row["value"] - row["difference"])) / whole
+    size, low, high = (share * each for each in own[:3])
+    worth = f"{size:.1%} ({100 * low:.1f} to {100 * high:.1f}%)"
+    worse = [metric.replace("_", " ") for metric in _metrics(table) if _worse(table, name, metric)]
+    end = f", though it is worse in {', '.join(worse)}" if worse else ""
+    return f"of this {what} is worth {worth}: {name} beside {best}, {_beside(table, [name])}{end}"
 
 
 def _metrics(table: xr.Dataset) -> list[str]:

@@ -84,6 +84,13 @@ def beside_retuned(scenario: mc.Scenario, joint: Mapping[str, float], ours: Walk
     return found
 
 
+def planned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None]:
+    """Return a work that searches `PlannedTransfer` as the gains were searched, see `retuned_pd.search_plan`."""
+    return lambda report: retuned_pd.search_plan(
+        problem, search, seeds=seeds, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
+    )
+
+
 def retuned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None]:
     """Return a work that searches kp and kd of pd as the gains were searched; `out` keeps its rounds."""
     return lambda report: retuned_pd.search(

@@ -29,13 +29,20 @@ class OverWalks(NamedTuple):
     needed: float  # walks that would tell it from 0, if it is what was found
 
 
-def over_walks(walks: xr.Dataset, name: str, goal: Objective) -> OverWalks:
-    """Return how far the change of the objective from retuned pd is known, NaN where too few walks tell."""
-    table = paired.compared(walks.sel(gains=[name, NAME, judge.PD]), [], NAME, goal)
+def over_walks(walks: xr.Dataset, name: str, goal: Objective, rival: str = NAME) -> OverWalks:
+    """Return how far the change of the objective from a rival is known, NaN where too few walks tell."""
+    table = paired.compared(walks.sel(gains=[name, rival, judge.PD]), [], rival, goal)
     own = table.sel(metric="objective", statistic="mean", gains=name)
     base = abs(float(own["value"] - own["difference"]))
     low, high = (float(own[key]) / base for key in ("low", "high"))
     return OverWalks(table.attrs["members_compared"], low, high, float(own["walks_needed"]))
+
+
+class BesidePd(NamedTuple):
+    """pd retuned, where another law without a force sensor was searched too."""
+
+    value: float  # of what the gains were found for
+    rival: Rival
 
 
 class Worth(NamedTuple):
@@ -61,6 +68,7 @@ def worth_of(
     over: OverWalks | None = None,
     level: AtOneStep | None = None,
     what: str = "the force sensor",
+    pd: BesidePd | None = None,
 ) -> Worth:
     """Return the worth of a force sensor.
 
@@ -69,16 +77,16 @@ def worth_of(
 
     Arguments:
         values: first what the gains were found for, then what else is to be said of them.
-        without: the same of pd retuned, which is `rival`.
+        without: the same of the best law without a force sensor, which is `rival`.
         larger: whether more of the first value is better, not less.
         place: where the gains were searched, if that is not all there is.
         others: what else is worse, and what is better, in words.
         over: how far the change of the first value is known, of several walks.
         level: the change of the first value at one time step, where `without` has a step of its own.
         what: what pd retuned lacks, in words.
+        pd: pd retuned; None where no other law without a force sensor was searched, so that there is no verdict.
     """
-    own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
-    than = f"pd with {own}, which needs none"
+    than = f"{_named(rival)}, which needs none"
     than += "" if rival.feasible else " (and breaks a limit)"
     changes = {name: values[name] / without[name] - 1 for name in values}
     if not all(map(math.isfinite, changes.values())):
@@ -99,6 +107,8 @@ def worth_of(
         verdict = f"{what} does not pay{place}"
     elif rival.lacks:
         verdict = f"no verdict on {what}, since pd was searched {rival.lacks}"
+    elif pd is None:
+        verdict = f"no verdict on {what}, since of the laws without one pd alone was searched"
     else:
         verdict = f"{what} pays"
     said, ends = "", ""
@@ -110,19 +120,29 @@ def worth_of(
         ends = ""
     step = "" if rival.step is None else f", both at a time step of {rival.step:g} s"
     rest = [f"{which}: {', '.join(each)}" for which, each in zip(("worse", "better"), others, strict=True) if each]
+    if pd is not None and pd.rival.name != rival.name:
+        name = next(iter(values)).replace("_", " ")
+        whole, own = (float(next(iter(each.values()))) / pd.value for each in (without, values))
+        of_pd = f"{more_or_less(own - 1)} {name} than {_named(pd.rival)}"
+        rest = [f"{of_pd}, of which {what} is worth {100 * (whole - own) * (-1 if larger else 1):.1f} %", *rest]
     return Worth(changes, "; ".join([f"{verdict}: {said} than {than}{step}", *rest]))
+
+
+def _named(rival: Rival) -> str:
+    own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
+    return f"{rival.name} with {own}"
 
 
 def between(
     metrics: Iterable[Values], scored: Iterable[Values], rival: Rival, problem: Problem, place: str = "",
-    over: OverWalks | None = None, level: AtOneStep | None = None,
+    over: OverWalks | None = None, level: AtOneStep | None = None, pd: BesidePd | None = None,
 ) -> Worth:  # fmt: skip
-    """Return the worth of a force sensor, from the metrics and scores of ours and of pd retuned."""
+    """Return the worth of a force sensor, from the metrics and scores of ours and of the best rival without one."""
     (ours, theirs), (values, without) = metrics, scored
     others = differences(ours, theirs, problem.metrics, but=(VARIATION,))
     recovers = problem.law is not None and recovery_of(problem.law, None) is not None
     what = "the force sensor with the recovery" if recovers else "the force sensor"
-    return worth_of(values, without, rival, place=place, others=others, over=over, level=level, what=what)
+    return worth_of(values, without, rival, place=place, others=others, over=over, level=level, what=what, pd=pd)
 
 
 def of_front(found: Front) -> str:

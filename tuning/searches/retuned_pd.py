@@ -1,4 +1,4 @@
-"""pd with joint gains of its own for the same goal: what can be had without a force sensor."""
+"""pd with joint gains of its own for the same goal, and a law that plans: what can be had without a force sensor."""
 
 import dataclasses
 import os
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.control import PD
+from mjx_climb.control import PD, PlannedTransfer
 from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
 from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
@@ -19,28 +19,32 @@ from tuning.methods import parts
 from tuning.methods.rounds import Callback
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.readings import reads_forces
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT, default_bounds
 from tuning.results.tuned import Tuned
 from tuning.searches import tune
 
 NAME = "retuned_pd"  # in tables and files
+PLANNED = "planned_transfer"
 _COARSE = (12, 9)  # values of kp and kd
 FINE = (24, 18)
 _SEEN = ("force_variation", "detached_limb", "diverged")
 ROUNDS, POINTS = 2, 12  # of `least`: grids of so many values of kp and of kd, the next within a cell of the best
 HALVINGS = 2  # of the time step at most, for joint gains that it cannot follow
 ON_A_GRID = "on a grid alone"
+_ROUNDING = 1e-9
 
 
 class Rival(NamedTuple):
-    """pd with kp and kd that were searched, and perhaps the gait, by the keys of a scenario."""
+    """A law without a force sensor, whose gains were searched, and perhaps the gait, by the keys of a scenario."""
 
     joint: Mapping[str, float]
     value: float  # of what was searched for
     lacks: str = ""  # in what it was searched less than it might be, nothing where all its bounds were
     feasible: bool = True  # it keeps all limits
     step: float | None = None  # s, the time step of a comparison, where it is not the scenario's
+    name: str = "pd"
 
 
 def search(
@@ -50,9 +54,11 @@ def search(
     seeds: int = 1,
     out: str | os.PathLike[str] | None = None,
     progress: Callback | None = None,
+    law: mc.Law | None = None,
 ) -> Tuned | None:
-    """Search kp and kd of pd as a law's gains were searched: goal, walks, method and rounds are the same, and the gait.
+    """Search kp and kd of pd, or the gains of a `law` without a force sensor, as a law's gains were searched.
 
+    Goal, walks, method and rounds are the same, and the gait.
     The time step is one that all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were
     searched, it is the one of theirs. The best of `seeds` searches counts, as with a law's. `out` keeps each finished
     round in a folder of its own.
@@ -70,15 +76,26 @@ def search(
     if settings.method == OWN_METHOD and problem.own_method is None:  # of a result that was loaded
         changed |= {"method": "cmaes" if changed["also"] else "gradient", "starts": None, "iterations": None}
     settings, scenario = settings.model_copy(update=changed), under_pd(problem.scenario)
-    space = spaces.space(scenario, settings)
+    space = spaces.space(scenario, settings, law)
     if JOINT.keys().isdisjoint(problem.space.gains):
         scenario = scenario.with_overrides({"time_step": time_step_for(problem.scenario, _highest(space))})
-    rival = dataclasses.replace(problem, scenario=scenario, space=space, law=None)
-    own = None if out is None else Path(out) / parts.FOLDER / NAME
+    rival = dataclasses.replace(problem, scenario=scenario, space=space, law=law)
+    own = None if out is None else Path(out) / parts.FOLDER / (NAME if law is None else PLANNED)
     found = tune.from_seeds(rival, settings, seeds, out=own, progress=progress)
     if found.interrupted:
         raise KeyboardInterrupt
     return found
+
+
+def search_plan(problem: Problem, settings: Search, **how: Any) -> Tuned | None:
+    """Search the gains of `PlannedTransfer` as those of pd are searched; errors as of `search`.
+
+    None where what was searched reads no forces, or where loads cannot be handed over, since one foot is in the air at
+    all times and the duty is not searched.
+    """
+    gait = problem.scenario.gait
+    on_all_feet = "gait.duty" in problem.space.gains or len(gait.places) * (1 - gait.duty) < 1 - _ROUNDING
+    return search(problem, settings, law=PlannedTransfer(), **how) if on_all_feet and reads_forces(problem) else None
 
 
 def walked_on_grid(
@@ -214,7 +231,8 @@ def joint_of(found: Tuned) -> dict[str, float]:
 def rival_of(retuned: Tuned, step: float | None = None) -> Rival:
     """Return the result of `search` as a rival, at a time step of both."""
     lacks = _lacks(retuned.scenario, _highest(spaces.space(retuned.scenario, retuned.search)))
-    return Rival(joint_of(retuned), retuned.value, lacks, retuned.feasible, step)
+    name = "pd" if retuned.law is None else type(retuned.law).__name__
+    return Rival(joint_of(retuned), retuned.value, lacks, retuned.feasible, step, name)
 
 
 def _follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:

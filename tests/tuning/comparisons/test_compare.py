@@ -11,7 +11,7 @@ import xarray as xr
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.control import PD, VirtualModelAdmittance, shifted
+from mjx_climb.control import PD, PlannedTransfer, VirtualModelAdmittance, shifted
 from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.shipped import config_path
@@ -21,6 +21,7 @@ from tuning.comparisons import compare
 from tuning.gains import gains_file
 from tuning.problem.ensemble import Ensemble, draw
 from tuning.problem.evaluation import Problem
+from tuning.problem.readings import reads_forces
 from tuning.problem.search import Search
 
 CASE = config_path("case_1_2.yaml")
@@ -69,6 +70,7 @@ def test_each_law_is_searched_by_what_it_has_of_the_settings(scenario, files):
     assert {name: set(own.space.names) for name, own in found.items()} == {
         "base_admittance": {"damping", "inertia", "kp", "kd"},
         "Shared": {"damping", "inertia", "share", "kp", "kd"},
+        "PlannedTransfer": {"kp", "kd", *(name for name, gain in PlannedTransfer.GAINS.items() if gain.searched)},
         "retuned_pd": {"kp", "kd"},
     }
     assert {(own.search.starts, own.search.iterations) for own in found.values()} in ({compare.FEW}, {compare.MANY})
@@ -83,11 +85,22 @@ def test_laws_have_names_of_their_own_or_given_ones(scenario, files):
     law = VirtualModelAdmittance(1.0, 1e3, 1e4)
     given = {"soft": law, "stiff": "end_effector_admittance", "mine": f"{files}/law.py:Shared"}
     found = compare.contestants(scenario, given, settings())
-    assert list(found) == ["soft", "stiff", "mine", "retuned_pd"]
+    assert list(found) == ["soft", "stiff", "mine", "PlannedTransfer", "retuned_pd"]
     assert found["soft"].law is law and type(found["mine"].law).__name__ == "Shared"
     assert found["stiff"].scenario.control.controller == "end_effector_admittance"
     own = compare.contestants(scenario, [law, PD(), "LoadTransfer"], settings())
-    assert list(own) == ["VirtualModelAdmittance", "LoadTransfer", "retuned_pd"]
+    assert list(own) == ["VirtualModelAdmittance", "LoadTransfer", "PlannedTransfer", "retuned_pd"]
+
+
+def test_a_rival_without_a_sensor_walks_where_a_law_reads_one(scenario):
+    for laws, names in (
+        (["LoadTransfer"], ["LoadTransfer", "PlannedTransfer", "retuned_pd"]),
+        (["PlannedTransfer", "LoadTransfer"], ["PlannedTransfer", "LoadTransfer", "retuned_pd"]),
+        (["FootOffsets"], ["FootOffsets", "retuned_pd"]),
+    ):
+        assert list(compare.contestants(scenario, laws, settings())) == names
+    grid = settings(method="grid", space="isotropic")
+    assert list(compare.contestants(scenario, ["base_admittance"], grid)) == ["base_admittance", "retuned_pd"]
 
 
 @pytest.mark.parametrize(
@@ -149,7 +162,7 @@ class Late(mc.Law):
 
 @pytest.mark.parametrize(("law", "reads"), [(PD(), False), (Deaf(), False), (Late(), True), (None, True)])
 def test_a_law_that_reads_forces_is_known_by_its_program(scenario, law, reads):
-    assert compare.reads_forces(Problem(scenario, law=law)) is reads
+    assert reads_forces(Problem(scenario, law=law)) is reads
 
 
 def test_better_hardware_is_half_or_twice_of_what_was_drawn(scenario):
@@ -191,21 +204,21 @@ def shell(files, tmp_path_factory):
 def test_the_command_writes_table_page_data_and_gains(shell, scenario):
     folder, out, _ = shell
     told = json.loads((folder / "summary.json").read_text())
-    names = ["base_admittance", "Shared", "retuned_pd"]
+    names = ["base_admittance", "Shared", "PlannedTransfer", "retuned_pd"]
     assert list(told["laws"]) == names
     assert {own["points"] for own in told["laws"].values()} == {8}
     searches = {
         (each["seed"], each["points"], each["converged"]) for law in names for each in told["laws"][law]["seeds"]
     }
     assert searches == {(0, 8, False), (1, 8, False)}
-    assert told["verdict"].endswith("not every search of base_admittance, Shared, retuned_pd had converged")
-    assert [own["reads_forces"] for own in told["laws"].values()] == [True, True, False]
+    assert told["verdict"].endswith(f"not every search of {', '.join(names)} had converged")
+    assert [own["reads_forces"] for own in told["laws"].values()] == [True, True, False, False]
     page = html.unescape((folder / "report.html").read_text())
     assert told["verdict"] in out and told["verdict"][1:] in page
     assert "Gains found" in page and "peak joint torque" in page
     rows = [*names, *compare.HARDWARE, "pd"]
     data = xr.load_dataset(folder / "compared.nc", engine="h5netcdf")
-    assert data["gains"].values.tolist() == rows and data["force_variation"].shape == (7, 2, 6)
+    assert data["gains"].values.tolist() == rows and data["force_variation"].shape == (8, 2, 6)
     assert data["seed"].values.tolist() == [0, 1] and (data["search_converged"].sel(gains=names) == 0).all()
     for line in (*rows, "force variation", "peak foot force", "peak pull force", "cost of transport", "share lost"):
         assert line in out
@@ -256,7 +269,8 @@ def made_up(monkeypatch):
         values = gains if isinstance(gains, dict) else vars(gains)
         off = np.log(np.asarray(values["kp"] if values.get("kp") is not None else 50.0) / 40) ** 2
         if law is not None or scenario.control.controller != "pd":
-            off = 0.8 * off - 0.2 + 0.01 * np.log(np.asarray(values["damping"])[..., 0] / 1e3) ** 2
+            own = np.asarray(values["damping"])[..., 0] if "damping" in values else 1e3
+            off = 0.8 * off - 0.2 + 0.01 * np.log(own / 1e3) ** 2
         walk = (
             np.asarray(parameters.contact.stiffness)
             / 1e4
@@ -269,7 +283,7 @@ def made_up(monkeypatch):
         found = {name: level for name in metrics.names}
         found |= {"detached_limb": np.full(level.shape, -1), "diverged": np.zeros(level.shape, bool)}
         found["peak_utilization"] = level / 10
-        lost = np.full(level.shape, -1 if law is None else 1)
+        lost = np.full(level.shape, -1 if law is None or type(law) is PlannedTransfer else 1)
         return found | {"sensor_lost_limb": lost, "sensor_lost_at": np.full(level.shape, 0.25)}
 
     monkeypatch.setattr(mc, "rollout_metrics", rollout_metrics)
@@ -299,7 +313,7 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     whole = run(None)
     in_all = made_up.count((2, 8))
     # both of each of the judged, with pd beside them
-    assert in_all == 2 * 3 * 5 and made_up.count((200, 1)) == 3 * 6
+    assert in_all == 2 * 4 * 5 and made_up.count((200, 1)) == 3 * 7
     made_up.clear()
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, stage)
@@ -312,7 +326,7 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     written = tuning.write(found, tmp_path)
     assert not (tmp_path / "parts").exists()
     assert " is better than pd with its own kp and kd searched (retuned_pd, kp " in written.outcome[-1]
-    assert found.laws == ["base_admittance", "Shared"] and found.hardware == list(compare.HARDWARE)
+    assert found.laws == ["base_admittance", "Shared", "PlannedTransfer"] and found.hardware == list(compare.HARDWARE)
     table = written.summed["value"].sel(metric="force_variation", statistic="mean")
     walks = found.data["force_variation"]
     np.testing.assert_allclose(table, walks.mean(["seed", "member"]), rtol=1e-6)

@@ -181,8 +181,8 @@ GOAL = Objective((Term("force_variation", 3.0, 1.0, 1.0), Term("travel", 1.0, 1.
 METRICS = ["force_variation", "peak_pull_force", "travel"]
 
 
-def compared(data, **how):
-    return paired.compared(data, METRICS, "retuned_pd", GOAL, count=1000, **how)
+def compared(data, baseline="retuned_pd", **how):
+    return paired.compared(data, METRICS, baseline, GOAL, count=1000, **how)
 
 
 def test_a_table_has_what_judge_says_and_which_differences_are_real():
@@ -222,8 +222,8 @@ def test_what_is_lost_counts_and_what_diverges_is_left_out():
 BASE = r"pd with its own kp and kd searched \(retuned_pd\)"
 
 
-def said(data, reading=("mine", "other"), outside=()):
-    return paired.verdict(compared(data), ["mine", "other"], reading, ["half the friction"], outside)
+def said(data, sensor="what a sensor is worth", outside=()):
+    return paired.verdict(compared(data), ["mine", "other"], sensor, ["half the friction"], outside)
 
 
 def test_the_sentence_says_which_law_and_what_sensor_and_hardware_are_worth():
@@ -234,13 +234,28 @@ def test_the_sentence_says_which_law_and_what_sensor_and_hardware_are_worth():
     own, base = map(float, told.groups())
     by = float(re.search(r"by (\d+\.\d)%", law)[1])
     assert found.best == "mine" and 100 * (1 - own / base) == pytest.approx(by, abs=0.1)
-    worth = f"the force sensor is worth {size} of force variation \\(mine\\), {size} of travel \\(mine\\)"
-    assert re.fullmatch(f"{worth}, and 240 walks show none in peak pull force", sensor)
+    assert sensor == "what a sensor is worth"
     assert re.fullmatch(
         f"half the friction would better pd by {size} of its objective, less than by the best of these laws", hardware
     )
-    deaf = said(walks(), reading=()).in_words
-    assert "no law here reads forces" in deaf and deaf.startswith("mine is better")
+    assert said(walks(), "").in_words == f"{law}; {hardware}"
+
+
+def test_a_sensor_is_worth_no_more_than_what_the_best_law_without_one_leaves():
+    """Of a gain of 30 % over pd that another law has to 10 % without a sensor, the sensor is worth 20 % of pd."""
+    data, pd = walks(force_variation=[70, 90, 100, 100, 100], travel=[1] * 5), 2.0
+    table = compared(data.sel(gains=["mine", "other", "pd"]), baseline="other")
+    values = table["value"].sel(metric="objective", statistic="mean")
+    mine, other = (float(values.sel(gains=name)) for name in ("mine", "other"))
+    found = paired.sensor_in_words(table, "mine", pd)
+    size, low, high = map(float, re.search(r"worth (.+)% \((.+) to (.+)%\)", found).groups())
+    assert size == pytest.approx(100 * (other - mine) / pd, abs=0.06) and low < size < high
+    assert found.startswith("of this a force sensor is worth ")
+    assert "mine beside other, the best law that reads no forces, " in found
+    level = compared(walks(force_variation=[90, 90, 100, 100, 100], travel=[1] * 5), baseline="other")
+    assert paired.sensor_in_words(level, "mine", pd, what="reading joint efforts").startswith(
+        "240 walks show no worth of reading joint efforts: mine beside other, the best law that reads no forces: "
+    )
 
 
 def test_the_sentence_says_so_where_no_law_is_better():
@@ -248,7 +263,6 @@ def test_the_sentence_says_so_where_no_law_is_better():
     found = said(walks(**level))
     assert found.best is None
     assert re.match(f"mine cannot be told apart from {BASE} in the objective with 240 walks", found.in_words)
-    assert "240 walks show no worth of the force sensor" in found.in_words
     assert re.search(r"half the friction would better pd by 2\d\.\d% \(.* to .*%\) of its objective", found.in_words)
     nothing = said(walks(**level | {"force_variation": [100] * 5}))
     assert nothing.in_words.endswith("240 walks show no gain for pd by half the friction")
@@ -280,8 +294,8 @@ def test_few_walks_say_nothing_about_the_worst_of_them():
 
 def test_what_had_not_converged_is_said():
     table = compared(walks())
-    plain = paired.verdict(table, ["mine"], ["mine"], [])
-    told = paired.verdict(table, ["mine"], ["mine"], [], unsettled=["mine", "retuned_pd"])
+    plain = paired.verdict(table, ["mine"], "", [])
+    told = paired.verdict(table, ["mine"], "", [], unsettled=["mine", "retuned_pd"])
     assert told.in_words == plain.in_words + "; not every search of mine, retuned_pd had converged"
 
 

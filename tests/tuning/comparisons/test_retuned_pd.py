@@ -1,20 +1,27 @@
 """pd with kp and kd of its own: searched as far as a law, and what is said of the two."""
 
+import types
+from functools import partial
+
 import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.control import LoadTransfer, Recovering
+from mjx_climb.control import FootOffsets, LoadTransfer, PlannedTransfer, Recovering
 from mjx_climb.inputs.time_step import short_enough
 from tuning.comparisons import side_by_side
-from tuning.comparisons.worth import OverWalks, between, worth_of
+from tuning.comparisons.worth import BesidePd, OverWalks, between, worth_of
+from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
-from tuning.searches import retuned_pd
+from tuning.problem.search import Search
+from tuning.searches import retuned_pd, tune
 
 CASE = mc.load_scenario("case_1_2")
 OURS, THEIRS = {"force_variation": 30.0}, {"force_variation": 40.0}
 JOINT = {"kp": 17.0, "kd": 1.0}
 RIVAL = retuned_pd.Rival(JOINT, 40.0)
+DONE = types.SimpleNamespace(interrupted=False)
+BESIDE = BesidePd(40.0, RIVAL)  # pd retuned, where load transfer by plan was searched too
 
 
 @pytest.mark.parametrize(
@@ -136,8 +143,22 @@ def test_a_further_search_of_pd_finds_nothing_better():
     assert walks["force_variation"][holds].min() >= 0.99 * walks["force_variation"][-1]
 
 
+def test_of_a_lead_over_pd_a_sensor_is_worth_what_the_plan_leaves():
+    """30 beside 40 of the plan and 50 of pd: 40 % less than pd, half of which needs the sensor."""
+    plan = RIVAL._replace(name="PlannedTransfer")
+    found = worth_of(OURS, THEIRS, plan, pd=BesidePd(50.0, RIVAL)).in_words
+    assert found == (
+        "the force sensor pays: 25.0 % less force variation than PlannedTransfer with kp 17, kd 1, which needs none; "
+        "40.0 % less force variation than pd with kp 17, kd 1, of which the force sensor is worth 20.0 %"
+    )
+
+
 def test_a_verdict_only_where_pd_was_searched_as_well():
-    worth = worth_of
+    worth = partial(worth_of, pd=BESIDE)
+    alone = worth_of(OURS, THEIRS, RIVAL).in_words
+    assert alone.startswith(
+        "no verdict on the force sensor, since of the laws without one pd alone was searched: 25.0 % less"
+    )
     assert worth(OURS, THEIRS, RIVAL).in_words == (
         "the force sensor pays: 25.0 % less force variation than pd with kp 17, kd 1, which needs none"
     )
@@ -183,7 +204,7 @@ def test_what_a_recovery_saves_is_not_put_down_to_the_sensor_alone(law, what):
     """Of a law that steps to recover pd retuned lacks both."""
     problem, ours = Problem(CASE, law=law), {"force_variation": 30.0}
     both = [dict.fromkeys(mc.METRICS.names, 1.0)] * 2
-    assert between(both, (ours, {"force_variation": 40.0}), RIVAL, problem).in_words.startswith(f"{what}:")
+    assert between(both, (ours, {"force_variation": 40.0}), RIVAL, problem, pd=BESIDE).in_words.startswith(f"{what}:")
 
 
 @pytest.mark.parametrize(("kd", "expected"), [(0.2, None), (1.0, 5e-4)])
@@ -205,4 +226,29 @@ def test_what_is_compared_with_pd_walks_at_the_time_step_that_it_needs_too(kd, e
 )
 def test_nothing_is_claimed_that_one_time_step_of_both_does_not_show(change, said):
     level = side_by_side.AtOneStep(5e-4, change)
-    assert worth_of(OURS, THEIRS, RIVAL, level=level).in_words.startswith(said)
+    assert worth_of(OURS, THEIRS, RIVAL, level=level, pd=BESIDE).in_words.startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("law", "changes", "also", "searched"),
+    [
+        (None, {}, (), False),  # one foot is in the air at all times
+        (None, {"gait.duty": 0.8}, (), True),
+        (None, {}, ("gait.duty",), True),
+        (LoadTransfer(), {"gait.duty": 0.8}, (), True),
+        (PlannedTransfer(), {"gait.duty": 0.8}, (), False),  # it reads no forces
+        (FootOffsets(), {"gait.duty": 0.8}, (), False),
+    ],
+)
+def test_a_plan_is_searched_where_forces_are_read_and_loads_can_be_handed_over(
+    law, changes, also, searched, monkeypatch
+):
+    """As pd is: the same method, rounds and goal, kp and kd too."""
+    scenario, asked = CASE.with_overrides(changes), []
+    settings = Search(method="cmaes", also=also, starts=6, iterations=2)
+    monkeypatch.setattr(tune, "from_seeds", lambda problem, own, *_, **__: asked.append((problem, own)) or DONE)
+    found = retuned_pd.search_plan(Problem(scenario, spaces.space(scenario, settings, law), law=law), settings)
+    assert (found is DONE) == searched == bool(asked)
+    for problem, own in asked:
+        assert type(problem.law) is PlannedTransfer and {"kp", "kd", "load", *also} <= set(problem.space.gains)
+        assert (own.method, own.starts, own.iterations) == ("cmaes", 6, 2)

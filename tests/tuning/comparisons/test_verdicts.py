@@ -68,7 +68,7 @@ def verdict(data, resamples=1000):
     )
     goal = Objective(terms, (), worst=Worst())
     table = paired.compared(data, METRICS, "retuned_pd", goal, shared=[HARDWARE], count=resamples)
-    return paired.verdict(table, LAWS, LAWS, [HARDWARE])
+    return paired.verdict(table, LAWS, "", [HARDWARE])
 
 
 def claims(said):
