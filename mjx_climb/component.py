@@ -20,12 +20,13 @@ from numpy.typing import ArrayLike
 
 from mjx_climb.arrays import AnyArray
 from mjx_climb.value_field import OPEN, ValueField, in_words
+from mjx_climb.value_field import option as option
 from mjx_climb.value_field import parameter as parameter
 
 _NUMBERS = {3: "three", 6: "six"}
 
 
-@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(parameter, dataclasses.field))
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(parameter, option, dataclasses.field))
 class Component:
     """Base of laws, contacts, actuators and disturbances: a subclass becomes a frozen dataclass and a pytree.
 

@@ -119,3 +119,13 @@ def one_in_words(limits: tuple[float, float], whole: bool = False) -> str:
         return f"a {kind}number above 0" + (" and below 1" if high == BELOW_ONE else f", {high:g} at most")
     most = "below 1" if high == BELOW_ONE else f"{high:.0f}" if whole else f"{high:g}"
     return f"a {kind}number from {low:g} to {most}"
+
+
+def option(default: bool | str | float | int, meaning: str) -> Any:
+    """Return the field of a component that is part of the program, by keyword alone: another value compiles anew.
+
+    Arguments:
+        default: its kind is that of the key in a config.
+        meaning: for the keys of a config.
+    """
+    return dataclasses.field(default=default, kw_only=True, metadata={"meaning": meaning})

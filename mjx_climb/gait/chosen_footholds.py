@@ -6,6 +6,7 @@ all feet stay within reach: ahead, or from way point to way point.
 
 import dataclasses
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -14,18 +15,18 @@ from jax import Array
 
 from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
-from mjx_climb.gait.footholds.choice import Candidates, best, within_reach
-from mjx_climb.gait.footholds.footholds import SAME, Footholds, Situation
+from mjx_climb.gait.footholds.choice import Candidates, best
+from mjx_climb.gait.footholds.footholds import Footholds, Situation
 from mjx_climb.gait.footholds.held import Held, pulls_of_holds, upright
+from mjx_climb.gait.footholds.reach import HeightTable, ranges, within_ranges, within_reach
 from mjx_climb.gait.gait import Body
 from mjx_climb.gait.own_swings import OwnSwings, Swings, clock_at
 from mjx_climb.gait.schedule import Plan, Schedule, unswayed
 from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.ground import Holds
-from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry
 from mjx_climb.physics.spatial import norm
-from mjx_climb.robot.constants import Robot
 
+Answer = Callable[[Array], Array]  # for points (limb, 3) m, (limb,) bool
 _SHARES = (0.25, 0.5, 0.75, 1.0)  # of a move of the base, of which the largest is made that the feet allow
 
 
@@ -37,6 +38,8 @@ class ChosenFootholds(OwnSwings):
     moves: int  # of the base in a cycle: the lift-offs
     # m, world, that the base walks to in turn; none: it walks ahead
     way_points: tuple[tuple[float, float], ...] = ()
+    # None: reach by inverse kinematics
+    table: HeightTable | None = dataclasses.field(default=None, metadata={"tree": True})
 
     def init(self) -> tuple[Swings, Reference]:
         """The memory of a robot that stands on its first footholds and has reached no way point."""
@@ -70,8 +73,8 @@ class ChosenFootholds(OwnSwings):
         left = None if memory.held is None else memory.held.normal
         below = body.grip_point[:, 2]
         memory = self.swung(memory, lifts, wait, start=body.grip_point, goal=goal, below=below, held=held, left=left)
-        moves, middle = lifts.any(), middle_of(memory.goal) + plan.base_start - middle_of(plan.footholds)
-        place = towards(self.robot, self.geometry, memory.goal, body.base_rotation, base, middle)
+        moves, reach = lifts.any(), self.reach_at((memory.goal - base) @ body.base_rotation)
+        place = towards(reach, memory.goal, body.base_rotation, base, self.over(memory.goal))
         return memory._replace(
             base_start=jnp.where(moves, base, memory.base_start),
             base_goal=jnp.where(moves, place, memory.base_goal),
@@ -130,20 +133,62 @@ class ChosenFootholds(OwnSwings):
         """
 
         def score(position: Array, one: Candidates) -> Array:
-            return self.rule.score(situation, one.with_feet(position, situation.holding_force))
+            return self.score(situation, position, one)
 
-        allowed = functools.partial(self.allowed, situation, body, ways)
+        allowed = self.allowed(situation, body, ways)
         return best(score, allowed, Candidates.of(self.holds), (situation.feet, held), situation.weight)
 
-    def allowed(self, situation: Situation, body: Body, ways: tuple[Array, Array], position: Array) -> Array:
-        """Which limbs may swing to points (limb, 3) m, (limb,) bool: they reach them, and no other limb is there."""
-        apart = jnp.sum((position[:, None] - situation.feet) ** 2, axis=2) > SAME**2
-        others = ~np.eye(len(position), dtype=bool)
-        free = (apart | ~others).all(1)
-        for way in ways:
-            target = (position - body.base_position - way) @ body.base_rotation
-            free = free & within_reach(self.robot, self.geometry, target)
-        return free
+    def score(self, situation: Situation, position: Array, one: Candidates) -> Array:
+        """How much a hold at (limb, 3) m is worth to each limb, (limb,)."""
+        return self.rule.score(situation, one.with_feet(position, situation.holding_force))
+
+    def allowed(self, situation: Situation, body: Body, ways: tuple[Array, Array]) -> Answer:
+        """Which limbs may swing to points: they reach them, no foot is there, and the base can follow if it must."""
+        reached = self.reached(body, ways)
+        follows = self.follows(situation, body) if self.rule.base_must_follow else reached
+
+        def may(position: Array) -> Array:
+            return reached(position) & self.rule.apart(situation, position) & follows(position)
+
+        return may
+
+    def reached(self, body: Body, ways: tuple[Array, Array]) -> Answer:
+        """Which limbs reach points from the base now, and from a stride on where the rule asks for that."""
+
+        def reached(position: Array) -> Array:
+            here = (position - body.base_position) @ body.base_rotation
+            reach, found = self.reach_at(here), jnp.ones_like(position[:, 0], bool)
+            for way in ways if self.rule.reach_a_stride_on else ways[:1]:
+                found = found & reach(here - way @ body.base_rotation)
+            return found
+
+        return reached
+
+    def follows(self, situation: Situation, body: Body) -> Answer:
+        """Which limbs may swing to points so that these and all feet are in reach of the base in its new place."""
+        feet = (situation.feet - body.base_position) @ body.base_rotation
+        standing, limbs = self.reach_at(feet), np.eye(len(feet), dtype=bool)
+
+        def follows(position: Array) -> Array:
+            point = (position - body.base_position) @ body.base_rotation
+            landed, found = self.reach_at(point), []
+            for limb, own in enumerate(limbs):
+                place = self.over(jnp.where(own[:, None], position, situation.feet))
+                move = (place - body.base_position) @ body.base_rotation
+                found.append(standing(feet - move).all() & landed(point - move)[limb])
+            return jnp.stack(found)
+
+        return follows
+
+    def reach_at(self, points: Array) -> Answer:
+        """Which limbs reach points (limb, 3) m of the base's axes; by the table, as high over the base as `points`."""
+        if self.table is None:
+            return functools.partial(within_reach, self.robot, self.geometry)
+        return functools.partial(within_ranges, self.table, ranges(self.table, points))
+
+    def over(self, feet: Array) -> Array:
+        """Where the base is to be over feet (limb, 3) m, (3,) m: as over those of the rest stance."""
+        return middle_of(feet) + self.plan.base_start - middle_of(self.plan.footholds)
 
 
 def situation_of(plan: Plan, swings: Swings, body: Body, advance: Array) -> Situation:
@@ -160,14 +205,12 @@ def situation_of(plan: Plan, swings: Swings, body: Body, advance: Array) -> Situ
     )  # fmt: skip
 
 
-def towards(
-    robot: Robot, geometry: LimbGeometry | Chain, feet: Array, rotation: Array, start: Array, goal: Array
-) -> Array:
+def towards(reach: Answer, feet: Array, rotation: Array, start: Array, goal: Array) -> Array:
     """Return the place (3,) m of a base on its way from start to goal, as far as feet (limb, 3) m stay within reach."""
     place = start
     for share in _SHARES:
         ahead = start + share * (goal - start)
-        place = jnp.where(within_reach(robot, geometry, (feet - ahead) @ rotation).all(), ahead, place)
+        place = jnp.where(reach((feet - ahead) @ rotation).all(), ahead, place)
     return place
 
 

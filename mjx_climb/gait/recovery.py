@@ -16,8 +16,9 @@ from jax import Array
 
 from mjx_climb.component import Component
 from mjx_climb.control import Law, Reference
-from mjx_climb.gait.footholds.choice import Candidates, best, within_reach
+from mjx_climb.gait.footholds.choice import Candidates, best
 from mjx_climb.gait.footholds.held import upright
+from mjx_climb.gait.footholds.reach import within_reach
 from mjx_climb.gait.gait import Body, Gait
 from mjx_climb.gait.own_swings import OwnSwings, Swings, at_tick, clock_at, with_swings
 from mjx_climb.gait.schedule import Schedule

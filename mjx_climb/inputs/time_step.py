@@ -21,7 +21,7 @@ import numpy as np
 
 from mjx_climb.execution.batch_axes import is_traced
 from mjx_climb.gait.base_path import planned_feet
-from mjx_climb.gait.footholds.choice import within_reach
+from mjx_climb.gait.footholds.reach import within_reach
 from mjx_climb.hardware.actuator import Actuator, JointSpring
 from mjx_climb.hardware.servo import RELAXATION, Servos
 from mjx_climb.inputs.from_scenario import own_parameters

@@ -31,7 +31,8 @@ class _OneLine(_ModelMetaclass):
                 if field.name not in own and (kind := _kind_of(field)) is not None:
                     value: ValueField | None = field.metadata.get("value")
                     default = ... if field.name in required else _default(value, field.default)
-                    description = field.name if value is None else value.description
+                    meaning = field.metadata.get("meaning", field.name)
+                    description = meaning if value is None else value.description
                     namespace[field.name], made[field.name] = Field(default=default, description=description), kind
             namespace["__annotations__"] = made | own
         return super().__new__(mcs, name, bases, namespace, **options)

@@ -23,6 +23,7 @@ from mjx_climb.control import Law
 from mjx_climb.control.law import Reference, constants, measurement_at
 from mjx_climb.disturbances.disturbance import Body, External, sum_of
 from mjx_climb.gait.chosen_footholds import ChosenFootholds
+from mjx_climb.gait.footholds.reach import HeightTable, height_table
 from mjx_climb.gait.free_order import FreeOrder
 from mjx_climb.gait.gait import Body as WholeBody
 from mjx_climb.gait.gait import Gait
@@ -103,7 +104,9 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     """The walk of a setup, beside the constants that all robots of this structure share."""
     robot = structure.robot
     geometry = limb_geometry(robot, setup.parameters.contact.transmits_moments)
-    robot, geometry = _in_precision((robot, geometry), setup.parameters.gravity.dtype)
+    rule = setup.parameters.footholds
+    table = height_table(robot, geometry) if rule is not None and rule.reach_by_height else None
+    robot, geometry, table = _in_precision((robot, geometry, table), setup.parameters.gravity.dtype)
     robot = execution.of_limbs(robot)  # from here on execution knows which arrays have the limbs first
     parameters, actuator = setup.parameters, setup.parameters.drive
     contact = parameters.contact.set_up(structure.time_step)
@@ -113,11 +116,13 @@ def walk_of(structure: Structure, setup: Setup) -> Walk:
     # asked before the limit is taken away: without one, margins are those of bare feet
     holding_force = jnp.asarray(contact.holding_force())
     contact = contact.unbreakable() if structure.smooth else contact
-    gait = _gait_of(structure, setup, robot, geometry)
+    gait = _gait_of(structure, setup, robot, geometry, table)
     return Walk(robot, parameters, gait, contact, holding_force, controller, structure)
 
 
-def _gait_of(structure: Structure, setup: Setup, robot: Robot, geometry: LimbGeometry | Chain) -> Gait:
+def _gait_of(
+    structure: Structure, setup: Setup, robot: Robot, geometry: LimbGeometry | Chain, table: HeightTable | None
+) -> Gait:
     rule, recovery = setup.parameters.footholds, recovery_of(setup.law, setup.parameters.recovery)
     own = setup.plan, structure.time_step, structure.base_reference == "actual"
     if not structure.planning:
@@ -125,7 +130,7 @@ def _gait_of(structure: Structure, setup: Setup, robot: Robot, geometry: LimbGeo
     of_limbs = *own, robot, geometry, setup.parameters.ground.holds, structure.planning
     moves = len(structure.lift_off if structure.free else {share for _, share in structure.lift_off})
     kind = FreeOrder if structure.free else ChosenFootholds
-    found = OwnSwings(*of_limbs) if rule is None else kind(*of_limbs, rule, moves, structure.way_points)
+    found = OwnSwings(*of_limbs) if rule is None else kind(*of_limbs, rule, moves, structure.way_points, table)
     return found if recovery is None else RecoveringGait(found, recovery)
 
 

@@ -10,6 +10,7 @@ from mjx_climb.inputs.from_scenario import stages_under_trace
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.equations_of_motion import ENGINES
+from mjx_climb.physics.inverse_kinematics import Chain, limb_geometry
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
@@ -60,6 +61,10 @@ def structure(
     """
     if parameters.footholds is not None and parameters.ground.holds is None:
         raise ConfigError("", "gait.footholds", "planned, as the ground has no holds to choose among")
+    if parameters.footholds is not None and parameters.footholds.reach_by_height:
+        if isinstance(limb_geometry(load_robot(scenario.robot)), Chain):
+            expected = "false for limbs other than of a yaw joint and two parallel pitch joints"
+            raise ConfigError("", "gait.footholds.reach_by_height", expected, True)
     if parameters.footholds is None and scenario.gait.order == "free":
         raise ConfigError("", "gait.order", "periodic with planned footholds", "free")
     if parameters.footholds is None and scenario.gait.way_points:

@@ -13,9 +13,9 @@ import pytest
 from mjx_climb.gait.base_path import sway_of, swayed
 from mjx_climb.gait.chosen_footholds import ChosenFootholds, situation_of
 from mjx_climb.gait.footholds import BestMargin, Farthest, Nearest
-from mjx_climb.gait.footholds.choice import within_reach
 from mjx_climb.gait.footholds.footholds import Situation
 from mjx_climb.gait.footholds.held import Held
+from mjx_climb.gait.footholds.reach import within_reach
 from mjx_climb.gait.free_order import FreeOrder
 from mjx_climb.gait.gait import Body
 from mjx_climb.gait.own_swings import OwnSwings, Swings, clock_at
@@ -304,11 +304,15 @@ def test_a_limb_swings_to_the_best_hold_that_it_reaches_from_both_ends_and_that_
             may = far & both_ends[limb] & (np.arange(len(position)) < len(position) - 1)
             step = position - feet[limb]
             ahead = step @ forward
-            near = may & (ahead > 0) & (np.linalg.norm(step, axis=1) <= 0.2)
+            near = both_ends[limb] & (np.arange(len(position)) < len(position) - 1)
+            near = near & (ahead > 0) & (np.linalg.norm(step, axis=1) <= 0.2)
             assert prospects.near[limb] == near.sum()
             assert prospects.farthest[limb] == pytest.approx(max(ahead[may], default=-np.inf))
             best = by_loops.nearest(position, np.tile(may, (4, 1)), np.asarray(situation.planned))[limb]
             chosen.append(best)
+            away = np.linalg.norm(position - situation.planned[limb], axis=1)
+            nearer = away < (np.inf if best == by_loops.NONE else away[best])
+            assert prospects.in_vain[limb] == (near & nearer).sum()
             if best == by_loops.NONE:
                 np.testing.assert_array_equal(place[limb], feet[limb])
                 np.testing.assert_array_equal(on.bound[limb], np.inf)

@@ -9,16 +9,10 @@ from jax import Array
 from jax.lax import stop_gradient
 from jaxtyping import PyTree
 
-from mjx_climb.arrays import AnyArray
 from mjx_climb.gait.footholds.footholds import Candidate, pull_of_grip
 from mjx_climb.gait.footholds.held import Held, hold_axes, of_some
 from mjx_climb.ground import Holds, pull_within
-from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics
 from mjx_climb.physics.kinematics import UP
-from mjx_climb.robot.constants import Robot
-
-_SPARE = 0.05  # of the length of a limb, which is never stretched farther
-_ROUNDS = 4  # of inverse kinematics without a closed form, from the rest stance
 
 
 class Candidates(NamedTuple):
@@ -77,18 +71,3 @@ def best(
     normal, matrix, bound = hold
     axes = jnp.stack([hold_axes(each, weight) for each in normal])
     return place, of_some(worth > -jnp.inf, Held(normal, matrix @ axes.mT, bound), held)
-
-
-def within_reach(robot: Robot, geometry: LimbGeometry | Chain, target: AnyArray) -> AnyArray:
-    """Return whether limbs reach points (limb, 3) m of the base's axes within their joints' limits, (limb,) bool.
-
-    They must reach a little farther from their first joints: a limb that is stretched straight cannot give way, and
-    its joint gains are stiffer at the foot than a time step allows.
-    """
-    target = target + _SPARE * (target - robot.frame_position[:, 0])
-    solution = inverse_kinematics(geometry, target)
-    if isinstance(geometry, Chain):
-        for _ in range(_ROUNDS - 1):
-            solution = inverse_kinematics(geometry, target, solution.joint_angles)
-    angles = solution.joint_angles
-    return solution.reachable & ((angles >= robot.joint_lower) & (angles <= robot.joint_upper)).all(-1)

@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.arrays import AnyArray
-from mjx_climb.component import Component
+from mjx_climb.component import Component, option
+from mjx_climb.physics.spatial import norm
 
 SAME = 1e-3  # m, points nearer to each other than this are one
 AHEAD = 0.2  # m, within which holds ahead of a limb are counted, as in ClimbLab
@@ -39,25 +41,40 @@ class Prospects(NamedTuple):
     """What limbs have before them."""
 
     farthest: Array  # (limb,) m, way to the farthest hold that may be chosen; -inf: there is none
-    near: Array  # (limb,) number of those ahead within `AHEAD`
+    near: Array  # (limb,) number of holds in reach ahead within `AHEAD`
+    in_vain: Array  # (limb,) number of those that are worth more than the best one that may be chosen
 
     @classmethod
     def none(cls, feet: Array) -> "Prospects":
         """Those of feet (limb, 3) without a hold."""
         nothing = jnp.zeros_like(feet[:, 0])
-        return cls(nothing - jnp.inf, nothing)
+        return cls(nothing - jnp.inf, nothing, nothing)
 
 
 class Footholds(Component, abc.ABC):
     """Base of the rules: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `parameter` are its values. `score` is written for one robot and one point; the gait calls it for
-    each point in turn. Derivatives pass with the choice frozen.
+    each point in turn. Derivatives pass with the choice frozen. What limbs reach is the same for all rules, by options.
     """
+
+    reach_a_stride_on: bool = option(True, "a hold must be in reach from the base a stride further on, too")
+    reach_by_height: bool = option(
+        False, "reach by ClimbLab's table of reach by height; false: by inverse kinematics with 5 % of a limb to spare"
+    )
+    base_must_follow: bool = option(
+        False,
+        "no step that leaves a foot out of reach of the base in its new place; false: the base goes as far as it can",
+    )
 
     @abc.abstractmethod
     def score(self, situation: Situation, candidate: Candidate) -> Array:
         """How much a point is worth to each limb, (limb,); of several the largest is chosen, -inf is never chosen."""
+
+    def apart(self, situation: Situation, position: Array) -> Array:
+        """Whether points (limb, 3) m are far enough from where feet stand, (limb,) bool: those of other limbs."""
+        others = ~np.eye(len(position), dtype=bool)
+        return jnp.asarray((norm(position[:, None] - situation.feet) > SAME) | ~others).all(1)
 
     def limb_worth(self, prospects: Prospects) -> Array:
         """How much it is worth that each limb is next, (limb,), where the order is free: of equal ones the first is."""

@@ -1,0 +1,131 @@
+"""By ClimbLab's options the planner chooses what ClimbLab's own functions choose: limb and hold in 225 states."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.gait.footholds import ClimbLab
+from mjx_climb.gait.footholds.footholds import Situation
+from mjx_climb.gait.footholds.reach import height_table, outward
+from mjx_climb.gait.free_order import FreeOrder
+from mjx_climb.ground import Holds
+from mjx_climb.physics.inverse_kinematics import limb_geometry
+from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.scenario.messages import ConfigError
+from tests.gait.test_planner_decisions import LEVEL, PERIOD, PLAN, ROBOT, STEP, body_of
+
+STATES = dict(np.load(Path(__file__).parents[1] / "reference" / "climblab_nonperiodic.npz"))
+COUNT, BASE = STATES["count"], np.array([0.0, 0.0, 0.11])
+NONE = -1
+# ClimbLab has the base upright over the crossing of the diagonals
+
+
+def padded(values):
+    """Return values of each state's holds, (state, most, ...), those that a state lacks 0."""
+    found = np.zeros((len(COUNT), COUNT.max(), *values.shape[1:]))
+    for row, own in zip(found, np.split(values, np.cumsum(COUNT)[:-1]), strict=True):
+        row[: len(own)] = own
+    return found
+
+
+POINTS, VALID = padded(STATES["points_um"] * 1e-6), padded(np.ones(COUNT.sum()))
+REACH = padded(np.unpackbits(STATES["reach"], axis=1, count=int(COUNT.sum())).T).astype(bool)
+FEET = np.take_along_axis(POINTS, STATES["feet"][..., None], 1)
+
+
+def planned(rule):
+    """Return what a planner decides in each state: limb and hold, each limb's hold, base's place, and the reach."""
+    geometry = limb_geometry(ROBOT)
+    table = height_table(ROBOT, geometry) if rule.reach_by_height else None
+    plan = PLAN._replace(base_start=jnp.asarray(BASE))
+
+    @jax.jit
+    @jax.vmap
+    def decide(points, valid, feet):
+        up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), points.shape)
+        holds = Holds(points, up, jnp.zeros((len(points), 0, 3)), jnp.zeros((len(points), 0)), valid)
+        gait = FreeOrder(plan, STEP, False, ROBOT, geometry, holds, PERIOD, rule, 4, (), table)
+        memory, _ = gait.init()
+        memory = memory._replace(goal=feet, base_goal=jnp.asarray(BASE))
+        body = body_of(base_position=BASE, base_rotation=LEVEL)._replace(feet=feet, grip_point=feet)
+        now = gait.schedule(memory, jnp.asarray(0))
+        found = gait.lift_off(memory, now, jnp.asarray(BASE), body)
+        ways = jnp.zeros(3), plan.advance
+        forward, zero = jnp.array([1.0, 0, 0]), jnp.zeros(3)
+        situation = Situation(feet, feet, forward, jnp.ones(4, bool), zero, zero, jnp.asarray(0.0), 0 * feet)
+        each, _ = gait.choose(situation, body, ways, memory.held)
+        reached = jax.vmap(lambda point: gait.reached(body, ways)(jnp.broadcast_to(point, (4, 3))))(points)
+        return found.begun > memory.begun, found.goal, each, found.base_goal, reached
+
+    lifts, goal, each, base, reached = map(np.asarray, decide(POINTS, VALID, FEET))
+    limb = np.where(lifts.any(1), lifts.argmax(1), NONE)
+    number = [[numbered(n, place) for place in row] for n, row in enumerate(each)]
+    hold = [numbered(n, goal[n, k]) if k != NONE else NONE for n, k in enumerate(limb)]
+    return limb, np.array(hold), np.array(number), base, reached
+
+
+def numbered(state, place):
+    """Return which hold of a state is at a place, NONE for that of the limb itself."""
+    same = (POINTS[state] == place).all(1) & (VALID[state] > 0)
+    return int(same.argmax()) if same.any() else NONE
+
+
+@pytest.mark.slow
+def test_with_climblabs_options_all_choices_are_climblabs():
+    limb, hold, of_limb, base, reached = planned(ClimbLab())
+    np.testing.assert_array_equal(limb, STATES["limb"])
+    np.testing.assert_array_equal(hold, STATES["hold"])
+    own = np.arange(4) * 0 + STATES["feet"]
+    # where ClimbLab ends, a limb stays on its hold
+    np.testing.assert_array_equal(of_limb, np.where(STATES["of_limb"] == NONE, own, STATES["of_limb"]))
+    np.testing.assert_array_equal(reached[VALID > 0], REACH[VALID > 0])
+    moves = limb != NONE
+    np.testing.assert_allclose(base[moves, :2], STATES["base_next"][moves, :2], rtol=0, atol=2e-6)
+
+
+OPTIONS = {"reach_a_stride_on": False, "reach_by_height": True, "base_must_follow": True}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPTIONS)
+def test_each_option_decides_some_choices(name):
+    """Without one of ClimbLab's options some choices are others."""
+    limb, hold, _, _, reached = planned(dataclasses.replace(ClimbLab(), **{name: not OPTIONS[name]}))
+    assert 0.5 < ((limb == STATES["limb"]) & (hold == STATES["hold"])).mean() < 1
+    same = (reached[VALID > 0] == REACH[VALID > 0]).mean()
+    assert (same == 1) == (name == "base_must_follow") and same > 0.9
+
+
+def test_the_table_of_reach_has_climblabs_rows():
+    """At a height the row counts that is nearest, of rows every half degree with the other joint at an end."""
+    table, height = height_table(ROBOT, limb_geometry(ROBOT)), np.linspace(-0.25, 0.3, 2000)
+    lower, upper = np.degrees(ROBOT.joint_lower[0]), np.degrees(ROBOT.joint_upper[0])
+    femur, tibia = (np.arange(lower[n], upper[n] + 0.25, 0.5) for n in (1, 2))
+
+    def rows(femur, tibia):
+        """Distance from the first joint in the limb's plane, and height, by forward kinematics."""
+        joints = np.zeros((max(np.size(femur), np.size(tibia)), 4, 3))
+        joints[..., 1], joints[..., 2] = np.radians(femur)[..., None], np.radians(tibia)[..., None]
+        foot = np.asarray(limb_frames(ROBOT, None, joints).foot)[:, 0] - ROBOT.frame_position[0, 0]
+        return np.column_stack([foot[:, :2] @ np.sqrt([0.5, 0.5]), foot[:, 2]])
+
+    far = np.vstack([rows(lower[1:2], tibia), rows(femur, upper[2:])])
+    lowest = far[:, 1].argmin()
+    near = np.vstack([far[: lowest + 1], rows(femur, lower[2:]), rows(upper[1:2], tibia)])
+    each = jax.jit(jax.vmap(lambda z: [outward(arcs, jnp.full(4, z)) for arcs in (table.near, table.far)]))(height)
+    for found, (out, up) in zip(each, (near.T, far[lowest:].T), strict=True):
+        want = out[abs(up - height[:, None]).argmin(1)]
+        np.testing.assert_allclose(found, np.tile(want[:, None], 4), rtol=0, atol=1e-9)
+
+
+def test_limbs_without_a_table_are_refused():
+    arms = mc.load_scenario("configs/station_arms_handrail.yaml")
+    keys = {"robot": arms.robot, "gait.sequence": arms.gait.sequence, "gait.footholds": "climblab"}
+    scenario = mc.load_scenario("configs/climb_rock.yaml").with_overrides(keys)
+    with pytest.raises(ConfigError, match=r"footholds.reach_by_height: expected false for limbs other than"):
+        mc.Simulation(scenario).metrics()
