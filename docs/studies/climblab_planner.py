@@ -1,6 +1,6 @@
 """How ClimbLab's planner and this one differ: each option of the choice, by choices and by arrivals.
 
-    python docs/studies/climblab_planner.py results/climblab_planner.csv
+    JAX_ENABLE_X64=1 python -m docs.studies.climblab_planner results/climblab_planner.csv
 
 Choices are those of the 225 states of `tests/reference/climblab_nonperiodic.npz`. Walks go 0.5 m ahead in a free order
 by ClimbLab's rule: on 8 grids of holds every 6 cm, which begin anywhere within a pitch, and on 16 grounds with 400
@@ -14,7 +14,6 @@ import itertools
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 import mjx_climb as mc
@@ -64,7 +63,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     out = parser.parse_args().out
-    jax.config.update("jax_enable_x64", True)
     scenario = mc.load_scenario("configs/climb_rock.yaml").with_overrides(KEYS)
     rows = []
     for own in itertools.product(*([value, not value] for value in CLIMBLAB.values())):

@@ -190,8 +190,7 @@ def test_the_plane_of_a_hold_counts_near_it_and_its_limit_where_it_is_held():
 @pytest.mark.slow
 def test_different_grounds_are_one_program_and_each_walks_as_alone(soft, rock):
     """Three grounds in a batch walk as each does alone, and neighbours change no bit."""
-    # the base goes as far as it can, so that every limb finds a hold
-    own, rule = own_parameters(soft), ClimbLab(stride_cap=0.05, base_must_follow=False)
+    own, rule = own_parameters(soft), Nearest()
 
     def walked(points):
         return mc.rollout_metrics(
