@@ -131,6 +131,21 @@ class Parameters:
     def replace(self, values: Mapping[str, Any]) -> "Parameters":
         """Parameters with other values, with any batch axes, at some paths.
 
+        Gains that registers hold follow the torque at standstill, `hardware.servo.torque_limit`.
+
+        Raises:
+            ValueError: no such path.
+        """
+        limit = f"{SECTIONS['drive']}.torque_limit"
+        if limit in values and getattr(self.drive, "in_registers", False):
+            by = values[limit] / self.at(limit)
+            gains = {f"{SECTIONS['joint_loop']}.{name}": name for name in self.joint_loop.VALUES}
+            values = {path: getattr(self.joint_loop, name) * by for path, name in gains.items()} | dict(values)
+        return self.replace_alone(values)
+
+    def replace_alone(self, values: Mapping[str, Any]) -> "Parameters":
+        """`replace`, without what follows from the values.
+
         Raises:
             ValueError: no such path.
         """

@@ -63,6 +63,7 @@ class Servos(declared.Servos, Actuator):
     """
 
     drive: str = "torque"
+    in_registers: bool = False  # gains are held as shares of the torque at standstill, and follow it
     # the hardware that a walk is set up with
     hardware: Hardware | None = dataclasses.field(default=None, metadata={"tree": True})
 

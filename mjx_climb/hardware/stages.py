@@ -226,7 +226,7 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
     ):  # fmt: skip
         if path in known and robot is not None and getattr(robot, own) is not None:
             changed[path] = combined(changed.get(path, known[path]), getattr(robot, own))
-    return Hardware(parameters.replace(changed), pace, stages, time_step)
+    return Hardware(parameters.replace_alone(changed), pace, stages, time_step)
 
 
 def _at_supply_voltage(parameters: Parameters, stages: Stages) -> Parameters:
@@ -241,4 +241,4 @@ def _at_supply_voltage(parameters: Parameters, stages: Stages) -> Parameters:
     supply, rated = (jnp.where(known, volts, 1.0) for volts in (servos.supply_voltage, servos.rated_voltage))
     paths = [f"{_SERVO}.torque_limit", f"{_SERVO}.no_load_speed"]
     paths += [f"{SECTIONS['joint_loop']}.{gain}" for gain in _JOINT_GAINS] if stages.voltage else []
-    return parameters.replace({path: parameters.at(path) * (supply / rated) for path in paths})
+    return parameters.replace_alone({path: parameters.at(path) * (supply / rated) for path in paths})

@@ -63,15 +63,17 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
     robot = load_robot(scenario.robot)
     ground: dict[str, Any] = {"foothold_height": foothold_heights(scenario, robot), "holds": holds_of(scenario.ground)}
 
-    def made(place: str, section: Any, plain: type[Component] = Component) -> Any:
-        return component_of(section, place, source) if isinstance(section, Kind) else _of_section(plain, section)
+    def made(place: str, section: Any, plain: type[Component] = Component, **given: object) -> Any:
+        if isinstance(section, Kind):
+            return component_of(section, place, source)
+        return _of_section(plain, section, **given)
 
     contact = made("contact", scenario.contact, Gripper).compiled_for()
     return Parameters(
         gravity=np.asarray(scenario.gravity, float),
         mass_scale=np.asarray(1.0),
         contact=contact,
-        drive=made("hardware.servo", hardware.servo, Servos),
+        drive=made("hardware.servo", hardware.servo, Servos, in_registers=_in_registers(hardware.servo)),
         joint_loop=_of_section(JointLoop, control, safe_kp=control.kp if control.safe_kp is None else control.safe_kp),
         force_sensor=_of_section(
             ForceSensors, hardware.force_sensor, dead=[instants.get(limb, math.inf) for limb in robot.limbs]
@@ -90,6 +92,10 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         footholds=_footholds(scenario, source),
         recovery=_recovery(scenario),
     )
+
+
+def _in_registers(section: Any) -> bool:
+    return getattr(section, "registers", None) is not None
 
 
 def _of_section(kind: type[AnyComponent], section: BaseModel, **given: object) -> AnyComponent:

@@ -79,6 +79,10 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
         RobotError: in one line, the key of the config, the expected and the found.
     """
     spec, robot, offset = unposed(source)
+    if source.height is None:
+        position = spec.body("base").pos
+        spec.add_key(name="stance", qpos=[*position, 1, 0, 0, 0, *np.zeros(robot.stance_joints.size)])
+        return spec
     limbs = dict(source.limbs.items())
     feet = np.array([[*limbs[name].foothold, -source.height] for name in robot.limbs]) - offset
     joints = limb_joints(robot, feet)
@@ -94,11 +98,13 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
 
 
 def check_stance(scenario: Scenario, source: str = "scenario") -> None:
-    """Refuse a rest stance with a singular limb: it cannot move its foot every way, or turn it as its grip asks.
+    """Refuse a stand, and a stance in which a limb is singular: it cannot move its foot every way, or turn it.
 
     Raises:
-        ConfigError: in one line, the limb and the smallest singular value of its Jacobian.
+        ConfigError: in one line, the key; or the limb and the smallest singular value of its Jacobian.
     """
+    if isinstance(scenario.robot, RobotFile) and scenario.robot.on_stand:
+        raise ConfigError(source, "robot.height", "a height, to walk", "null: a robot on a stand")
     if wrong := _singular_limb(load_robot(scenario.robot), scenario.value("contact.rotational_stiffness", 0.0) > 0):
         raise wrong.moved(source=source)
 

@@ -114,6 +114,7 @@ class _Link(NamedTuple):
     inertia: np.ndarray  # (3, 3) kg m^2 about the centre
 
 
+_HELD = _Link(1.0, np.zeros(3), 0.01 * np.eye(3))  # a base that is held, and that its file gives no mass
 _PAD = _Link(1e-9, np.zeros(3), 1e-12 * np.eye(3))  # of a joint that only fills up a limb, at its foot
 
 
@@ -135,6 +136,8 @@ class _File:
         }
         self.base = self._inner(next(iter(self.chains.values()))[0])[1]
         self.trunk = self.link(self.base)
+        if source.on_stand and not self.trunk.mass:
+            self.trunk = _HELD._replace(center=self.trunk.center)
         for wrong in self._wrong():
             raise refusal(source, *wrong)
 
@@ -167,7 +170,7 @@ class _File:
         begins = f"all limbs to begin at one base link, as {next(iter(self.chains))} does at {base!r}"
         for limb, chain in self.chains.items():
             inner, body = self._inner(chain[0])
-            if body != self.base or body == 0 or inner >= 0:
+            if body != self.base or (body == 0 and not self.source.on_stand) or inner >= 0:
                 yield f"limbs.{limb}.joints", begins, repr(model.body(body).name), names[chain[0]]
         own = model.body_rootid == model.body_rootid[self.base]  # bodies of the robot
         for joint in ours:
@@ -222,6 +225,8 @@ class _File:
     def foot(self, limb: str) -> np.ndarray:
         """Return the foot of a limb, (3,) m in world axes: a site or a body fixed to the last link."""
         model, (name, last) = self.model, (self.limbs[limb].foot, self.chains[limb][-1])
+        if name is None:
+            return self.link(int(model.jnt_bodyid[last])).center
         site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
         body = model.site_bodyid[site] if site >= 0 else mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if body < 0:
@@ -257,6 +262,8 @@ def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
         head = beginning(names)
         return head, beginning([name[len(head) :][::-1] for name in names])[::-1]
 
+    if len(limbs) == 1:
+        return list(limbs[0])
     places = [[re.split(r"[\W_]+", name) for name in place if name] for place in itertools.zip_longest(*limbs)]
     words = [list(itertools.chain(*shared(place))) for place in places]
     head, tail = shared(words)

@@ -21,7 +21,7 @@ from mjx_climb.scenario.yaml_text import Dumper, assign, pairs, parse
 
 MAX_STEPS = 10_000_000
 MAX_DELAY = 500  # time steps: each is a sample of a buffer, which a step reads whole
-MIN_LIMBS, MAX_LIMBS = 2, 8
+MIN_LIMBS, MAX_LIMBS = 2, 8  # of a robot that walks
 SHIPPED_LIMBS = ("LF", "LH", "RH", "RF")  # of the robots known by name
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
 _ROUNDING = 1e-9
@@ -591,24 +591,18 @@ class Limb(v.Section):
     """One limb of a robot from a file."""
 
     joints: v.JointNames = Field(description="names of its joints, two to seven, from the base outwards")
-    foot: v.Word = Field(description="name of the site, body or link that is the foot")
+    foot: v.Word | None = setting(None, "name of the site, body or link that is the foot; null: none, on a stand")
     at: v.Vector = setting((0.0, 0.0, 0.0), "where on it the foot is, in its own frame, m")
-    foothold: v.Pair = Field(
-        description="where the foot stands in the rest stance: x ahead, y left, base link's frame, m"
+    foothold: v.Pair | None = setting(
+        None, "where the foot stands in the rest stance: x ahead, y left, base link's frame, m; null: on a stand"
     )
 
 
 class Limbs(_ByName):
-    """The limbs of a robot from a file, two to eight, by names of the user's choice."""
+    """The limbs of a robot from a file, two to eight, or one on a stand, by names of the user's choice."""
 
-    model_config = ConfigDict(json_schema_extra={"minProperties": MIN_LIMBS, "maxProperties": MAX_LIMBS})
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": MAX_LIMBS})
     __pydantic_extra__: dict[str, Limb]
-
-    @model_validator(mode="after")
-    def _some(self) -> Limbs:
-        if not MIN_LIMBS <= len(self.items()) <= MAX_LIMBS:
-            raise failure(f"{MIN_LIMBS} to {MAX_LIMBS} limbs", got=len(self.items()))
-        return self
 
 
 class Locked(_ByName):
@@ -635,7 +629,11 @@ class RobotFile(v.Section):
     """A robot of your own; its base link's axes are x ahead, y left, z up."""
 
     file: v.FileName = Field(description="MJCF (.xml) or URDF (.urdf); beside the config, if the path is relative")
-    height: v.Positive = Field(description="height of the base link's frame over the ground in the rest stance, m")
+    height: v.Positive | None = setting(
+        None,
+        "height of the base link's frame over the ground in the rest stance, m; null: the base is held on a stand, "
+        "joints rest at 0, and nothing walks",
+    )
     base: v.Word | None = setting(
         None, "body that the limbs begin at, where the file's root is a foot; null: as in the file"
     )
@@ -645,8 +643,28 @@ class RobotFile(v.Section):
 
     @property
     def in_order(self) -> dict[str, Limb]:
-        """The limbs counter-clockwise from straight ahead, as the stability margins need them."""
-        return dict(sorted(self.limbs.items(), key=lambda item: math.atan2(*item[1].foothold[::-1]) % (2 * math.pi)))
+        """The limbs counter-clockwise from straight ahead, as the stability margins need them; on a stand as named."""
+        at = {name: limb.foothold or (0.0, 0.0) for name, limb in self.limbs.items()}
+        return dict(sorted(self.limbs.items(), key=lambda item: math.atan2(*at[item[0]][::-1]) % (2 * math.pi)))
+
+    @property
+    def on_stand(self) -> bool:
+        """Whether the base is held, and nothing walks."""
+        return self.height is None
+
+    @model_validator(mode="after")
+    def _stands_on_feet(self) -> RobotFile:
+        limbs = dict(self.limbs.items())
+        least = 1 if self.on_stand else MIN_LIMBS
+        if not least <= len(limbs) <= MAX_LIMBS:
+            raise failure(f"{least} to {MAX_LIMBS} limbs", key="limbs", got=len(limbs))
+        for name, limb in limbs.items() if not self.on_stand else ():
+            for key in ("foot", "foothold"):
+                if getattr(limb, key) is None:
+                    raise failure("a value, as the robot has a height", key=f"limbs.{name}.{key}", got=None)
+            if len(limb.joints) < 2:
+                raise failure("two joints or more of a limb that walks", key=f"limbs.{name}.joints", got=limb.joints)
+        return self
 
 
 AnyRobot = Annotated[
@@ -760,6 +778,8 @@ class Scenario(v.Section):
 
     @model_validator(mode="after")
     def _limbs_are_the_robots_and_one_stands(self) -> Scenario:
+        if isinstance(self.robot, RobotFile) and self.robot.on_stand:
+            return self
         gait, limbs = self.gait, SHIPPED_LIMBS if isinstance(self.robot, str) else tuple(dict(self.robot.limbs.items()))
         known = f"the {NUMBERS[len(limbs)]} limbs {', '.join(limbs)}"
         swings = list(gait.lift_off) if gait.phases is not None else [limb for place in gait.places for limb in place]

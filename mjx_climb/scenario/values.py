@@ -198,8 +198,8 @@ Heights = Annotated[
 ]
 JointNames = Annotated[
     tuple[Word, ...],
-    Field(min_length=2, max_length=7),
-    _expects("a list of two to seven joint names, from the base outwards"),
+    Field(min_length=1, max_length=7),
+    _expects("a list of one to seven joint names, from the base outwards"),
 ]
 _LimbName = Annotated[str, Strict(), AfterValidator(_is_name)]
 Swings = Annotated[

@@ -438,3 +438,17 @@ def test_the_linear_limit_has_back_emf_and_integral_term_in_the_loop():
     )
     pulled = float(spectral_radius(motors.with_overrides({"control.ki": 1e4}), {}))
     assert pulled > 1.0001 > ours
+
+
+def test_gains_in_registers_follow_the_torque_at_standstill_in_parameters_as_in_a_config():
+    """A fit, a draw and a sweep change parameters; kp stayed at 0.685 where the config that is written has 1.548."""
+    held = {"registers": {"p": 850, "i": 40}, "register_scale": {"p": 6e-3, "i": 0.01}}
+    scenario = mc.Scenario().with_overrides({"hardware.servo": {**held, "torque_limit": 8.0}})
+    for changes in ({"hardware.servo.torque_limit": 5.0}, {"hardware.servo.torque_limit": 5.0, "control.kp": 20.0}):
+        found = mc.parameters(scenario).replace(changes)
+        expected = mc.parameters(scenario.with_overrides(changes))
+        for path in ("control.kp", "control.ki", "control.kd", "hardware.servo.torque_limit"):
+            if not (path == "control.ki" and "control.kp" in changes):  # without registers gains stay
+                np.testing.assert_allclose(found.at(path), expected.at(path), rtol=1e-6)
+    drawn = mc.parameters(scenario).replace({"hardware.servo.torque_limit": np.array([4.0, 16.0])})
+    np.testing.assert_allclose(drawn.at("control.kp"), 850 * 6e-3 * np.array([4.0, 16.0]), rtol=1e-6)

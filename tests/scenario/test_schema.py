@@ -70,7 +70,7 @@ def test_what_loads_is_valid(schema, data):
         {"gravty": [0, 0, -9.81]},
         {"gait": {"duty": 1.5}},
         {"gait": {"sequence": ["LF"]}},
-        {"robot": ROBOT | {"limbs": {"LF": LIMB}}},
+        {"robot": ROBOT | {"limbs": {}}},
         {"robot": {"file": "robot.urdf"}},
         {"control": {"damping": [1.0, 2.0]}},
         {"control": {"controller": "pid"}},

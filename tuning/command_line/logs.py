@@ -131,8 +131,8 @@ def identify(
     Prints what was known before and is now, with 95 % intervals, what the log does not tell, and whether the model is
     right. With --out writes to DIR the scenario as identified (identified.yaml, hardware.yaml for --hardware, and a
     robot's file where it was fitted), an ensemble of what is left open (posterior.yaml, for tune and evaluate), all
-    numbers (result.json), pictures, and a page (report.html). Every iteration is kept in DIR: after Ctrl-C, or worse,
-    the same command goes on where it stopped.
+    numbers (result.json), pictures, and a page (report.html). Every search that ended is kept in DIR: after
+    Ctrl-C, or worse, the same command goes on from there.
 
     \b
     Examples:

@@ -193,6 +193,16 @@ def test_slow_motion_between_the_steps_of_an_encoder_is_not_stale(tmp_path):
     assert int(re.search(r"(\d+) of 3000", said)[1]) > 2000
 
 
+def test_a_reading_at_a_reversal_is_not_stale(tmp_path):
+    """Counts 1127, 1130, 1130, 1127: where a joint turns round, friction shows most."""
+    turning = np.r_[np.arange(1100, 1131, 3), np.arange(1130, 1099, -3)]
+    counts = np.concatenate([np.arange(1080, 1100), *[turning] * 10])
+    time = np.arange(len(counts)) / 200
+    position = 2 * np.pi / 4096 * (counts - 2048)
+    log = read(tmp_path, {"time": time, "LF.coxa.command": np.sin(20 * time), "LF.coxa.position": position})
+    assert len(log.signals["LF.coxa.position"].time) == len(time)
+
+
 @pytest.mark.parametrize("break_it", WRONG, ids=lambda function: function.__name__)
 def test_what_is_wrong_is_said_in_one_line(tmp_path, break_it):
     columns = break_it(recorded())

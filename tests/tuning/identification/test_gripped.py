@@ -13,7 +13,7 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tests.tuning.identification.gripped_in_mujoco import NOISE, TRUTH, log_of
 from tests.tuning.identification.stand_in_mujoco import columns_of
-from tuning.identification.fit.chain import Chain
+from tuning.identification.fit.problem import Problem
 from tuning.identification.model.gripped import cut_gripped, gripped_model
 from tuning.identification.model.variables import begin, variables
 from tuning.identification.model.windows import KINDS
@@ -48,15 +48,15 @@ def test_gradient_is_that_of_the_cost_by_finite_differences():
     windows = cut_gripped(log, ROBOT, 0.001, 0.0)
     model = gripped_model(scenario, log, windows, variables(scenario, keys, held=False))
     noise = np.array([NOISE[KINDS[kind]] for kind in windows.kind])
-    at = Chain(model, np.arange(2), noise)
+    at = Problem(model, noise)
     chosen, rng = model.variables, np.random.default_rng(0)
     scale = np.array([v.sd for v in chosen])
     x = begin(chosen) + 0.1 * scale * rng.uniform(0.1, 0.5, len(chosen))
     along = rng.normal(0, 1, len(x)) * scale
-    points = np.stack([x, x + 1e-5 * along, x - 1e-5 * along])
-    middle, *ends = at.linearized(points, np.repeat(at.guess[None], 3, axis=0))
-    slope = -(ends[0].cost - ends[1].cost) / 2e-5
-    assert slope == pytest.approx(middle.gradient @ along, rel=1e-4)
+    middle, *ends = (at.evaluate(x + side * 1e-5 * along) for side in (0, 1, -1))
+    slope = (ends[1].scaled - ends[0].scaled)[at.fitted] / 2e-5
+    weight = middle.scaled[at.fitted]
+    assert weight @ slope == pytest.approx(weight @ (middle.along @ along)[at.fitted], rel=1e-4)
 
 
 @pytest.mark.nightly

@@ -1,57 +1,66 @@
-"""The search by Levenberg and Marquardt: where it ends, and what it says of that."""
+"""The search: it ends at its optimum, may sit on a bound and leave it, and is told where a model diverges."""
 
-from types import SimpleNamespace
+import dataclasses
 
 import numpy as np
 import pytest
 
-from tuning.identification.fit.iterates import Iterates
-from tuning.identification.fit.least_squares import LeastSquares, Normal
-from tuning.identification.fit.levenberg_marquardt import search
-from tuning.identification.fit.stamps import Stamped
-from tuning.identification.model.variables import Variable
+from tuning.identification.fit.problem import Evaluated, Prior
+from tuning.identification.fit.search import Searches
 from tuning.methods.parts import Parts
 
 
-class Curve(LeastSquares):
-    """One variable, and a residual r(x) with its derivative; the cost is r^2 / 2."""
+@dataclasses.dataclass
+class Curve:
+    """Two variables, and a residual each with its derivative; the cost is half the sum of their squares."""
 
-    def __init__(self, residual, derivative):
-        variable = Variable("x", "1", 0.0, 0.0, 1e6, -np.inf, np.inf)
-        model = SimpleNamespace(variables=(variable,), memory=())
-        vars(self).update(model=model, noise=np.ones(1), clock=0.0, residual=residual, derivative=derivative)
+    residual: object
+    derivative: object
+    lower: float = -np.inf
+    upper: float = np.inf
+    calls: int = 0
 
-    def linearized(self, x, start):
-        none, nothing = np.zeros((0, 1, 0)), np.zeros(0)
-        found = []
-        for (point,) in x:
-            r, along = self.residual(point), -self.derivative(point)
-            found.append(Normal(
-                r**2 / 2, np.array([along * r]), np.array([[along**2]]), none, none[..., None], none[..., None],
-                np.zeros((0, 1, 1, 0)), np.array([r]), Stamped(nothing, nothing, nothing, nothing, 0.0),
-            ))  # fmt: skip
-        return found
+    @property
+    def whole_prior(self):
+        return Prior(np.zeros(2), np.full(2, 100.0), np.full(2, self.lower), np.full(2, self.upper))
+
+    free = fitted = np.full(2, True)
+
+    def evaluate(self, point):
+        self.calls += 1
+        value = self.residual(point)
+        if not np.isfinite(value).all():
+            return None
+        return Evaluated(value, value, -self.derivative(point), np.zeros(2))
+
+    def ended(self, point, cost, iterations, ended):
+        return point, cost, ended
 
 
-def ended(residual, derivative, start, most=40):
+def ended(curve, first, most=60):
     with Parts(None, dict) as parts:
-        (found,) = search(
-            Curve(residual, derivative), np.array([[start]]), np.zeros((1, 1, 0)), most, "search", Iterates(parts)
-        )
-    return found
+        return Searches(parts).search(curve, np.array(first, float), most, "search", 1e-8)
 
 
-def test_a_search_that_comes_to_its_minimum_says_so():
-    found = ended(lambda x: 10 * (x - 3.0), lambda x: 10.0, 0.0)
-    assert found.ended == "converged" and found.x[0] == pytest.approx(3.0) and found.away[0] < 1e-3
+def test_a_search_ends_at_its_minimum_across_a_narrow_bent_valley():
+    curve = Curve(
+        lambda x: np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]), lambda x: np.array([[-20 * x[0], 10.0], [-1.0, 0.0]])
+    )
+    point, cost, how = ended(curve, (-1.2, 1.0))
+    assert how == "converged" and point == pytest.approx([1.0, 1.0], abs=0.01) and cost < 0.001
+    assert curve.calls < 40
 
 
-def test_a_search_that_no_step_leads_on_is_stuck_and_says_how_far_it_is():
-    """The derivative has the wrong sign: each step makes the cost larger until damping leaves none."""
-    found = ended(lambda x: 10 * (x - 3.0), lambda x: -10.0, 0.0)
-    assert found.ended == "stuck" and found.away[0] == pytest.approx(30.0, rel=0.01)
+@pytest.mark.parametrize(("target", "end"), [(-1.0, 0.0), (0.5, 0.5)])
+def test_a_search_sits_on_a_bound_and_leaves_it_again(target, end):
+    """From the bound itself, both towards the inside and against it."""
+    curve = Curve(lambda x: 3 * (x - target), lambda x: np.diag([3.0, 3.0]), lower=0.0)
+    point, _, how = ended(curve, (0.0, 2.0))
+    assert how == "converged" and point == pytest.approx([end, end], abs=1e-3)
+    assert end or (point == 0.0).all()
 
 
-def test_a_search_whose_iterations_run_out_says_how_far_it_is():
-    found = ended(lambda x: np.exp(3 - x), lambda x: -np.exp(3 - x), 0.0, most=2)
-    assert found.ended == "out of iterations" and found.away[0] > 1.0
+def test_a_search_whose_evaluations_run_out_says_so_and_a_model_that_diverges_gives_none():
+    slow = Curve(lambda x: np.exp(3 - x), lambda x: -np.diag(np.exp(3 - x)))
+    assert ended(slow, (0.0, 0.0), most=2)[2] == "out of iterations"
+    assert ended(Curve(lambda x: x * np.nan, lambda x: np.eye(2)), (0.0, 0.0)) is None

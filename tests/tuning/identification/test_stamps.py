@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.special import huber
 
-from tuning.identification.fit.stamps import HUBER, Noise, noise_of, stamped
+from tuning.identification.fit.stamps import Noise, Samples, noise_of, whitened
 
 CLOCK = 3e-4  # s
 
@@ -19,42 +18,24 @@ def draws(clock, stamps=400, signals=6, seed=0):
     return residuals, rate, stamp, signal, noise
 
 
-def test_the_cost_is_that_of_the_dense_covariance():
+def samples_of(stamp, signal, spacing=0.01):
+    return Samples(signal, stamp, np.full(len(stamp), True), spacing, np.ones(1 + signal.max()))
+
+
+def test_samples_are_whitened_by_their_dense_covariance():
     residuals, rate, stamp, signal, noise = draws(CLOCK, stamps=7)
-    fitted = stamp < 5
-    found = stamped(residuals / 10, rate, fitted, stamp, noise[signal], CLOCK)  # far below Huber's bound
-    own, r = noise[signal][fitted], residuals[fitted] / 10
-    together = stamp[fitted][:, None] == stamp[fitted]
-    covariance = np.diag(own**2) + CLOCK**2 * np.outer(rate[fitted], rate[fitted]) * together
-    assert found.cost == pytest.approx(r @ np.linalg.solve(covariance, r) / 2, rel=1e-9)
-    likeliest = CLOCK**2 * (together * rate[fitted]) @ np.linalg.solve(covariance, r)
-    np.testing.assert_allclose(found.error[fitted], likeliest, rtol=1e-9)
-    assert not found.error[~fitted].any() and not found.weight[~fitted].any()
-
-
-def test_an_outlier_costs_what_hubers_loss_says():
-    noise, residuals = np.full(7, 0.3), 0.3 * np.array([-9.0, -2.51, -2.49, 0.0, 1.0, 2.6, 40.0])
-    none = np.zeros(7)
-    found = stamped(residuals, none, np.ones(7, bool), none.astype(int), noise, 0.0)
-    assert found.cost == pytest.approx(huber(HUBER, residuals / noise).sum(), rel=1e-12)
-
-
-def test_an_outlier_moves_its_stamp_no_more_than_huber_lets_it():
-    residuals, rate, stamp, signal, noise = draws(CLOCK)
-    whole = np.ones(len(stamp), bool)
-    before = stamped(residuals, rate, whole, stamp, noise[signal], CLOCK).error
-    residuals[0] += 1e3 * noise[0]
-    after = stamped(residuals, rate, whole, stamp, noise[signal], CLOCK).error
-    assert np.abs(after - before).max() < CLOCK
+    own = noise[signal]
+    found = whitened((residuals / own)[:, None], CLOCK * rate / own, stamp)[:, 0]
+    together = stamp[:, None] == stamp
+    covariance = np.diag(own**2) + CLOCK**2 * np.outer(rate, rate) * together
+    assert found @ found == pytest.approx(residuals @ np.linalg.solve(covariance, residuals), rel=1e-9)
+    np.testing.assert_allclose(whitened((residuals / own)[:, None], 0 * rate, stamp)[:, 0], residuals / own)
 
 
 @pytest.mark.parametrize("clock", [0.0, CLOCK / 3, CLOCK])
 def test_noise_and_clock_are_told_apart(clock):
     residuals, rate, stamp, signal, noise = draws(clock)
-    whole = np.ones(len(stamp), bool)
-    known = Noise(2 * noise, 0.0)
-    late = stamped(residuals, rate, whole, stamp, known.signals[signal], known.clock)
-    found = noise_of(residuals, late, whole, (signal, stamp), known)
+    found = noise_of(residuals, rate, samples_of(stamp, signal), Noise(2 * noise, 0.0))
     assert found.clock == pytest.approx(clock, rel=0.2)
     np.testing.assert_allclose(found.signals, noise, rtol=0.15)  # four standard deviations
     assert abs(np.log(found.signals / noise).mean()) < 0.05  # as many: stamps take none of the noise
@@ -64,7 +45,31 @@ def test_errors_that_the_log_does_not_show_are_none():
     found = []
     for seed in range(40):
         residuals, rate, stamp, signal, noise = draws(0.0, seed=seed)
-        whole = np.ones(len(stamp), bool)
-        late = stamped(residuals, rate, whole, stamp, noise[signal], 0.0)
-        found.append(noise_of(residuals, late, whole, (signal, stamp), Noise(noise, 0.0)).clock)
+        found.append(noise_of(residuals, rate, samples_of(stamp, signal), Noise(noise, 0.0)).clock)
     assert not any(found)
+
+
+def test_stamps_err_by_half_their_spacing_at_most():
+    residuals, rate, stamp, signal, noise = draws(50 * CLOCK)
+    found = noise_of(residuals, rate, samples_of(stamp, signal, 0.01), Noise(noise, 0.0))
+    assert 0.004 < found.clock <= 0.005
+
+
+def test_errors_that_go_on_from_stamp_to_stamp_are_the_models():
+    """A model that is late by a part of a millisecond that waxes and wanes: not a clock, whose errors are white."""
+    _, rate, stamp, signal, noise = draws(0.0)
+    late = CLOCK * np.sin(2 * np.pi * stamp / 60)
+    found = noise_of(rate * late + noise[signal] * 0.1, rate, samples_of(stamp, signal), Noise(noise, 0.0))
+    assert found.clock == 0.0
+
+
+def test_the_clock_of_a_log_of_one_signal_is_not_fitted():
+    residuals, rate, stamp, signal, noise = draws(CLOCK, signals=1)
+    assert noise_of(residuals, rate, samples_of(stamp, signal), Noise(noise, 0.0)).clock == 0.0
+
+
+def test_a_log_without_noise_has_a_little():
+    """A signal's noise of 1e-9 ended in a FloatingPointError, or in a clock of 0.05 s."""
+    _, rate, stamp, signal, _ = draws(0.0)
+    found = noise_of(0 * rate, rate, samples_of(stamp, signal), Noise(np.full(6, 1e-9), 0.0))
+    assert found.clock == 0.0 and (found.signals == 1e-5).all()

@@ -18,9 +18,8 @@ from tests.tuning.identification.gripped_in_mujoco import NOISE, TRUTH, log_of
 from tests.tuning.matrix.conftest import GAINS, MEMBERS, METRICS, PARTS, alone, check, member, slow
 from tuning.comparisons import degraded, judge, margins
 from tuning.gains.gains_file import by_name
-from tuning.identification.fit.chain import Chain
-from tuning.identification.fit.iterates import Iterates
-from tuning.identification.fit.levenberg_marquardt import search
+from tuning.identification.fit import problem as fits
+from tuning.identification.fit.search import Searches
 from tuning.identification.model.gripped import check_parts, cut_gripped, gripped_model
 from tuning.identification.model.variables import begin, variables
 from tuning.identification.model.windows import KINDS
@@ -235,9 +234,9 @@ def fitted(changes, *keys):
     log = log_of(dataclasses.replace(TRUTH, stiffness=3e3, damping=30.0, armature=0.0), 1.5)
     windows = cut_gripped(log, load_robot("hubrobo_v3_2"), scenario.time_step, 0.0)
     model = gripped_model(scenario, log, windows, variables(scenario, keys, held=False))
-    at = Chain(model, np.arange(1), np.array([NOISE[KINDS[kind]] for kind in windows.kind]))
+    at = fits.Problem(model, np.array([NOISE[KINDS[kind]] for kind in windows.kind]))
     with Parts(None, dict) as kept:
-        (found,) = search(at, begin(model.variables)[None], at.guess[None], 12, "fit", Iterates(kept, None))
+        found = Searches(kept).search(at, begin(model.variables), 12, "fit")
     chosen = model.variables[:2]
     return [np.exp(x) if v.log else x for v, x in zip(chosen, found.x[:2], strict=True)]
 

@@ -1,6 +1,5 @@
 """What a fit says: estimates with their intervals, how it predicts what was held out, and warnings."""
 
-import dataclasses
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -9,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.robot_import.load import load_robot
 from tuning.identification.fit import inference
 from tuning.identification.fit.inference import Posterior, Whiteness
-from tuning.identification.fit.least_squares import Fitted, LeastSquares, scaled_residuals
+from tuning.identification.fit.problem import Fitted, Problem
 from tuning.identification.fit.result import Estimate, Identified
 from tuning.identification.model.predicted import DELAY, Fit
 from tuning.identification.model.variables import Variable, in_units
@@ -21,14 +19,14 @@ from tuning.identification.readers.log import Log
 
 SETTLED = 0.05  # relative change of the noise
 _SHOWN = 3.0  # sd, of a delay that is there
-_THINNEST, _SMALL = 1e-4, 0.01  # of a value, an interval; of the prior's sd, a value that is next to nothing
+_ONE = 0.01  # relative difference of the costs of one optimum
 
 
 def identified(
     scenario: mc.Scenario,
     log: Log,
     chosen: Sequence[Variable],
-    fit: tuple[Fitted, LeastSquares, Sequence[Whiteness]],
+    fit: tuple[Fitted, Problem, Sequence[Whiteness]],
     warnings: Sequence[str],
     hint: str,
 ) -> Identified:
@@ -44,46 +42,24 @@ def identified(
     """
     found, problem, tests = fit
     wrong = inference.suspicious(tests)
-    known = inference.posterior(problem, found, tests)
-    model, beside, ahead = problem.model, _estimates(problem.model, found, known), _predicted(problem, found)
-    useless = inference.useless(found.noise, _moved(model), ahead.get("error_over_noise"))
-    blind = known.blind(model.variables)
-    beside = {
-        v.key: beside[v.key] if nothing else trusted(beside[v.key], v, refuted=bool(wrong), useless=bool(useless))
-        for v, nothing in zip(model.variables, blind, strict=True)
-    }
+    model, ahead = problem.model, _predicted(problem, found)
+    known = inference.posterior(problem, found, tests, ahead.get("error_over_noise", 1.0))
+    beside = _estimates(problem, found, known)
     estimates = {v.key: beside.pop(v.key) for v in chosen}
     unseen = [line for line in known.unseen if any(v.key in line for v in chosen)]
     remarks = [f"{key}: {each.remark}" for key, each in estimates.items() if each.remark]
     bounds = [f"{key}: {each.remark}" for key, each in beside.items() if " bound" in each.remark]
     said = [*_of_windows(model), *_of_schedule(model, estimates), *unseen, *remarks, *bounds]
     said += _of_log_step(model, found, beside)
-    said += [
-        *_of_fit(found, model.variables, wrong, len(tests), {} if useless else ahead),
-        *filter(None, [hint, useless]),
-    ]
-    combined = () if useless else known.combined
+    said += [*_of_fit(found, problem, wrong, len(tests), ahead), *filter(None, [hint])]
     return Identified(
-        scenario, log, estimates, beside, ahead, (*warnings, *said), combined, model, problem, found, known, tests
+        scenario, log, estimates, beside, ahead, (*warnings, *said), known.combined, model, problem, found, known, tests
     )
 
 
-def trusted(estimate: Estimate, variable: Variable, *, refuted: bool, useless: bool) -> Estimate:
-    """Return an estimate, without its interval where that says nothing: of a fit that is useless, or of no width."""
-    if estimate.low is None or estimate.high is None:
-        return estimate
-    size = max(abs(estimate.value), abs(estimate.before), 0.0 if variable.log else _SMALL * variable.sd)
-    width = estimate.high - estimate.low
-    thin = width == 0 or (refuted and width < _THINNEST * size)
-    if not (thin or useless):
-        return estimate
-    why = "no interval: it would be thinner than a ten-thousandth of the value, on a model that the residuals refute"
-    remark = "; ".join(filter(None, [estimate.remark, why if thin and not useless else ""]))
-    return dataclasses.replace(estimate, low=None, high=None, seen=False, remark=remark)
-
-
-def _estimates(model: Fit, found: Fitted, known: Posterior) -> dict[str, Estimate]:
-    robot = load_robot(model.structure.robot)
+def _estimates(problem: Problem, found: Fitted, known: Posterior) -> dict[str, Estimate]:
+    model = problem.model
+    robot = model.structure.robot
     with jax.enable_x64(True):
         values = np.asarray(in_units(model.variables, jnp.asarray(found.x), robot))
         slope = np.asarray(jax.jacfwd(lambda x: in_units(model.variables, x, robot))(jnp.asarray(found.x)))
@@ -96,33 +72,44 @@ def _estimates(model: Fit, found: Fitted, known: Posterior) -> dict[str, Estimat
         if ".inertia." in v.key:
             low, high = (float(values[n] + side * inference.Z * sd_units[n]) for side in (-1, 1))
         estimates[v.key] = Estimate(
-            float(values[n]), low, high, bool(known.seen[n]), v.nominal, v.unit, _remark(v, found.x[n])
-        )
+            float(values[n]), low, high, _told(problem, found, n, float(sd[n])), v.nominal, v.unit,
+            _remark(v, found.x[n], sd[n], held=not problem.free[n]),
+        )  # fmt: skip
     return estimates
 
 
-def _remark(variable: Variable, x: float) -> str:
+def _told(problem: Problem, found: Fitted, n: int, sd: float) -> bool:
+    """Whether the log tells a variable; one beside those asked for is never held, but may keep its prior."""
+    variable = problem.model.variables[n]
+    if not variable.beside:
+        return bool(problem.free[n])
+    return sd < inference.SEEN * variable.sd and not variable.bound_at(found.x[n])
+
+
+def _remark(variable: Variable, x: float, sd: float, *, held: bool) -> str:
+    if held:
+        return "not told: stays nominal"
     if name := variable.bound_at(x):
         return f"on its {name} bound, {getattr(variable, name):.3g} {variable.unit}"
     off = abs(x - variable.mean) / variable.sd
-    return f"{off:.1f} sd off its prior" if off > 3 else ""
+    if off > 3:
+        return f"{off:.1f} sd off its prior"
+    return "told roughly: the interval is as wide as the prior" if sd > variable.sd and not variable.beside else ""
 
 
-def _predicted(problem: LeastSquares, found: Fitted) -> dict[str, Any]:
+def _predicted(problem: Problem, found: Fitted) -> dict[str, Any]:
     """Return how what was held out is predicted: errors (rms) over the noise, of all and of each signal."""
-    held = problem.predicted
+    held, windows = problem.predicted, problem.model.windows
     if not held.any():
         return {}
-    scaled = scaled_residuals(problem, found.normal)
-    by_signal = {
-        name: float(np.sqrt((scaled[held & (problem.rows.signal == n)] ** 2).mean()))
-        for n, name in enumerate(problem.model.windows.names)
-        if (held & (problem.rows.signal == n)).any()
+    own = {n: held & (problem.rows.signal == n) for n in range(len(windows.names))}
+    own = {n: rows for n, rows in own.items() if rows.any()}
+    return {
+        "error_over_noise": float(np.sqrt((found.scaled[held] ** 2).mean())),
+        "seconds": float(windows.held_out.sum() * windows.steps * windows.time_step),
+        "signals": {windows.names[n]: float(np.sqrt((found.scaled[rows] ** 2).mean())) for n, rows in own.items()},
+        "error": {windows.names[n]: float(np.sqrt((found.residuals[rows] ** 2).mean())) for n, rows in own.items()},
     }
-    seconds = float(
-        problem.model.windows.held_out.sum() * problem.model.windows.steps * problem.model.windows.time_step
-    )
-    return {"error_over_noise": float(np.sqrt((scaled[held] ** 2).mean())), "seconds": seconds, "signals": by_signal}
 
 
 def _moved(model: Fit) -> np.ndarray:
@@ -188,7 +175,7 @@ def _of_log_step(model: Fit, found: Fitted, beside: Mapping[str, Estimate]) -> I
 
 
 def _of_fit(
-    found: Fitted, variables: Sequence[Variable], wrong: Sequence[Whiteness], signals: int, ahead: Mapping[str, Any]
+    found: Fitted, problem: Problem, wrong: Sequence[Whiteness], signals: int, ahead: Mapping[str, Any]
 ) -> list[str]:
     """Return the remarks on a fit as a whole."""
     said = []
@@ -197,17 +184,30 @@ def _of_fit(
             f"time stamps err by {found.clock:.2g} s (standard deviation), what was sampled at once together; this is "
             "counted as noise"
         )
+    elif len(problem.model.windows.names) > 1 and len(set(problem.rows.stamp.tolist())) == len(problem.rows.stamp):
+        said.append("no two signals share a time stamp: errors of the stamps are not told from noise, and not fitted")
     if wrong:
         said.append(f"{wrong[0].in_words} ({len(wrong)} of {signals} signals; intervals are widened)")
     if found.ended != "converged":
-        away, key = max((a, v.key) for a, v in zip(found.away.tolist(), variables, strict=True) if not v.beside)
-        why = "is stuck where no step makes it better" if found.ended == "stuck" else "ended at its last iteration"
-        said.append(f"the search {why}: by its derivatives {key} is {away:.2g} standard deviations from the minimum")
+        said.append(
+            f"the search still gained after {found.iterations} evaluations: fit fewer keys, or add a motion that tells "
+            "them apart"
+        )
+    near = sum(cost <= min(found.costs) * (1 + _ONE) for cost in found.costs)
+    if near < len(found.costs):
+        said.append(f"{near} of {len(found.costs)} starts ended at this optimum (--starts with more of them is surer)")
     if found.unsettled >= SETTLED:
         said.append(
             f"the noise did not settle: estimated once more it would change by "
             f"{100 * found.unsettled:.0f} %, and the intervals with it"
         )
-    if ahead and ahead["error_over_noise"] > 1.2:
-        said.append(f"what was held out is predicted {ahead['error_over_noise']:.3g} times worse than the noise")
+    if not ahead:
+        said.append("nothing was held out: how well the values predict is not known")
+    elif ahead["error_over_noise"] > 1.2:
+        said.append(
+            f"what was held out is predicted {ahead['error_over_noise']:.3g} times worse than the noise; intervals are "
+            "wider by as much"
+        )
+    if line := inference.unexplained(found.noise, _moved(problem.model)):
+        said.append(line)
     return said

@@ -14,15 +14,12 @@ from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.fit import inference
-from tuning.identification.fit.chain import Chain
 from tuning.identification.fit.conclusions import SETTLED, identified
-from tuning.identification.fit.iterates import Iterates, Progress
-from tuning.identification.fit.least_squares import Fitted, LeastSquares
-from tuning.identification.fit.levenberg_marquardt import prior_of, search
+from tuning.identification.fit.problem import Fitted, Prior, Problem
 from tuning.identification.fit.profile_changes import in_words, tried
 from tuning.identification.fit.result import Identified
-from tuning.identification.fit.shooting import Problem
-from tuning.identification.fit.stamps import Noise, change, noise_of
+from tuning.identification.fit.search import Progress, Searches
+from tuning.identification.fit.stamps import Noise, Samples, change, noise_of
 from tuning.identification.model.gripped import check_parts, cut_gripped, gripped_model
 from tuning.identification.model.predicted import DELAY, SERVO_DELAY, Fit, model_of, with_nuisances
 from tuning.identification.model.replay import Base, base_of
@@ -35,8 +32,8 @@ from tuning.problem.evaluation import Problem as Walks
 
 HELD_OUT = 0.2
 STARTS = 4
-_SCREENED = 6  # windows on which the starts are compared
-_SCREENING, _MOST, _PASSES = 10, 40, 4  # iterations, and passes with the noise estimated anew
+_COARSE = 1e-3  # relative tolerance, with which the starts are compared
+_MOST, _PASSES = 100, 4  # evaluations of a search, and passes with the noise estimated anew
 _UNHEARD = 30.0  # times their noise, where starts are compared
 _GUESSED = "the log has base or foot forces: base free, all grippers shut (--base held: on a stand)"
 _OTHERS = 4  # starts, where all those that were asked for diverge
@@ -72,8 +69,9 @@ def identify(
         mass: that hung on each foot while the log was made, kg; it is no part of what is identified.
         held_out: share of the log, at its end, that is predicted and not fitted.
         starts: points from which the search begins, the nominal one among them.
-        progress: called with iterations done, at most to do, and a line.
-        out: a folder in which every iteration is kept: what was interrupted goes on there, with the same arguments.
+        progress: called with evaluations done, at most to do, and a line.
+        out: a folder in which every search that ended is kept: what was interrupted goes on there, with the same
+            arguments.
 
     Raises:
         ConfigError: no such key, a log that holds nothing to fit, or parts of your own that its model does not have.
@@ -90,13 +88,13 @@ def identify(
         problem = _gripped(scenario, log, robot, chosen, held_out)
     model = problem.model
     with Parts(out, lambda: identity_of_fit(scenario, log, model, held_out, starts) | {"base": chosen_base}) as parts:
-        kept = Iterates(parts, progress)
-        found, problem = _searched(problem, starts, kept)
+        searches = Searches(parts, progress)
+        found, problem = _searched(problem, starts, searches)
         tests = inference.whiteness(problem, found)
         refuted = max((test.share for test in tests), default=0.0) > _REFUTED
         hint = ""
-        if refuted and isinstance(problem, Problem):
-            hint = in_words(tried(problem, found, scenario, chosen, kept))
+        if refuted and chosen_base == "held":
+            hint = in_words(tried(problem, found, scenario, chosen, searches))
     guessed = [_GUESSED] if base is None and chosen_base == "free" else []
     return identified(scenario, log, chosen, (found, problem, tests), [*log.warnings, *guessed], hint)
 
@@ -112,10 +110,10 @@ def identity_of_fit(scenario: mc.Scenario, log: Log, model: Fit, held_out: float
 
 def _held(
     scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float, mass: float
-) -> LeastSquares:
+) -> Problem:
     windows = cut(log, robot, scenario.time_step, held_out, late=_latest(scenario, chosen))
     model = model_of(scenario, windows, with_nuisances(scenario, chosen, windows.kinds), mass)
-    return Problem(model, np.arange(len(windows.begin)), _rough_noise(model))
+    return Problem(model, _rough_noise(model))
 
 
 def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
@@ -125,46 +123,62 @@ def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
     return sum(fitted.get(key, delay) for key, delay in nominal.items())
 
 
-def _gripped(
-    scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float
-) -> LeastSquares:
+def _gripped(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float) -> Problem:
     windows = cut_gripped(log, robot, scenario.time_step, held_out)
     model = gripped_model(scenario, log, windows, chosen)
-    return Chain(model, np.arange(len(windows.begin)), _rough_noise(model))
+    return Problem(model, _rough_noise(model))
 
 
-def _searched(problem: LeastSquares, starts: int, kept: Iterates) -> tuple[Fitted, LeastSquares]:
-    model, noise = problem.model, problem.noise
-    windows, prior = model.windows, prior_of(model)
+def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted, Problem]:
+    """Where the search ends from the best of the starts, with the noise that is left, and what was fitted."""
+    model, prior, guess = problem.model, problem.prior, problem.model.guess.ravel()
+    # torques jump as commands do: no slope leads from one side of a jump to the other
+    louder = np.where(model.windows.kind == KINDS.index("effort"), _UNHEARD * problem.noise, problem.noise)
+    trial = dataclasses.replace(problem, noise=louder)
+    ends: list[Fitted] = []
+    for point in _starts(model, prior, starts + _OTHERS):
+        if len(ends) == starts:  # where some diverge, as a limb without armature that falls, others begin
+            break
+        text = f"start {len(ends) + 1} of {starts}"
+        if (end := searches.search(trial, np.r_[point, guess], _MOST, text, _COARSE)) is not None:
+            ends.append(end)
+    if not ends:
+        raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
+    best, costs = min(ends, key=lambda end: end.cost), tuple(end.cost for end in ends)
+    found, problem = _settled(problem, best, searches, _PASSES)
+    while (untold := inference.untold(problem, found)).any():
+        held = untold | ~problem.free
+        problem, at = dataclasses.replace(problem, held=held), np.where(held, begin(model.variables), found.x)
+        found, problem = _settled(problem, found._replace(x=at), searches, 1)
+    return found._replace(costs=costs), problem
+
+
+def _starts(model: Fit, prior: Prior, count: int) -> np.ndarray:
+    """Points (count, P) from which searches begin, the first one the nominal values."""
     rng = np.random.default_rng(0)
-    points = prior.mean + _SPREAD * prior.sd * rng.standard_normal((max(starts, 1) + _OTHERS, len(prior.mean)))
+    points = prior.mean + _SPREAD * prior.sd * rng.standard_normal((count, len(prior.mean)))
     points = np.clip(np.where(points < prior.lower, 2 * prior.lower - points, points), prior.lower, prior.upper)
     # where a command comes as a sample is taken, a later one changes nothing of it: no place to begin
-    off = [2 * windows.time_step if v.key == DELAY else -np.inf for v in model.variables]
+    off = [2 * model.windows.time_step if v.key == DELAY else -np.inf for v in model.variables]
     points[0] = np.maximum(begin(model.variables), off)
-    # torques jump as commands do: no slope leads from one side of a jump to the other
-    louder = np.where(windows.kind == KINDS.index("effort"), _UNHEARD * noise, noise)
-    trial = dataclasses.replace(problem, which=problem.some(_SCREENED), noise=louder)
-    points, others = points[:-_OTHERS], points[-_OTHERS:]
-    # where all diverge, as a limb without armature that falls, others begin
-    for name, own in (("starts", points), ("other starts", others)):
-        guesses = np.repeat(trial.guess[None], len(own), axis=0)
-        screened = search(trial, own, guesses, _SCREENING, name, kept)
-        best = min(screened, key=lambda each: each.cost)
-        if np.isfinite(best.cost):
+    return np.asarray(points)
+
+
+def _settled(problem: Problem, found: Fitted, searches: Searches, passes: int) -> tuple[Fitted, Problem]:
+    """Where searches end from a point, the noise estimated anew after each until it settles, and what was fitted."""
+    windows, rows = problem.model.windows, problem.rows
+    moved = np.array([np.std(rows.value[rows.signal == n]) for n in range(len(windows.names))])
+    samples = Samples(rows.signal, rows.stamp, problem.fitted, windows.stamp_spacing, moved)
+    for n in range(passes):
+        end = searches.search(problem, np.r_[found.x, found.start.ravel()], _MOST, f"pass {n + 1}")
+        if end is None:
+            raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
+        before = Noise(problem.noise, problem.clock)
+        now = noise_of(end.residuals, end.rate, samples, before)
+        found = end._replace(unsettled=change(before, now))
+        if found.unsettled < SETTLED or n == passes - 1:
             break
-    x, start = best.x[None], problem.guess[None]
-    for n in range(_PASSES):
-        (found,) = search(problem, x, start, _MOST, f"pass {n + 1}", kept)
-        which, before = (problem.rows.signal, problem.rows.stamp), Noise(problem.noise, problem.clock)
-        now = noise_of(found.normal.residuals, found.normal.stamps, problem.fitted, which, before)
-        found = found._replace(unsettled=change(before, now))
-        if found.unsettled < SETTLED or n == _PASSES - 1:
-            break
-        x, start = found.x[None], found.start[None]
-        problem = dataclasses.replace(problem, noise=now.signals, clock=now.clock)
-    if not np.isfinite(found.cost):
-        raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
+        problem = dataclasses.replace(problem, noise=now.signals, clock=now.clock, rate=end.rate)
     return found, problem
 
 

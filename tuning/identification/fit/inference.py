@@ -5,10 +5,12 @@ samples say is divided by the square of a widening, the prior is not: no log mak
 
 - The gradients of blocks, a limb in a window, may scatter more than those of independent noise. Their scatter is that
   of few blocks, so that it counts by Student's quantile.
-- Where a signal's residuals are correlated, the model lacks something that moves. A parameter may have absorbed as much
-  of it as the residuals still show, as far as that signal tells of the parameter (Cauchy and Schwarz). How much that
-  is grows from nothing at the limits of the test, so that a false alarm costs little.
+- Where a signal's residuals are correlated in time, the model lacks something that moves: of so many samples as the
+  correlation lasts, one counts. How much of it counts grows from nothing at the limits of the test, so that a false
+  alarm costs little.
 
+What was held out may be predicted worse than the noise; intervals are wider by as much. A variable that the samples do
+not tell is held at its nominal value: its posterior is its prior, and the others' intervals have that doubt in them.
 The delay of commands is no better known than the log's clock.
 
 References:
@@ -26,41 +28,37 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2, t
 
-from tuning.identification.fit.least_squares import Fitted, LeastSquares, eliminated
-from tuning.identification.fit.levenberg_marquardt import prior_of
+from tuning.identification.fit.problem import Fitted, Problem
 from tuning.identification.model.predicted import DELAY
 from tuning.identification.model.variables import Variable
 
 Z = 1.959964  # of 95 %
-SEEN = 0.5  # of the prior's sd: what is known no better was not seen
-_INSIDE = 3.0  # sd of the prior, within which an interval must lie for its parameter to be seen
+SEEN = 0.5  # of the prior's sd: what samples tell no better is not told
 _FEWEST = 8  # blocks, whose scatter is one
 _LOUD = 0.35  # share of a direction that names a variable
 _FALSE_ALARM = 1e-3  # of the test of all signals together
 _LAGS, _MATTERS = 20, 0.1  # samples, and a correlation below which it is none that matters
 _CLOCK = 0.1  # of a time step, to which the time of a command is known
 _CLIP = 4.0  # of the noise: outliers say nothing of correlation
-_WORST = 3.0  # error of what was held out, over the noise, beyond which nothing is told
-_UNEXPLAINED = 0.5  # of a signal's standard deviation, that of its residuals: beyond it the fit explains nothing
-_BLIND = 0.99  # of the prior's sd
+_UNEXPLAINED = 0.5  # of a signal's standard deviation, that of its residuals: beyond it the fit explains little
+_HELPS = {  # what tells a key apart, by a part of its name
+    "load_friction": "another weight", "control.k": "another P gain", "armature": "faster motions",
+    "mass": "faster motions", "viscous": "long fast strokes", "no_load_speed": "long fast strokes",
+    "torque_limit": "a motion at the limit", "friction": "slow reversals", "backlash": "slow reversals",
+    "delay": "steps of the command", "stiffness": "another weight", "gain": "another weight",
+}  # fmt: skip
 _ROUNDING, _LEAST = 1e-10, 1e-300  # of the largest information along a direction
 
 
 class Posterior(NamedTuple):
-    """What is known of the variables, in coordinates."""
+    """What is known of the variables, in coordinates; those that are held have their priors."""
 
     covariance: Float[np.ndarray, "P P"]  # widened
-    fisher: Float[np.ndarray, "P P"]  # covariance if noise were white and the model right, with the prior
+    fisher: Float[np.ndarray, "P P"]  # covariance of what is not held if noise were white and the model right
     information: Float[np.ndarray, "P P"]  # of the samples alone
-    widening: Float[np.ndarray, " P"]  # factor on sd
-    seen: np.ndarray  # (P,) bool
+    widening: Float[np.ndarray, " P"]  # factor on sd, 1 of what is held
     unseen: tuple[str, ...]  # directions, in words
     combined: tuple[str, ...]  # combinations of what was not seen that were, in words
-
-    def blind(self, variables: Sequence[Variable]) -> list[bool]:
-        """Return of which variables the samples say nothing at all, so that their prior stays."""
-        sd = np.sqrt(np.diag(self.fisher))
-        return [bool(own > _BLIND * v.sd) for own, v in zip(sd, variables, strict=True)]
 
 
 class Whiteness(NamedTuple):
@@ -71,7 +69,7 @@ class Whiteness(NamedTuple):
     correlation: Float[np.ndarray, " lags"]
     period: float  # s, of a lag
     share: float  # of the residuals' variance, that the model lacks; 0: nothing
-    samples: int
+    memory: float  # samples, of which one counts
 
     @property
     def in_words(self) -> str:
@@ -83,47 +81,71 @@ class Whiteness(NamedTuple):
         )
 
 
-def posterior(problem: LeastSquares, found: Fitted, tests: Sequence[Whiteness]) -> Posterior:
-    """Return the posterior of a fit."""
-    variables, prior = problem.model.variables, prior_of(problem.model)
-    _, information, _ = eliminated(found.normal)
-    information = (information + information.T) / 2
-    fisher = covariance_of(information, prior.sd)
-    sd = np.sqrt(np.diag(fisher))
-    moved = problem.sensitivity(found) @ fisher  # of the estimates by each row
-    square = (
-        _scatter(problem, found, moved, np.diag(fisher @ information @ fisher))
-        + (_absorbed(problem, found, moved, tests) / sd) ** 2
+def untold(problem: Problem, found: Fitted) -> np.ndarray:
+    """Which of the variables that were asked for the samples do not tell, (P,) bool: those to be held.
+
+    All of which they say next to nothing, were the others known; else the one they tell least.
+    """
+    sd, asked = problem.prior.sd, problem.free & np.array([not v.beside for v in problem.model.variables])
+    alone = asked & (np.diag(found.information) * sd**2 + 1 < 1 / SEEN**2)
+    if alone.any():
+        return np.asarray(alone)
+    free = np.flatnonzero(problem.free)
+    known = np.zeros(len(sd))
+    known[free] = np.sqrt(np.diag(covariance_of(found.information[np.ix_(free, free)], sd[free]))) / sd[free]
+    known[~asked] = 0.0
+    return np.asarray((known == known.max()) & (known > SEEN))
+
+
+def posterior(problem: Problem, found: Fitted, tests: Sequence[Whiteness], ahead: float = 1.0) -> Posterior:
+    """Return the posterior of a fit.
+
+    Arguments:
+        problem: as it was fitted.
+        found: where the search ended.
+        tests: of its residuals.
+        ahead: error of what was held out over the noise: intervals are wider by what it is above 1.
+    """
+    variables, sd, free = problem.model.variables, problem.prior.sd, np.flatnonzero(problem.free)
+    held, information = np.flatnonzero(~problem.free), found.information
+    fisher = covariance_of(information[np.ix_(free, free)], sd[free])
+    own = np.sqrt(np.diag(fisher))
+    moved = found.along[:, free] @ fisher  # of the estimates by each row
+    expected = np.diag(fisher @ information[np.ix_(free, free)] @ fisher)
+    square = max(ahead, 1.0) ** 2 * np.maximum(
+        _scatter(problem, found, moved, expected), _discrepancy(problem, found, moved, tests)
     )
-    of_samples = np.maximum(1 / sd**2 - 1 / prior.sd**2, 0.0)
-    widened = 1 / np.sqrt(1 / prior.sd**2 + of_samples / square)
-    covariance = fisher * np.outer(widened / sd, widened / sd) + np.diag(_of_clock(problem, found, sd) ** 2)
-    seen = np.array([
-        is_seen(v, x, own) for v, x, own in zip(variables, found.x, np.sqrt(np.diag(covariance)), strict=True)
-    ])  # fmt: skip
-    unseen, combined = _directions(variables, information, prior.sd, found.x)
-    return Posterior(covariance, fisher, information, widened / sd, seen, unseen, combined)
+    of_samples = np.maximum(1 / own**2 - 1 / sd[free] ** 2, 0.0)
+    widened = 1 / np.sqrt(1 / sd[free] ** 2 + of_samples / square)
+    along_held = -fisher @ information[np.ix_(free, held)]  # how they move with what is held
+    covariance, whole = np.diag(sd**2), np.zeros((len(sd), len(sd)))
+    whole[np.ix_(free, free)] = fisher
+    covariance[np.ix_(free, held)] = along_held * sd[held] ** 2
+    covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
+    covariance[np.ix_(free, free)] = (
+        fisher * np.outer(widened / own, widened / own) + (along_held * sd[held] ** 2) @ along_held.T
+    )
+    widening = np.ones(len(sd))
+    widening[free] = widened / own
+    covariance += np.diag(_of_clock(problem, found, np.sqrt(np.diag(covariance))) ** 2)
+    return Posterior(covariance, whole, information, widening, *_directions(variables, information, sd, found.x))
 
 
-def is_seen(variable: Variable, x: float, sd: float) -> bool:
-    """Return whether a log tells a variable: its interval lies well inside the prior, and the search met no bound."""
-    inside = abs(x - variable.mean) + Z * sd < _INSIDE * variable.sd
-    return bool(sd < SEEN * variable.sd and inside and not variable.bound_at(x))
-
-
-def _scatter(problem: LeastSquares, found: Fitted, moved: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """Return the scatter of the gradients of blocks over that of independent noise (P,), 1 or more.
+def _scatter(problem: Problem, found: Fitted, moved: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """Return the scatter of the gradients of blocks over that of independent noise (k,), 1 or more.
 
     Arguments:
         problem: what was fitted.
         found: the fit.
-        moved: (rows, P) what a unit of each row moves the estimates by, over the square of its noise.
-        expected: (P,) squares of the estimates' deviations by the noise of the samples alone.
+        moved: (rows, k) what a unit of each row moves the estimates by.
+        expected: (k,) squares of the estimates' deviations by the noise of the samples alone.
     """
-    limbs = 1 if problem.clock else 1 + int(problem.limb.max())  # errors of stamps are common to all limbs
-    block = problem.place * limbs + (0 if problem.clock else problem.limb)
+    rows, windows = problem.rows, problem.model.windows
+    limb = windows.limb[rows.signal]
+    limbs = 1 if problem.clock else 1 + int(limb.max())  # errors of stamps are common to all limbs
+    block = rows.window * limbs + (0 if problem.clock else limb)
     scores = np.zeros((1 + int(block.max()), moved.shape[1]))
-    np.add.at(scores, block, moved * (found.normal.stamps.weight * found.normal.residuals)[:, None])
+    np.add.at(scores, block, moved * (found.weight * found.scaled * problem.fitted)[:, None])
     scores = scores[scores.any(axis=1)]
     blocks = len(scores)
     if blocks < _FEWEST:
@@ -132,36 +154,33 @@ def _scatter(problem: LeastSquares, found: Fitted, moved: np.ndarray, expected: 
     return np.asarray(np.maximum(spread / np.maximum(expected, 1e-12 * expected.max()), 1.0))
 
 
-def _absorbed(
-    problem: LeastSquares, found: Fitted, moved: np.ndarray, tests: Sequence[Whiteness]
-) -> Float[np.ndarray, " P"]:
-    """Return how far what the model lacks may have moved the estimates, all signals' parts in one direction."""
-    names, weight, most = problem.model.windows.names, found.normal.stamps.weight, np.zeros(moved.shape[1])
-    for test in tests:
-        own = problem.rows.signal == names.index(test.signal)
-        most += np.sqrt(test.share * test.samples * (weight[own, None] * moved[own] ** 2).sum(0))
-    return most
+def _discrepancy(
+    problem: Problem, found: Fitted, moved: np.ndarray, tests: Sequence[Whiteness]
+) -> Float[np.ndarray, " k"]:
+    """Return by how much correlated residuals raise the estimates' variances (k,), each signal's as far as it tells."""
+    names, weight = problem.model.windows.names, found.weight * problem.fitted
+    parts = np.stack([
+        (weight[own, None] * moved[own] ** 2).sum(0)
+        for own in (problem.rows.signal == names.index(test.signal) for test in tests)
+    ]) if tests else np.ones((1, moved.shape[1]))  # fmt: skip
+    memory = np.array([test.memory for test in tests]) if tests else np.ones(1)
+    return np.asarray(memory @ parts / np.maximum(parts.sum(0), _LEAST))
 
 
-def useless(noise: Float[np.ndarray, " signals"], moved: Float[np.ndarray, " signals"], ahead: float | None) -> str:
-    """Return why a fit as a whole tells nothing, in a line; "" where it does.
+def unexplained(noise: Float[np.ndarray, " signals"], moved: Float[np.ndarray, " signals"]) -> str:
+    """Return how much of the log a fit leaves unexplained, in a line; "" where it is little.
 
     Arguments:
         noise: standard deviation of the residuals of each signal.
         moved: standard deviation of each signal.
-        ahead: error of what was held out, over the noise; None: nothing was.
     """
-    if ahead is not None and not ahead <= _WORST:
-        return f"what was held out is predicted {ahead:.3g} times worse than the noise: no interval is given"
     left = float(np.min(noise / moved))  # others may be of joints at rest
-    if not left <= _UNEXPLAINED:
-        return (
-            f"the fit leaves {100 * left:.0f} % or more of what each signal moves by unexplained: no interval is given"
-        )
-    return ""
+    if left <= _UNEXPLAINED:
+        return ""
+    return f"the fit leaves {100 * left:.0f} % or more of what each signal moves by unexplained"
 
 
-def _of_clock(problem: LeastSquares, found: Fitted, sd: np.ndarray) -> np.ndarray:
+def _of_clock(problem: Problem, found: Fitted, sd: np.ndarray) -> np.ndarray:
     """Return each variable's derivative by the log's clock (P,), s: the time from a command to a sample.
 
     Velocities that are late against positions, as those of a simulator of first order are by half its step, show how
@@ -202,7 +221,10 @@ def _directions(
         involved |= loud
         first, *others = [v.key for v, named in zip(variables, loud, strict=True) if named]
         apart = f" from {' and '.join(others)}" if others else ""
-        lines.append(f"this log does not tell {first}{apart}")
+        helps = dict.fromkeys(what for key in (first, *others) for part, what in _HELPS.items() if part in key)
+        lines.append(
+            f"this log does not tell {first}{apart}" + (f" (add {' or '.join([*helps][:2])})" if helps else "")
+        )
     combined = []
     for value, direction in zip(values[~blind], vectors[:, ~blind].T, strict=True):
         share = direction / sd  # on the variables themselves
@@ -220,7 +242,7 @@ def _coordinate(variable: Variable) -> str:
     return f"log({variable.key})" if variable.log else variable.key
 
 
-def whiteness(problem: LeastSquares, found: Fitted) -> list[Whiteness]:
+def whiteness(problem: Problem, found: Fitted) -> list[Whiteness]:
     """Return the test of Ljung and Box for the residuals of each signal, of the windows that were fitted."""
     rows, windows, tests = problem.rows, problem.model.windows, []
     when = windows.begin[rows.window] + (rows.step + rows.share) * windows.time_step
@@ -231,15 +253,25 @@ def whiteness(problem: LeastSquares, found: Fitted) -> list[Whiteness]:
         lags = min(_LAGS, count // 5)
         if lags < 1:
             continue
-        scaled = np.clip(found.normal.residuals[own] / found.noise[number], -_CLIP, _CLIP)
-        total = float((scaled**2).sum()) or 1.0
-        correlation = np.array([float(scaled[lag:] @ scaled[:-lag]) / total for lag in range(1, lags + 1)])
+        scaled = np.clip(found.scaled[own], -_CLIP, _CLIP)
+        every = _autocorrelation(scaled, count // 5)
+        correlation = every[:lags]
         statistic = count * (count + 2) * float((correlation**2 / (count - np.arange(1, lags + 1))).sum())
         by_chance = float(chi2.isf(_FALSE_ALARM / len(windows.names), lags))
         period = float(np.median(np.diff(when[own])))
-        share = unmodelled(float(np.abs(correlation).max()), statistic / by_chance)
-        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, share, count))
+        largest = float(np.abs(correlation).max())
+        share = unmodelled(largest, statistic / by_chance)
+        lasts = every[: int(np.argmax(every < _MATTERS)) if (every < _MATTERS).any() else len(every)]
+        memory = 1 + 2 * float(lasts.sum()) * share / largest if share else 1.0
+        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, share, memory))
     return tests
+
+
+def _autocorrelation(values: Float[np.ndarray, " samples"], lags: int) -> Float[np.ndarray, " lags"]:
+    """Autocorrelation of values at lags from 1 on."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(values))))
+    power = np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)
+    return np.asarray(power[1 : lags + 1] / (power[0] or 1.0))
 
 
 def unmodelled(correlation: float, statistic: float) -> float:

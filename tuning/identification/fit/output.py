@@ -77,8 +77,7 @@ def _differ(robot: Robot, nominal: Robot) -> bool:
 def ensemble_of(found: Identified) -> Ensemble:
     """Return the ensemble whose members are drawn from the posterior; all else is the scenario's own."""
     of_scenario = set(found.model.parameters.paths) | set(TILTS)
-    told = {key: each for key, each in {**found.beside, **found.estimates}.items() if each.low is not None}
-    chosen = [n for n, v in enumerate(found.model.variables) if v.key in of_scenario and v.key in told]
+    chosen = [n for n, v in enumerate(found.model.variables) if v.key in of_scenario]
     variables = [found.model.variables[n] for n in chosen]
     lower = [max(v.lower, 0.0) if v.unit == "s" else v.lower for v in variables]
     return Ensemble(

@@ -1,6 +1,6 @@
 """What the profile of the hardware may have that the robot has not, or lack: likely single changes, each fitted.
 
-Each is tried on a few windows of the log with the noise that the fit had, and the rest of the profile as it is.
+Each is tried with the noise that the fit had, and the rest of the profile as it is.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,10 +11,8 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Servo
-from tuning.identification.fit.iterates import Iterates
-from tuning.identification.fit.least_squares import Fitted
-from tuning.identification.fit.levenberg_marquardt import search
-from tuning.identification.fit.shooting import Problem
+from tuning.identification.fit.problem import Fitted, Problem
+from tuning.identification.fit.search import Searches
 from tuning.identification.model.predicted import model_of, with_nuisances
 from tuning.identification.model.variables import Variable, begin, variables
 
@@ -26,7 +24,7 @@ _PARTS = (  # of a servo, which a profile may have and a robot not, by the field
 )  # fmt: skip
 # SI units: what a robot may have and a profile not, at a size from which it is fitted
 _MISSING = {"backlash": 0.005, "viscous_friction": 0.05, "stribeck_friction": 0.05, "load_friction": 0.1}
-_WINDOWS, _ITERATIONS = 4, 10
+_MOST, _TOLERANCE = 15, 1e-3  # evaluations, relative
 _EXPLAINS = 0.8  # of the residuals' root mean square before
 
 
@@ -68,7 +66,7 @@ def changes(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Iterator[Chang
 
 
 def tried(
-    problem: Problem, found: Fitted, scenario: mc.Scenario, chosen: Sequence[Variable], kept: Iterates
+    problem: Problem, found: Fitted, scenario: mc.Scenario, chosen: Sequence[Variable], searches: Searches
 ) -> list[Tried]:
     """Return the share of the residuals that each likely change of a scenario leaves, the least first.
 
@@ -77,7 +75,7 @@ def tried(
         found: its fit.
         scenario: whose servos are changed.
         chosen: what was asked for.
-        kept: where iterates are kept.
+        searches: of the fit.
     """
     windows, mass = problem.model.windows, problem.model.structure.mass
     known = dict(zip((v.key for v in problem.model.variables), found.x.tolist(), strict=True))
@@ -85,14 +83,13 @@ def tried(
     def cost(change: Change) -> float:
         own = with_nuisances(change.scenario, (*chosen, *change.beside), windows.kinds)
         model = model_of(change.scenario, windows, own, mass)
-        some = Problem(model, problem.some(_WINDOWS), problem.noise, problem.clock)
-        first = begin(own)
-        points = np.stack([first, [known.get(v.key, x) for v, x in zip(own, first, strict=True)]])
-        ends = search(some, points, np.repeat(some.guess[None], 2, axis=0), _ITERATIONS, change.words, kept)
-        return min(end.cost for end in ends)
+        own_problem = Problem(model, problem.noise, problem.clock, problem.rate)
+        x = np.array([known.get(v.key, nominal) for v, nominal in zip(own, begin(own), strict=True)])
+        start = found.start if found.start.shape == model.guess.shape else model.guess
+        end = searches.search(own_problem, np.r_[x, start.ravel()], _MOST, change.words, _TOLERANCE)
+        return np.inf if end is None else end.cost
 
-    before = cost(Change("profile as it is", scenario, ()))
-    each = [Tried(change.words, float(np.sqrt(cost(change) / before))) for change in changes(scenario, chosen)]
+    each = [Tried(change.words, float(np.sqrt(cost(change) / found.cost))) for change in changes(scenario, chosen)]
     return sorted(each, key=lambda one: round(one.left, 2))  # of two alike the smaller change, which is tried first
 
 

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
 from tuning.identification.fit.inference import suspicious
-from tuning.identification.fit.least_squares import scaled_residuals
 from tuning.identification.fit.result import Estimate, Identified
 from tuning.identification.model.variables import begin
 from tuning.identification.model.windows import KINDS, UNITS
@@ -42,7 +41,7 @@ def table(found: Identified) -> page.Table:
 def _rows(estimates: Mapping[str, Estimate]) -> list[list[str]]:
     return [
         [key, e.unit, number(e.before), number(e.value),
-         "none" if e.low is None or e.high is None else f"{number(e.low)} to {number(e.high)}",
+         f"{number(e.low)} to {number(e.high)}",
          e.remark or ("" if e.seen else "not told")]
         for key, e in estimates.items()
     ]  # fmt: skip
@@ -51,7 +50,7 @@ def _rows(estimates: Mapping[str, Estimate]) -> list[list[str]]:
 def residual_table(found: Identified) -> page.Table:
     """Return of each signal, joint by joint, the noise, the residuals over it, fitted and held out, and what is odd."""
     windows, fitted = found.model.windows, found.problem.fitted
-    scaled = scaled_residuals(found.problem, found.fitted.normal)
+    scaled = found.fitted.scaled
     ahead, wrong = found.held_out.get("signals", {}), {test.signal: test for test in suspicious(found.tests)}
     rows: dict[str, list[list[str]]] = {}
     for n, name in enumerate(windows.names):
@@ -93,7 +92,7 @@ def _times(found: Identified) -> np.ndarray:
 def plot_residuals(found: Identified) -> Figure:
     """Return residuals over time, a panel for each joint, foot, and the base; kinds of signals by colour."""
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
-    scaled, robot = scaled_residuals(found.problem, found.fitted.normal), load_robot(found.scenario.robot)
+    scaled, robot = found.fitted.scaled, load_robot(found.scenario.robot)
     kind, held = windows.kind[rows.signal], windows.held_out[rows.window]
     lane = np.where(kind < 3, windows.joint[rows.signal], np.where(kind == 3, robot.joints, robot.joints + 1))
     limb = np.where(kind > 3, 0, windows.limb[rows.signal])
@@ -150,16 +149,15 @@ def plot_prediction(found: Identified) -> Figure:
     Two seconds are shown, and below what the model misses of the log, in units of the noise.
     """
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
-    scaled = np.abs(scaled_residuals(found.problem, found.fitted.normal))
+    scaled = np.abs(found.fitted.scaled)
     means = [float(scaled[rows.signal == n].mean()) for n in range(len(windows.names))]
     worst = int(np.argmax(means))
     own = np.flatnonzero(rows.signal == worst)
     own = own[np.argsort(time[own], kind="stable")]
-    first = begin(found.model.variables)[None]
-    missed = {
-        "before": found.problem.linearized(first, found.fitted.start[None])[0].residuals[own],
-        "after": found.fitted.normal.residuals[own],
-    }
+    first = found.problem.evaluate(np.r_[begin(found.model.variables), found.fitted.start.ravel()])
+    missed = {"after": found.fitted.residuals[own]}
+    if first is not None:
+        missed = {"before": first.residuals[own]} | missed
     middle = time[own][int(np.argmax(np.abs(missed["after"])))]
     shown = np.abs(time[own] - np.clip(middle, time[own][0] + SHOWN / 2, time[own][-1] - SHOWN / 2)) <= SHOWN / 2
     own, missed = own[shown], {name: values[shown] for name, values in missed.items()}
@@ -172,7 +170,8 @@ def plot_prediction(found: Identified) -> Figure:
     noise = float(found.fitted.noise[worst])
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
-    for label, look in _MODELS.items():
+    for label in missed:
+        look = _MODELS[label]
         above.plot(broken(time[own]), broken(rows.value[own] - missed[label]), label=f"model, {label}", **look)
         below.plot(broken(time[own]), broken(missed[label] / noise), **look)
     above.plot(time[own], rows.value[own], ".", color="black", markersize=2, label="log", zorder=3)

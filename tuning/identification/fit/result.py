@@ -14,7 +14,7 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from tuning.identification.fit.inference import Posterior, Whiteness, suspicious
-from tuning.identification.fit.least_squares import Fitted, LeastSquares
+from tuning.identification.fit.problem import Fitted, Problem
 from tuning.identification.model.predicted import PRESLIDING, Fit
 from tuning.identification.model.variables import applied, begin
 from tuning.identification.readers.log import Log
@@ -24,10 +24,10 @@ from tuning.identification.readers.log import Log
 class Estimate:
     """What is known of one key, SI units."""
 
-    value: float  # where the search ended
-    low: float | None  # 95 % interval; None: the fit is none that gives one
-    high: float | None
-    seen: bool  # the log told it
+    value: float  # where the search ended; the nominal one where the log does not tell it
+    low: float  # 95 % interval
+    high: float
+    seen: bool  # the log tells it
     before: float
     unit: str
     remark: str = ""  # bound or prior reached
@@ -45,7 +45,7 @@ class Identified:
     warnings: tuple[str, ...]
     combined: tuple[str, ...]  # combinations that were seen, of what was not
     model: Fit
-    problem: LeastSquares
+    problem: Problem
     fitted: Fitted
     posterior: Posterior
     tests: Sequence[Whiteness]
@@ -64,20 +64,17 @@ class Identified:
         """Return the result as `mjx-climb identify --json` prints it."""
         names = ("value", "low", "high", "seen")
         shown = {key: {n: getattr(each, n) for n in names} for key, each in self.estimates.items()}
-        away = {  # None: infinite
-            v.key: float(a) if np.isfinite(a) else None
-            for v, a in zip(self.model.variables, self.fitted.away, strict=True)
-            if not v.beside
-        }
-        search = {"ended": self.fitted.ended, "away": away, "iterations": self.fitted.iterations}
+        search = {
+            "ended": self.fitted.ended, "iterations": self.fitted.iterations, "costs": list(self.fitted.costs),
+        }  # fmt: skip
         return {
             "parameters": shown, "held_out": dict(self.held_out), "search": search, "warnings": list(self.warnings),
         }  # fmt: skip
 
     @property
     def known(self) -> dict[str, Estimate]:
-        """The estimates that have an interval, by key: the others are as they were."""
-        return {key: each for key, each in self.estimates.items() if each.low is not None}
+        """The estimates that the log tells, by key: the others stay nominal."""
+        return {key: each for key, each in self.estimates.items() if each.seen}
 
     def overrides(self) -> dict[str, Any]:
         """Return the keys of a scenario with their new values; those of the robot go by its file."""

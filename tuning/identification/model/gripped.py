@@ -5,7 +5,7 @@ commands for a window's length before the log begins, and goes on from window to
 """
 
 import dataclasses
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -34,14 +34,14 @@ from tuning.identification.model import held_feet as grips
 from tuning.identification.model import predicted as model
 from tuning.identification.model.force_sensors import logged_force
 from tuning.identification.model.predicted import (
-    CLOCK,
-    DELAY,
     LATENESS,
     LEAD,
     Fit,
     Point,
     Structure,
+    leaves_of,
     stages_for,
+    structure_of,
     with_nuisances,
 )
 from tuning.identification.model.variables import Place, Variable, applied
@@ -50,7 +50,7 @@ from tuning.identification.readers.log import Log, Signal, joints_of
 
 FORCE_DELAY, LATE_FORCE = "hardware.force_sensor.delay", "log.force.delay"
 LATE = {  # kinds that are recorded late, by the keys of their delays
-    **{key: (kind,) for key, kind in model.LATE.items()},
+    **model.LATE,
     FORCE_DELAY: ("force",), LATE_FORCE: ("force",), "log.base.delay": KINDS[4:],
 }  # fmt: skip
 _GRIP = (0.0, 0.003, -0.1, 0.1)  # m, of a grip point from where the foot is seen
@@ -100,7 +100,7 @@ def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Wi
 def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
     """Return the predicted records at steps 0 to `steps`, and the leaves of the state at the last one."""
     dtype = point.x.dtype
-    nominal = load_robot(structure.robot)
+    nominal = structure.robot
     parameters, robot = applied(structure.places, point.x, parameters, nominal)
     # states are of the base's nominal centre of mass, but in the simulation itself
     center = jnp.asarray(nominal.frame_position[0, 0] - robot.frame_position[0, 0], dtype)
@@ -128,7 +128,7 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
 
     first = first._replace(limbs=limbs)
     (_, last), seen = jax.lax.scan(step, (first, first), (given.sent, given.rates))
-    return seen | {f"end {n}": leaf for n, leaf in enumerate(jax.tree.leaves(_about(last, -center)))}
+    return seen | leaves_of(_about(last, -center))
 
 
 def _about(moving: grips.Moving, by: Array) -> grips.Moving:
@@ -157,75 +157,34 @@ class GrippedModel(Fit):
     stood: State  # at the beginning of the log
     first: Sequence[State]  # at the beginning of each stretch
 
-    def evaluate(self, x: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, dict[str, Any], dict[str, Any]]]:
-        """Yield windows that run at the same time, what they and those before would have recorded, and the tangents.
+    LEADS = 0.5
+    LATE = LATE
 
-        Arguments:
-            x: (points, n).
-            count: how many windows, from the first on.
-
-        Yields:
-            Windows; by kind (points, windows, 2 steps + 1, limb, joint), from the beginning of the windows before
-            them; and the tangents along each variable, their axis behind that of the windows.
-        """
-        abuts, points, steps = self.windows.abuts[:count], len(x), self.windows.steps
-        firsts = np.flatnonzero(~abuts)
-        lengths = np.diff(np.r_[firsts, count])
-        moving = self._at_rest(x, len(firsts))
-        turned = jax.tree.map(lambda value: np.zeros((len(value), x.shape[1], *value.shape[1:])), moving)
-        kept: Any = None
-        for n in range(-1, int(lengths.max())):
-            which = firsts + np.clip(n, 0, lengths - 1)
-            given = self._given(x, which, before=n < 0)
-            values, tangents = self._run(x, Point(x, moving, 0.0), turned, given)
-            (moving, values), (turned, tangents) = (_parted(each, moving) for each in (values, tangents))
-            if n >= 0:
-                own = n < lengths
-                of_windows = [
-                    {
-                        kind: np.concatenate([before[kind][..., :steps, :, :], value], axis=-3).reshape(
-                            points, len(firsts), *value.shape[1:-3], -1, *value.shape[-2:]
-                        )[:, own]
-                        for kind, value in each.items()
-                    }
-                    for before, each in zip(kept, (values, tangents), strict=True)
-                ]
-                yield which[own], *of_windows
-            kept = values, tangents
-
-    def _given(self, x: np.ndarray, which: np.ndarray, before: bool) -> Given:
-        """Return the records of windows, or of the same time before each, for all points."""
-        steps = self.windows.steps
-        span = slice(0, steps + 1) if before else slice(steps, None)
-        each = [self.sent(which, self.delay(point), steps) for point in x]
-        sent, rates = jax.tree.map(lambda *parts: np.concatenate(parts)[:, span], *each)
-        return Given(sent, rates, self.points, self.stood)
-
-    def _at_rest(self, x: np.ndarray, stretches: int) -> grips.Moving:
-        """Return the state in which each stretch begins, for all points."""
-        robot = load_robot(self.structure.robot)
+    def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
+        """The robot at rest on its grips, a window's length before each stretch."""
+        robot = self.structure.robot
         with jax.enable_x64(True):
             hardware = hardware_of(self.parameters, self.structure.stages, self.structure.time_step, robot)
-            each = [grips.begin(hardware, jax.tree.map(jnp.asarray, state)) for state in self.first[:stretches]]
-            stacked: grips.Moving = jax.tree.map(lambda *leaves: np.stack(leaves * len(x)), *each)
-        return stacked
+            each = [grips.begin(hardware, jax.tree.map(jnp.asarray, state)) for state in self.first]
+            moving: grips.Moving = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
+        count = len(self.lanes)
+        return moving, jax.tree.map(lambda value: np.zeros((len(value), count, *value.shape[1:])), moving)
 
-    def _run(self, x: np.ndarray, point: Point, turned: Any, given: Given) -> Any:
-        robots, count = len(given.sent.targets), x.shape[1]
-        late = np.array([float(v.key in (DELAY, CLOCK)) for v in self.variables])
-        along = Point(np.eye(count)[None], turned, late[None])
-        point = point._replace(x=np.repeat(x, robots // len(x), axis=0), late=np.zeros(robots))
-        own, sent, rates = jax.tree.map(lambda value: value.ndim - 1, (point, given.sent, given.rates))
-        shared: Any = jax.tree.map(np.ndim, (given.stood, self.parameters))
-        axes = (own, Given(sent, rates, 2, shared[0]), shared[1])
-        batch = execution.Robots((point, given, self.parameters), axes, (robots,), along)
-        return execution.run(simulate, self.structure, batch, batch_size=1)
-
-
-def _parted(found: dict[str, np.ndarray], like: grips.Moving) -> tuple[grips.Moving, dict[str, np.ndarray]]:
-    leaves = [found[f"end {n}"] for n in range(len(jax.tree.leaves(like)))]
-    state: grips.Moving = jax.tree.unflatten(jax.tree.structure(like), leaves)
-    return state, {kind: value for kind, value in found.items() if not kind.startswith("end ")}
+    def run(self, x: np.ndarray, state: tuple[Any, Any], which: np.ndarray, *, early: bool) -> tuple[Any, Any]:
+        """Results of `simulate` for windows, or for the same time before each, and their tangents."""
+        steps, count = self.windows.steps, len(which)
+        span = slice(0, steps + 1) if early else slice(steps, None)
+        sent, rates = jax.tree.map(lambda value: value[:, span], self.sent(which, self.delay(x), steps))
+        given = Given(sent, rates, self.points, self.stood)
+        (of_x, late), (moving, turned) = self.tangents(0, 0), state
+        point = Point(np.broadcast_to(x, (count, len(x))), moving, np.zeros(count))
+        along = Point(np.broadcast_to(of_x, (count, *of_x.shape)), turned, np.broadcast_to(late, (count, len(late))))
+        own, of_sent = jax.tree.map(lambda value: value.ndim - 1, (point, (sent, rates)))
+        stood, parameters = jax.tree.map(np.ndim, (given.stood, self.parameters))
+        axes = (own, Given(of_sent[0], of_sent[1], 2, stood), parameters)
+        batch = execution.Robots((point, given, self.parameters), axes, (count,), along)
+        values, tangents = execution.run(simulate, self.structure, batch, batch_size=1)
+        return values, tangents
 
 
 def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Sequence[Variable]) -> GrippedModel:
@@ -237,7 +196,7 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
         force_delay=0, force_noise=False, force_resolution=False, force_dead=False, base_delay=0, base_noise=False
     )
     places = tuple(v.place for v in every)
-    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, windows.kinds)
+    structure = structure_of(scenario, places, stages, windows)
     angles = windows.start[~windows.abuts, :, :, 0]
     position, orientation = _posed(log, robot, windows.begin[0])
     feet = position + limb_frames(robot, np.asarray(quaternion_to_matrix(orientation), float), angles[0]).foot

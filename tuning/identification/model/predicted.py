@@ -2,13 +2,14 @@
 
 import dataclasses
 import functools
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 import mjx_climb as mc
 from mjx_climb import execution
@@ -20,7 +21,6 @@ from mjx_climb.inputs.from_scenario import own_parameters, with_options_of
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.scenario.model import RobotFile
 from tuning.identification.model import held_base as stands
 from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.schedule import Schedule, schedule_of
@@ -30,18 +30,22 @@ from tuning.identification.model.windows import Windows
 AT_ONCE = 8  # windows in one call of an executable
 DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
 SERVO_DELAY = "hardware.servo.delay"
-LATE = {"log.velocity.delay": "velocity", "log.effort.delay": "effort"}  # of what is recorded, behind the positions
+LATE = {
+    "log.velocity.delay": ("velocity",),
+    "log.effort.delay": ("effort",),
+}  # of what is recorded, behind the positions
 LEAD = "log.friction.lead"  # of dry friction, see `tuning.identification.model.held_base`
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
 _LEADS = (0.0, 0.005, 0.03)  # s, mean and sd of the prior, and the upper bound
 _BENDS = 3.0  # prior sd of the logarithm of presliding: gears bend by mrad, a simulator's friction may not at all
+_STATE = (0.2, 3.0)  # prior sd of a start from its guess: rad, rad/s
 LATENESS = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter what they record
 
 
 class Structure(NamedTuple):
     """What a compiled window depends on; hashable."""
 
-    robot: str | RobotFile
+    robot: Robot
     places: tuple[Place, ...]
     stages: Stages
     time_step: float
@@ -54,68 +58,96 @@ class Point(NamedTuple):
     """Where the fit is, and what it may move along."""
 
     x: Any  # (n,) coordinates of the variables
-    start: Any  # (limb, joint, S): angle, rate, what the servo remembers of each joint; base free: a `gripped.Moving`
+    start: Any  # as each window begins: `held_base.Moving`, or `held_feet.Moving` with the base free
     late: Any  # () s, delay of the commands beyond that of the targets
 
 
 class Given(NamedTuple):
     """What the log says of a window."""
 
-    before: Any  # (B, limb, joint) rad, targets before it
     sent: stands.Sent  # (steps + 1, ...)
     rates: stands.Sent  # of what is sent, over time
 
 
-MEMORY = {  # of a joint's servo, that a window begins with: prior sd, and what a window's end may miss
-    "bristle": (0.7, 0.02),  # 1
-    "loop.goal": (0.05, 1e-4),  # rad
-    "loop.goal_rate": (1.0, 1e-2),  # rad/s
-    "loop.integral": (0.1, 1e-4),  # rad s
+class Before(NamedTuple):
+    """What the log says of the time before a stretch."""
+
+    targets: Any  # (B, limb, joint) rad
+    sent: stands.Sent  # in the first step
+
+
+MEMORY = {  # of a joint's servo, that a stretch begins with: prior sd
+    "bristle": 0.7,  # 1
+    "loop.goal": 0.05,  # rad
+    "loop.goal_rate": 1.0,  # rad/s
+    "loop.integral": 0.1,  # rad s
 }
 
 
 def memory(servo: Servo) -> dict[str, Array]:
-    """Return the servos' states that the log does not tell, (limb, joint) each."""
+    """The servos' states that the log does not tell, (limb, joint) each."""
     found = {"bristle": servo.bristle, **{f"loop.{name}": value for name, value in servo.loop._asdict().items()}}
     return {name: found[name] for name in MEMORY if found[name] is not None}
 
 
 def with_memory(servo: Servo, own: Mapping[str, AnyArray]) -> Servo:
-    """Return servos that remember something else."""
+    """Servos that remember something else."""
     loop = servo.loop._replace(**{name[5:]: value for name, value in own.items() if name.startswith("loop.")})
     return servo._replace(bristle=own.get("bristle", servo.bristle), loop=loop)
 
 
-def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
-    """Return the predicted records at steps 0 to `steps` (steps + 1, limb, joint), and the state at the last one."""
-    dtype = point.x.dtype
-    parameters, robot = applied(structure.places, point.x, parameters, load_robot(structure.robot))
-    robot = with_foot_mass(robot, structure.mass)
-    robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
-    hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
-    stand, (angles, rates) = (
-        stands.Stand(robot, hardware, _lead(structure, point)),
-        (point.start[..., n] for n in (0, 1)),
-    )
+def moving_at(structure: Structure, point: Point, before: Before, parameters: Parameters) -> stands.Moving:
+    """The robot at a start (limb, joint, S): angle, rate, what each servo remembers."""
+    stand = _stand(structure, point, parameters)
+    angles, rates = (point.start[..., n] for n in (0, 1))
     moving = stands.begin(stand, angles, rates)
     if structure.stages.servo_delay:  # what is on its way to the motors: of a joint that came at the same rate
-        first_sent = jax.tree.map(lambda value: value[0], given.sent)
-        moving = _filled(stands.with_gains(stand, first_sent), moving, given.before)
+        moving = _filled(stands.with_gains(stand, before.sent), moving, before.targets)
     own = {name: point.start[..., 2 + n] for n, name in enumerate(memory(moving.servo))}
-    moving = moving._replace(servo=with_memory(moving.servo, own))
+    return moving._replace(servo=with_memory(moving.servo, own))
+
+
+def placed(structure: Structure, point: Point, before: Before, parameters: Parameters) -> dict[str, Array]:
+    """The leaves of `moving_at`."""
+    return leaves_of(moving_at(structure, point, before, parameters))
+
+
+def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
+    """The predicted records at steps 0 to `steps` (steps + 1, limb, joint), and the leaves of the state at the last."""
+    stand = _stand(structure, point, parameters)
+    first = point.start._replace(state=execution.of_limbs(point.start.state))
 
     def step(carry: Any, both: tuple[stands.Sent, stands.Sent]) -> tuple[Any, dict[str, Array]]:
         moving, _ = carry
         sent = jax.tree.map(lambda value, rate: value - point.late * rate, *both)
         after, seen = stands.advance(stands.with_gains(stand, sent), moving, sent.targets)
-        last = [moving.state.joint_angles, moving.state.joint_rates, *memory(moving.servo).values()]
         # the rate as it stands, half a step before the angle: right where the target jumps too
         recorded = seen._replace(velocity=moving.state.joint_rates)
-        return (after, last), {kind: getattr(recorded, kind) for kind in structure.kinds}
+        return (after, moving), {kind: getattr(recorded, kind) for kind in structure.kinds}
 
-    first = [angles, rates, *memory(moving.servo).values()]
-    (_, last), seen = jax.lax.scan(step, (moving, first), (given.sent, given.rates))
-    return seen | {"end": jnp.stack(last, axis=-1)}
+    (_, last), seen = jax.lax.scan(step, (first, first), (given.sent, given.rates))
+    return seen | leaves_of(last)
+
+
+def leaves_of(moving: Any) -> dict[str, Array]:
+    """The leaves of a state by number, as `parted` takes them."""
+    return {f"end {n}": leaf for n, leaf in enumerate(jax.tree.leaves(moving))}
+
+
+def parted(found: Mapping[str, np.ndarray], like: Any) -> tuple[Any, dict[str, np.ndarray]]:
+    """Split results of `simulate` into the state at the end, a tree like `like`, and the records by kind."""
+    leaves = [found[f"end {n}"] for n in range(len(jax.tree.leaves(like)))]
+    state = jax.tree.unflatten(jax.tree.structure(like), leaves)
+    return state, {kind: value for kind, value in found.items() if not kind.startswith("end ")}
+
+
+def _stand(structure: Structure, point: Point, parameters: Parameters) -> stands.Stand:
+    dtype = point.x.dtype
+    parameters, robot = applied(structure.places, point.x, parameters, structure.robot)
+    robot = with_foot_mass(robot, structure.mass)
+    robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
+    hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
+    return stands.Stand(robot, hardware, _lead(structure, point))
 
 
 def _lead(structure: Structure, point: Point) -> Any:
@@ -141,10 +173,79 @@ class Fit:
     structure: Structure
     parameters: Parameters  # of the scenario, in double precision
 
+    LEADS: ClassVar[float] = 0.0  # s, a stretch's first samples, not fitted; above 0 it is simulated from before it
+    LATE: ClassVar[Mapping[str, tuple[str, ...]]] = LATE
+
     @property
     def memory(self) -> tuple[str, ...]:
-        """What servos remember where a window begins, by the names of MEMORY, as far as it is fitted."""
+        """What servos remember where a stretch begins, by the names of MEMORY, as far as it is fitted."""
         return ()
+
+    @property
+    def guess(self) -> Float[np.ndarray, "stretch limb joint S"]:
+        """First guesses of the states that stretches begin with, as far as they are fitted."""
+        return np.zeros((int((~self.windows.abuts).sum()), 1, 1, 0))
+
+    @property
+    def guess_sd(self) -> Float[np.ndarray, " S"]:
+        """Prior standard deviations of these."""
+        return np.zeros(0)
+
+    @property
+    def lanes(self) -> list[list[int]]:
+        """The variables by tangent."""
+        return [[n] for n, v in enumerate(self.variables) if v.key not in self.LATE]
+
+    def moves(self, variable: Variable, limb: int) -> bool:
+        """Whether a variable moves what is recorded of a limb."""
+        return True
+
+    def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
+        """The states in which stretches begin, whose first windows are given, and their tangents (stretch, k, ...)."""
+        raise NotImplementedError
+
+    def run(self, x: np.ndarray, state: tuple[Any, Any], which: np.ndarray, *, early: bool) -> tuple[Any, Any]:
+        """Results of `simulate` for windows, or for the same time before each, and their tangents."""
+        raise NotImplementedError
+
+    def evaluate(self, x: np.ndarray, start: np.ndarray) -> Iterator[tuple[np.ndarray, dict[str, Any], dict[str, Any]]]:
+        """Yield windows that run at the same time, what they and those before would have recorded, and the tangents.
+
+        Arguments:
+            x: (n,).
+            start: (stretch, limb, joint, S).
+
+        Yields:
+            Windows; by kind (windows, 2 steps + 1, limb, joint), from the beginning of the windows before them; and the
+            tangents (windows, k, 2 steps + 1, limb, joint) along the lanes, then along each number of a joint's state.
+        """
+        abuts, steps = self.windows.abuts, self.windows.steps
+        firsts = np.flatnonzero(~abuts)
+        lengths, kept = np.diff(np.r_[firsts, len(abuts)]), None
+        state = self.begun(x, start, firsts)
+        for n in range(-1 if self.LEADS else 0, int(lengths.max())):
+            goes_on = lengths > n
+            firsts, lengths = firsts[goes_on], lengths[goes_on]
+            state, kept = jax.tree.map(lambda value, own=goes_on: value[own], (state, kept))
+            found = self.run(x, state, firsts + max(n, 0), early=n < 0)
+            state, records = zip(*(parted(each, state[0]) for each in found), strict=True)
+            if kept is None:  # nothing is known of before
+                kept = jax.tree.map(lambda value: np.repeat(value[..., :1, :, :], steps + 1, axis=-3), records)
+            if n >= 0:
+                joined = jax.tree.map(
+                    lambda before, value: np.concatenate([before[..., :steps, :, :], value], axis=-3), kept, records
+                )
+                yield firsts + n, *joined
+            kept = records
+
+    def tangents(self, joints: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+        """Directions of x (k, n) and of the delay (k,) along the lanes, then none along a joint's state."""
+        count = len(self.lanes) + joints * size
+        x, late = np.zeros((count, len(self.variables))), np.zeros(count)
+        for n, lane in enumerate(self.lanes):
+            x[n, lane] = 1.0
+            late[n] = float(any(self.variables[m].key in (DELAY, CLOCK) for m in lane))
+        return x, late
 
     def delay(self, x: np.ndarray) -> float:
         """Return the delay of commands at a point of coordinates (n,), s."""
@@ -173,12 +274,12 @@ class Fit:
 
 
 class Model(Fit):
-    """The model of a log's windows, the base held: each begins in a state of its own."""
+    """The model of a log, the base held: each limb begins each stretch in a state of its own."""
 
     @functools.cached_property
     def sizes(self) -> tuple[int, int, int]:
         """Limbs, joints, and how many numbers a joint's state has."""
-        robot = load_robot(self.structure.robot)
+        robot = self.structure.robot
         return len(robot.limbs), robot.joints, 2 + len(self.memory)
 
     @functools.cached_property
@@ -186,12 +287,25 @@ class Model(Fit):
         """What the servos remember, by the names of MEMORY."""
         return tuple(memory(begin(jnp.zeros((1, 1)), self.structure.stages)))
 
+    @property
+    def guess(self) -> Float[np.ndarray, "stretch limb joint S"]:
+        """First guesses of the states that stretches begin with: a bristle is bent by the motion."""
+        known = self.windows.start[~self.windows.abuts]
+        guesses = {"bristle": 0.9 * np.tanh(known[..., 1] / 0.05), "loop.goal": known[..., 0]}
+        own = [guesses.get(name, np.zeros(known.shape[:-1])) for name in self.memory]
+        return np.concatenate([known, *(each[..., None] for each in own)], axis=-1)
+
+    @property
+    def guess_sd(self) -> Float[np.ndarray, " S"]:
+        """Prior standard deviations of these."""
+        return np.array([*_STATE, *(MEMORY[name] for name in self.memory)])
+
     @functools.cached_property
     def lanes(self) -> list[list[int]]:
         """The variables by tangent: those of different limbs share one, as these do not feel each other."""
         lanes: list[list[int]] = []
         for n, variable in enumerate(self.variables):
-            if variable.key in LATE:
+            if variable.key in self.LATE:
                 continue
             for lane in lanes:
                 limbs = [self.variables[m].limb for m in lane]
@@ -202,53 +316,50 @@ class Model(Fit):
                 lanes.append([n])
         return lanes
 
-    def directions(self) -> Point:
-        """Return the tangents that are asked for: of the variables by lanes, then of each joint's state."""
+    def moves(self, variable: Variable, limb: int) -> bool:
+        """Whether a variable moves what is recorded of a limb."""
+        return variable.limb in (None, limb)
+
+    def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
+        """The states in which stretches begin, whose first windows are given, and their tangents (stretch, k, ...)."""
+        before, count = self.structure.stages.servo_delay, len(firsts)
+        sent, _ = self.sent(firsts, self.delay(x), before)
+        given = Before(sent.targets[:, :before], jax.tree.map(lambda value: value[:, before], sent))
         limbs, joints, size = self.sizes
-        count = len(self.lanes) + joints * size
-        x, late = np.zeros((1, count, len(self.variables))), np.zeros((1, count))
-        start = np.zeros((1, count, limbs, joints, size))
-        for n, lane in enumerate(self.lanes):
-            x[0, n, lane] = 1.0
-            late[0, n] = float(any(self.variables[m].key in (DELAY, CLOCK) for m in lane))
+        of_x, late = self.tangents(joints, size)
+        turned = np.zeros((1, len(late), limbs, joints, size))
         for n in range(joints * size):
-            start[0, len(self.lanes) + n, :, n // size, n % size] = 1.0
-        return Point(x, start, late)
+            turned[0, len(self.lanes) + n, :, n // size, n % size] = 1.0
+        point = Point(np.broadcast_to(x, (count, len(x))), start, np.zeros(count))
+        axes = (Point(1, 3, 0), jax.tree.map(lambda value: np.ndim(value) - 1, given))
+        found = self._carried(placed, point, given, axes, Point(of_x[None], turned, late[None]))
+        one, own = (jax.tree.map(lambda value: value[0], each) for each in (point, given))
+        like = jax.eval_shape(functools.partial(moving_at, self.structure), one, own, self.parameters)
+        state, turned_state = (parted(each, like)[0] for each in found)
+        return state, turned_state
 
-    def _given(self, which: np.ndarray, delay: float, before: int) -> Given:
-        """Return the windows' records, with the commands `delay` s late."""
-        early, changing = self.sent(which, delay, before)
-        sent, changing = (jax.tree.map(lambda value: value[:, before:], each) for each in (early, changing))
-        return Given(early.targets[:, :before], sent, changing)
+    def run(self, x: np.ndarray, state: tuple[Any, Any], which: np.ndarray, *, early: bool) -> tuple[Any, Any]:
+        """Results of `simulate` for windows, and their tangents."""
+        del early  # a stretch begins where the log does
+        given, count = Given(*self.sent(which, self.delay(x))), len(which)
+        of_x, late = self.tangents(self.sizes[1], self.sizes[2])
+        moving, turned = state
+        point = Point(np.broadcast_to(x, (count, len(x))), moving, np.zeros(count))
+        own: Any = jax.tree.map(lambda value: np.ndim(value) - 1, (point, given))
+        of_all = (np.broadcast_to(each, (count, *each.shape)) for each in (of_x, late))
+        return self._carried(simulate, point, given, own, Point(next(of_all), turned, next(of_all)))
 
-    def evaluate(self, x: np.ndarray, start: np.ndarray, which: np.ndarray) -> tuple[dict[str, np.ndarray], Any]:
-        """Return the predicted records of windows, and their tangents.
-
-        Arguments:
-            x: (points, n).
-            start: (points, windows, limb, joint, S), of the windows `which`.
-            which: indices of windows.
-
-        Returns:
-            By kind (points, windows, steps + 1, limb, joint), `end` (points, windows, limb, joint, S); and of each the
-            tangents with an axis of them behind that of the windows.
-        """
-        points, windows, before = len(x), len(which), self.structure.stages.servo_delay
-        each = [self._given(which, self.delay(point), before) for point in x]
-        given = jax.tree.map(lambda *parts: np.concatenate(parts), *each)
-        point = Point(np.repeat(x, windows, axis=0), start.reshape(-1, *start.shape[2:]), np.zeros(points * windows))
-        count = points * windows
-        rows = np.arange(-(-count // AT_ONCE) * AT_ONCE) % count  # whole calls of one executable
+    def _carried(self, function: Any, point: Point, given: Any, own: Any, along: Point) -> tuple[Any, Any]:
+        count = len(point.x)
+        at_once = min(AT_ONCE, int((~self.windows.abuts).sum()))
+        rows = np.arange(-(-count // at_once) * at_once) % count  # whole calls of one executable
         point, given = (jax.tree.map(lambda value: value[rows], each) for each in (point, given))
-        own = jax.tree.map(lambda value: np.ndim(value) - 1, given)
-        axes = (Point(1, 3, 0), own, jax.tree.map(np.ndim, self.parameters))
-        robots = execution.Robots((point, given, self.parameters), axes, (len(rows),), self.directions())
-        values, tangents = execution.run(simulate, self.structure, robots, batch_size=AT_ONCE)
-
-        def shaped(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-            return {name: v[:count].reshape(points, windows, *v.shape[1:]) for name, v in found.items()}
-
-        return shaped(values), shaped(tangents)
+        along = jax.tree.map(lambda value: value if len(value) == 1 else value[rows], along)
+        axes = (*own, jax.tree.map(np.ndim, self.parameters))
+        robots = execution.Robots((point, given, self.parameters), axes, (len(rows),), along)
+        values, tangents = execution.run(function, self.structure, robots, batch_size=at_once)
+        own = ({name: value[:count] for name, value in each.items()} for each in (values, tangents))
+        return next(own), next(own)
 
 
 def with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Collection[str]) -> list[Variable]:
@@ -264,7 +375,7 @@ def with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Col
     """
     least, keys = -scenario.time_step / 4, {v.key for v in chosen}
     found = [dataclasses.replace(v, lower=least) if v.key == DELAY else v for v in chosen]
-    beside = [Variable(key, "s", 0.0, *LATENESS) for key, kind in LATE.items() if {kind, "position"} <= {*kinds}]
+    beside = [Variable(key, "s", 0.0, *LATENESS) for key, (kind,) in LATE.items() if {kind, "position"} <= {*kinds}]
     if DELAY not in keys:
         beside.append(Variable(CLOCK, "s", 0.0, 0.0, -least, least, -least))
     if stages_for(scenario, chosen).dry_friction:
@@ -292,6 +403,14 @@ def _with_all(scenario: mc.Scenario, chosen: Sequence[Variable]) -> tuple[Parame
     return with_all(chosen, value, own_parameters(scenario), load_robot(scenario.robot))
 
 
+def structure_of(
+    scenario: mc.Scenario, places: tuple[Place, ...], stages: Stages, windows: Windows, mass: float = 0.0
+) -> Structure:
+    """Structure of the windows of a log; a `mass` in kg hung on each foot."""
+    robot = load_robot(scenario.robot)
+    return Structure(robot, places, stages, windows.time_step, windows.steps, windows.kinds, mass)
+
+
 def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable], mass: float = 0.0) -> Model:
     """Return the model of a log: it has the stages of hardware that the scenario has, or that are fitted.
 
@@ -299,7 +418,7 @@ def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]
     """
     places = tuple(each.place for each in chosen)
     stages = stages_for(scenario, chosen)
-    structure = Structure(scenario.robot, places, stages, windows.time_step, windows.steps, windows.kinds, mass)
+    structure = structure_of(scenario, places, stages, windows, mass)
     own = own_parameters(scenario)
     own = with_options_of(own, _with_all(scenario, chosen)[0])
     return Model(windows, tuple(chosen), structure, own)

@@ -63,6 +63,24 @@ class Windows:
         """What is recorded, in the order of KINDS."""
         return tuple(KINDS[k] for k in sorted(set(self.kind)))
 
+    @property
+    def begins_stretch(self) -> np.ndarray:
+        """Which windows are the first of a stretch without gaps, (windows,) bool."""
+        return np.asarray(~self.abuts)
+
+    @property
+    def stamp_spacing(self) -> float:
+        """Median time between two stamps, s."""
+        rows = self.rows
+        _, first = np.unique(rows.stamp, return_index=True)
+        late = (rows.step + rows.share - (self.kind[rows.signal] == 1) / 2)[first]  # rates stand half a step before
+        return float(np.median(np.diff(self.begin[rows.window[first]] + late * self.time_step)))
+
+    @property
+    def stretch(self) -> Int[np.ndarray, " windows"]:
+        """The stretch of each window."""
+        return np.asarray(np.cumsum(~self.abuts) - 1)
+
     def moments(self, which: np.ndarray, count: int, before: int = 0) -> np.ndarray:
         """Return when steps of some windows begin, (windows, count) s, from `before` steps before each."""
         return np.asarray(self.begin[which, None] + (np.arange(count) - before) * self.time_step)

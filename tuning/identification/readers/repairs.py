@@ -63,18 +63,21 @@ def cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[di
 def _stale(values: np.ndarray) -> np.ndarray:
     """Return which rows repeat the one before, but for those of a robot that may not have moved further.
 
-    Such are the first rows, runs far longer than most, and those after which it moves by a step or two of its encoders:
-    without them slow motion would seem to be ahead of itself by half a step.
+    Such are the first rows, runs far longer than most, those at which all that moves turns round, and those after which
+    it moves by a step or two of its encoders: without them slow motion would seem to be ahead of itself by half a step.
     """
     changed = np.r_[True, (values[1:] != values[:-1]).any(1)]
     starts = np.flatnonzero(changed)
     if len(starts) < 3:
         return np.zeros(len(values), bool)
-    runs, moved = np.diff(np.r_[starts, len(values)]), np.abs(np.diff(values[starts], axis=0))
+    way = np.diff(values[starts], axis=0)
+    runs, moved = np.diff(np.r_[starts, len(values)]), np.abs(way)
     step = np.where(moved > 0, moved, np.inf).min(0)
     onwards = (moved > _STEPS * step).any(1)
     resting = (runs > _STALE * np.median(runs)) | ~np.r_[onwards, onwards[-1]]
     resting[0] |= runs[0] > 2 * np.median(runs)
+    if np.median(runs) < 2:  # else a driver repeats what it read
+        resting[1:-1] |= (way[:-1] * way[1:] <= 0).all(1)
     return np.asarray(~changed & ~np.repeat(resting, runs))
 
 
