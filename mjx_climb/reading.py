@@ -1,10 +1,14 @@
 """Files that may have a reader wait forever, or that were found, not given: somebody else may have put them there."""
 
 import errno
+import functools
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any, TypeVar, cast
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def read_found(path: str | os.PathLike[str]) -> str:
@@ -27,6 +31,34 @@ def check_regular(path: str | os.PathLike[str], opened: int | None = None) -> No
     """
     if not stat.S_ISREG(os.stat(path if opened is None else opened).st_mode):
         raise OSError(errno.EINVAL, "no regular file", os.fspath(path))
+
+
+def until_edited(files: Callable[..., Iterable[str | os.PathLike[str] | None]]) -> Callable[[Function], Function]:
+    """Decorator of a function of hashable arguments: its results are kept until one of its files is edited.
+
+    Arguments:
+        files: the paths, by the function's arguments; None and files that are not there count too.
+    """
+
+    def decorate(function: Function) -> Function:
+        kept = functools.lru_cache(maxsize=64)(lambda written, *given, **named: function(*given, **named))
+
+        @functools.wraps(function)
+        def call(*given: Any, **named: Any) -> Any:
+            return kept(tuple(map(_written, files(*given, **named))), *given, **named)
+
+        return cast(Function, call)
+
+    return decorate
+
+
+def _written(file: str | os.PathLike[str] | None) -> tuple[int, int] | None:
+    """Return when a file was written, ns, and its size, bytes."""
+    try:
+        about = None if file is None else os.stat(file)
+    except (OSError, ValueError):  # ValueError: a null byte
+        return None
+    return None if about is None else (about.st_mtime_ns, about.st_size)
 
 
 def _without_waiting(path: str, flags: int) -> int:

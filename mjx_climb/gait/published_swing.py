@@ -7,7 +7,6 @@ of `planned/LINK` on `/tf`; PlotJuggler's exports of them are CSV.
 """
 
 import csv
-import functools
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.gait.swing import COUNT, added_shapes, lift, rest_to_rest
-from mjx_climb.reading import check_regular
+from mjx_climb.reading import check_regular, until_edited
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Gait, SwingFile
 
@@ -61,7 +60,7 @@ def published_path(swing: SwingFile, gait: Gait, limbs: int) -> np.ndarray:
     return np.tile(path, (limbs, 1, 1))
 
 
-@functools.lru_cache(maxsize=8)
+@until_edited(lambda file, frame: [file])
 def _read(file: str, frame: str) -> Swing:
     """The swing in a file.
 

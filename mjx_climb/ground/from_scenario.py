@@ -1,6 +1,5 @@
 """The points of a scenario that can be held, from a list, a file, a height map or a rule."""
 
-import functools
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from mjx_climb.ground import rules
 from mjx_climb.ground.height_map import holdable
 from mjx_climb.ground.holds import Holds, of
 from mjx_climb.ground.readers import table_of
+from mjx_climb.reading import until_edited
 from mjx_climb.scenario import model
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.values import MAX_COUNT
@@ -26,7 +26,12 @@ _NEAR = 9  # points of a file among which one is looked for above another
 _Found = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-@functools.lru_cache(maxsize=32)
+def _files(ground: model.Ground) -> list[str | None]:
+    source = None if ground.holds is None else ground.holds.source[1]
+    return [getattr(source, name, None) for name in ("file", "mask")]
+
+
+@until_edited(_files)
 def holds_of(ground: model.Ground) -> Holds | None:
     """The points of a ground that can be held; None: it can be held everywhere.
 

@@ -1,6 +1,5 @@
 """Height maps: grids of heights from a file, their place in the world, and their samples that can be held."""
 
-import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from mjx_climb.ground.readers.csv_file import cells, numbers
 from mjx_climb.ground.table import reading, real
+from mjx_climb.reading import until_edited
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import HeightMap, HoldMap
 
@@ -44,7 +44,7 @@ def holdable(ground: HoldMap) -> tuple[np.ndarray, np.ndarray]:
     return position[held], normal[held]
 
 
-@functools.lru_cache(maxsize=8)
+@until_edited(lambda file, *_, **__: [file])
 def grid_of(file: str, key: str = "ground.map.file", gaps: bool = False) -> np.ndarray:
     """The samples of a grid: rows along y, columns along x, both ascending; `gaps` are NaN.
 

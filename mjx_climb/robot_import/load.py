@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import os
-from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.physics.postures import MET, SINGULAR, keeps_attitude, least_singular_values, limb_joints
+from mjx_climb.reading import until_edited
 from mjx_climb.robot.constants import Robot, RobotError, robot_from_model
 from mjx_climb.robot_import.robot_file import refusal, unposed
 from mjx_climb.scenario.messages import ConfigError
@@ -45,25 +45,20 @@ def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(model_path(name)))
 
 
+def _files(name: str | RobotFile) -> list[Path]:
+    """The file of a robot, and those that it includes."""
+    file = model_path(name)
+    included = mujoco.mju_getXMLDependencies(str(file)) if file.suffix == ".xml" and file.is_file() else []
+    return sorted({file, *(file.parent / other for other in included)})
+
+
+@until_edited(_files)
 def load_robot(name: str | RobotFile) -> Robot:
     """The constants of a robot, from its MuJoCo model with the joints at zero; its files are read again once edited.
 
     Raises:
         RobotError: no such robot, or a model other than a floating base with limbs of as many joints each and a foot.
     """
-    return _loaded(name, tuple(_times(model_path(name))))
-
-
-def _times(file: Path) -> Iterator[tuple[int, int]]:
-    """Yield when a file and those that it includes were written, ns, and their sizes."""
-    included = mujoco.mju_getXMLDependencies(str(file)) if file.suffix == ".xml" and file.exists() else []
-    for each in {file, *(file.parent / other for other in included)}:
-        if each.exists():
-            yield each.stat().st_mtime_ns, each.stat().st_size
-
-
-@functools.lru_cache(maxsize=64)
-def _loaded(name: str | RobotFile, times: tuple[tuple[int, int], ...]) -> Robot:
     model = load_spec(name).compile()
     if isinstance(name, str):
         return robot_from_model(model, name)

@@ -6,6 +6,7 @@ import threading
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.ground import holds_of
 from mjx_climb.ground.height_map import grid_of
 from mjx_climb.ground.readers import table_of
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -49,3 +50,15 @@ def test_a_pipe_is_refused_in_one_line(name, read, tmp_path):
         pytest.fail("waits")
     (line,) = said
     assert line.startswith(f"{path}: ") and "expected" in line and "\n" not in line
+
+
+def test_a_map_or_a_cloud_of_holds_that_is_edited_is_read_again(tmp_path):
+    """In the same process, under the same name; one that is not is read once."""
+    grid, points = tmp_path / "grid.csv", tmp_path / "points.csv"
+    ground = mc.Scenario.from_yaml(f"ground: {{holds: {{cloud: {{file: {points}}}}}}}").ground
+    for height in (0.0, 0.25):
+        grid.write_text(f"0,0,{height}\n0,0,0\n")
+        points.write_text(f"x,y,z\n0,0,{height}\n1,0,0\n")
+        assert grid_of(str(grid)).max() == height
+        assert holds_of(ground).position[:, 2].max() == height
+        assert grid_of(str(grid)) is grid_of(str(grid)) and holds_of(ground) is holds_of(ground)
