@@ -40,7 +40,7 @@ def compare(found: Comparison, stage: Stage = silent) -> LawsComparison:
 
 
 def _sensor(found: Comparison, table: xr.Dataset, reading: Sequence[str], joint: Mapping[str, float]) -> str:
-    """Return what a force sensor is worth, in words: of both kinds the law whose searches found the least counts."""
+    """The worth of a force sensor, in words: of both kinds the law whose searches found the least counts."""
     laws = [name for name in (*found.laws, retuned_pd.NAME) if name not in found.outside]
     searched = found.data["search_value"].mean("seed").sel(gains=laws)
 

@@ -505,7 +505,7 @@ def _walks(table: xr.Dataset) -> str:
 def sensor_in_words(
     table: xr.Dataset, name: str, whole: float, joint: Mapping[str, float] | None = None, what: str = "a force sensor"
 ) -> str:
-    """Return what measured forces are worth: the best law that reads forces beside the best that does not.
+    """The worth of measured forces in words: the best law that reads forces beside the best that does not.
 
     Arguments:
         table: see `compared`; its baseline is the best law that reads no forces.
