@@ -1,0 +1,172 @@
+"""Figures of README and of the studies' pages, from their tables.
+
+    python docs/studies/figures.py
+
+prints the pieces of text that each page must have, and which it lacks; `tests/project/test_figures.py` reads them back.
+"""
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+HERE = Path(__file__).parent
+README = HERE.parents[1] / "README.md"
+Row = Mapping[str, str]
+PD = {"paper_gait": "pd, kp and kd searched", "which_law": "pd, gains and gait"}  # the rival in each table
+EQ_3, TRANSFER = "Eq. 3, virtual model", "load transfer"
+CASES = ("1_1", "1_2", "2")
+
+
+def table(name: str) -> list[Row]:
+    """Return the rows of a study's table."""
+    with (HERE / f"{name}.csv").open(encoding="utf-8") as rows:
+        return list(csv.DictReader(rows))
+
+
+def changes(law: str, metric: str) -> list[tuple[str, str, float, float, float]]:
+    """Return servos, case, and change of a mean from searched pd with its interval, per cent, of all comparisons."""
+    found = []
+    for name, pd in PD.items():
+        rows = [row for row in table(name) if row["metric"] == metric and row["of 512 walks"] == "mean"]
+        values = {(row["servos"], row["case"], row["law"]): float(row["value"]) for row in rows}
+        for row in rows:
+            if row["law"] == law:
+                place = row["servos"], row["case"]
+                ends = (float(row[f"95 % {end}: difference from pd %"]) for end in ("low", "high"))
+                found.append((*place, 100 * (values[*place, law] / values[*place, pd] - 1), *ends))
+    return found
+
+
+def real(found: Sequence[tuple[str, str, float, float, float]]) -> list[float]:
+    """Return the sizes of the reductions whose interval leaves 0 out, per cent."""
+    return [-change for _, _, change, _, high in found if high < 0]
+
+
+def span(values: Sequence[float]) -> str:
+    """Return the least and the largest of some values in whole numbers."""
+    return f"{min(values):.0f} to {max(values):.0f}"
+
+
+def cell(change: float, low: float, high: float) -> str:
+    """Return a change with its interval as a table has it; ~ where the interval holds 0."""
+    middle, first, last = (round(value) for value in (change, low, high))
+    return f"{middle} ({first} to {last})" if high < 0 or low > 0 else "~"
+
+
+def ceiling(row: str, contestant: str, column: str = "objective") -> float:
+    """Return a value of the study of the ceiling."""
+    rows = (each for each in table("ceiling") if (each["row"], each["contestant"]) == (row, contestant))
+    return float(next(rows)[column])
+
+
+def lead(servos: str, case: str) -> float:
+    """Return by how much load transfer is better than searched pd on 512 unseen walks, per cent."""
+    place = f"{servos}_{case}_unseen_512"
+    return 100 * (1 - ceiling(place, "load_transfer") / ceiling(place, "retuned_pd"))
+
+
+def part_of_ceiling(servos: str, case: str) -> float:
+    """Return the lead of load transfer over that of the plan that knows all, on the searched gaits, per cent."""
+    place = f"{servos}_{case}_searched_gait"
+    pd, law, plan = (ceiling(place, name) for name in ("retuned_pd", "load_transfer", "clairvoyant"))
+    return 100 * (pd - law) / (pd - plan)
+
+
+def listed(values: Sequence[float]) -> str:
+    """Return values as "12, 11 and 14"."""
+    *first, last = (f"{value:.0f}" for value in values)
+    return f"{', '.join(first)} and {last}"
+
+
+def arrived(robot: str, law: str, rule: str, density: float) -> list[int]:
+    """Return how many climbs arrive, by angle."""
+    wanted = {"robot": robot, "ground": "rock", "law": law, "rule": rule}
+    rows = [row for row in table("climb") if wanted.items() <= row.items() and float(row["density"]) == density]
+    return [int(row["arrived"]) for row in sorted(rows, key=lambda row: float(row["angle"]))]
+
+
+def texts() -> dict[Path, list[str]]:
+    """Return what each page must say."""
+    transfer, eq_3 = changes(TRANSFER, "objective"), changes(EQ_3, "objective")
+    servos = [row for row in eq_3 if row[0] == "dynamixel_x"]
+    weightless = next(change for where, case, change, *_ in eq_3 if (where, case) == ("ideal", "2"))
+    climbs = arrived("hubrobo", "load_transfer", "best_margin", 400)
+    by_margin, by_pull = (arrived("hubrobo", "base_admittance", rule, 400)[3] for rule in ("best_margin", "least_use"))
+    leads = {robot: [lead(robot, case) for case in CASES] for robot in ("dynamixel_x", "ideal")}
+    parts = [part_of_ceiling("dynamixel_x", case) for case in CASES]
+    return {
+        README: [
+            f"Under load transfer: {span(real(transfer))} % off the objective of pd with its own gains tuned, in "
+            f"{len(real(transfer))} of {len(transfer)} comparisons.",
+            f"Under Eq. 3 on an ideal robot, {-weightless:.0f} % in microgravity; on Dynamixel X servos "
+            f"{max(real(servos)):.1f} % in {len(real(servos))} of {len(servos)}, and nothing that can be told in the "
+            "others.",
+            f"load transfer takes {span(leads['dynamixel_x'])} % off that of pd on Dynamixel X servos. That is "
+            f"{span(parts)} % of what joint targets take off that know all in advance.",
+            f"arrives in {span([100 * each / 256 for each in climbs])} % of 256 climbs at every angle under load "
+            "transfer.",
+            f"On an overhang of 135° under base admittance it arrives in {100 * by_margin / 256:.0f} %, by holds "
+            f"chosen for the pull of the landing grip in {100 * by_pull / 256:.0f} %.",
+        ],
+        HERE / "ceiling.md": [
+            f"takes {listed(leads['dynamixel_x'])} % off the objective of pd that was searched likewise, on ideal "
+            f"robots {listed(leads['ideal'])} %.",
+            f"On the gaits found on `dynamixel_x` that is {listed(parts)} % of what joint targets take off that know "
+            "all in advance",
+            *_searched(),
+        ],
+        HERE / "climb.md": [" | ".join(map(str, each)) for each in _climbs()],
+        HERE / "does_the_sensor_pay.md": [
+            f"it pays: {span(real(transfer))} % of the objective in {WORDS[len(real(transfer))]} of "
+            f"{WORDS[len(transfer)]} comparisons.",
+            *_comparisons(),
+        ],
+    }  # fmt: skip
+
+
+WORDS = {7: "seven", 10: "ten"}
+
+
+def _searched() -> Iterator[str]:
+    """Yield the cells of the table of searched laws."""
+    for robot in ("dynamixel_x", "ideal"):
+        for law in ("load_transfer", "retuned_pd"):
+            for case in CASES:
+                place = f"{robot}_{case}_unseen_512"
+                objective, change, force = (
+                    ceiling(place, law, column) for column in ("objective", "force_variation_N", "peak_foot_force_N")
+                )
+                yield f"{objective:.3f}, {change:.0f} / {force:.3g}"
+
+
+def _climbs() -> Iterator[list[int]]:
+    """Yield the climbs that arrive, by angle, of each row of the table."""
+    for robot, law, rule in (
+        ("hubrobo", "base_admittance", "least_use"), ("hubrobo", "base_admittance", "best_margin"),
+        ("hubrobo", "base_admittance", "nearest"), ("hubrobo", "pd", "best_margin"),
+        ("hubrobo", "load_transfer", "best_margin"), ("hubrobo", "load_transfer", "least_use"),
+        ("hexapod", "base_admittance", "least_use"), ("hexapod", "base_admittance", "best_margin"),
+        ("hexapod", "base_admittance", "nearest"),
+    ):  # fmt: skip
+        yield from (arrived(robot, law, rule, density) for density in (120, 200, 400))
+
+
+def _comparisons() -> Iterator[str]:
+    """Yield the objective of both laws beside pd, a row each, as the table has them."""
+    for ours, theirs in zip(changes(TRANSFER, "objective"), changes(EQ_3, "objective"), strict=True):
+        first, second = (cell(*each[2:]) for each in (theirs, ours))
+        yield f"{first} | "
+        yield f"| {second} | "
+
+
+def lacking() -> Iterator[tuple[Path, str]]:
+    """Yield the pieces that pages lack, whatever their lines and bold type."""
+    for page, pieces in texts().items():
+        text = " ".join(page.read_text(encoding="utf-8").replace("*", "").split())
+        yield from ((page, piece) for piece in pieces if " ".join(piece.split()) not in text)
+
+
+if __name__ == "__main__":
+    for place, pieces in texts().items():
+        print(place.name, *pieces, sep="\n  ")
+    print("missing:", *(f"{place.name}: {piece}" for place, piece in lacking()), sep="\n  ")
