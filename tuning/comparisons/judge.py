@@ -33,6 +33,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.ensemble import fresh as fresh
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import BINDING, Objective, Term, in_words, lost, violation
+from tuning.problem.readings import reads_forces
 from tuning.problem.search import LOST, Judge
 from tuning.results.config_file import write_config
 from tuning.results.judged import Judged
@@ -43,6 +44,7 @@ MEMBERS = Judge().members
 WORST_SHARE = 0.05  # of the members of the unseen draw: "the worst 5 %"
 PD = "pd"
 LOST_SENSORS = "lost_sensors"  # of a dataset: in words, which laws did without a force sensor
+READING = "reads_forces"  # attribute of walks: names of the gains whose law reads forces
 
 
 def evaluate(
@@ -159,6 +161,8 @@ class Draw:
         attrs["ensemble"] = ensemble.to_yaml()
         names, limbs = [*self.gains, *self.pd, PD], scenario.limbs
         sensors = {name: _lost(arrays, number, limbs) for number, name in enumerate(names)}
+        laws = ((name, dataclasses.replace(problem, law=law)) for name, (law, _) in self._whole.items())
+        attrs[READING] = ", ".join(name for name, own in laws if reads_forces(own))
         attrs[LOST_SENSORS] = "; ".join(f"{name} {text}" for name, text in sensors.items() if text)
         return xr.Dataset(data, {"gains": names, "member": np.arange(members)}, attrs)
 

@@ -8,6 +8,7 @@ from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.comparisons import paired
 from tuning.comparisons.of_ensemble import shown
+from tuning.comparisons.side_by_side import VARIATION
 from tuning.problem.objectives import Objective
 from tuning.results.judged import Judged
 from tuning.searches.retuned_pd import NAME
@@ -18,6 +19,7 @@ class DrawComparison(NamedTuple):
 
     summed: xr.Dataset  # see `tuning.comparisons.judge.summary`
     table: xr.Dataset  # differences from pd, retuned where it walked, see `tuning.comparisons.paired.compared`
+    sensor: str  # what a force sensor is worth, in words; empty where no gains read forces
 
 
 def compare(found: Judged, stage: Stage = silent) -> DrawComparison:
@@ -26,4 +28,21 @@ def compare(found: Judged, stage: Stage = silent) -> DrawComparison:
     baseline = NAME if NAME in walks["gains"].values else judging.PD
     with stage("intervals", compiles=False):
         table = paired.compared(walks, shown(found.problem.metrics), baseline, Objective((), ()))
-    return DrawComparison(judging.summary(walks), table)
+        sensor = sensor_in_words(walks, shown(found.problem.metrics))
+    return DrawComparison(judging.summary(walks), table, sensor)
+
+
+def sensor_in_words(walks: xr.Dataset, metrics: list[str]) -> str:
+    """The worth of a force sensor in words: of the gains that read forces the best, beside the best of the others."""
+    reading = walks.attrs.get(judging.READING, "").split(", ")
+    means, names = walks[VARIATION].mean("member"), walks["gains"].values.tolist()
+    groups = ([name for name in names if (name in reading) is reads] for reads in (True, False))
+    ours, others = (sorted(group, key=lambda name: float(means.sel(gains=name))) for group in groups)
+    if not ours:
+        return ""
+    if set(others) <= {NAME, judging.PD}:
+        return "what a force sensor is worth is not told: of the gains that read no forces pd's alone walked"
+    beside = walks.sel(gains=list(dict.fromkeys([ours[0], others[0], judging.PD])))
+    table = paired.compared(beside, metrics, others[0], Objective((), ()))
+    whole = float(means.sel(gains=NAME if NAME in names else judging.PD))
+    return paired.sensor_in_words(table, ours[0], whole, metric=VARIATION)

@@ -481,9 +481,9 @@ def _none_better(table: xr.Dataset, laws: Sequence[str], told: Mapping[str, _Gai
     return said
 
 
-def _beside(table: xr.Dataset, names: Sequence[str]) -> str:
-    """Return the objectives of laws and of the baseline, as "0.81 beside 0.92"."""
-    own = table["value"].sel(metric="objective", statistic="mean")
+def _beside(table: xr.Dataset, names: Sequence[str], metric: str = "objective") -> str:
+    """Return the means of laws and of the baseline, as "0.81 beside 0.92"."""
+    own = table["value"].sel(metric=metric, statistic="mean")
     ours = ", ".join(number(float(own.sel(gains=name))) for name in names)
     return f"{ours} beside {number(float(own.sel(gains=table.attrs['baseline'])))}"
 
@@ -503,28 +503,30 @@ def _walks(table: xr.Dataset) -> str:
 
 
 def sensor_in_words(
-    table: xr.Dataset, name: str, whole: float, joint: Mapping[str, float] | None = None, what: str = "a force sensor"
-) -> str:
+    table: xr.Dataset, name: str, whole: float, joint: Mapping[str, float] | None = None, what: str = "a force sensor",
+    metric: str = "objective",
+) -> str:  # fmt: skip
     """The worth of measured forces in words: the best law that reads forces beside the best that does not.
 
     Arguments:
         table: see `compared`; its baseline is the best law that reads no forces.
         name: of the best law that does.
-        whole: objective of pd retuned, of which all worths are parts.
+        whole: the metric's mean of pd, of which all worths are parts.
         joint: gains of pd retuned.
         what: where the forces come from.
+        metric: by which laws are compared.
     """
-    base, own = verdicts.in_words(table.attrs["baseline"], joint), _gain(table, name, "objective")
+    base, own = verdicts.in_words(table.attrs["baseline"], joint), _gain(table, name, metric)
     best = f"{base}, the best law that reads no forces"
     if not own.real:
-        return f"{_walks(table)} show no worth of {what}: {name} beside {best}: {_beside(table, [name])}"
-    row = table.sel(metric="objective", statistic="mean", gains=name)
+        return f"{_walks(table)} show no worth of {what}: {name} beside {best}: {_beside(table, [name], metric)}"
+    row = table.sel(metric=metric, statistic="mean", gains=name)
     share = abs(float(row["value"] - row["difference"])) / whole
     size, low, high = (share * each for each in own[:3])
     worth = f"{size:.1%} ({100 * low:.1f} to {100 * high:.1f}%)"
     worse = [metric.replace("_", " ") for metric in _metrics(table) if _worse(table, name, metric)]
     end = f", though it is worse in {', '.join(worse)}" if worse else ""
-    return f"of this {what} is worth {worth}: {name} beside {best}, {_beside(table, [name])}{end}"
+    return f"of the lead over pd {what} is worth {worth}: {name} beside {best}, {_beside(table, [name], metric)}{end}"
 
 
 def _metrics(table: xr.Dataset) -> list[str]:

@@ -30,7 +30,7 @@ def contents(found: Judged, compared: DrawComparison, name: str) -> Contents:
     ensemble, metrics, summed = found.ensemble, found.problem.metrics, compared.summed
     assert ensemble is not None
     failed = f"{ensemble.members} walks each; {judging.failed_in_words(summed)}"
-    said = Findings.of(verdict(summed), judging.lost_in_words(found.data), failed)
+    said = Findings.of(verdict(summed), judging.lost_in_words(found.data), failed, compared.sensor)
     gains: dict[str, Any] = judging.plain(summed, shown(metrics))
     for own in gains.values():
         own["failed"] = round(own["failed"] * found.data.sizes["member"])

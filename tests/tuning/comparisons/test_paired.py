@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 import xarray as xr
 
-from tuning.comparisons import judge, paired
+from tuning.comparisons import judge, of_draw, paired
 from tuning.problem import ensemble
 from tuning.problem.ensemble import Worst
 from tuning.problem.objectives import Objective, Term
@@ -250,7 +250,7 @@ def test_a_sensor_is_worth_no_more_than_what_the_best_law_without_one_leaves():
     found = paired.sensor_in_words(table, "mine", pd)
     size, low, high = map(float, re.search(r"worth (.+)% \((.+) to (.+)%\)", found).groups())
     assert size == pytest.approx(100 * (other - mine) / pd, abs=0.06) and low < size < high
-    assert found.startswith("of this a force sensor is worth ")
+    assert found.startswith("of the lead over pd a force sensor is worth ")
     assert "mine beside other, the best law that reads no forces, " in found
     level = compared(walks(force_variation=[90, 90, 100, 100, 100], travel=[1] * 5), baseline="other")
     assert paired.sensor_in_words(level, "mine", pd, what="reading joint efforts").startswith(
@@ -332,3 +332,17 @@ def test_a_table_comes_back_from_beside_the_walks():
     data = walks()
     table = compared(data)
     xr.testing.assert_equal(paired.taken(paired.beside(data, table)), table)
+
+
+def test_gains_that_are_evaluated_say_what_a_sensor_is_worth():
+    """Of those that read forces the best, beside the best of the others; with pd alone beside them nothing is told."""
+    data = walks(force_variation=[70, 90, 100, 100, 100], travel=[1] * 5).sel(gains=["mine", "other", "pd"])
+    read = data.assign_attrs({judge.READING: "mine, config"})
+    found = of_draw.sensor_in_words(read, METRICS)
+    assert (
+        found.startswith("of the lead over pd a force sensor is worth ") and "mine beside other, the best law" in found
+    )
+    assert 15 < float(re.search(r"worth (.+?)%", found)[1]) < 25
+    assert of_draw.sensor_in_words(data, METRICS) == ""
+    alone = of_draw.sensor_in_words(read.sel(gains=["mine", "pd"]), METRICS)
+    assert alone == "what a force sensor is worth is not told: of the gains that read no forces pd's alone walked"
