@@ -12,7 +12,7 @@ from tuning.comparisons import verdicts
 from tuning.numbers import number, to_json, unit
 from tuning.pages.contents import Contents, Picture, Written, files_of
 from tuning.pages.page import Findings, Origin, Page, Table
-from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, RETUNED, Bounded
+from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, RETUNED, Bounded, mean_and_interval
 
 BARS = "The objective of each contestant, pd's mean is 1: bars are means, dots the members' walks."
 FRONT = "The front of two metrics, means over the walks: plans that know all in advance, and the laws."
@@ -49,6 +49,22 @@ def sentence(found: Bounded) -> str:
     return f"A sensor is worth at most {100 * worth.mean:.1f} % of pd's objective ({over}): {ends}; {way}"
 
 
+def sensor_of_laws(found: Bounded) -> str:
+    """The best law that reads forces beside the best that does not, in words; nothing where there is no such pair."""
+    laws = [name for name in found.contestants if name not in (*found.plans, PD)]
+    reading = str(found.data.attrs.get("reads_forces", "")).split(", ")
+    groups = ([name for name in laws if (name in reading) is reads] for reads in (True, False))
+    first = (min(group, key=lambda name: found.values(name).mean(), default="") for group in groups)
+    ours, without = first
+    if not ours or not without:
+        return ""
+    worth = mean_and_interval(found.values(without) - found.values(ours))
+    ends = f" ({LEVEL:.0%} interval {100 * worth.low:.1f} to {100 * worth.high:.1f})" if np.isfinite(worth.low) else ""
+    said = f"a force sensor is worth {100 * worth.mean:.1f} % of pd's objective{ends}"
+    best = f"{verdicts.in_words(ours)} {found.values(ours).mean():.3f}"
+    return f"of the laws {said}: {best}, {verdicts.in_words(without)} {found.values(without).mean():.3f} without one"
+
+
 def notes(found: Bounded) -> list[str]:
     """Return the basis of the numbers, in lines."""
     lines = ["plans are the best found: the least may be less, and a sensor worth more or less than these numbers"]
@@ -58,6 +74,7 @@ def notes(found: Bounded) -> list[str]:
     if tested := found.tested:
         means = ", ".join(f"{name} {values.mean():.3f}" for name, values in tested.items() if name != PD)
         lines.append(f"in {found.data.sizes['fresh']} unseen walks, relative to pd in these: {means}")
+    lines += filter(None, [sensor_of_laws(found)])
     if found.data.attrs["hidden"]:
         lines.append(
             "the first disturbance comes at one time in all walks, so the blind plan was searched without "

@@ -56,6 +56,7 @@ from tuning.problem.plans import (
     rows,
     walks_of,
 )
+from tuning.problem.readings import reads_forces
 from tuning.problem.search import Search, check_metrics
 from tuning.results.ceiling import BLIND, CLAIRVOYANT, FIRST, PD, RETUNED, Bounded
 from tuning.searches import retuned_pd
@@ -554,6 +555,8 @@ def _bounded(
     attrs: dict[str, Any] = {"title": "bounds of control laws", **dataset.provenance(scenario)}
     attrs |= {"ceiling": asked.to_yaml(), "hidden": int(hidden)}
     attrs["own_gait"] = ", ".join(name for name, each in found.items() if gait_of(by_name(each.gains)))
+    reading = (name for name, each in found.items() if reads_forces(Problem(each.scenario, law=each.law)))
+    attrs["reads_forces"] = ", ".join(reading)
     attrs["limits"] = "; ".join(objectives.in_words(limit) for limit in goal.limits)
     coordinates = {
         "contestant": list(walked), "member": np.arange(members), "plan": list(plans),

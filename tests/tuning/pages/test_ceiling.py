@@ -162,3 +162,13 @@ def test_its_folder_holds_the_sentence_the_table_and_the_plans(tmp_path):
     assert written.outcome[-1] in text and all(name in text for name in MEANS)
     with xr.open_dataset(tmp_path / "ceiling.nc", engine="h5netcdf") as data:
         assert data["joint_targets"].dims == ("plan", "member", "time", "limb", "joint")
+
+
+def test_a_sensor_is_worth_the_best_law_that_reads_it_beside_the_best_that_does_not():
+    found = bounded()
+    assert pages.sensor_of_laws(found) == ""
+    found.data.attrs["reads_forces"] = "mine"
+    said = pages.sensor_of_laws(found)
+    assert said.startswith("of the laws a force sensor is worth 15.0 % of pd's objective (95% interval ")
+    assert said.endswith("mine 0.700, pd with its own kp and kd searched (retuned_pd) 0.850 without one")
+    assert said in pages.notes(found)
