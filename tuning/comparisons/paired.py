@@ -3,11 +3,13 @@
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.special import betaincinv, stdtr, stdtrit
+from scipy.optimize import brentq
+from scipy.special import betaincinv, polygamma, stdtr, stdtrit
 
 from mjx_climb.files import dataset
 from tuning.comparisons import judge as judging
@@ -21,7 +23,10 @@ LEVEL = 0.95
 PREFIX = "compared_"  # of the variables of a table beside walks
 STATISTICS = ("mean", "worst")
 DIMS = ("gains", "seed", "member")  # of walks
-FEWEST = 10  # walks that a mean is of, for which a bootstrap can say how far they scatter
+FEWEST_WALKS = 64  # that tell how far a mean of them scatters
+FEWEST_WORST = 10  # walks among the worst, likewise
+FEWEST_SEEDS = 3  # searches that tell how far they scatter
+LOST_MOST = 0.05  # share of walks by which a better law may lose more than the baseline, at the end of its interval
 POWER_QUANTILE = 0.8416  # of the normal distribution at 80 %
 _MARGIN = 16  # walks beyond twice the worst, of which hardly a resample draws too few
 _ROUNDING = 1e-12  # of a value: what is no further from another is equal
@@ -76,7 +81,7 @@ class Interval(NamedTuple):
     difference: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    # of which the interval would leave 0 out in 80 % of draws, if the difference is what was found; infinite where no
+    # of which the interval would leave 0 out in 80 % of draws, if the difference is as found; infinite where no
     # number of walks, or of seeds, would alone
     walks_needed: np.ndarray
     seeds_needed: np.ndarray
@@ -84,101 +89,141 @@ class Interval(NamedTuple):
 
 def intervals(
     statistics: Mapping[Any, Statistic], walks: int, baseline: int, *,
-    searches: Sequence[int] | None = None, count: int = RESAMPLES, seed: int = 0,
+    searches: Sequence[int] | None = None, shares: Mapping[Any, float] = MappingProxyType({}),
+    count: int = RESAMPLES, seed: int = 0,
 ) -> dict[Any, Interval]:  # fmt: skip
     """Return the intervals of some statistics, which hold for all of them and all gains at once.
 
     Each is of gains that are searched once more, on new walks. The same walks are drawn for all gains and all their
     seeds. The luck of a search is drawn apart from them, from the normal distribution with the variance among seeds
-    (see `_Luck`), and so is what as many seeds would show of it (the parametric bootstrap of Krishnamoorthy, Lu and
-    Mathew, "A parametric bootstrap approach for ANOVA with unequal variances", 2007). Deviations, in standard errors
-    that are estimated anew in each draw, become probabilities by Student's distribution (degrees of freedom by Welch
-    and Satterthwaite); the least probability among all rows has a quantile, which all intervals have in common
-    ("max-t"; Romano and Wolf, "Exact and approximate stepdown methods for multiple hypothesis testing", 2005, section
-    4). How metrics share the luck of a search is not known from a few of them: they are drawn apart, for which
-    intervals are the widest.
+    (see `_Luck`), and so are the variances that as many seeds and walks would show (the parametric bootstrap of
+    Krishnamoorthy, Lu and Mathew, "A parametric bootstrap approach for ANOVA with unequal variances", 2007).
+    Deviations, in standard errors, become probabilities by Student's distribution (degrees of freedom by Welch and
+    Satterthwaite); the least probability among all rows has a quantile, which all intervals have in common ("max-t";
+    Romano and Wolf, "Exact and approximate stepdown methods for multiple hypothesis testing", 2005, section 4). Metrics
+    are drawn apart, for which intervals are the widest. No interval is narrower than the change that walks too rare to
+    be seen could make (`_unseen`).
 
     Arguments:
         statistics: by any key, of G gains and K seeds.
         walks: how many there are.
         baseline: the place of the gains that all are compared with.
         searches: the place of the gains whose searches each has the results of, (G,); its own where None.
+        shares: of the walks, those that a statistic is of; all where it has none.
         count: how many resamples.
         seed: of the draws.
     """
-    drawn: dict[Any, list[np.ndarray]] = {key: [] for key in statistics}
-    for counts in resamples(walks, count, seed):
-        for key, statistic in statistics.items():
-            values = statistic(counts).mean(2)
-            drawn[key].append(values - values[:, [baseline]])
-    rng, least = np.random.default_rng((seed, 1)), np.ones(count)
-    found, errors, freedoms = {}, {}, {}
-    for key, parts in drawn.items():
-        found[key] = each = statistics[key](np.ones((1, walks)))[0]
-        value, deviations = each.mean(1), np.concatenate(parts)
-        deviations -= value - value[baseline]
-        shared = np.arange(len(value)) == baseline if searches is None else np.asarray(searches) == searches[baseline]
-        luck = _Luck.of(each, baseline, shared)
-        # as many walks are drawn as there are, of which one is known by the others
-        by_walks = deviations.var(axis=0) * walks / max(walks - 1, 1)
-        by_luck = luck.of_differences(luck.variances)
-        errors[key] = by_walks, by_luck
-        freedoms[key] = _freedom(by_walks, luck, walks)
-        there = by_walks + by_luck > (_ROUNDING * np.abs(value).max()) ** 2
-        others, theirs = luck.drawn(rng, count)
-        size = (deviations + others) / np.sqrt(np.where(there, by_walks + theirs, 1.0))
-        # the same for both signs
-        chance = 2 * stdtr(freedoms[key], -np.abs(size))
-        least = np.minimum(least, chance[:, there].min(axis=1, initial=1.0))
-    level = np.quantile(least, 1 - LEVEL)
-    result = {}
-    for key, each in found.items():
-        value, (by_walks, by_luck), multiple = each.mean(1), errors[key], -stdtrit(freedoms[key], level / 2)
-        difference, half = value - value[baseline], multiple * np.sqrt(by_walks + by_luck)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            allowed = (difference / (multiple + POWER_QUANTILE)) ** 2
-            needed = [
-                np.where(allowed > rest, size * part / (allowed - rest), np.inf)
-                for size, part, rest in ((walks, by_walks, by_luck), (each.shape[1], by_luck, by_walks))
-            ]
-        result[key] = Interval(value, difference, difference - half, difference + half, *needed)
-    return result
+    if not statistics:
+        return {}
+
+    def every(counts: np.ndarray) -> np.ndarray:
+        return np.stack([statistic(counts) for statistic in statistics.values()], axis=1)  # (R, P, G, K)
+
+    def differences(counts: np.ndarray) -> np.ndarray:
+        values = every(counts).mean(-1)
+        return np.asarray(values - values[..., [baseline]])
+
+    each = every(np.ones((1, walks)))[0]
+    value, difference = each.mean(-1), differences(np.ones((1, walks)))[0]
+    deviations = np.concatenate([differences(counts) for counts in resamples(walks, count, seed)]) - difference
+    shared = np.arange(each.shape[1]) == baseline if searches is None else np.equal(searches, searches[baseline])
+    luck = _Luck.of(each, baseline, shared)
+    # as many walks are drawn as there are, of which one is known by the others
+    by_walks = deviations.var(axis=0) * walks / max(walks - 1, 1)
+    by_luck = luck.of_differences(luck.variances)
+    of_walks = np.array([[max(walks * shares.get(key, 1.0), 2) - 1] for key in statistics])
+    freedom = _freedom(by_walks, of_walks, luck)
+    there = by_walks + by_luck > (_ROUNDING * np.abs(value).max(axis=1, keepdims=True)) ** 2
+    rng = np.random.default_rng((seed, 1))
+    others, theirs = luck.drawn(rng, count)
+    theirs = theirs + by_walks * rng.chisquare(of_walks, deviations.shape) / of_walks
+    size = (deviations + others) / np.sqrt(np.where(there, theirs, 1.0))
+    # the same for both signs
+    chance = 2 * stdtr(freedom, -np.abs(size))
+    level = np.quantile(chance[:, there].min(axis=1, initial=1.0), 1 - LEVEL)
+    multiple, unseen = -stdtrit(freedom, level / 2), _unseen(differences, difference, walks)
+    half = np.maximum(multiple * np.sqrt(by_walks + by_luck), np.where(there, unseen, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        allowed = (difference / (multiple + POWER_QUANTILE)) ** 2
+        more_walks, more_seeds = (
+            np.where(allowed > rest, size * part / (allowed - rest), np.inf)
+            for size, part, rest in ((walks, by_walks, by_luck), (each.shape[-1], by_luck, by_walks))
+        )
+        # a rarer walk can stay unseen among more of them
+        more_walks = np.maximum(more_walks, walks * unseen / np.abs(difference))
+    rows = (value, difference, difference - half, difference + half, more_walks, more_seeds)
+    return {key: Interval(*(row[place] for row in rows)) for place, key in enumerate(statistics)}
+
+
+def _unseen(differences: Statistic, difference: np.ndarray, walks: int) -> np.ndarray:
+    """Return how far walks that are too rare to be seen among so many could move each statistic, (P, 1).
+
+    As often as none of them is seen with a probability of 1 - `LEVEL`, all are taken for the one walk, of those that
+    were seen, and for the gains, of those that walked, that move the difference the furthest.
+    """
+    share = 1 - (1 - LEVEL) ** (1 / walks)
+    moved = differences((1 - share) + walks * share * np.eye(walks)) - difference
+    return np.abs(moved).max(axis=(0, 2))[:, None]
 
 
 class _Luck(NamedTuple):
-    """How far a statistic of G gains scatters, averaged over K seeds, by the luck of their searches.
+    """How far P statistics of G gains scatter, averaged over K seeds, by the luck of their searches.
 
-    Among a few seeds some gains scatter little by chance: none counts for less than the mean of all that were searched,
-    relative to their values.
+    Among a few seeds some gains scatter little by chance. None counts for less than the mean of all gains in that
+    statistic, than its gains do over all statistics, or than the middle of all variances, each relative to the value.
+    Where variances differ among the gains by more than so few seeds explain, each has fewer degrees of freedom
+    (moderated as by Smyth, "Linear models and empirical Bayes methods for assessing differential expression in
+    microarray experiments", 2004, section 6.2).
     """
 
-    variances: np.ndarray  # (G,) of the means over the seeds; of gains that share the baseline's, of the difference
-    values: np.ndarray  # (G,) those that variances are relative to
-    searched: np.ndarray  # (G,) bool, gains that were searched for themselves
+    variances: np.ndarray  # (P, G) of the means over the seeds; of gains that share the baseline's, of the difference
+    freedom: float  # of each variance
     shared: np.ndarray  # (G,) bool, those that have the results of the baseline's searches
     baseline: int
-    seeds: int
 
     @classmethod
     def of(cls, each: np.ndarray, baseline: int, shared: np.ndarray) -> "_Luck":
-        """Return the luck that the values (G, K) of each seed show."""
-        seeds, place = each.shape[1], np.arange(len(each))
+        """Return the luck that the values (P, G, K) of each seed show."""
+        seeds, place = each.shape[-1], np.arange(each.shape[1])
         if seeds == 1:
-            return cls(np.zeros(len(each)), each[:, 0], place < 0, shared, baseline, seeds)
-        paired = np.where((shared & (place != baseline))[:, None], each - each[baseline], each)
-        variances = paired.var(axis=1, ddof=1) / seeds
-        searched = (variances > 0) & (~shared | (place == baseline))
-        found = cls(variances, each.mean(1), searched, shared, baseline, seeds)
-        return found._replace(variances=found.raised(variances))
+            return cls(np.zeros(each.shape[:-1]), np.inf, shared, baseline)
+        own = ~shared | (place == baseline)
+        paired = np.where(own[:, None], each, each - each[:, [baseline]])
+        variances = paired.var(axis=-1, ddof=1) / seeds
+        square = each.mean(-1) ** 2
+        # of gains that were searched for themselves; a grid has no luck
+        relative = np.where(own & (variances > 0) & (square > 0), variances / np.where(square > 0, square, 1.0), np.nan)
+        found = cls(variances, float(seeds - 1), shared, baseline)
+        return found if np.isnan(relative).all() else found._pooled(relative, square)
 
-    def raised(self, variances: np.ndarray) -> np.ndarray:
-        """Return variances (..., G), none of a search below the mean of all, relative to the values."""
-        if not self.searched.any():
-            return variances
-        square = np.where(self.searched, self.values**2, 0.0)
-        relative = variances / np.where(square > 0, square, np.inf)
-        mean = relative.sum(-1, keepdims=True) / self.searched.sum()
-        return np.asarray(np.maximum(variances, mean * square))
+    def _pooled(self, relative: np.ndarray, square: np.ndarray) -> "_Luck":
+        """Return it with the variances that gains lend each other, from those relative to the squares, (P, G)."""
+        kept = np.isfinite(relative)
+        there = kept.sum(1, keepdims=True)
+        mean = np.where(kept, relative, 0.0).sum(1, keepdims=True) / np.maximum(there, 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.where(kept, relative / mean, 0.0)
+        of_gains = ratios.sum(0) / np.maximum(kept.sum(0), 1) * mean
+        least = np.maximum(np.maximum(mean, of_gains), np.nanmedian(relative))
+        variances = np.where(kept, np.maximum(relative, least) * square, self.variances)
+        return self._replace(variances=variances, freedom=self._moderated(relative, kept))
+
+    def _moderated(self, relative: np.ndarray, kept: np.ndarray) -> float:
+        """Return the degrees of freedom of a variance, those of its prior included, at most all of a statistic's."""
+        most, half = self.freedom * kept.sum(1).max(), self.freedom / 2
+        logs = np.where(kept, np.log(np.where(kept, relative, 1.0)), 0.0)
+        there = kept.sum(1, keepdims=True)
+        apart = np.where(kept, logs - logs.sum(1, keepdims=True) / np.maximum(there, 1), 0.0)
+        pairs = np.maximum(there - 1, 0).sum()
+        if pairs == 0:
+            return self.freedom
+        more = (apart**2).sum() / pairs - polygamma(1, half)
+        if more <= 0:
+            return float(most)
+        # the trigamma function falls from infinity to 0
+        prior = 2 * brentq(lambda at: polygamma(1, at) - more, 1e-8, 1e8)
+        # a prior that knows less than the seeds themselves counts as none: laws are too different to lend
+        return float(min(most, self.freedom + (prior if prior > self.freedom else 0.0)))
 
     def of_differences(self, variances: np.ndarray) -> np.ndarray:
         """Return the variances (..., G) of the differences from the baseline."""
@@ -188,74 +233,76 @@ class _Luck(NamedTuple):
         return both
 
     def drawn(self, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return differences that other seeds would give, and the variances that these would show, (R, G) each."""
-        gains, freedom = len(self.variances), max(self.seeds - 1, 1)
-        means = np.sqrt(self.variances) * rng.normal(size=(count, gains))
-        differences = np.where(self.shared, means, means - means[:, [self.baseline]])
-        differences[:, self.baseline] = 0.0
-        spread = rng.chisquare(freedom, (count, gains)) / freedom
-        return differences, self.of_differences(self.raised(self.variances * spread))
+        """Return differences that other seeds would give, and the variances that these would show, (R, P, G) each."""
+        shape = (count, *self.variances.shape)
+        means = np.sqrt(self.variances) * rng.normal(size=shape)
+        differences = np.where(self.shared, means, means - means[..., [self.baseline]])
+        differences[..., self.baseline] = 0.0
+        spread = rng.chisquare(self.freedom, shape) / self.freedom if np.isfinite(self.freedom) else 1.0
+        return differences, self.of_differences(self.variances * spread)
 
 
-def _freedom(by_walks: np.ndarray, luck: _Luck, walks: int) -> np.ndarray:
-    """Return the degrees of freedom of the sum of both variances, (G,), by Welch and Satterthwaite."""
-    of_luck = np.where(luck.searched, luck.searched.sum(), 1) * max(luck.seeds - 1, 1)
-    parts = by_walks**2 / max(walks - 1, 1) + luck.of_differences(luck.variances**2 / of_luck)
+def _freedom(by_walks: np.ndarray, of_walks: np.ndarray, luck: _Luck) -> np.ndarray:
+    """Return the degrees of freedom of the sum of both variances, (P, G), by Welch and Satterthwaite."""
+    parts = by_walks**2 / of_walks + luck.of_differences(luck.variances**2 / luck.freedom)
     total = by_walks + luck.of_differences(luck.variances)
     return np.where(parts > 0, total**2 / np.where(parts > 0, parts, 1.0), np.inf)
 
 
 def lost(failed: np.ndarray, baseline: int) -> Interval:
-    """Return the interval of the share of walks that fail, by McNemar's exact test, which holds for all gains at once.
+    """Return the interval of the share of walks that fail, the mean over the seeds, which holds for all gains at once.
 
     Of the walks that fail under one of two gains alone, half fail under each where both are alike: the interval of that
-    half is exact (Clopper and Pearson, 1934), at the level divided by how many gains are compared (Bonferroni). Where
-    no walk tells the gains apart, it is what so many walks could have missed. It reaches over those of all seeds, each
-    of both: a difference is real that is there after every search.
+    half is exact (McNemar's test; Clopper and Pearson, 1934), at the level divided by how many gains are compared
+    (Bonferroni). Where no walk tells the gains apart, it is the share that so many walks could have missed. It reaches
+    over Student's interval of the differences of the seeds.
 
     Arguments:
         failed: (G, K, M) whether it does, of K seeds.
         baseline: the place of the gains that all are compared with.
     """
-    each = [_lost_of_one_seed(failed[:, seed], baseline) for seed in range(failed.shape[1])]
-    lows, highs = np.transpose(each, (1, 0, 2))
-    share = failed.mean(axis=(1, 2))
-    open_ended = np.full(len(failed), np.nan)
-    return Interval(share, share - share[baseline], lows.min(0), highs.max(0), open_ended, open_ended)
-
-
-def _lost_of_one_seed(failed: np.ndarray, baseline: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of the interval of `lost` for (G, M) walks, (G,) each."""
-    walks = failed.shape[1]
+    seeds, walks = failed.shape[1:]
     tail = (1 - LEVEL) / 2 / max(len(failed) - 1, 1)
-    alone = (failed & ~failed[baseline]).sum(axis=1)
-    base = (~failed & failed[baseline]).sum(axis=1)
+    alone = (failed & ~failed[baseline]).sum(axis=2).mean(axis=1)
+    base = (~failed & failed[baseline]).sum(axis=2).mean(axis=1)
     either = alone + base
     # of shape parameters of 0 the quantile is that end itself
-    least = np.where(alone > 0, betaincinv(np.maximum(alone, 1), base + 1, tail), 0.0)
-    most = np.where(base > 0, betaincinv(alone + 1, np.maximum(base, 1), 1 - tail), 1.0)
+    least = np.where(alone > 0, betaincinv(np.where(alone > 0, alone, 1), base + 1, tail), 0.0)
+    most = np.where(base > 0, betaincinv(alone + 1, np.where(base > 0, base, 1), 1 - tail), 1.0)
     missed = 1 - tail ** (1 / walks)
     low = np.where(either > 0, (2 * least - 1) * either / walks, -missed)
     high = np.where(either > 0, (2 * most - 1) * either / walks, missed)
+    share = failed.mean(axis=(1, 2))
+    difference = share - share[baseline]
+    if seeds > 1:
+        of_seeds = failed.mean(axis=2) - failed.mean(axis=2)[baseline]
+        half = -stdtrit(seeds - 1, tail) * of_seeds.std(axis=1, ddof=1) / math.sqrt(seeds)
+        low, high = np.minimum(low, difference - half), np.maximum(high, difference + half)
     low[baseline] = high[baseline] = 0.0
-    return low, high
+    open_ended = np.full(len(failed), np.nan)
+    return Interval(share, difference, np.maximum(low, -1.0), np.minimum(high, 1.0), open_ended, open_ended)
 
 
-def without_interval(walks: int, worst: Worst | None, *, tails: bool = True) -> list[str]:
-    """Return in a line which differences so many walks can give no interval of, and how many would; none where all do.
+def without_interval(walks: int, worst: Worst | None, *, tails: bool = True, seeds: int | None = None) -> list[str]:
+    """Return in a line which differences can have no interval, and what would give one; none where all have.
 
-    `tails`: whether the worst walks of each metric are compared too.
+    `tails`: whether the worst walks of each metric are compared too; `seeds`: searches of each law, None where gains
+    are compared that no search is asked about.
     """
     needed = {"any mean": _fewest(1.0)}
     needed |= {} if worst is None else {"the objective": _fewest(worst.share)}
     needed |= {f"the worst {judging.WORST_SHARE:.0%}": _fewest(judging.WORST_SHARE)} if tails else {}
     lacking = [f"{words} (from {least} on)" for words, least in needed.items() if walks < least]
-    return [f"{walks} test walks give no interval of {' and of '.join(lacking)}"] if lacking else []
+    said = [f"{walks} test walks give no interval of {' and of '.join(lacking)}"] if lacking else []
+    if seeds is not None and seeds < FEWEST_SEEDS:
+        searches = "one search tells" if seeds == 1 else f"{seeds} searches tell"
+        said.append(f"{searches} no law from another (from {FEWEST_SEEDS} seeds on)")
+    return said
 
 
 def _fewest(share: float) -> int:
     """Return how many walks give an interval of the mean over a share of the worst of them."""
-    return math.ceil(FEWEST / share - 1e-9)
+    return FEWEST_WALKS if share == 1 else max(FEWEST_WALKS, math.ceil(FEWEST_WORST / share - 1e-9))
 
 
 def compared(
@@ -267,9 +314,9 @@ def compared(
     `value`, `difference`, `low`, `high`, `walks_needed`, `seeds_needed` (see `Interval`) and `real` (the interval does
     not hold 0) have dimensions (`metric`, `statistic`, `gains`). The metrics are the objective, where it has weighted
     terms, relative to pd on these walks; those that are asked for; and `failed`, the share of walks that lose a gripper
-    or diverge. The intervals hold for all means at once, and for all worst 5 % at once; a mean of fewer than `FEWEST`
-    walks has none. All but the last are of the walks that `tuning.comparisons.judge.held` keeps; gains
-    that it leaves out have none.
+    or diverge. The intervals hold for all means at once, and for all worst 5 % at once; where walks or searches are too
+    few (`without_interval`) there is none, and nothing is `real`. All but the last are of the walks that
+    `tuning.comparisons.judge.held` keeps; gains that it leaves out have none.
 
     Arguments:
         walks: metrics over (`gains`, `member`), or (`gains`, `seed`, `member`) of gains that were searched as often.
@@ -280,6 +327,8 @@ def compared(
         count: how many resamples.
         seed: of the draws.
     """
+    seeds = walks.sizes.get("seed")
+    enough_seeds = seeds is None or seeds >= FEWEST_SEEDS
     walks = walks if "seed" in walks.dims else walks.expand_dims(seed=1, axis=1)
     names, kept = walks["gains"].values.tolist(), judging.held(walks)
     sound = kept["gains"].values.tolist()
@@ -295,14 +344,14 @@ def compared(
         for key, statistic in statistics.items():  # values, also of those that have no intervals
             table[0, *key, places] = value = statistic(np.ones((1, members)))[0].mean(1)
             table[1, *key, places] = value - value[base]
+        how["shares"] = {(0, 0): _share_of(goal)} | {key: judging.WORST_SHARE for key in statistics if key[1] == 1}
+        enough = {key for key in statistics if enough_seeds and members >= _fewest(how["shares"].get(key, 1.0))}
         for column in range(len(STATISTICS)):
-            shares = {(0, 0): _share_of(goal)} | {key: judging.WORST_SHARE for key in statistics if key[1] == 1}
-            enough = {key for key in statistics if members >= _fewest(shares.get(key, 1.0))}
             family = {key: own for key, own in statistics.items() if key[1] == column and key in enough}
             for key, found in intervals(family, members, base, **how).items():
                 table[:, *key, places] = found
     data = dict(zip(Interval._fields, table, strict=True))
-    data["real"] = (data["low"] > 0) | (data["high"] < 0)
+    data["real"] = enough_seeds & ((data["low"] > 0) | (data["high"] < 0))
     larger = [False, *(dataset.larger_is_better(walks[name]) for name in metrics), False]
     coordinates = {"metric": ["objective", *metrics, "failed"], "statistic": list(STATISTICS), "gains": names}
     dims = ("metric", "statistic", "gains")
@@ -310,6 +359,7 @@ def compared(
     made["larger_is_better"] = ("metric", np.array(larger))
     attrs = {"baseline": baseline, "members": walks.sizes["member"], "members_compared": kept.sizes["member"]}
     attrs |= {"seeds": walks.sizes["seed"], "resamples": count}
+    attrs["lacks"] = "; ".join(without_interval(members, goal.worst, tails=False, seeds=seeds))
     return made.assign_attrs(**attrs, level=LEVEL, worst_share=judging.WORST_SHARE)
 
 
@@ -415,6 +465,8 @@ def _verdict(
         return Verdict(None, f"no verdict: a search of {base} found no gains that keep its limits")
     if not (laws := [name for name in laws if name not in outside]):
         return Verdict(None, f"none is better than {base}: of no law all searches found gains that keep the limits")
+    if table.attrs["lacks"]:
+        return Verdict(None, f"no verdict: {table.attrs['lacks']}{_lost(table, laws)}")
     told = {name: _gain(table, name, "objective") for name in (*laws, *hardware)}
     better = [name for name in laws if told[name].real]
     best = max(better, key=lambda name: told[name].size, default=None)
@@ -424,6 +476,7 @@ def _verdict(
         said += f", though worse in {', '.join(worse)}" if worse else ""
     else:
         said = _none_better(table, laws, told, base)
+    said += _lost(table, laws)
     said += f"; {sensor}" if sensor else ""
     if not hardware:
         return Verdict(best, said + "; the scenario has no delay, friction or rate to better")
@@ -443,7 +496,7 @@ class _Gain(NamedTuple):
     size: float
     low: float
     high: float
-    real: bool  # better, and no more walks really fail
+    real: bool  # better, and it does not lose more walks
 
     def __str__(self) -> str:
         return f"{self.size:.1%} ({100 * self.low:.1f} to {100 * self.high:.1f}%)"
@@ -456,7 +509,7 @@ def _gain(table: xr.Dataset, name: str, metric: str) -> _Gain:
         return _Gain(-math.inf, math.nan, math.nan, False)
     sign = 1 if bool(own["larger_is_better"]) else -1
     size, *ends = (sign * float(own[key]) / base for key in ("difference", "low", "high"))
-    return _Gain(size, min(ends), max(ends), bool(own["real"]) and size > 0 and not _worse(table, name, "failed"))
+    return _Gain(size, min(ends), max(ends), bool(own["real"]) and size > 0 and not _loses(table, name))
 
 
 def _worse(table: xr.Dataset, name: str, metric: str) -> bool:
@@ -465,10 +518,25 @@ def _worse(table: xr.Dataset, name: str, metric: str) -> bool:
     return bool(own["real"]) and (float(own["difference"]) > 0) != bool(own["larger_is_better"])
 
 
+def _loses(table: xr.Dataset, name: str) -> bool:
+    """Tell whether gains lose more walks than the baseline, and perhaps more than `LOST_MOST` of all."""
+    own = table.sel(metric="failed", statistic="mean", gains=name)
+    return bool(own["difference"] > 0 and own["high"] > LOST_MOST)
+
+
+def _lost(table: xr.Dataset, laws: Sequence[str]) -> str:
+    """Return in words the share of walks that laws and baseline lose, "" where none is lost."""
+    own = table["value"].sel(metric="failed", statistic="mean", gains=[*laws, table.attrs["baseline"]])
+    each = [
+        f"{name} {share:.1%}" for name, share in zip(own["gains"].values.tolist(), own.values.tolist(), strict=True)
+    ]
+    return f"; lost walks: {', '.join(each)}" if (own > 0).any() else ""
+
+
 def _none_better(table: xr.Dataset, laws: Sequence[str], told: Mapping[str, _Gain], base: str) -> str:
     """Return in words that no law is, or can be told to be, better than the baseline."""
     own = table.sel(metric="objective", statistic="mean", gains=list(laws))
-    open_ones = [name for name in laws if not own["real"].sel(gains=name) and not _worse(table, name, "failed")]
+    open_ones = [name for name in laws if not own["real"].sel(gains=name) and not _loses(table, name)]
     if not open_ones:
         nearest = max(laws, key=lambda name: told[name].size)
         how = f": the nearest, {nearest}, has {-told[nearest].size:.1%} more objective, {_beside(table, [nearest])}"
