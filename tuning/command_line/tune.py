@@ -170,7 +170,7 @@ def compare(
         loaded = dataclasses.replace(loaded, own_method=method)
         settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "compare", **record)
         folder = shell.take(walk, "compared.nc", settings, "laws")
-        shell.opening(loaded.scenario, *paired.without_interval(members, ensemble.worst))
+        shell.opening(loaded.scenario, *paired.without_interval(members, ensemble.worst, seeds=seeds))
         with shell.stage("baseline"), file.naming(search, walk.config):
             walks = {"metrics": loaded.metrics, "engine": loaded.engine, "own_method": method}
             problem = comparing.problem_of(loaded.scenario, laws, ensemble, **walks)

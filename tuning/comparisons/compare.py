@@ -264,9 +264,10 @@ def run(
         problem = dataclasses.replace(base, scenario=scenario, law=law, space=space)
         for number in range(seeds):
             own = search.model_copy(update={"seed": search.seed + number})
+            drawn = tune.of_search(problem, own, number)
             kept = None if below is None else below / f"{file_name(name)}-{own.seed}"
             with stage(f"{name}, seed {own.seed}", unit="rounds", keeps=True) as told:
-                found[name].append(tune.run(problem, own, patience=patience, out=kept, progress=_telling(told)))
+                found[name].append(tune.run(drawn, own, patience=patience, out=kept, progress=_telling(told)))
                 if found[name][-1].interrupted:
                     raise KeyboardInterrupt
     assert base.ensemble is not None

@@ -29,7 +29,7 @@ from tuning.gains import gains_file
 from tuning.gains.gains_file import Whole, by_name
 from tuning.methods.parts import identity_of
 from tuning.problem import ensemble as ensembles
-from tuning.problem.ensemble import Ensemble
+from tuning.problem.ensemble import Ensemble, Use
 from tuning.problem.ensemble import fresh as fresh
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import BINDING, Objective, Term, in_words, lost, violation
@@ -192,7 +192,7 @@ def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: m
     gains = {name: gains_file.whole(kept.folder / f"gains-{number}.yaml", scenario, law) for number, name in names}
     ensemble = Ensemble.load(kept.folder / "ensemble.yaml")
     problem = Problem(scenario, law=law, metrics=metrics, engine=kept.identity["engine"])
-    return through(problem, gains, fresh(ensemble), asked=ensemble)
+    return through(problem, gains, fresh(ensemble, Use.EVALUATION), asked=ensemble)
 
 
 def draw_of(
@@ -200,7 +200,8 @@ def draw_of(
 ) -> Draw:
     """Return the work of `judge`, whose arguments and errors these are."""
     asked = ensemble.model_copy(update={"members": members})
-    return through(problem, {**gains, "config": problem.law or gains_of(problem.scenario)}, fresh(asked), asked=asked)
+    walked = {**gains, "config": problem.law or gains_of(problem.scenario)}
+    return through(problem, walked, fresh(asked, Use.EVALUATION), asked=asked)
 
 
 def through(

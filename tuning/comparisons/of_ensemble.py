@@ -66,7 +66,10 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     fresh = judging.fresh(ensemble.model_copy(update={"members": found.judges}))
     draws = {
         "fresh draw": judging.through(walked, rivals, fresh, pd),
-        "its own draw": judging.through(problem, {"robust": found.gains}, ensemble),
+        # a search from another seed has a draw of its own
+        "its own draw": dataclasses.replace(
+            judging.through(problem, {"robust": found.gains}, ensemble), problem=problem
+        ),
     }
     drawn = {}
     for name, draw in draws.items():

@@ -163,7 +163,7 @@ def _unseen(differences: Statistic, difference: np.ndarray, walks: int) -> np.nd
     """
     share = 1 - (1 - LEVEL) ** (1 / walks)
     moved = differences((1 - share) + walks * share * np.eye(walks)) - difference
-    return np.abs(moved).max(axis=(0, 2))[:, None]
+    return np.asarray(np.abs(moved).max(axis=(0, 2))[:, None])
 
 
 class _Luck(NamedTuple):

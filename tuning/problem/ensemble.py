@@ -5,6 +5,7 @@ Masses are off by one factor for all links (`mjx_climb.Parameters.mass_scale`).
 """
 
 import dataclasses
+import enum
 import functools
 import math
 from collections.abc import Callable
@@ -184,9 +185,22 @@ class Ensemble(_Section):
     worst: Worst = setting(Worst(), "the worst members in the objective")
 
 
-def fresh(ensemble: Ensemble) -> Ensemble:
-    """Return the ensemble whose members no search of the given one has seen."""
-    return ensemble.model_copy(update={"seed": ensemble.seed + FRESH_SEED})
+class Use(enum.IntEnum):
+    """The use of the walks of an ensemble: each has draws of its own."""
+
+    TEST = 1  # of what a search found
+    EVALUATION = 2  # of gains by `mjx-climb evaluate`
+    CHECK = 3  # of the best points of a search, before it ends
+
+
+def fresh(ensemble: Ensemble, use: Use = Use.TEST) -> Ensemble:
+    """Return the ensemble whose members no search of the given one, and no other use, has seen."""
+    return ensemble.model_copy(update={"seed": ensemble.seed + use * FRESH_SEED})
+
+
+def of_search(ensemble: Ensemble, number: int) -> Ensemble:
+    """Return the ensemble that the search of this number draws, from 0 on: the given one, then others."""
+    return ensemble.model_copy(update={"seed": ensemble.seed + number})
 
 
 def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:

@@ -27,6 +27,7 @@ from tuning.problem.spaces import INTEGRAL, JOINT, as_gains, to_gains64
 from tuning.results.result import Result
 
 AGREEMENT = "agreement_of_seeds"  # in words
+CHECKED = "check"  # the phase in which the best points walk through a draw of their own
 SEEDS = "seeds"  # how many searches, where it is the best of several
 
 
@@ -49,7 +50,7 @@ class Tuned(Result):
     @functools.cached_property
     def best(self) -> int:
         """The index of the best point."""
-        return best_of({name: self.data[name].values for name in ("value", "penalty", "feasible")})
+        return best_of({name: self.data[name].values for name in ("value", "penalty", "feasible", "phase")})
 
     @property
     def method(self) -> str:
@@ -133,7 +134,8 @@ class Robust(Tuned):
 def from_rounds(problem: Problem, search: Search, arrays: Mapping[str, np.ndarray], *, interrupted: bool) -> Tuned:
     """Return the result of the points evaluated so far.
 
-    The best is the feasible point of the least value; where none is feasible, the one of the least value plus penalty.
+    The best is the feasible point of the least value, of those in the phase `CHECKED` where there is one; where none is
+    feasible, the one of the least value plus penalty.
     Joint gains shake at a long time step, under some gaits sooner than under others. A search may see little of it in
     one walk, but nobody can walk with them: a point that would be the best, were its time step short enough, is
     infeasible and has a penalty without end.
@@ -195,7 +197,13 @@ def of_seeds(searches: Sequence[Tuned]) -> Tuned:
 
 
 def best_of(arrays: Mapping[str, ArrayLike]) -> int:
-    """Return the index of the best point."""
+    """Return the index of the best point: of those that were checked on walks of their own, where some were."""
+    checked = np.asarray(arrays.get("phase", "")) == CHECKED
+    if checked.any():
+        places = np.flatnonzero(checked)
+        return int(
+            places[best_of({name: np.asarray(each)[places] for name, each in arrays.items() if name != "phase"})]
+        )
     value, penalty, feasible = (np.asarray(arrays[name]) for name in ("value", "penalty", "feasible"))
     ranked = np.where(feasible, value, np.inf) if feasible.any() else value + penalty
     return int(np.argmin(np.where(np.isfinite(ranked), ranked, np.inf)))

@@ -21,7 +21,7 @@ from mjx_climb.inputs.gait_values import own_gait
 from mjx_climb.inputs.own_objects import in_one_line, load, reference_to
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
-from tuning.methods import Method, Points, Task, cmaes, method_of
+from tuning.methods import Method, Points, Request, Task, cmaes, method_of
 from tuning.methods.method import own_points
 from tuning.methods.parts import FOLDER, identity_of
 from tuning.methods.rounds import Callback, Progress, Rounds, follow, settled
@@ -29,10 +29,10 @@ from tuning.problem import ensemble as ensembles
 from tuning.problem import evaluation, known, objectives, spaces
 from tuning.problem import search as search_settings
 from tuning.problem.ensemble import Ensemble
-from tuning.problem.evaluation import Problem
+from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, OwnObjective
 from tuning.problem.search import METHODS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
-from tuning.results.tuned import Robust, Tuned, from_rounds, of_seeds
+from tuning.results.tuned import CHECKED, Robust, Tuned, from_rounds, of_seeds
 
 OwnMethod = str | Method | type[Method] | Callable[[Task], Points]  # a method, or the name of one
 
@@ -223,8 +223,23 @@ def from_seeds(
     while len(found) < seeds and not (found and found[-1].interrupted):
         own = search.model_copy(update={"seed": search.seed + len(found)})
         kept = Path(out) / FOLDER / f"seed-{own.seed}" if found and out is not None else out
-        found.append(run(problem, own, out=kept, progress=told))
+        found.append(run(of_search(problem, own, len(found)), own, out=kept, progress=told))
     return of_seeds(found) if len(found) > 1 else found[0]
+
+
+def of_search(problem: Problem, search: Search, number: int) -> Problem:
+    """Return the problem of the search of this number, from 0 on: each draws walks of its own from an ensemble."""
+    if number == 0 or problem.ensemble is None:
+        return problem
+    return redrawn(problem, search, ensembles.of_search(problem.ensemble, number))
+
+
+def redrawn(problem: Problem, search: Search, ensemble: Ensemble) -> Problem:
+    """Return a problem over the walks of another ensemble, which pd walks first; its own ensemble stays named."""
+    walks: dict[str, Any] = {"law": problem.law, "metrics": problem.metrics, "engine": problem.engine}
+    walks |= {"own_method": problem.own_method, "space": problem.space}
+    found = problem_of(problem.scenario, search, problem.own_objective, ensemble=ensemble, **walks)
+    return dataclasses.replace(found, ensemble=problem.ensemble)
 
 
 def run(
@@ -237,6 +252,9 @@ def run(
 ) -> Tuned:
     """Search a problem from start to end; further arguments, result and errors as of `tune`.
 
+    Over an ensemble the best points and the start walk once more at the end, through a draw that no point was chosen
+    by: the best there is the result, so that no search ends at gains that are good on its own walks alone.
+
     Arguments:
         patience: evaluations without a better point after which the search has converged and ends, see
             `tuning.methods.rounds.settled`; the method's own end where None.
@@ -247,13 +265,25 @@ def run(
     method = method or method_of(search.method)
     more = {} if patience is None else {"patience": patience}
     own, interrupted = functools.partial(search_identity, problem, search, **more), False
-    with Rounds(method.rounds(task), out, own, progress) as rounds:
+    last: Request | None = None
+    checks = problem.ensemble is not None and not isinstance(problem.own_objective, Goal)
+    in_all = method.rounds(task)
+    with Rounds(in_all + checks if in_all else 0, out, own, progress) as rounds:
+
+        def evaluate(request: Request) -> Evaluation:
+            nonlocal last
+            last = request
+            return rounds.evaluate(problem, request)
 
         def enough() -> bool:
             return patience is not None and settled(rounds.evaluated["value"] + rounds.evaluated["penalty"], patience)
 
         try:
-            ended = follow(points, lambda request: rounds.evaluate(problem, request), enough)
+            ended = follow(points, evaluate, enough)
+            if checks and last is not None:
+                assert problem.ensemble is not None
+                apart = redrawn(problem, search, ensembles.fresh(problem.ensemble, ensembles.Use.CHECK))
+                rounds.evaluate(apart, finalists(last, rounds.evaluated, start))
         except KeyboardInterrupt:
             if not rounds.done:
                 raise
@@ -262,6 +292,16 @@ def run(
     if patience is not None:
         found.data.attrs["converged"] = int(not interrupted and (ended or rounds.done < rounds.in_all))
     return found
+
+
+def finalists(last: Request, evaluated: Mapping[str, np.ndarray], start: np.ndarray) -> Request:
+    """Return the start and the best of other points, as the last round asked: no other program is compiled for them."""
+    theta, merit = evaluated["theta"], evaluated["value"] + evaluated["penalty"]
+    ranked = theta[np.argsort(np.where(np.isfinite(merit), merit, np.inf), kind="stable")]
+    _, first = np.unique(ranked, axis=0, return_index=True)
+    others = [each for each in ranked[np.sort(first)] if not np.array_equal(each, start)]
+    size = len(last.theta)
+    return Request(np.resize([start, *others[: size - 1]], (size, start.size)), last.directions, CHECKED)
 
 
 def _for_this_machine(search: Search, space: spaces.Space) -> Search:

@@ -206,11 +206,11 @@ def test_the_command_writes_table_page_data_and_gains(shell, scenario):
     told = json.loads((folder / "summary.json").read_text())
     names = ["base_admittance", "Shared", "PlannedTransfer", "retuned_pd"]
     assert list(told["laws"]) == names
-    assert {own["points"] for own in told["laws"].values()} == {8}
+    assert {own["points"] for own in told["laws"].values()} == {12}
     searches = {
         (each["seed"], each["points"], each["converged"]) for law in names for each in told["laws"][law]["seeds"]
     }
-    assert searches == {(0, 8, False), (1, 8, False)}
+    assert searches == {(0, 12, False), (1, 12, False)}
     assert told["verdict"].endswith(f"not every search of {', '.join(names)} had converged")
     assert [own["reads_forces"] for own in told["laws"].values()] == [True, True, False, False]
     page = html.unescape((folder / "report.html").read_text())
@@ -308,20 +308,20 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
         ensemble = Ensemble.load(files / "drawn.yaml")
         laws = ["base_admittance", f"{files}/law.py:Shared"]
         how = {"starts": 8, "iterations": 5, "also": ("share",), "no_worse_than_pd": False}
-        return tuning.compare(scenario, laws, ensemble, members=200, seeds=2, out=out, stage=stage, **how)
+        return tuning.compare(scenario, laws, ensemble, members=200, seeds=3, out=out, stage=stage, **how)
 
     whole = run(None)
     in_all = made_up.count((2, 8))
     # both of each of the judged, with pd beside them
-    assert in_all == 2 * 4 * 5 and made_up.count((200, 1)) == 3 * 7
+    assert in_all == 3 * 4 * (5 + 1) and made_up.count((200, 1)) == 4 * 7
     made_up.clear()
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, stage)
-    assert opened == [f"{law}, seed {seed}" for law in ("base_admittance", "Shared") for seed in (0, 1)]
-    assert made_up.count((2, 8)) == 3 * 5 + 2
+    assert opened == [f"{law}, seed {seed}" for law in ("base_admittance", "Shared") for seed in (0, 1, 2)][:-1]
+    assert made_up.count((2, 8)) == 4 * (5 + 1) + 2
     made_up.clear()
     found = run(tmp_path)
-    assert made_up.count((2, 8)) == in_all - 17
+    assert made_up.count((2, 8)) == in_all - 26
     xr.testing.assert_identical(found.data, whole.data)
     written = tuning.write(found, tmp_path)
     assert not (tmp_path / "parts").exists()
@@ -335,7 +335,7 @@ def test_an_interrupted_comparison_goes_on_with_the_same_result(made_up, scenari
     np.testing.assert_allclose(gain, 0.1 * np.log(0.5), rtol=1e-3)
     assert "half the friction would better pd by" in written.outcome[-1]
     each = [
-        f"Shared, seed {seed} ran without the force sensor of LH from 0.25 s in 200 of 200 walks" for seed in (0, 1)
+        f"Shared, seed {seed} ran without the force sensor of LH from 0.25 s in 200 of 200 walks" for seed in (0, 1, 2)
     ]
     lost = f"warning: {'; '.join(each)}"
     assert lost in written.outcome and lost[9:] in (tmp_path / "report.html").read_text()

@@ -16,12 +16,16 @@ from mjx_climb.scenario.load import load_hardware, with_hardware
 from mjx_climb.scenario.shipped import config_path
 from mjx_climb.walk.metrics import SENSORS
 from tuning.comparisons import compare, judge
+from tuning.methods import Request
+from tuning.problem import ensemble as ensembles
 from tuning.problem import search, spaces
 from tuning.problem.ensemble import Ensemble, Worst, draw, worst_mean
 from tuning.problem.evaluation import Problem, pd_of
 from tuning.problem.objectives import Limit, Objective, Term, objective
+from tuning.results import tuned
 from tuning.searches import tune
 from tuning.searches.shards import Rows
+from tuning.searches.tune import finalists
 
 FAST = ["duration=0.3"]
 SHORT_PUSHES = {"start": (0.05, 0.1), "length": (0.05, 0.1)}
@@ -248,14 +252,39 @@ def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble, pd):
     assert float(score.penalty[1]) > float(score.penalty[0])
 
 
+def test_the_best_on_walks_that_no_search_has_seen_is_the_result():
+    arrays = {"value": [0.1, 0.2, 0.9, 0.3, 0.6], "penalty": [0.0] * 5, "feasible": [True] * 5}
+    assert tuned.best_of(arrays) == 0
+    phases = ["population", "population", tuned.CHECKED, tuned.CHECKED, tuned.CHECKED]
+    assert tuned.best_of(arrays | {"phase": phases}) == 3
+    assert tuned.best_of(arrays | {"phase": phases, "feasible": [True, True, True, False, True]}) == 4
+
+
+def test_start_and_best_points_are_checked():
+    theta = np.array([[0.0], [1.0], [2.0], [2.0], [3.0], [0.0]])
+    evaluated = {"theta": theta, "value": np.array([0.5, 0.4, 0.2, 0.2, np.nan, 0.1]), "penalty": np.zeros(6)}
+    last = Request(np.zeros((3, 1)), np.ones((1, 1)), "population")
+    asked = finalists(last, evaluated, np.zeros(1))
+    assert asked.theta.tolist() == [[0.0], [2.0], [1.0]] and asked.phase == tuned.CHECKED
+    assert asked.directions is last.directions
+    few = finalists(Request(np.zeros((8, 1)), None, ""), {name: each[:2] for name, each in evaluated.items()}, theta[0])
+    assert few.theta[:, 0].tolist() == [0, 1, 0, 1, 0, 1, 0, 1]
+
+
+def test_each_use_and_each_search_has_walks_of_its_own(ensemble):
+    uses = [ensembles.of_search(ensemble, number) for number in range(8)]
+    uses += [ensembles.fresh(ensemble, use) for use in ensembles.Use]
+    assert len({own.seed for own in uses}) == 8 + 3 and uses[0] == ensemble
+
+
 @pytest.mark.nightly
 def test_search_and_judgement(scenario):
     """Forces are late in every walk: the joint loop is searched and judged with the admittance."""
     late = {"force_delay": (0.002, 0.005)}
     ensemble = Ensemble.make({"members": 4, "pushes": SHORT_PUSHES, "cargo": {"start": (0.0, 0.1)}, "hardware": late})
     found = tuning.robust(scenario, ensemble, method="cmaes", starts=4, iterations=2)
-    assert found.data.sizes["point"] == 8
-    assert found.env_steps == 8 * ensemble.members * scenario.steps
+    assert found.data["phase"].values.tolist() == ["first points"] * 4 + ["population"] * 4 + [tuned.CHECKED] * 4
+    assert found.env_steps == 12 * ensemble.members * scenario.steps
     assert found.gains.kp is not None
     paper, calm = mc.Gains(1.0, 5e3, 2e4), {"kp": 30.0, "kd": 0.5}
     rivals = {"robust": found.gains, "config": paper}
@@ -331,7 +360,7 @@ def test_an_interrupted_search_goes_on_with_the_same_result(scenario, ensemble, 
     how, walked = {"method": "cmaes", "starts": 4, "iterations": 2}, []
     assert tuning.robust(scenario, ensemble, out=tmp_path, progress=stop(1), **how).interrupted
     resumed = tuning.robust(scenario, ensemble, out=tmp_path, progress=lambda now: walked.append(now.walked), **how)
-    assert walked == [False, True]
+    assert walked == [False, True, True]
     xr.testing.assert_equal(resumed.data, tuning.robust(scenario, ensemble, **how).data)
 
 

@@ -20,7 +20,7 @@ def search(seed, value, gains, penalty=0.0):
     theta = [[np.log(gains[0]), gains[1]]]
     one = {"value": [value], "penalty": [penalty], "feasible": [not penalty]}
     data = {name: ("point", each) for name, each in one.items()} | {"theta": (("point", "coordinate"), theta)}
-    data["unit"] = ("coordinate", [0.0, 0.1])
+    data |= {"unit": ("coordinate", [0.0, 0.1]), "phase": ("point", ["population"])}
     names = {"coordinate": ["stiffness", "gait.duty"]}
     return tuned.Tuned(xr.Dataset(data, names, {"interrupted": 0}), Problem(None), Search(seed=seed))
 
@@ -76,7 +76,7 @@ def test_where_the_user_stops_a_seed_the_best_so_far_is_given(monkeypatch):
         return dataclasses.replace(one, data=one.data.assign_attrs(interrupted=settings.seed - 5))
 
     monkeypatch.setattr(tune, "run", stopped_in_the_second)
-    best = tune.from_seeds(None, Search(seed=5), 3, out=None, progress=told.append)
+    best = tune.from_seeds(Problem(None), Search(seed=5), 3, out=None, progress=told.append)
     assert (best.value, best.seeds, best.interrupted) == (0.8, 2, True)
     assert [f"{now.phase} {now.rounds}/{now.rounds_in_all}" for now in told] == [
         "seed 5, points 1/6", "seed 5, points 2/6", "seed 6, points 3/6", "seed 6, points 4/6",

@@ -101,6 +101,7 @@ def test_joint_gains_that_shake_at_the_time_step_are_no_result(scenario):
     arrays = {
         "theta": np.array([space.from_gains(each) for each in gains]), "value": np.array([0.1, 0.4, 0.2, 0.3]),
         "penalty": np.zeros(4), "feasible": np.ones(4, bool), "env_steps": np.arange(4),
+        "phase": np.full(4, "population"),
     }  # fmt: skip
     found = tuned.from_rounds(problem, settings, arrays, interrupted=False)
     assert float(found.gains.kd) == pytest.approx(0.2) and found.feasible
@@ -118,6 +119,7 @@ def test_joint_gains_that_shake_with_the_gait_beside_them_are_no_result(scenario
     arrays = {
         "theta": np.array([space.from_gains(gains | {"gait.cycle": cycle}) for cycle in (8.0, 4.0)]),
         "value": np.array([0.1, 0.2]), "penalty": np.zeros(2), "feasible": np.ones(2, bool), "env_steps": np.arange(2),
+        "phase": np.full(2, "population"),
     }  # fmt: skip
     found = tuned.from_rounds(Problem(scenario, space), settings, arrays, interrupted=False)
     assert found.gains["gait.cycle"] == pytest.approx(4.0) and found.data["feasible"].values.tolist() == [False, True]
