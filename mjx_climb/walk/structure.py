@@ -61,8 +61,9 @@ def structure(
     """
     if parameters.footholds is not None and parameters.ground.holds is None:
         raise ConfigError("", "gait.footholds", "planned, as the ground has no holds to choose among")
+    robot = load_robot(scenario.robot)
     if parameters.footholds is not None and parameters.footholds.reach_by_height:
-        if isinstance(limb_geometry(load_robot(scenario.robot)), Chain):
+        if isinstance(limb_geometry(robot), Chain):
             expected = "false for limbs other than of a yaw joint and two parallel pitch joints"
             raise ConfigError("", "gait.footholds.reach_by_height", expected, True)
     if parameters.footholds is None and scenario.gait.order == "free":
@@ -84,7 +85,6 @@ def structure(
         own_code = identity(own) if own else ""
     except Unidentifiable:
         own_code = ""
-    robot = load_robot(scenario.robot)
     return Structure(
         robot=robot,
         engine=engine,

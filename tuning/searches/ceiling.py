@@ -29,6 +29,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import gait_of
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Callback, Work, background, ignore
@@ -112,6 +113,7 @@ class Contest(NamedTuple):
     """What all contestants have in common."""
 
     scenario: mc.Scenario
+    robot: Robot
     asked: Ceiling
     walks: Walks
     draws: Draws
@@ -171,7 +173,8 @@ def ceiling(
     every = jax.tree.map(lambda *each: np.concatenate(each), *begun)
     under = walks_of(scenario, goal, every, **how)
     step = asked.step * float(found[PD].metrics["peak_joint_torque"].mean()) / scenario.control.kp
-    contest = Contest(scenario, asked, under, draws, step, progress or (lambda *_: None))
+    robot = load_robot(scenario.robot)
+    contest = Contest(scenario, robot, asked, under, draws, step, progress or (lambda *_: None))
     with background() as begin:  # programs are compiled beside each other, and beside the first search
         for work in _prepared(contest, every):
             begin(work)
@@ -320,7 +323,7 @@ def _widened(goal: Objective, asked: Ceiling, walked: Sequence[Mapping[str, np.n
 def _prepared(contest: Contest, every: mc.Parameters) -> list[Work[None]]:
     """Return works that compile the programs of the first search, from all starts, and of later ones, from one."""
     scenario, members = contest.scenario, contest.draws.members
-    robot, knots = load_robot(scenario.robot), _knots(scenario, contest.asked.knots[0])
+    robot, knots = contest.robot, _knots(scenario, contest.asked.knots[0])
 
     def prepared(starts: int, since: np.ndarray | None) -> Work[None]:
         still = np.zeros((starts, members, scenario.steps, *robot.joint_lower.shape))
@@ -394,7 +397,7 @@ def _search(
         undisturbed: the walks of the search have no disturbances.
     """
     asked, walks, members, records = contest.asked, contest.walks, contest.draws.members, []
-    robot = load_robot(contest.scenario.robot)
+    robot = contest.robot
     targets = np.stack([start.targets for start in starts])
     parameters = jax.tree.map(lambda *each: np.concatenate(each), *(start.parameters for start in starts))
     names = np.repeat([[start.name] for start in starts], members, axis=1)
@@ -551,7 +554,7 @@ def _bounded(
         data["front"] = (("point", "axis_of_front", "member"), front.metrics)
         data["front_share"] = ("point", front.shares, {"units": "1", "long_name": f"weight of {asked.against}"})
     data |= _histories(contest, plans, kept)
-    robot = load_robot(scenario.robot)
+    robot = contest.robot
     attrs: dict[str, Any] = {"title": "bounds of control laws", **dataset.provenance(scenario)}
     attrs |= {"ceiling": asked.to_yaml(), "hidden": int(hidden)}
     attrs["own_gait"] = ", ".join(name for name, each in found.items() if gait_of(by_name(each.gains)))

@@ -189,7 +189,7 @@ def test_a_search_of_plans_goes_on_from_the_best_start_with_finer_knots(common):
     asked, robot = Ceiling.make({"knots": (0.05, 0.025), "iterations": 30}), load_robot(scenario.robot)
     walks: Any = Springs(np.array([0.1, 0.3]), scenario.steps)
     draws, said = search.Draws(2, 0, None, {}), []
-    contest = search.Contest(scenario, asked, walks, draws, 0.05, lambda *progress: said.append(progress))
+    contest = search.Contest(scenario, robot, asked, walks, draws, 0.05, lambda *progress: said.append(progress))
     shape = (2, scenario.steps, *robot.joint_lower.shape)
     begun = np.zeros(shape) + np.clip(0.0, robot.joint_lower, robot.joint_upper)
 

@@ -14,7 +14,6 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.robot.constants import Robot
-from mjx_climb.robot_import.load import load_robot
 from tuning.identification.fit import robot_files
 from tuning.identification.fit.report import (
     CORRELATION,
@@ -61,7 +60,7 @@ def _files(found: Identified, place: Path, asked: str) -> Files:
 def identified_scenario(found: Identified, scenario: mc.Scenario, folder: Path) -> mc.Scenario:
     """Return the scenario with what was identified; a robot that was is written into the folder."""
     scenario = scenario.with_overrides(found.overrides())
-    robot, nominal = found.robot(), load_robot(found.scenario.robot)
+    robot, nominal = found.robot(), found.model.structure.robot
     asked = any(key.startswith("robot.") for key in found.estimates)
     if asked or (found.own and _differ(robot, nominal)):
         section = robot_files.write(found.scenario.robot, robot, folder / "robot.xml")

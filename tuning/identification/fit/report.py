@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
 from tuning.identification.fit.inference import suspicious
 from tuning.identification.fit.result import Estimate, Identified
@@ -92,7 +91,7 @@ def _times(found: Identified) -> np.ndarray:
 def plot_residuals(found: Identified) -> Figure:
     """Return residuals over time, a panel for each joint, foot, and the base; kinds of signals by colour."""
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
-    scaled, robot = found.fitted.scaled, load_robot(found.scenario.robot)
+    scaled, robot = found.fitted.scaled, found.model.structure.robot
     kind, held = windows.kind[rows.signal], windows.held_out[rows.window]
     lane = np.where(kind < 3, windows.joint[rows.signal], np.where(kind == 3, robot.joints, robot.joints + 1))
     limb = np.where(kind > 3, 0, windows.limb[rows.signal])

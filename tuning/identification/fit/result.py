@@ -12,7 +12,6 @@ import mjx_climb as mc
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
-from mjx_climb.robot_import.load import load_robot
 from tuning.identification.fit.inference import Posterior, Whiteness, suspicious
 from tuning.identification.fit.problem import Fitted, Problem
 from tuning.identification.model.predicted import PRESLIDING, Fit
@@ -103,7 +102,7 @@ class Identified:
         return self._applied()[1]
 
     def _applied(self) -> tuple[Parameters, Robot]:
-        places, nominal = self.model.structure.places, load_robot(self.scenario.robot)
+        places, nominal = self.model.structure.places, self.model.structure.robot
         before, known = begin(self.model.variables), self.known
         x = np.where([v.key in known for v in self.model.variables], self.fitted.x, before)
         with jax.enable_x64(True):
