@@ -25,7 +25,7 @@ import uuid
 import warnings
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 import jax
 import numpy as np
@@ -147,20 +147,33 @@ def digest_of_imports(modules: frozenset[str], folders: tuple[Path, ...]) -> str
 
     Imports inside functions, and those that type checkers alone read, count too.
     """
-    files = {_module(path, folder): path for folder in folders for path in folder.rglob("*.py")}
-    texts: dict[str, str] = {}
-    waiting = [name for name in modules if name in files]
+    known = {name: source for folder in folders for name, source in sources(folder).items()}
+    found, waiting = set[str](), [name for name in modules if name in known]
     while waiting:
-        if (name := waiting.pop()) not in texts:
-            texts[name] = files[name].read_text()
-            for home, names, alone in _IMPORT.findall(texts[name]):
-                taken = (f"{home}.{each}" for each in re.findall(r"\w+", names))
-                waiting += [each for each in (home, alone, *taken) if each in files]
-    return hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()
+        if (name := waiting.pop()) not in found:
+            found.add(name)
+            waiting += [each for each in known[name].imported if each in known]
+    return hashlib.sha256(repr([(name, known[name].text) for name in sorted(found)]).encode()).hexdigest()
 
 
-def _module(path: Path, folder: Path) -> str:
-    return ".".join(path.relative_to(folder.parent).with_suffix("").parts).removesuffix(".__init__")
+class Source(NamedTuple):
+    """A module's file."""
+
+    text: str
+    imported: list[str]  # names of modules, and of others that may be in them
+
+
+@functools.cache
+def sources(folder: Path) -> dict[str, Source]:
+    """The modules of the package in a folder, by their names."""
+    found = {}
+    for path in folder.rglob("*.py"):
+        text = path.read_text()
+        names = [(home, re.findall(r"\w+", names), alone) for home, names, alone in _IMPORT.findall(text)]
+        imported = [name for home, each, alone in names for name in (home, alone, *(f"{home}.{n}" for n in each))]
+        module = ".".join(path.relative_to(folder.parent).with_suffix("").parts).removesuffix(".__init__")
+        found[module] = Source(text, imported)
+    return found
 
 
 # --- executables

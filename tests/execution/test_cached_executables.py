@@ -226,6 +226,7 @@ def test_a_walks_program_is_found_by_the_files_that_take_part_in_it(tmp_path, fi
 
     def digest():
         cache.digest_of_imports.cache_clear()
+        cache.sources.cache_clear()
         return cache.digest_of_imports(frozenset(["mjx_climb.walks"]), (package,))
 
     before, text = digest(), (package / file).read_text()
