@@ -49,7 +49,7 @@ shipped = dataclasses.replace(rubbing, change=None)
 def found_of(chosen, values):
     """Return a result whose fit ended at some values."""
     estimates = {v.key: Estimate(x, 0.0, 9.0, True, 1.0, v.unit) for v, x in zip(chosen, values, strict=True)}
-    structure = SimpleNamespace(places=tuple(v.place for v in chosen), mass=0.0)
+    structure = SimpleNamespace(robot=ROBOT, places=tuple(v.place for v in chosen), mass=0.0)
     model = SimpleNamespace(variables=chosen, structure=structure, parameters=own_parameters(SCENARIO))
     nothing = dict.fromkeys([field.name for field in dataclasses.fields(Identified)])
     fitted = SimpleNamespace(x=np.array(values))
