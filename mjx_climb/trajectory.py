@@ -9,6 +9,8 @@ import numpy as np
 
 from mjx_climb.control.sensor_watch import SILENCE
 from mjx_climb.parameter_types import Gains, Parameters
+from mjx_climb.robot.constants import Robot
+from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.sample import Quantities
 
@@ -22,6 +24,11 @@ class Trajectory(Quantities[np.ndarray]):
     parameters: Parameters  # the scenario's, or those given in their place
     limbs: tuple[str, ...]  # their names, in order
     law: str = ""  # name of the control law, where it is not the scenario's
+
+    @property
+    def robot(self) -> Robot:
+        """The constants of the scenario's robot."""
+        return load_robot(self.scenario.robot)
 
     @property
     def lost_sensors(self) -> dict[str, float]:

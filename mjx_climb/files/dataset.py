@@ -25,7 +25,6 @@ from mjx_climb.files.writing import write_text_atomically as write_text_atomical
 from mjx_climb.inputs.from_scenario import parameters
 from mjx_climb.parameter_types import GAIN_UNITS, Gains, Parameters
 from mjx_climb.physics.state import State
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.trajectory import Trajectory
@@ -67,7 +66,7 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
     """
     labels: dict[str, tuple[Sequence[str], str]] = {
         "limb": (list(trajectory.limbs), "limb"),
-        "joint": (list(load_robot(trajectory.scenario.robot).joint_names), "joint, from the base outwards"),
+        "joint": (list(trajectory.robot.joint_names), "joint, from the base outwards"),
         "axis": (AXES, "axis of the world frame, z up"),
         "six": (SIX, "translations, then rotations"),
         "quaternion": (QUATERNION, "component of the quaternion"),

@@ -15,7 +15,6 @@ from mjx_climb.ground import Holds, holds_of
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.bodies import quaternion
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.robot_import.robot_file import root_link
 from mjx_climb.scenario.model import RobotFile
 from mjx_climb.trajectory import Trajectory
@@ -90,7 +89,7 @@ def _topics(walk: Trajectory, types: _Types) -> Iterator[_Topic]:
     def support(place: int) -> Callable[[int, object], object]:
         return lambda row, _: flag(bool(walk.support[row, place]))
 
-    robot = load_robot(walk.scenario.robot)
+    robot = walk.robot
     joints, held = _joints(walk, robot)
     resting: dict[str, list[float] | float] = {
         "joint_angles": [*held.values()],

@@ -14,7 +14,6 @@ from matplotlib.lines import Line2D
 from mjx_climb.files.dataset import AXES
 from mjx_climb.ground import holds_of
 from mjx_climb.ground.height_map import relief
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import HeightMap
 from mjx_climb.terrain import foothold_heights, footholds
 from mjx_climb.trajectory import Trajectory
@@ -332,7 +331,7 @@ def _along(trajectory: Trajectory) -> Callable[[np.ndarray], np.ndarray]:
 
 def _planned(trajectory: Trajectory) -> np.ndarray:
     """Return the footholds that the gait plans, (limb, N, 3) m."""
-    scenario, robot = trajectory.scenario, load_robot(trajectory.scenario.robot)
+    scenario, robot = trajectory.scenario, trajectory.robot
     places, heights = footholds(scenario, robot), foothold_heights(scenario, robot)
     missing = places.shape[1] - heights.shape[1]
     if missing > 0:  # the last height goes on; without any the ground is at zero

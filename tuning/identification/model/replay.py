@@ -55,7 +55,7 @@ class Replay:
 
     def logged(self) -> mc.Trajectory:
         """Return the log as a walk, to be shown: quantities that were not logged are as simulated."""
-        walk, robot = self.walk, load_robot(self.scenario.robot)
+        walk, robot = self.walk, self.walk.robot
         found: dict[str, Any] = {}
         for field, by_name in _fields(robot).items():
             values = np.array(getattr(walk, field))

@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz.plots.styling import AXIS_COLORS, BLACK, BLUE, COLUMN, GREY, VERMILLION, key, legend_below, style
 from tuning.identification.model.replay import Error, Replay
 from tuning.identification.readers.log import Signal
@@ -23,7 +22,7 @@ def plot_replay(replay: Replay) -> Figure:
 
     Below each joint stands what the simulation misses of the log, and its root mean square over the panel.
     """
-    robot, signals, walk = load_robot(replay.scenario.robot), replay.log.signals, replay.walk
+    robot, signals, walk = replay.walk.robot, replay.log.signals, replay.walk
     forces = any(f"{limb}.force.{axis}" in signals for limb in robot.limbs for axis in "xyz")
     ratios = [*(2.0, 1.0) * robot.joints, *([2.0] if forces else [])]
     size = (2 * COLUMN, 0.6 + 0.62 * sum(ratios))
