@@ -84,6 +84,7 @@ class Parameters:
     disturbances: tuple[Any, ...]  # `Disturbance`s: cargo, pushes, and others
     footholds: Any = None  # `Footholds`, the choice among the holds; None: the planned ones
     recovery: Any = None  # None: nothing interrupts the gait
+    waiting: Any = None  # None: the gait goes on whatever holds
 
     @property
     def components(self) -> dict[str, Component]:
@@ -189,6 +190,7 @@ SECTIONS: Mapping[str, str] = MappingProxyType(  # of a config, by the field of 
         "ground": "ground",
         "footholds": "gait.footholds",
         "recovery": "control.recovery",
+        "waiting": "gait.waiting",
     }
 )
 _DISTURBANCE = "disturbance"

@@ -31,6 +31,7 @@ from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.execution.batch_axes import axes_behind, batch_shape, is_traced, over_batch
 from mjx_climb.execution.batches import Progress
 from mjx_climb.gait.base_path import check_base
+from mjx_climb.gait.first_holds import check_first_holds
 from mjx_climb.hardware.actuator import Actuator
 from mjx_climb.hardware.stages import Stages, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -161,6 +162,7 @@ class Simulation:
         checked_engine(engine)
         check_stance(scenario)
         check_base(scenario)
+        check_first_holds(scenario)
         vars(self).update(  # frozen from here on
             scenario=scenario,
             law=law_of(scenario) if law is None else checked(law, Law),

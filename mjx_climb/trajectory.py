@@ -36,6 +36,13 @@ class Trajectory(Quantities[np.ndarray]):
         each = zip(self.limbs, self.sensor_lost.T, strict=True)
         return {limb: max(float(self.time[own.argmax()]) - SILENCE, 0.0) for limb, own in each if own.any()}
 
+    @property
+    def standing(self) -> dict[str, float]:
+        """From when on, s, the robot stands at the walk's end, as some feet found no grip, by limb."""
+        until_the_end = np.logical_and.accumulate(self.stands[::-1])[::-1]
+        each = zip(self.limbs, until_the_end.T, strict=True)
+        return {limb: float(self.time[own.argmax()]) for limb, own in each if own.any()}
+
 
 def named(values: Mapping[str, Any], limbs: tuple[str, ...]) -> dict[str, float | str | bool | None]:
     """Scalar metrics for JSON: None if undefined, and the limb by name."""

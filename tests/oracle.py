@@ -503,6 +503,7 @@ def again(walk, law=None):
         shut, ground, wanted, targets = gait.at(step, position)
         held = grips.act(feet, speeds[:, 0], turned, speeds[:, 1], shut, ground, walk.contact[step])
         targets = np.where(shut[:, None], held["grip_point"], targets)
+        gap = np.where(shut & (gait.times(step)[1] == 0), np.maximum(feet[:, 2] - ground, 0), 0)
         lever, moments = feet - position, held["foot_moment"].sum(0)
 
         def wrench_of(force, lever=lever, moments=moments):
@@ -577,6 +578,7 @@ def again(walk, law=None):
             "base_linear_acceleration": found[0], "base_angular_acceleration": found[1],
             "joint_accelerations": found[2], "joint_targets": goal, "joint_torque": torque, "foot_target": command[2],
             "sensor_lost": np.zeros(body.limbs, bool) if watch is None else watch.lost,
+            "stands": np.zeros(body.limbs, bool), "grip_gap": gap,
             "base_reference": wanted, "base_displacement": command[3],
             "base_wrench": wrench, "push": push + by_touch, "cargo_mass": cargo, "center_of_mass": com, "tsm": tsm,
             "gia_margin": gia, "ground_normal": np.tile(Z, (body.limbs, 1)),
@@ -627,5 +629,5 @@ def judged(walk):
         "joint_limit_margin": np.minimum(walk.joint_angles - lower, upper - walk.joint_angles).min(),
         "detached_at": walk.time[torn[0, 0]] if len(torn) else None,
         "detached_limb": walk.limbs[torn[0, 1]] if len(torn) else None, "missed_grips": walk.missed.sum(),
-        "diverged": False,
+        "stands_at": None, "diverged": False,
     }  # fmt: skip

@@ -102,6 +102,8 @@ def failed(metrics: Mapping[str, Any], lets_go: str = "lets go", diverges: str =
         found.append(f"{metrics['detached_limb']} {lets_go} at {metrics['detached_at']:.2f} s")
     if metrics.get("diverged"):
         found.append(diverges)
+    if metrics.get("stands_at") is not None:
+        found.append(f"stands from {metrics['stands_at']:.2f} s")
     return ", ".join(found)
 
 

@@ -1,16 +1,19 @@
 """How far robots climb: 2 m of random rock at five angles under lunar gravity, and along handrails in microgravity.
 
-    python docs/studies/climb.py results/climb [--grounds 256] [--at-once 256] [--only best_margin]
+    python docs/studies/climb.py results/climb [--grounds 256] [--at-once 256] [--only best_margin] [--contact closing]
+    python docs/studies/climb.py results/contacts --grounds 16 --contact closing --angles 135 180 --densities 400
 
 Rows are robots, grounds, laws and rules of choice; each walks all angles, densities and grounds in one program. A climb
 succeeds if the base comes 2 m ahead before a grip is torn off. `climb.csv` has the successes with intervals of 95 %
-(Wilson) and what ended the others first. Grounds that have been walked already are not walked again.
+(Wilson) and what ended the others first. Grounds that have been walked already are not walked again. `--contact` takes
+the grip that closes, with a gait that waits for it, or the one that holds at once, wherever it shuts.
 """
 
 import argparse
 import csv
 import dataclasses
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -32,7 +35,11 @@ DENSITIES = {"rock": (120.0, 200.0, 400.0), "rails": (0.1, 0.05, 0.02, 0.01)}
 WIDTH = {"hubrobo": 0.5, "hexapod": 0.6}  # m, of the rock
 BETWEEN = {"hubrobo": 0.28, "hexapod": 0.2866}  # m, from rail to rail
 Kind = tuple[str, str, str, str]  # robot, ground, law, rule
-REASONS = ("arrived", "stuck", "out of reach", "torn off", "diverged")
+CONTACTS: dict[str, dict[str, object]] = {
+    "closing": {},
+    "at_once": {"contact.closing_time": 0.0, "contact.capture_distance": None, "gait.waiting.waits": False},
+}
+REASONS = ("arrived", "stuck", "out of reach", "torn off", "diverged", "stands")
 ROWS: tuple[Kind, ...] = (
     ("hubrobo", "rock", "base_admittance", "best_margin"),
     ("hubrobo", "rock", "pd", "best_margin"),
@@ -81,11 +88,11 @@ UNREACHED = Metric(
 )  # fmt: skip
 
 
-def scenario_of(robot: str, law: str, rule: str, way: float) -> mc.Scenario:
+def scenario_of(robot: str, law: str, rule: str, way: float, contact: str = "closing") -> mc.Scenario:
     """Return the scenario of a row; seeds, density and gravity are given beside it."""
     scenario = mc.load_scenario("configs/climb_rock.yaml")
     rule, _, order = rule.partition(" ")
-    keys: dict[str, object] = {"gait.footholds": rule, "gait.order": order or "periodic"}
+    keys = CONTACTS[contact] | {"gait.footholds": rule, "gait.order": order or "periodic"}
     speed = scenario.gait.stride / scenario.gait.cycle
     keys["duration"] = float(np.ceil(11.5 * way / speed) / 10)
     if law == "pd":
@@ -97,12 +104,12 @@ def scenario_of(robot: str, law: str, rule: str, way: float) -> mc.Scenario:
     return scenario.with_overrides(keys)
 
 
-def grounds(scenario: mc.Scenario, robot: str, ground: str, seeds: range) -> Holds:
+def grounds(scenario: mc.Scenario, robot: str, ground: str, seeds: range, densities: Sequence[float]) -> Holds:
     """Return holds with axes (density, seed) in front."""
     width, between = WIDTH[robot], BETWEEN[robot]
     most = max(DENSITIES["rock"]) * 3.0 * width if ground == "rock" else 2 * (3.0 / min(DENSITIES["rails"]) + 2)
     found = []
-    for density in DENSITIES[ground]:
+    for density in densities:
         keys: dict[str, object] = {"ground.holds.count": int(np.ceil(most))}
         if ground == "rock":
             keys |= {"ground.holds.rock.density": density, "ground.holds.rock.size": [3.0, width]}
@@ -120,24 +127,36 @@ def grounds(scenario: mc.Scenario, robot: str, ground: str, seeds: range) -> Hol
     return Holds(**{name: np.stack([getattr(each, name) for each in found]) for name in Holds.VALUES})
 
 
-def climbed(row: Kind, seeds: range, way: float) -> dict[str, np.ndarray]:
+def climbed(row: Kind, seeds: range, asked: argparse.Namespace) -> dict[str, np.ndarray]:
     """Return the `KEPT` metrics of climbs, (angle, density, seed) each; a reason is its index in `REASONS`."""
     robot, ground, law, rule = row
-    scenario = scenario_of(robot, law, rule, way)
-    angle = np.radians(ANGLES if ground == "rock" else (0,))
+    scenario = scenario_of(robot, law, rule, asked.way, asked.contact)
+    angle = np.radians(angles_of(ground, asked))
     size = LUNAR if ground == "rock" else MICRO
     gravity = size * np.stack([-np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
-    holds = grounds(scenario, robot, ground, seeds)
+    holds = grounds(scenario, robot, ground, seeds, densities_of(ground, asked))
     parameters = own_parameters(scenario).replace({"gravity": gravity[:, None, None]})
     parameters = dataclasses.replace(parameters, ground=dataclasses.replace(parameters.ground, holds=holds))
     own = LoadTransfer() if law == "load_transfer" else None
-    simulation = mc.Simulation(scenario, own, (*mc.METRICS, *along(way), UNREACHED))
+    simulation = mc.Simulation(scenario, own, (*mc.METRICS, *along(asked.way), UNREACHED))
     found = simulation.metrics(None, parameters, unsteady=True)
     arrived, torn, out = (found[name] for name in ("arrived_at", "detached_at", "unreached_at"))
     late = ~np.isnan(out) & ~(out > torn)
-    failed = np.select([~np.isnan(torn) & late, ~np.isnan(torn), found["diverged"] > 0], [2, 3, 4], 1)
+    failed = np.select(
+        [~np.isnan(torn) & late, ~np.isnan(torn), found["diverged"] > 0, found["stands_at"] >= 0], [2, 3, 4, 5], 1
+    )
     found["reason"] = np.where(np.isnan(arrived), failed, 0)
     return {name: found[name] for name in KEPT}
+
+
+def angles_of(ground: str, asked: argparse.Namespace) -> Sequence[float]:
+    """Return the angles of a ground that are walked, degrees."""
+    return (asked.angles or ANGLES) if ground == "rock" else (0,)
+
+
+def densities_of(ground: str, asked: argparse.Namespace) -> Sequence[float]:
+    """Return the densities of a ground that are walked."""
+    return asked.densities or DENSITIES[ground]
 
 
 def wilson(count: int, of: int, z: float = 1.96) -> tuple[float, float]:
@@ -155,7 +174,7 @@ def written(path: Path, rows: list[dict[str, object]]) -> None:
         writer.writerows(rows)
 
 
-def table_of(row: Kind, climbs: dict[str, np.ndarray]) -> list[dict[str, object]]:
+def table_of(row: Kind, climbs: dict[str, np.ndarray], asked: argparse.Namespace) -> list[dict[str, object]]:
     """Return the rows of the table, one for each angle and density."""
     robot, ground, law, rule = row
     table = []
@@ -165,14 +184,20 @@ def table_of(row: Kind, climbs: dict[str, np.ndarray]) -> list[dict[str, object]
         low, high = wilson(count, of)
         limbs = np.bincount(own["detached_limb"][own["reason"] >= 2].astype(int) + 1, minlength=7)[1:]
         table.append(
-            {"robot": robot, "ground": ground, "law": law, "rule": rule}
-            | {"angle": ANGLES[place[0]] if ground == "rock" else "", "density": DENSITIES[ground][place[1]]}
+            {"robot": robot, "ground": ground, "law": law, "rule": rule, "contact": asked.contact.replace("_", " ")}
+            | {"angle": angles_of(ground, asked)[place[0]] if ground == "rock" else ""}
+            | {"density": densities_of(ground, asked)[place[1]]}
             | {"arrived": count, "of": of, "95 % low": f"{low:.3f}", "95 % high": f"{high:.3f}"}
             | {name: int((own["reason"] == n).sum()) for n, name in enumerate(REASONS) if n}
             | {"median way m": f"{np.nanmedian(own['held_way']):.3g}", "limbs torn off": " ".join(map(str, limbs))}
             | {"median peak pull N": f"{np.nanmedian(own['peak_pull_force']):.3g}"}
         )
     return table
+
+
+def named(row: Kind, asked: argparse.Namespace) -> str:
+    """Return the name of a row's file."""
+    return "-".join((*row, asked.contact)).replace(" ", "_")
 
 
 def main() -> None:
@@ -183,24 +208,27 @@ def main() -> None:
     parser.add_argument("--at-once", type=int, default=256, help="grounds that are walked before results are written")
     parser.add_argument("--way", type=float, default=WAY, help="m")
     parser.add_argument("--only", default="", help="rows whose names, joined by dashes, have this in them")
+    parser.add_argument("--contact", choices=list(CONTACTS), default="closing")
+    parser.add_argument("--angles", type=int, nargs="+", help="degrees, of rock")
+    parser.add_argument("--densities", type=float, nargs="+")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     begun = time.time()
     for row in ROWS:
-        if asked.only not in (name := "-".join(row).replace(" ", "_")):
+        if asked.only not in (name := named(row, asked)):
             continue
         kept = asked.out / f"{name}.npz"
         climbs = dict(np.load(kept)) if kept.exists() else None
         while (first := 0 if climbs is None else climbs["reason"].shape[-1]) < asked.grounds:
-            more = climbed(row, range(first, min(first + asked.at_once, asked.grounds)), asked.way)
+            more = climbed(row, range(first, min(first + asked.at_once, asked.grounds)), asked)
             climbs = more if climbs is None else {k: np.concatenate([climbs[k], more[k]], axis=-1) for k in KEPT}
             np.savez_compressed(kept, **climbs)
-            shares = [f"{each['angle']}/{each['density']:g} {each['arrived']}" for each in table_of(row, climbs)]
+            shares = [f"{each['angle']}/{each['density']:g} {each['arrived']}" for each in table_of(row, climbs, asked)]
             print(
                 f"{time.time() - begun:.0f} s: {name} of {climbs['reason'].shape[-1]}: {', '.join(shares)}", flush=True
             )
-    files = {row: asked.out / f"{'-'.join(row).replace(' ', '_')}.npz" for row in ROWS}
-    table = [each for row, kept in files.items() if kept.exists() for each in table_of(row, dict(np.load(kept)))]
+    files = {row: asked.out / f"{named(row, asked)}.npz" for row in ROWS}
+    table = [each for row, kept in files.items() if kept.exists() for each in table_of(row, dict(np.load(kept)), asked)]
     with (asked.out / "climb.csv").open("w", newline="") as target:
         writer = csv.DictWriter(target, list(table[0]), lineterminator="\n")
         writer.writeheader()

@@ -15,6 +15,7 @@ from jax import Array
 
 from mjx_climb.control import Reference
 from mjx_climb.gait.base_path import swayed
+from mjx_climb.gait.first_holds import first_holds
 from mjx_climb.gait.footholds.choice import Candidates, best
 from mjx_climb.gait.footholds.footholds import Footholds, Situation
 from mjx_climb.gait.footholds.held import Held, pulls_of_holds, upright
@@ -24,7 +25,7 @@ from mjx_climb.gait.own_swings import OwnSwings, Swings, clock_at
 from mjx_climb.gait.schedule import Plan, Schedule, unswayed
 from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.ground import Holds
-from mjx_climb.physics.spatial import norm
+from mjx_climb.physics.spatial import norm, quaternion_to_matrix
 
 Answer = Callable[[Array], Array]  # for points (limb, 3) m, (limb,) bool
 _SHARES = (0.25, 0.5, 0.75, 1.0)  # of a move of the base, of which the largest is made that the feet allow
@@ -40,11 +41,20 @@ class ChosenFootholds(OwnSwings):
     way_points: tuple[tuple[float, float], ...] = ()
     # None: reach by inverse kinematics
     table: HeightTable | None = dataclasses.field(default=None, metadata={"tree": True})
+    # (3,) m/s^2, by which holds have their axes
+    gravity: Array = dataclasses.field(default_factory=lambda: jnp.zeros(3), metadata={"tree": True})
 
     def init(self) -> tuple[Swings, Reference]:
-        """The memory of a robot that stands on its first footholds and has reached no way point."""
+        """The memory of a robot that stands on the holds next to its rest stance and has reached no way point."""
         memory, reference = super().init()
-        return memory._replace(reached=memory.clock if self.way_points else None), reference
+        base, rotation = reference.base_position, quaternion_to_matrix(reference.base_orientation)
+        place = base, rotation, memory.goal, self.gravity
+        feet, held = first_holds(self.robot, self.geometry, self.holds, place, memory.held)
+        memory = memory._replace(
+            start=feet, goal=feet, below=feet[:, 2], held=held, left=None if held is None else held.normal
+        )
+        memory = memory._replace(reached=memory.clock if self.way_points else None)
+        return memory, reference._replace(foot_position=feet)
 
     def base_path(self, memory: Swings, now: Schedule, step: Array, start: Array) -> Array:
         """Where the base should be, (3,) m, by its last move."""

@@ -3,12 +3,14 @@
 import abc
 from typing import NamedTuple
 
+import jax.numpy as jnp
 from jax import Array
 from jaxtyping import PyTree
 
 from mjx_climb.component import Component
 from mjx_climb.control import Reference
 from mjx_climb.gait.schedule import Schedule
+from mjx_climb.physics.contact.contact import Grip
 from mjx_climb.physics.kinematics import Surface
 
 
@@ -59,6 +61,14 @@ class Gait(Component, abc.ABC):
     def look_ahead(self, memory: PyTree, now: Schedule, step: Array, reference: Reference, body: Body) -> PyTree:
         """The memory after the decisions of a planning period, before the step with which it begins."""
         return memory
+
+    def after_contacts(self, memory: PyTree, now: Schedule, step: Array, grip: Grip) -> PyTree:
+        """The memory after a step whose contacts are known."""
+        return memory
+
+    def stands(self, memory: PyTree, grip: Grip) -> Array:
+        """Which limbs found no grip, so that the robot stands, (limb,) bool."""
+        return jnp.zeros_like(grip.support)
 
     def share_of_limits(self, memory: PyTree, now: Schedule, foot_force: Array) -> Array | None:
         """The share of its hold's limit that a force (limb, 3) N on each foot uses, (limb,); None: no hold has one."""

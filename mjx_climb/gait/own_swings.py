@@ -53,6 +53,7 @@ class Swings(NamedTuple):
     held: Held | None = None  # at the goals; None: there are no holds
     left: Array | None = None  # (limb, 3) 1, normals of the ground where the last swings began
     reached: Array | None = None  # () number of way points that the base has reached; None: there are none
+    waits: Any = None  # `gait.waiting.Waits` of a gait that waits for grips
 
 
 def clock_at(swings: Swings, step: Array) -> Array:

@@ -23,6 +23,7 @@ from mjx_climb.gait.gait import Body, Gait
 from mjx_climb.gait.own_swings import OwnSwings, Swings, at_tick, clock_at, with_swings
 from mjx_climb.gait.schedule import Schedule
 from mjx_climb.gait.swing import rest_to_rest
+from mjx_climb.physics.contact.contact import Grip
 from mjx_climb.physics.kinematics import Surface
 from mjx_climb.physics.margins import gia_margin, support_axes, tumbling_moment
 from mjx_climb.physics.spatial import norm
@@ -129,6 +130,14 @@ class RecoveringGait(Gait):
     def pulls(self, memory: Interruptions, now: Schedule, surface: Surface | None, holding_force: Array) -> Array:
         """The pulls that margins may count on."""
         return self.gait.pulls(memory.swings, now, surface, holding_force)
+
+    def after_contacts(self, memory: Interruptions, now: Schedule, step: Array, grip: Grip) -> Interruptions:
+        """The memory of a gait that may wait for grips."""
+        return memory._replace(swings=self.gait.after_contacts(memory.swings, now, step, grip))
+
+    def stands(self, memory: Interruptions, grip: Grip) -> Array:
+        """The limbs that found no grip."""
+        return self.gait.stands(memory.swings, grip)
 
     def reference(
         self, memory: Interruptions, now: Schedule, step: Array, base_position: Array, grip_point: Array

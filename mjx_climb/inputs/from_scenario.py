@@ -19,6 +19,7 @@ from mjx_climb.gait.periodic import PeriodicGait
 from mjx_climb.gait.published_swing import published_path
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.gait.swing import COUNT, swing_path
+from mjx_climb.gait.waiting import Waiting
 from mjx_climb.ground import holds_of
 from mjx_climb.ground.ground import Ground
 from mjx_climb.hardware.actuator import JointLoop
@@ -91,6 +92,7 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         ),
         footholds=_footholds(scenario, source),
         recovery=_recovery(scenario),
+        waiting=_waiting(scenario),
     )
 
 
@@ -122,6 +124,13 @@ def _recovery(scenario: Scenario) -> Recovery | None:
     if not given.interrupts:
         return None
     return _of_section(Recovery, given, margin=given.margin or 0.0)
+
+
+def _waiting(scenario: Scenario) -> Waiting | None:
+    """Return how a gait waits for grips, None where it goes on whatever holds."""
+    given = scenario.gait.waiting
+    usual = scenario.ground.holds is not None or scenario.contact.kind == "uncertain"
+    return _of_section(Waiting, given) if (usual if given.waits is None else given.waits) else None
 
 
 def _swing_path(scenario: Scenario, robot: Robot, turned: bool) -> np.ndarray:

@@ -162,6 +162,22 @@ class PeriodicGait(Values):
     )
 
 
+class Waiting(Values):
+    """How often a foot that does not hold tries again."""
+
+    retries: Array = value(
+        "1", (0.0, 100.0), "landings on a hold after the first",
+        "how often a foot that does not hold goes to the same hold again", default=1.0, whole=True,
+    )  # fmt: skip
+    other_holds: Array = value(
+        "1", (0.0, 100.0), "other holds that are tried", "how many other holds it tries then", default=2.0, whole=True
+    )
+    reach: Array = value(
+        "m", NONNEGATIVE, "how far from its foothold another one is",
+        "how far from its foothold the farthest other one is on ground that is all held", default=0.03,
+    )  # fmt: skip
+
+
 class Cargo(Values):
     """A point mass at the base's centre of mass."""
 

@@ -118,6 +118,16 @@ class SwingFile(v.Section):
     frame: v.Word = setting("planned/limb_2_palm_link", "frame in /tf of the foot that swings")
 
 
+class Waiting(v.ComponentSection):
+    """A gait in which no limb lifts off while another that should hold does not."""
+
+    COMPONENT = declared.Waiting
+
+    waits: bool | None = setting(
+        None, "whether the gait waits for grips; null: where the ground has holds, or with contact.kind: uncertain"
+    )
+
+
 class Gait(v.ComponentSection):
     """Periodic gait: which limbs swing when, how far and how high."""
 
@@ -146,6 +156,7 @@ class Gait(v.ComponentSection):
     way_points: v.Pairs = setting(
         (), "x and y of points that the base walks to, one after the other, m; with chosen footholds; none: by heading"
     )
+    waiting: Waiting = setting(Waiting(), "whether the gait waits for feet that do not hold, and what they try")
     planning_period: v.Positive = setting(
         0.02,
         "time between two choices of footholds or looks for danger, s; rounded to time steps that divide the duration",

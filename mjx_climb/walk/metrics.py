@@ -9,7 +9,7 @@ reported with the true extremes.
 
 import dataclasses
 from collections.abc import Callable, Iterable
-from typing import NamedTuple, SupportsIndex, overload
+from typing import Any, NamedTuple, SupportsIndex, overload
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,15 @@ from mjx_climb.walk.sample import Sample
 
 PREFIX = "smooth_"  # of the name of a companion
 # how a walk failed, or its law: nothing to better
-FAILURES = ("detached_at", "detached_limb", "missed_grips", "diverged", "sensor_lost_at", "sensor_lost_limb")
+FAILURES = (
+    "detached_at",
+    "detached_limb",
+    "missed_grips",
+    "stands_at",
+    "diverged",
+    "sensor_lost_at",
+    "sensor_lost_limb",
+)
 _SQUARINGS = 5  # the order of a power mean is 2**5
 _SHARPNESS = 100.0
 Value = Callable[[Sample, "Context"], Array]  # of one sample
@@ -71,7 +79,7 @@ class Metric:
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[object, ...]:
         """A shipped one is pickled by its name, as its functions have none; your own by its fields."""
-        own = all(metric is not self for metric in (*METRICS.with_companions, *SENSORS))
+        own = all(metric is not self for metric in (*METRICS.with_companions, *SENSORS, *GRIPS))
         return super().__reduce_ex__(protocol) if own else (_shipped, (self.name,))
 
 
@@ -332,6 +340,13 @@ METRICS = MetricTable(
             init=lambda zero: jnp.zeros((), jnp.int32),
             update=lambda count, sample, _: count + sample.missed.sum(dtype=jnp.int32),
         ),
+        Metric(  # a robot whose foot holds after all goes on
+            "stands_at", "s", "stands for want of a grip from", larger_is_better=True,
+            init=lambda zero: zero + jnp.nan,
+            update=lambda at, sample, _: jnp.where(
+                sample.stands.any(), jnp.where(jnp.isnan(at), sample.time, at), jnp.nan
+            ),
+        ),
         Metric(
             "diverged", "1", "diverged", larger_is_better=False,
             init=lambda zero: (), update=lambda running, *_: running,
@@ -359,9 +374,18 @@ SENSORS = MetricTable(
     )
 )  # fmt: skip
 
+# of walks whose grips are looked into
+GRIPS = MetricTable((peak("grip_gap", "m", "largest gap at which a gripper shuts", lambda sample, _: sample.grip_gap),))
+
+
+def failed(metrics: Any) -> Any:
+    """Return which walks lose a gripper, diverge, or stand for want of a grip, by their metrics of any shape, bool."""
+    lost = (metrics["detached_limb"] >= 0) | metrics["diverged"].astype(bool)
+    return lost | (metrics["stands_at"] >= 0) if "stands_at" in metrics else lost
+
 
 def _shipped(name: str) -> Metric:
-    return (METRICS.with_companions + SENSORS)[name]
+    return (METRICS.with_companions + SENSORS + GRIPS)[name]
 
 
 # --- metrics of a walk under way: they take in one sample after the other, up to the last one that is finite

@@ -72,9 +72,11 @@ class Quantities(Generic[_Array]):
     detached: Bool[_Array, "*batch limb"] = quantity("1", "the gripper was torn off before")
     torn_off: Bool[_Array, "*batch limb"] = quantity("1", "the gripper is torn off in this step")
     missed: Bool[_Array, "*batch limb"] = quantity("1", "the gripper shuts out of reach in this step")
+    grip_gap: Float[_Array, "*batch limb"] = quantity("m", "distance off the ground at which the gripper shuts, else 0")
     utilization: Float[_Array, "*batch limb"] = quantity("1", "share of its limit that a grip uses")
     reachable: Bool[_Array, "*batch limb"] = quantity("1", "the foot target is within reach")
     sensor_lost: Bool[_Array, "*batch limb"] = quantity("1", "the law does without the foot's force sensor")
+    stands: Bool[_Array, "*batch limb"] = quantity("1", "the foot found no grip, and the robot stands")
     base_reference: Float[_Array, "*batch 3"] = quantity("m", "base position that the gait asks for")
     base_displacement: Float[_Array, "*batch 6"] = quantity(
         "m (x, y, z), rad (rx, ry, rz)", "shift of the base by the control law, along the axes of the reference"
@@ -129,6 +131,8 @@ class Step(NamedTuple):
     external: External
     acceleration: Acceleration
     sensor_lost: Array  # (limb,) bool
+    grip_gap: Array  # (limb,) m
+    stands: Array  # (limb,) bool
     holding_force: Array  # () N, the pull that margins may count on; on holds (limb, 3), times their normals
 
 
@@ -146,7 +150,7 @@ def sample_of(step: Step) -> Sample:
         joint_targets=step.joints.joint_angles, reachable=step.joints.reachable,
         foot_position=feet.position, foot_velocity=feet.velocity, foot_target=step.command.foot_position,
         ground_normal=ground_normal(feet),
-        sensor_lost=step.sensor_lost,
+        sensor_lost=step.sensor_lost, stands=step.stands, grip_gap=step.grip_gap,
         base_reference=step.reference.base_position, base_displacement=step.command.base_displacement,
         base_wrench=actual.wrench, push=push, cargo_mass=cargo, center_of_mass=com, tsm=tsm, gia_margin=gia,
     )  # fmt: skip

@@ -23,7 +23,7 @@ from mjx_climb.control import Law
 from mjx_climb.control.law import Reference, constants, measurement_at
 from mjx_climb.disturbances.disturbance import Body, External, sum_of
 from mjx_climb.gait.chosen_footholds import ChosenFootholds
-from mjx_climb.gait.footholds.reach import HeightTable, height_table
+from mjx_climb.gait.footholds.reach import HeightTable, height_table, posture
 from mjx_climb.gait.free_order import FreeOrder
 from mjx_climb.gait.gait import Body as WholeBody
 from mjx_climb.gait.gait import Gait
@@ -31,15 +31,16 @@ from mjx_climb.gait.own_swings import OwnSwings
 from mjx_climb.gait.periodic import Periodic
 from mjx_climb.gait.recovery import RecoveringGait, recovery_of
 from mjx_climb.gait.schedule import Plan, Schedule, plan
+from mjx_climb.gait.waiting import WaitingGait
 from mjx_climb.hardware.actuator import Drive
 from mjx_climb.hardware.sensors import effort_force
 from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import Hardware, hardware_of
 from mjx_climb.parameter_types import Parameters
-from mjx_climb.physics.contact.contact import Contact
+from mjx_climb.physics.contact.contact import Contact, clearance
 from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.physics.inverse_dynamics import load_torque
-from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics, limb_geometry
+from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, limb_geometry
 from mjx_climb.physics.kinematics import (
     LimbFrames,
     base_wrench_of_foot_force,
@@ -130,7 +131,11 @@ def _gait_of(
     of_limbs = *own, robot, geometry, setup.parameters.ground.holds, structure.planning
     moves = len(structure.lift_off if structure.free else {share for _, share in structure.lift_off})
     kind = FreeOrder if structure.free else ChosenFootholds
-    found = OwnSwings(*of_limbs) if rule is None else kind(*of_limbs, rule, moves, structure.way_points, table)
+    gravity = jnp.asarray(setup.parameters.gravity)
+    chosen = rule, moves, structure.way_points, table, gravity
+    found = OwnSwings(*of_limbs) if rule is None else kind(*of_limbs, *chosen)
+    if (waiting := setup.parameters.waiting) is not None:
+        found = WaitingGait(*of_limbs, found, waiting)
     return found if recovery is None else RecoveringGait(found, recovery)
 
 
@@ -150,9 +155,10 @@ def begin(walk: Walk) -> Carry:
     remembered, reference = walk.gait.init()
     rotation, joints = quaternion_to_matrix(reference.base_orientation), jnp.asarray(robot.stance_joints)
     # elsewhere the rest stance already has the feet on their footholds
-    if walk.parameters.ground.foothold_height.size or stages.height or stages.sway:
+    chosen = walk.parameters.footholds is not None
+    if walk.parameters.ground.foothold_height.size or stages.height or stages.sway or chosen:
         target = (reference.foot_position - reference.base_position) @ rotation
-        joints = inverse_kinematics(walk.controller.geometry, target).joint_angles
+        joints = posture(walk.controller.geometry, target).joint_angles
     still = jnp.zeros_like(reference.base_position)
     state = State(reference.base_position, reference.base_orientation, still, still, joints, jnp.zeros_like(joints))
     attitudes = limb_frames(robot, rotation, joints).rotation[:, -1]
@@ -186,6 +192,7 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
         felt = effort_force(walk.robot, frames, state, reports.torque, jnp.asarray(parameters.gravity))
         actual = actual._replace(felt=jnp.where(actual.grip.support[:, None], felt, 0.0))
     external = _external(walk, Body(walk.robot, frames, state), step)
+    remembered = walk.gait.after_contacts(remembered, now, step, actual.grip)
     load = None
     # of all but the actuators: the load on their gears
     if walk.controller.actuator.feels_load:
@@ -204,6 +211,8 @@ def advance(walk: Walk, carry: Carry, step: Array, action: control_loop.Action =
             robot=walk.robot, parameters=parameters, frames=frames, actual=actual, reference=reference,
             command=command, joints=joints, drive=drive, external=external, acceleration=acceleration,
             sensor_lost=no_sensor if watch is None else watch.lost,
+            stands=walk.gait.stands(remembered, actual.grip),
+            grip_gap=_grip_gap(walk, carry, now, actual),
             holding_force=walk.gait.pulls(carry.gait, now, actual.feet.surface, walk.holding_force),
         )
     )  # fmt: skip
@@ -247,6 +256,12 @@ def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: Schedu
             contact, held = walk.contact.tear_off(contact, held, share > 1)
     wrench = base_wrench_of_foot_force(feet.lever, held.foot_force, held.foot_moment)
     return control_loop.Actual(carry.state, feet, turning, contact, held, wrench)
+
+
+def _grip_gap(walk: Walk, carry: Carry, now: Schedule, actual: control_loop.Actual) -> Array:
+    """Return how far off the ground feet are whose grippers are commanded shut in this step, (limb,) m."""
+    off, _ = clearance(actual.feet, walk.gait.ground(carry.gait, now)[0])
+    return jnp.where(now.closed & (now.since_touchdown < 1), jnp.maximum(off, 0.0), 0.0)
 
 
 def _external(walk: Walk, body: Body, step: Array) -> External:

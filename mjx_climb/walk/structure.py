@@ -15,7 +15,7 @@ from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
-from mjx_climb.walk.metrics import METRICS, SENSORS, Metric, MetricTable
+from mjx_climb.walk.metrics import GRIPS, METRICS, SENSORS, Metric, MetricTable
 
 _PACKAGE = __name__.split(".")[0] + "."
 
@@ -76,7 +76,7 @@ def structure(
     if limited and contact is not None and type(contact).tear_off is Contact.tear_off:
         raise ValueError(f"{type(contact).__name__}: expected a method tear_off, as the holds have limits, got none")
     table = MetricTable(metrics)
-    own: list[object] = [metric for metric in table if metric not in (*METRICS, *SENSORS)]
+    own: list[object] = [metric for metric in table if metric not in (*METRICS, *SENSORS, *GRIPS)]
     own += [] if law is None or type(law) in LAWS.values() else [type(law)]
     components = {type(each) for each in parameters.components.values()}
     own += [kind for kind in components if not kind.__module__.startswith(_PACKAGE)]
@@ -104,4 +104,5 @@ def structure(
 
 def planning_steps(scenario: Scenario, parameters: Parameters) -> int:
     """Return the number of steps between decisions of the gait; 0: the periodic gait throughout."""
-    return 0 if parameters.footholds is None and parameters.recovery is None else scenario.planning_steps
+    decides = (parameters.footholds, parameters.recovery, parameters.waiting)
+    return 0 if all(each is None for each in decides) else scenario.planning_steps

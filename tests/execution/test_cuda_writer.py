@@ -93,11 +93,16 @@ def test_every_operation_in_cuda_c(carried_out):
                 np.testing.assert_allclose(mine, xla, rtol=relative, atol=absolute, err_msg=name)
 
 
-def short_walk(case, steps):
+CLOSES = {"contact.closing_time": 0.02, "contact.closing_force": 5.0, "contact.capture_distance": 0.004}
+# every grip fails its test once LH has landed, and LF waits
+WAITS = CLOSES | {"contact.kind": "uncertain", "contact.tested_pull": 20.0, "contact.tries": 1}
+
+
+def short_walk(case, steps, changes=None):
     """Return a robot's walk that lifts, lands and is pushed, as a function of its arguments, and these."""
     push = {"start": 0.01, "stop": 0.05, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
     gait = {"gait.cycle": 0.4, "gait.stride": 0.005, "gait.step_height": 0.002}
-    scenario = case("case_1_2", "virtual_model", {**gait, "disturbance.pushes": [push]}.items())
+    scenario = case("case_1_2", "virtual_model", {**gait, "disturbance.pushes": [push], **(changes or {})}.items())
     found = resolve_in(scenario, law_of(scenario), None, None, np.float32)
     shape = structure(scenario, "limb", found.parameters, law=found.law)._replace(steps=steps)
     return functools.partial(metrics_of, shape), (found.law, found.parameters)
@@ -224,10 +229,14 @@ def test_directions_share_what_is_of_their_robot(carried_out):
 
 
 @pytest.mark.nightly
-def test_a_walk_in_cuda_c(carried_out, case):
-    """Metrics of a walk in single precision, by a thread for each limb, agree with XLA's in float64 to 1e-4."""
+@pytest.mark.parametrize("changes", [{}, CLOSES, WAITS], ids=["at once", "closing", "waiting"])
+def test_a_walk_in_cuda_c(carried_out, case, changes):
+    """Metrics of a walk in single precision, by a thread for each limb, agree with XLA's in float64 to 1e-4.
+
+    Grips that close and gaits that wait for them are carried out by the same kernel, with no other path.
+    """
     with jax.enable_x64(False):
-        walk, given = short_walk(case, STEPS)
+        walk, given = short_walk(case, STEPS, changes)
         found = of_one(carried_out, walk, given)
     expected = jax.jit(walk)(*jax.tree.map(doubled, given))
     assert expected["force_variation"].dtype == np.float64

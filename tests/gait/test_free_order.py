@@ -31,7 +31,9 @@ def test_the_limb_that_can_go_farthest_is_next(case):
     ways = np.array([0.01, 0.0, 0.02, 0.015])
     points = feet[ways > 0] + np.outer(ways[ways > 0], [1.0, 0, 0])
     points[:, 2] = 0
-    parameters = dataclasses.replace(own_parameters(scenario), ground=Ground(holds=holds(points)), footholds=Farthest())
+    # on holds below its feet it stands
+    ground = Ground(holds=holds(np.concatenate([points, feet * [1, 1, 0]])))
+    parameters = dataclasses.replace(own_parameters(scenario), ground=ground, footholds=Farthest())
     walk = mc.rollout(scenario, parameters=parameters)
     assert walk.support.sum(1).min() >= 3 and not walk.detached.any()
     lifted = [int((~walk.support[:, limb]).argmax()) for limb in range(4)]

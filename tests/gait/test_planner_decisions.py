@@ -14,7 +14,7 @@ from mjx_climb.gait.base_path import sway_of, swayed
 from mjx_climb.gait.chosen_footholds import ChosenFootholds, situation_of
 from mjx_climb.gait.footholds import BestMargin, Farthest, Nearest
 from mjx_climb.gait.footholds.footholds import Situation
-from mjx_climb.gait.footholds.held import Held
+from mjx_climb.gait.footholds.held import Held, no_holds
 from mjx_climb.gait.footholds.reach import within_reach
 from mjx_climb.gait.free_order import FreeOrder
 from mjx_climb.gait.gait import Body
@@ -115,7 +115,15 @@ def tick(given, progress, step, grip_point=FEET, body=None, place=BASE, **change
 
 
 def begun(planner, **changes):
-    return flat(planner.init()[0])._replace(**{name: jnp.asarray(value, float) for name, value in changes.items()})
+    """Return the memory of a robot that stands in its rest stance on level ground, whatever holds are near."""
+    memory, feet = flat(planner.init()[0]), jnp.asarray(FEET)
+    memory = memory._replace(start=feet, goal=feet, below=feet[:, 2])
+    if memory.held is not None:
+        memory = memory._replace(
+            held=no_holds(planner.holds if hasattr(planner, "holds") else planner.gait.holds, feet)
+        )
+        memory = memory._replace(left=memory.held.normal)
+    return memory._replace(**{name: jnp.asarray(value, float) for name, value in changes.items()})
 
 
 def ground_of(position, random):

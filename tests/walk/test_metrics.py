@@ -48,6 +48,8 @@ def samples_of(seed):
     made |= {"time": STEP * np.arange(STEPS), "cargo_mass": np.where(np.arange(STEPS) < 30, 1.0 + seed, 0.0)}
     made["torn_off"] = np.zeros((STEPS, 4), bool)
     made["torn_off"][[20, 20, 40], [1, 3, 0]] = True
+    made["stands"] = np.zeros((STEPS, 4), bool)
+    made["stands"][12:15, 2] = made["stands"][37:, 1] = True
     made["foot_force"][10, 1], made["support"][10, 1] = [0.0, 0.0, -50.0], False
     made["ground_normal"][10, 1] = [0.0, 0.0, 1.0]
     return Sample(**made)
@@ -93,6 +95,7 @@ def expected_of(s):
         "detached_at": 20 * STEP,
         "detached_limb": 1,
         "missed_grips": s.missed.sum(),
+        "stands_at": 37 * STEP,
         "diverged": False,
         "largest_forward_speed": s.base_linear_velocity[:, 0].max(),
         "impulse": STEP * force.sum(),

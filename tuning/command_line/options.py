@@ -354,6 +354,7 @@ def scenario_from(
     """Return the scenario of a config with the options applied, `changes` last, before any gains file."""
     from mjx_climb.execution import paths
     from mjx_climb.gait.base_path import check_base
+    from mjx_climb.gait.first_holds import check_first_holds
     from mjx_climb.inputs.time_step import check_time_step
     from mjx_climb.robot_import.load import check_stance
     from mjx_climb.scenario.load import load_hardware, with_hardware
@@ -368,7 +369,7 @@ def scenario_from(
     if controller is not None:
         scenario = scenario.with_overrides({"control.controller": controller})
     on_stand = not isinstance(scenario.robot, str) and scenario.robot.on_stand  # walks are refused later
-    for check in () if on_stand else (check_stance, check_base, check_reach, check_time_step):
+    for check in () if on_stand else (check_stance, check_base, check_first_holds, check_reach, check_time_step):
         check(scenario, str(config))
     return scenario
 

@@ -170,7 +170,7 @@ def run(
         walks, metrics = _walked(loaded, name, shell, pictures, recording)
         if pictures.view:
             rendering.view(*walks.values(), until=interruption.requested)
-        if metrics["detached_limb"] is not None or metrics["diverged"]:
+        if metrics["detached_limb"] is not None or metrics["diverged"] or metrics.get("stands_at") is not None:
             raise typer.Exit(1)
 
 
@@ -261,6 +261,8 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
     """Return in one line how the walk went."""
     import numpy as np
 
+    from tuning.comparisons.remedies import gap_in_words
+
     failures = []
     if metrics["detached_limb"] is not None:
         failures.append(f"limb {metrics['detached_limb']} let go at {metrics['detached_at']:.3f} s")
@@ -269,8 +271,12 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
         finite = np.all([np.isfinite(values).reshape(len(values), -1).all(1) for values in rows], axis=0)
         at = trajectory.time[np.argmin(finite)] if not finite.all() else trajectory.time[-1]
         failures.append(f"diverged at {at:.3f} s")
-    if failures:
-        return ", ".join(failures)
+    if standing := trajectory.standing:
+        failures.append(f"stands from {min(standing.values()):.3f} s, as {' and '.join(standing)} found no grip")
+    lines = [", ".join(failures)] if failures else []
     if missed := metrics.get("missed_grips"):
-        return f"every grip held, but {missed} missed the ground"
-    return "held all the way"
+        lines.append(
+            f"{missed} grips missed the ground" if failures else f"every grip held, but {missed} missed the ground"
+        )
+        lines += filter(None, [gap_in_words(trajectory.scenario, float(np.nanmax(trajectory.grip_gap)), 0.0, missed)])
+    return "; ".join(lines) or "held all the way"

@@ -15,6 +15,8 @@ from mjx_climb.parameter_types import Gains
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.walk.metrics import GRIPS, METRICS
+from tuning.comparisons.remedies import GAP, gap_in_words
 from tuning.problem.evaluation import RIGID
 from tuning.searches.retuned_pd import Grids, closer
 
@@ -80,6 +82,7 @@ def _walked(
         scenario,
         Gains(inertia, damping, stiffness),
         own.replace(padded),
+        metrics=METRICS + GRIPS,
         dtype=np.float64,
         unsteady=True,  # gains that the time step cannot follow lose the comparison
     )
@@ -91,7 +94,8 @@ def with_joint_gains(scenario: Scenario, told: Told = lambda _: None) -> tuple[S
     """Return a scenario with the kp and kd that give pd the least force variation, and in words what they change.
 
     Walked with grips that never let go, over the scenario's duration; among gains that its time step can follow, with
-    which the base strays no farther than a tenth of its height, or than with the scenario's own. A walk of more than
+    which all grippers reach the ground and the base strays no farther than a tenth of its height, or than with the
+    scenario's own. A walk of more than
     `LONG` time steps takes minutes: then one grid must do.
     """
     control, size = scenario.control, math.prod(GRID)
@@ -106,7 +110,7 @@ def with_joint_gains(scenario: Scenario, told: Told = lambda _: None) -> tuple[S
             upright = walked["upright"][-1]
             first = float(walked["force_variation"][-1]) if upright else math.inf
             allowed = max(allowed, float(walked["base_deviation"][-1]) if upright else 0.0)
-        good = walked["upright"] & (walked["base_deviation"] <= allowed)
+        good = walked["upright"] & (walked["base_deviation"] <= allowed) & (walked["missed_grips"] == 0)
         return np.where(good, walked["force_variation"], np.inf)
 
     found = closer(scenario, values, Grids(own, np.log(TIMES), GRID, grids, 0.5), digits=2)
@@ -125,8 +129,8 @@ def with_joint_gains(scenario: Scenario, told: Told = lambda _: None) -> tuple[S
 def slow_enough(scenario: Scenario, told: Told = lambda _: None) -> FirstWalk:
     """Return a scenario with its cycle, or twice or four times that, whichever is the first at which it walks.
 
-    It walks where all grips hold and the base strays by no more than half its height. Where it does at none, the words
-    say what fails although the slowest one has grips that never let go.
+    It walks where all grippers reach the ground, all grips hold and the base strays by no more than half its height.
+    Where it does at none, the words say what fails although the slowest one has grips that never let go.
     """
     own, cycle, robot = own_parameters(scenario), scenario.gait.cycle, load_robot(scenario.robot)
     for times in SLOWER:
@@ -135,24 +139,33 @@ def slow_enough(scenario: Scenario, told: Told = lambda _: None) -> FirstWalk:
         limits = np.where(endless, math.inf, own.contact.holding_limit)
         walked = _walked(scenario.with_overrides({"duration": span}), {"gait.cycle": cycles, _LIMIT: limits})
         told(len(times))
-        held = walked["upright"] & (walked["detached_limb"] < 0) & ~endless
+        held = walked["upright"] & (walked["detached_limb"] < 0) & (walked["missed_grips"] == 0) & ~endless
         if held.any():
             found = float(cycles[np.argmax(held)])
             slower = "" if found == cycle else f", which it does not at {found / 2:g} s"
             scenario = scenario.with_overrides({"gait.cycle": found, "duration": 2 * found})
             how = f"holds for {span:g} s at a cycle of {found:g} s{slower}"
             return FirstWalk(scenario, True, how, float(walked["peak_foot_force"][np.argmax(held)]))
-    if walked["upright"][-1]:
+    if walked["upright"][-1] and walked["detached_limb"][-2] >= 0:
         limb = robot.limbs[int(walked["detached_limb"][-2])]
         pull, limit = walked["peak_pull_force"][-1], scenario.value(_LIMIT, math.inf)
         why = f"limb {limb} lets go; a grip that held would pull {pull:.3g} N, contact.holding_limit is {limit:g} N"
+    elif walked["upright"][-1]:
+        why = f"{walked['missed_grips'][-2]} grips miss the ground"
     elif walked["diverged"][-1]:
         why = "diverges, with grips that never let go too: see stance, joint limits and control"
     else:
         strays = walked["base_deviation"][-1]
         why = f"its base strays {strays:.3g} m, with grips that never let go too: see control.kp and torque limits"
+    if gap := _gap(scenario, walked, -2):
+        why = f"{gap}; {why}"
     how = f"does not walk at any cycle from {cycle:g} to {cycles[-1]:g} s: {why}"
     return FirstWalk(scenario, False, how, math.nan)
+
+
+def _gap(scenario: Scenario, walked: Mapping[str, np.ndarray], number: int) -> str:
+    """Return in words what the gap of a walk does when grippers shut, "" where it matters not."""
+    return gap_in_words(scenario, *(float(walked[name][number]) for name in GAP))
 
 
 def on_ceiling(scenario: Scenario, told: Told = lambda _: None) -> tuple[bool, str]:
@@ -171,12 +184,16 @@ def on_ceiling(scenario: Scenario, told: Told = lambda _: None) -> tuple[bool, s
     if walked["diverged"][1] or not walked["base_deviation"][1] < away / 2:
         how = "diverges" if walked["diverged"][1] else f"its base strays {walked['base_deviation'][1]:.3g} m"
         return False, f"{how} there, with grips that never let go too: see control.kp and torque limits"
+    gap = _gap(scenario, walked, 0)
+    if walked["missed_grips"][0]:
+        return False, f"{gap}: it does not reach the ground there"
     if walked["detached_limb"][0] < 0:
         return True, f"holds there too: the largest pull is {pull:.3g} N"
     power = 10.0 ** (math.floor(math.log10(pull)) - 1)
     needed = float(f"{math.ceil(pull / power + 1e-9) * power:.2g}")
     limb = robot.limbs[int(walked["detached_limb"][0])]
-    return False, f"limb {limb} lets go there; contact.holding_limit={needed:g} would hold"
+    first = f"{gap}; " if gap else ""
+    return False, f"{first}limb {limb} lets go there; contact.holding_limit={needed:g} would hold"
 
 
 def heavy_load(scenario: Scenario, peak_foot_force: float) -> str | None:

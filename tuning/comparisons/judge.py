@@ -263,8 +263,13 @@ def plain(summed: xr.Dataset, metrics: Iterable[str]) -> dict[str, dict[str, Any
 
 def failed_in_words(summed: xr.Dataset) -> str:
     """Return "would lose a gripper, or diverge: mine 0%, pd 3%"."""
-    lost = zip(summed["gains"].values.tolist(), summed["failed"].values, strict=True)
-    return "would lose a gripper, or diverge: " + ", ".join(f"{name} {share:.0%}" for name, share in lost)
+    names = summed["gains"].values.tolist()
+    lost = ", ".join(f"{name} {share:.0%}" for name, share in zip(names, summed["failed"].values, strict=True))
+    text = f"would lose a gripper, or diverge: {lost}"
+    if "missed" not in summed or not summed["missed"].any():
+        return text
+    missed = zip(names, summed["missed"].values, strict=True)
+    return f"{text}; missed grips of a walk: " + ", ".join(f"{name} {number:.2g}" for name, number in missed)
 
 
 def lost_in_words(walks: xr.Dataset) -> list[str]:
@@ -307,12 +312,16 @@ def summary(walks: xr.Dataset, share: float = WORST_SHARE) -> xr.Dataset:
     about = {"units": "1", "long_name": "share of walks that lose a gripper or diverge"}
     attrs = {**walks.attrs, "worst_share": share, "members_compared": kept.sizes["member"]}
     lost = xr.DataArray(failed(walks).mean("member").values, {"gains": walks["gains"].values}, ("gains",), attrs=about)
-    return both.reindex(gains=walks["gains"].values).assign(failed=lost).assign_attrs(attrs)
+    both = both.reindex(gains=walks["gains"].values).assign(failed=lost).assign_attrs(attrs)
+    if "missed_grips" in walks:
+        about = {"units": "1", "long_name": "missed grips of a walk"}
+        both = both.assign(missed=("gains", walks["missed_grips"].astype(float).mean("member").values, about))
+    return both
 
 
 def failed(walks: xr.Dataset) -> xr.DataArray:
-    """Return which walks lose a gripper or diverge, dimensions as of the walks."""
-    found: xr.DataArray = (walks["peak_utilization"] > 1) | walks["diverged"].astype(bool)
+    """Return which walks lose a gripper, diverge or stand for want of a grip, dimensions as of the walks."""
+    found: xr.DataArray = lost(walks).astype(bool)
     return found
 
 

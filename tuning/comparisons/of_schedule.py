@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjx_climb.walk.metrics import failed
 from tuning.comparisons import maps, verdicts
 from tuning.comparisons.worth import of_schedule
 from tuning.results.scheduled import Scheduled
@@ -23,8 +24,7 @@ def compare(found: Scheduled) -> ScheduleComparison:
     for name in data["walk"].values.tolist():
         own = data.sel(walk=name)
         score = maps.score_of(problem.objective, {key: own[key].values.ravel() for key in problem.metrics.names})
-        failed = (own["detached_limb"] >= 0) | own["diverged"].astype(bool)
-        values[name], feasible[name] = np.where(failed.values.ravel(), np.nan, score.value), score.feasible
+        values[name], feasible[name] = np.where(failed(own).values.ravel(), np.nan, score.value), score.feasible
     there = np.isfinite(values["tuned"])
     held = there if there.any() else ~there
     walked = {

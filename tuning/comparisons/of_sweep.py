@@ -11,6 +11,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.execution import devices
 from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.walk.metrics import failed as walks_failed
 from tuning.background import Begin, Stage, Work, background, ignore, silent
 from tuning.comparisons import stability_limit, verdicts
 from tuning.comparisons.remedies import remedies
@@ -147,7 +148,7 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
                 level = level._replace(change=at_step / scored[1][VARIATION] - 1)
             worth = between(both, scored, rival, problem, " on this grid", level=level)
     data = found.data.assign(spectral_radius=radius)
-    failures = int(((data["detached_limb"] >= 0) | data["diverged"].astype(bool)).sum())
+    failures = int(walks_failed(data).sum())
     edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
     walks = {name: walked[name] for name in names}
     remedied = []

@@ -114,6 +114,8 @@ def verdict(folder: Path) -> str:
     if "force_variation" in metrics:
         at, variation = (number(value) if _real(value) else str(value) for value in (at, variation))
         lost = f"limb {limb} let go at {at} s" if limb else "held all the way"
+        if (stands := metrics.get("stands_at")) is not None:
+            lost = f"stands from {number(stands) if _real(stands) else stands} s for want of a grip"
         lost = "diverged" if metrics.get("diverged") else lost
         # of a walk that flew off there is none
         return lost if metrics["force_variation"] is None else f"{lost}: force variation {variation} N"

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
+from mjx_climb.walk.metrics import failed
 from tuning.comparisons.of_schedule import ScheduleComparison
 from tuning.numbers import change, gain, has_axes, number, to_json
 from tuning.pages.contents import Contents, Picture, Written, files_of
@@ -91,7 +92,7 @@ def rows(table: xr.Dataset) -> list[dict[str, Any]]:
             row[name] = float(values[0]) if values.size == 1 else point[name].values.tolist()
         row["feasible"], row["on_bound"] = bool(point["feasible"]), point["on_bound"].item()
         for name in SHOWN:
-            holds = (point["detached_limb"] < 0) & ~point["diverged"].astype(bool)
+            holds = ~failed(point)
             each = zip(point["walk"].values.tolist(), point[name].values.tolist(), holds.values, strict=True)
             row[name] = {walk: value if held else None for walk, value, held in each}
         row[retuned_pd.NAME] = {name: float(point[f"retuned_{name}"]) for name in ("kp", "kd", "value")}
@@ -145,7 +146,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
             if not np.allclose(parts[0], parts[-1]):
                 curves.append((panel, np.exp(parts[-1]), ":", True))
             panel.set_ylabel(_UNITS.get(kind, f"{kind} [{table[kind].attrs['units']}]"))
-        held = (point["detached_limb"] < 0) & ~point["diverged"].astype(bool)
+        held = ~failed(point)
         variation = point["force_variation"].where(held)
         left = 100 * variation / variation.sel(walk="pd")
         curves += [(below, left.sel(walk=walk).values, dash, walk == "tuned") for walk, dash in _DASHES.items()]

@@ -149,13 +149,14 @@ class Objective:
 NO_OBJECTIVE = Objective((), ())
 
 
-def lost(metrics: Mapping[str, Any]) -> Any:
-    """Return 1.0 for walks that lose a gripper or diverge, else 0.0, an array as the metrics are.
+def lost(metrics: Any) -> Any:
+    """Return 1.0 for walks that lose a gripper, diverge or stand for want of a grip, else 0.0, as the metrics are.
 
     A grip is lost where it uses more than its limit, whatever the contact, the hold and the limit that was drawn.
     """
     used = metrics["peak_utilization"]
-    return ((used > 1) | (metrics["diverged"] > 0)).astype(used.dtype)
+    stands = metrics["stands_at"] >= 0 if "stands_at" in metrics else False
+    return ((used > 1) | (metrics["diverged"] > 0) | stands).astype(used.dtype)
 
 
 def penalty_of(over: Array | np.ndarray) -> Array:

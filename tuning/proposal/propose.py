@@ -21,6 +21,7 @@ EARTH = 9.81  # m/s^2
 _MASS, _REACH = 2.2539, 0.287  # kg, m
 _STRIDE, _STEP_HEIGHT = 0.05, 0.03  # m
 _CONTACT = {"stiffness": 1.0e4, "damping": 20.0, "holding_limit": 15.0}
+_CAPTURE, _CLOSING = 5.0e-3, 0.1  # m, s: assumed, as nobody published them
 _CONTROL = {"damping": 5.0e3, "stiffness": 5.0e4}
 _LOOP = {"kp": 50.0, "kd": 0.2}
 _HOLDS_TURNS = {"rotational_stiffness": 30.0, "rotational_damping": 0.06}  # N m/rad, N m s/rad
@@ -307,6 +308,7 @@ def _proportions(mass: float, reach: float, slides: bool) -> Section:
         {name: _two_digits(value * times) for name, value in values.items()}
         for values, times in ((_CONTACT, heavier), (_CONTROL, heavier), (_LOOP, turning))
     )
+    contact |= {"capture_distance": _two_digits(_CAPTURE * reach / _REACH), "closing_time": _CLOSING}
     return {"contact": contact, "control": control | loop}
 
 

@@ -8,6 +8,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files.dataset import larger_is_better
 from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.walk.metrics import failed
 from tuning.gains.gains_file import replaced
 from tuning.results.result import Result
 
@@ -41,8 +42,8 @@ class Swept(Result):
 
 
 def holding(data: xr.Dataset, metric: str) -> xr.DataArray:
-    """Return a metric of those walks that neither let go nor diverge, NaN elsewhere."""
-    return data[metric].where((data["detached_limb"] < 0) & ~data["diverged"].astype(bool))
+    """Return a metric of those walks that do not fail, NaN elsewhere."""
+    return data[metric].where(~failed(data))
 
 
 def best_cell(data: xr.Dataset, metric: str = "force_variation") -> xr.Dataset | None:

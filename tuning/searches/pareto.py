@@ -17,6 +17,7 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import failed
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.methods import Request, Task
@@ -176,7 +177,7 @@ def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> 
     gains = to_gains64(problem.space, walked.theta[candidates[within] if within.any() else candidates])
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine}
     exact = mc.rollout_metrics(scenario, gains, law=law, unsteady=True, **how)
-    on = _front(table, asked, exact, (exact["detached_limb"] < 0) & ~exact["diverged"])
+    on = _front(table, asked, exact, ~failed(exact))
     own = [mc.rollout_metrics(scenario, law=law, **how), mc.rollout_metrics(under_pd(scenario), **how)]
     chosen = {name: values[on] for name, values in by_name(gains).items()}
     gains_on = labelled(chosen, ("front",), law)
@@ -210,7 +211,7 @@ def _front_of_pd(problem: Problem, asked: Pareto) -> dict[str, Any]:
         problem.metrics,
         asked,
         walks,
-        np.all([walks["detached_limb"] < 0, ~walks["diverged"].astype(bool), *kept], axis=0),
+        np.all([~failed(walks), *kept], axis=0),
     )
     found: dict[str, Any] = {}
     for (name, values), unit in zip(joint.items(), ("N m/rad", "N m s/rad"), strict=True):

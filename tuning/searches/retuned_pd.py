@@ -14,6 +14,7 @@ from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
 from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.walk.metrics import failed
 from tuning.gains.gains_file import applied, by_name
 from tuning.methods import parts
 from tuning.methods.rounds import Callback
@@ -147,8 +148,7 @@ def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFA
 
     def values(joint: Mapping[str, np.ndarray]) -> np.ndarray:
         walks = mc.rollout_metrics(pd, joint, **how)
-        holds = (walks["detached_limb"] < 0) & ~walks["diverged"].astype(bool)
-        return np.where(holds, walks["force_variation"], np.inf)
+        return np.where(failed(walks), np.inf, walks["force_variation"])
 
     found = closer(pd, values, Grids(centre, half, (POINTS, POINTS), ROUNDS, 2 / (POINTS - 1), (ends[0], ends[1])))
     return None if found is None else Rival(*found, _lacks(pd, highest))

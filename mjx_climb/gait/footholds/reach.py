@@ -13,12 +13,21 @@ import numpy as np
 from jax import Array
 
 from mjx_climb.arrays import AnyArray
-from mjx_climb.physics.inverse_kinematics import Chain, LimbGeometry, inverse_kinematics
+from mjx_climb.physics.inverse_kinematics import Chain, JointSolution, LimbGeometry, inverse_kinematics
 from mjx_climb.robot.constants import Robot
 
 _SPARE = 0.05  # of the length of a limb, which is never stretched farther
 _ROUNDS = 4  # of inverse kinematics without a closed form, from the rest stance
 _ROW = np.radians(0.5)  # from row to row of the table
+
+
+def posture(geometry: LimbGeometry | Chain, target: AnyArray) -> JointSolution:
+    """Return the joint angles with feet at points (limb, 3) m of the base's axes, from the rest stance."""
+    solution = inverse_kinematics(geometry, target)
+    if isinstance(geometry, Chain):
+        for _ in range(_ROUNDS - 1):
+            solution = inverse_kinematics(geometry, target, solution.joint_angles)
+    return solution
 
 
 def within_reach(robot: Robot, geometry: LimbGeometry | Chain, target: AnyArray) -> AnyArray:
@@ -27,11 +36,7 @@ def within_reach(robot: Robot, geometry: LimbGeometry | Chain, target: AnyArray)
     They must reach a little farther from their first joints: a limb that is stretched straight cannot give way, and
     its joint gains are stiffer at the foot than a time step allows.
     """
-    target = target + _SPARE * (target - robot.frame_position[:, 0])
-    solution = inverse_kinematics(geometry, target)
-    if isinstance(geometry, Chain):
-        for _ in range(_ROUNDS - 1):
-            solution = inverse_kinematics(geometry, target, solution.joint_angles)
+    solution = posture(geometry, target + _SPARE * (target - robot.frame_position[:, 0]))
     angles = solution.joint_angles
     return solution.reachable & ((angles >= robot.joint_lower) & (angles <= robot.joint_upper)).all(-1)
 

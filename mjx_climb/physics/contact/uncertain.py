@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.component import parameter
-from mjx_climb.physics.contact.contact import Grip
+from mjx_climb.physics.contact.contact import Grip, clearance
 from mjx_climb.physics.contact.gripper import Gripper, GripperMemory
 from mjx_climb.physics.kinematics import Feet, Turning
 from mjx_climb.physics.noise import normal
@@ -68,8 +68,11 @@ class UncertainGripper(Gripper):
         before = memory.gripper._replace(detached=memory.gripper.detached & closed)
         after, grip = holds.step(before, feet, turning, closed & ~failed, ground)
         given_up = tried & failed & (tries >= self.tries)
-        after_this = UncertainMemory(after, closed, limit, failed, wait, tries, draws)
-        return after_this, grip._replace(missed=grip.missed | given_up)
+        # a foot whose grip fails waits where its gripper shut, not where it stood before
+        _, below = clearance(feet, ground)
+        point = jnp.where((tried & failed & ~grip.contact)[:, None], below, grip.grip_point)
+        after_this = UncertainMemory(after._replace(grip_point=point), closed, limit, failed, wait, tries, draws)
+        return after_this, grip._replace(missed=grip.missed | given_up, grip_point=point)
 
     def tear_off(self, memory: UncertainMemory, grip: Grip, torn: Array) -> tuple[UncertainMemory, Grip]:
         """Memory and contacts with some grips torn off in this step."""

@@ -3,7 +3,31 @@
 import pytest
 
 import mjx_climb as mc
-from tuning.comparisons.remedies import remedies
+from tuning.comparisons.remedies import gap_in_words, remedies
+
+CLOSES = {"contact.capture_distance": 0.005, "contact.closing_time": 0.1}
+
+
+def test_a_gap_is_named_where_it_pulls_or_misses():
+    """One that snaps pulls stiffness times the gap; one that closes pulls nothing, but may be out of reach."""
+    snaps = mc.load_scenario("case_1_2")
+    closes = mc.load_scenario("case_1_2", CLOSES)
+    named = "a foot is 1.2 mm off the ground when its gripper shuts, which pulls 12 N at once without a contact"
+    assert gap_in_words(snaps, 0.0012, 12.5, 0).startswith(named)
+    assert gap_in_words(snaps, 0.0001, 12.5, 0) == "" == gap_in_words(closes, 0.0012, 2.0, 0)
+    missing = gap_in_words(closes, 0.021, 2.0, 1)
+    assert missing == (
+        "a foot is 21 mm off the ground when its gripper shuts, contact.capture_distance is 5 mm: raise control.kp, "
+        "set gait.landing_speed, or lower gait.height"
+    )
+
+
+@pytest.mark.slow
+def test_a_sagging_robot_is_told_of_its_gap_first():
+    """It hangs below a ceiling by weak joints."""
+    keys = ["duration=0.3", "gait.cycle=0.4", "gravity=[0, 0, 1.62]", "control.kp=20", "control.kd=0.1"]
+    text = remedies(mc.load_scenario("case_1_2", keys), 0.1)
+    assert text.startswith("a foot is ") and text.index("when its gripper shuts") < text.index("; pull on grips")
 
 
 @pytest.mark.slow

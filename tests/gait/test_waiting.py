@@ -1,0 +1,231 @@
+"""A gait that waits: no limb lifts off while another should hold and does not; feet try again, then other holds."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.gait.footholds import Nearest
+from mjx_climb.gait.recovery import RecoveringGait
+from mjx_climb.gait.waiting import Waiting, WaitingGait
+from mjx_climb.ground import holds
+from mjx_climb.physics.contact.contact import Grip
+from mjx_climb.physics.contact.uncertain import UncertainGripper
+from mjx_climb.physics.kinematics import Feet
+from tests.gait.test_planner_decisions import (
+    BASE,
+    CYCLE,
+    FEET,
+    NEVER,
+    PERIOD,
+    PLAN,
+    SWING,
+    body_of,
+    doubles,
+    planner_of,
+)
+
+LF, LH, RH, RF = range(4)
+STEPS = 4000
+# a hold below each foot and some around it, without limits
+AROUND = np.array([[0.0, 0, 0], [0.03, 0, 0], [0.0, 0.05, 0], [-0.02, 0.08, 0]])
+ROCK = holds.of((FEET[:, None] + AROUND).reshape(-1, 3))
+
+
+@functools.lru_cache
+def walked(kind="planned", period=PERIOD, recovers=False):
+    """Return a walk of feet that are where they should be, of which a script has which landings hold."""
+    rule = Nearest() if kind == "holds" else None
+    own = planner_of(rule, doubles(ROCK) if kind == "holds" else None)
+    own = type(own)(**{**vars(own), "period": period})
+    fields = {
+        name: value
+        for name, value in vars(own).items()
+        if name not in ("rule", "moves", "way_points", "table", "gravity")
+    }
+
+    def walk(script, waiting):
+        gait = WaitingGait(**fields, gait=own, waiting=waiting)
+        around = RecoveringGait(gait, NEVER) if recovers else gait
+        swings_of = (lambda memory: memory.swings) if recovers else (lambda memory: memory)
+
+        def step(carry, number):
+            memory, landings, before, point = carry
+            now = around.schedule(memory, number)
+            lands = now.closed & ~before
+            holding = now.closed & jnp.where(before, script_at(landings), script_at(landings + lands))
+            body = body_of(grip_point=point)._replace(support=holding, feet=point)
+
+            def decided():
+                _, reference = around.reference(memory, now, number, BASE, point)
+                return around.look_ahead(memory, now, number, reference, body)
+
+            memory = jax.lax.cond(number % period == 0, decided, lambda: memory)
+            now = around.schedule(memory, number)
+            closed = now.closed
+            holding &= closed
+            memory, reference = around.reference(memory, now, number, BASE, point)
+            landings = landings + (closed & ~before)
+            swings = swings_of(memory)
+            point = jnp.where((closed & ~before)[:, None], swings.goal, point)
+            none, zero = jnp.zeros_like(closed), jnp.zeros_like(point)
+            grip = Grip(zero, zero, point, holding, closed, none, none, closed & ~before & ~holding, none * 0.0)
+            memory = around.after_contacts(memory, now, number, grip)
+            seen = closed, holding, swings.goal, around.stands(memory, grip), reference.base_position
+            return (memory, landings, closed, point), seen
+
+        def script_at(landings):
+            return script[jnp.arange(4), jnp.minimum(landings, script.shape[1] - 1).astype(int)]
+
+        start = around.init()[0], jnp.zeros(4), jnp.ones(4, bool), jnp.asarray(FEET)
+        return jax.lax.scan(step, start, jnp.arange(STEPS))[1]
+
+    return jax.jit(walk)
+
+
+def walk(script, kind="planned", **how):
+    own = doubles(Waiting(**{name: how.pop(name) for name in ("retries", "other_holds") if name in how}))
+    return [np.asarray(each) for each in walked(kind, **how)(jnp.asarray(script), own)]
+
+
+def lift_offs(closed, limb):
+    return np.flatnonzero(closed[:-1, limb] & ~closed[1:, limb]) + 1
+
+
+ALL_HOLD = np.ones((4, 12), bool)
+
+
+def failing(limb, *landings):
+    """A script in which these landings of a limb fail; its first place is the stance."""
+    script = ALL_HOLD.copy()
+    script[limb, list(landings)] = False
+    return script
+
+
+@pytest.mark.parametrize("recovers", [False, True])
+def test_feet_that_hold_are_not_waited_for(recovers):
+    """Limbs lift off as in the periodic gait, to the step."""
+    closed, *_, stands, _ = walk(ALL_HOLD, recovers=recovers)
+    for limb in range(4):
+        want = np.arange(float(PLAN.swing_offset[limb]), STEPS, CYCLE)
+        np.testing.assert_array_equal(lift_offs(closed, limb), want[want > 0])
+    assert not stands.any()
+
+
+@pytest.mark.parametrize("recovers", [False, True])
+def test_the_next_limb_waits_for_a_foot_that_fails(recovers):
+    """LH fails once at 200: it swings again from 220 to 420, the base stands still, and LF goes after it."""
+    closed, _, goal, stands, base = walk(failing(LH, 1), recovers=recovers)
+    swing = int(SWING)
+    assert lift_offs(closed, LH)[0] == swing + PERIOD and lift_offs(closed, LF)[0] == 2 * swing + PERIOD
+    np.testing.assert_array_equal(goal[2 * swing + PERIOD, LH], goal[swing, LH])
+    np.testing.assert_array_equal(base[swing + 1 : 2 * swing + PERIOD], base[swing + 1][None].repeat(swing + 19, 0))
+    assert not stands.any()
+
+
+@pytest.mark.parametrize("kind", ["planned", "holds"])
+def test_a_foot_tries_its_hold_again_then_others_then_the_robot_stands(kind):
+    """Of a hold two landings, of two others too; each is farther from the first, within reach, and nobody else's."""
+    closed, _, goal, stands, _ = walk(failing(LH, *range(1, 12)), kind)
+    landed = np.flatnonzero(~closed[:-1, LH] & closed[1:, LH]) + 1
+    places = goal[landed, LH]
+    assert len(landed) == 6
+    away = np.linalg.norm(places - places[0], axis=1)
+    assert (away[::2] == away[1::2]).all() and 0 < away[2] < away[4]
+    if kind == "holds":
+        for place in places:
+            assert np.linalg.norm(np.asarray(ROCK.position) - place, axis=1).min() < 1e-12
+    else:
+        assert away[4] <= 0.03
+    assert stands[landed[-1] + PERIOD :, LH].all() and not stands[: landed[-1], LH].any() and not stands[:, LF].any()
+    assert not any(lift_offs(closed, limb).size for limb in (LF, RH, RF))
+
+
+def test_a_foot_that_holds_elsewhere_lets_the_gait_go_on():
+    closed, _, goal, stands, _ = walk(failing(LH, 1, 2, 3), "holds")
+    assert not stands.any() and lift_offs(closed, LF).size and lift_offs(closed, RF).size
+    assert np.ptp(goal[: int(6 * SWING), LH, 0]) > 0
+
+
+@pytest.mark.parametrize("period", [PERIOD, 70])
+def test_no_limb_lifts_off_while_another_does_not_hold(period):
+    """Random failures of a third of all landings, ticks with and without the touchdowns; a foot that failed may."""
+    for seed in range(12):
+        script = np.random.default_rng(seed).random((4, 40)) > 0.3
+        script[:, 0] = True
+        closed, holding, *_ = walk(script, retries=3, other_holds=3, period=period)
+        lifts = closed[:-1] & ~closed[1:]
+        for number, limb in np.argwhere(lifts & holding[:-1]):
+            # in that step, in which a foot may land too
+            assert (holding | ~closed)[number].all() and holding[number + 1][np.arange(4) != limb].all()
+        assert lifts.sum() > 8 and (~closed).sum(1).max() == 1
+
+
+# --- walks
+
+
+FAILS = {
+    "contact": {"kind": "uncertain", "tested_pull": 12.0, "spread": 0.3, "retry_steps": 30.0, "tries": 2.0,
+                "closing_time": 0.02, "capture_distance": 0.004},
+    "control.controller": "pd", "gait.cycle": 0.8, "gait.stride": 0.01, "gait.step_height": 0.01, "duration": 1.6,
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_nobody_lifts_off_after_a_grip_that_fails():
+    """All grips fail: LF, which is next, stays; the robot stands, and says so. Without waiting LF lifts off."""
+    keys = FAILS | {"contact": FAILS["contact"] | {"tested_pull": 20.0, "spread": 0.0}}
+    keys |= {"gait.waiting.retries": 1, "gait.waiting.other_holds": 1}
+    walk = mc.rollout(mc.load_scenario("case_1_2", keys))
+    others = [limb != "LH" for limb in walk.limbs]
+    assert walk.support[:, others].all() and not walk.support[200:, LH].any()
+    metrics = mc.metrics(walk)
+    assert metrics["detached_at"] is None and metrics["stands_at"] == walk.time[walk.stands[:, LH].argmax()]
+    assert walk.standing == {"LH": metrics["stands_at"]}
+    goes_on = mc.rollout(mc.load_scenario("case_1_2", keys | {"gait.waiting.waits": False, "duration": 0.3}))
+    assert not goes_on.support[250, LF] and not goes_on.stands.any()
+
+
+@pytest.mark.slow
+def test_as_many_walks_arrive_as_hold_in_the_end():
+    """16 seeds: none loses a grip; those that do not stand walk on."""
+    scenario = mc.load_scenario("case_1_2", FAILS)
+    found = mc.rollout_metrics(
+        scenario, parameters=mc.parameters(scenario).replace({"contact.seed": np.arange(16.0)}), dtype=np.float64
+    )
+    assert np.isnan(found["detached_at"]).all() and not found["diverged"].any()
+    stands = ~np.isnan(found["stands_at"])
+    assert (found["travel"][~stands] > 0.6 * 0.02).all() and (~stands).sum() > 8
+
+
+@pytest.mark.nightly
+def test_tangents_pass_with_the_decisions_frozen():
+    """By kd, through grips that fail and feet that try again: those of differences in double precision."""
+    simulation = mc.Simulation(mc.load_scenario("case_1_2", FAILS | {"contact.seed": 1, "duration": 1.0}))
+    tangents = simulation.jvp({"kd": np.array([0.2])}, {"kd": np.ones((1, 1))}, dtype=np.float64)[1]
+    ends = [simulation.metrics({"kd": np.array([0.2 + h])}, dtype=np.float64) for h in (1e-7, -1e-7)]
+    for name in ("force_variation", "base_deviation"):
+        difference = (ends[0][name] - ends[1][name]) / 2e-7
+        np.testing.assert_allclose(tangents[name][0], difference, rtol=1e-3, err_msg=name)
+
+
+def test_a_foot_whose_grip_fails_waits_where_its_gripper_shut():
+    """It is not sent back to its last foothold; tried again 6 mm off the rock the gripper shuts without force."""
+    values = {"tested_pull": 15.0, "spread": 0.3, "seed": 5.0, "retry_steps": 2.0, "tries": 9.0, "closing_time": 0.1}
+    contact = UncertainGripper(**{name: jnp.asarray(value) for name, value in values.items()})
+    contact = contact.compiled_for().set_up(1e-3)
+    step = jax.jit(lambda memory, feet, closed: contact.step(memory, feet, None, closed, jnp.zeros(4)))
+    memory, before, forces = contact.init(jnp.zeros((4, 3)), jnp.zeros((4, 3, 3))), np.zeros(4, bool), []
+    for number in range(30):
+        position = jnp.tile(jnp.array([0.05 if number else 0.0, 0.0, 0.006]), (4, 1))
+        memory, grip = step(memory, Feet(position, 0 * position, position), jnp.full(4, number > 1))
+        holds = np.asarray(grip.support)
+        if number == 2:
+            failed = ~holds
+            np.testing.assert_allclose(np.asarray(grip.grip_point)[failed], [[0.05, 0, 0]] * failed.sum(), atol=1e-12)
+        forces += np.abs(np.asarray(grip.foot_force))[holds & ~before].ravel().tolist()
+        before = holds
+    assert 0 < failed.sum() < 4 and len(forces) == 12 and max(forces) == 0
