@@ -63,7 +63,6 @@ from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, 
 from mjx_climb.walk.structure import Structure, planning_steps, structure
 from mjx_climb.walks import (
     Metrics,
-    gradients_of,
     histories_of,
     metrics_of,
     metrics_of_moved,
@@ -310,8 +309,8 @@ class Simulation:
     ) -> dict[str, np.ndarray]:
         """Walk a batch of robots and return the derivatives, by all the gains given, of k weighted sums of metrics.
 
-        Reverse mode: it costs as much for one gain as for hundreds, and keeps the begins of stretches of the walk. The
-        other arguments and errors are those of `metrics`.
+        Reverse mode: it costs as much for one gain as for hundreds. The other arguments and errors are those of
+        `metrics`.
 
         Arguments:
             weights: of the metrics in the sums, by the names of those that are real numbers, (k, *batch) each.
@@ -322,7 +321,7 @@ class Simulation:
         Raises:
             ValueError: weights of another shape, of no metric, or of a metric in whole numbers.
         """
-        resolved, run = self._prepared(gains, parameters, over_time=True, **how)
+        resolved, run = self._prepared(gains, parameters, over_time=False, **how)
         batch, dtype = resolved.shape, resolved.parameters.gravity.dtype
         real = real_metrics(self.structure, own_parameters(self.scenario))
         if wrong := [name for name in weights if name not in real]:
@@ -337,12 +336,9 @@ class Simulation:
         names = [name for name in by_name(gains) if name not in TIMES]
         known = {*resolved.law.GAINS, *(name for name in names if path_of_gain(name) in resolved.called)}
         robots, shape = self._moving(resolved, [name for name in names if name in known])
-        moving, *others = robots.arguments
-        robots = robots._replace(
-            arguments=(moving, {name: np.moveaxis(value, 0, -1) for name, value in summed.items()}, *others),
-            axes=(robots.axes[0], dict.fromkeys(summed, 1), *robots.axes[1:]),
-        )
-        found = {name: np.moveaxis(value, len(batch), 0) for name, value in run(gradients_of, shape, robots).items()}
+        robots = robots._replace(weights={name: np.moveaxis(value, 0, -1) for name, value in summed.items()})
+        _, gradients = run(metrics_of_moved, shape, robots)
+        found = {name: np.moveaxis(value, len(batch), 0) for name, value in gradients.items()}
         nothing = np.zeros((*counts, 1), dtype)
         return {name: summed_to(found.get(name, nothing), np.shape(value)) for name, value in by_name(gains).items()}
 

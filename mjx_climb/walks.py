@@ -4,7 +4,6 @@ Histories that are kept for a batch are small: the least and the largest value o
 """
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import TypeVar
@@ -52,14 +51,13 @@ def metrics_under(
     law: Law,
     parameters: Parameters,
     targets: Float[Array, "time limb joint"],
-    scan: Scan | None = None,
+    scan: Scan = jax.lax.scan,
 ) -> Metrics:
     """Return the metrics of a walk whose joint targets, rad, take the law's place, to be differentiated by them.
 
-    Reverse mode costs as much for one target as for all of them, see `_checkpointed`. Another `scan` may change the
-    targets that it reads before the step gets them.
+    Another `scan` may change the targets that it reads before the step gets them.
     """
-    return _walked(structure, law, parameters, lambda sample: (), scan or _checkpointed, targets)[0]
+    return _walked(structure, law, parameters, lambda sample: (), scan, targets)[0]
 
 
 def metrics_of_moved(
@@ -69,42 +67,6 @@ def metrics_of_moved(
     moved = dataclasses.replace(law, **{n: v for n, v in gains.items() if n in law.GAINS})
     of_joints = {path_of_gain(name): value for name, value in gains.items() if name not in law.GAINS}
     return metrics_of(structure, moved, parameters.replace(of_joints), scan)
-
-
-def gradients_of(
-    structure: Structure, gains: Mapping[str, Array], cotangents: Metrics, law: Law, parameters: Parameters
-) -> Metrics:
-    """Return the derivatives (k, ...), by some gains, of k weighted sums of the metrics of a walk: in reverse mode.
-
-    `cotangents` are the weights (k,) by the names of metrics.
-    """
-
-    def weighed(gains: Mapping[str, Array]) -> Metrics:
-        found = metrics_of_moved(structure, gains, law, parameters, _checkpointed)
-        return {name: found[name] for name in cotangents}
-
-    _, pull_back = jax.vjp(weighed, gains)
-    found: Metrics = jax.vmap(lambda weights: pull_back(weights)[0])(cotangents)
-    return found
-
-
-def _checkpointed(
-    step: Callable[..., PyTree], begun: PyTree, inputs: PyTree = None, *, length: int
-) -> tuple[PyTree, tuple[()]]:
-    """Return the last carry of a scan, without records; reverse mode walks it again by stretches.
-
-    Reverse mode stores all values of a step, some 20 kB a robot. So it keeps the begin of each stretch alone, and the
-    steps of one: with stretches of about the square root of the length both are few.
-    """
-    stretch = next(count for count in range(math.isqrt(length), 0, -1) if length % count == 0)
-
-    @functools.partial(jax.checkpoint, prevent_cse=False)  # within a scan nothing is merged across its steps
-    def walk_stretch(carry: PyTree, given: PyTree) -> tuple[PyTree, tuple[()]]:
-        return jax.lax.scan(step, carry, given, length=length // stretch)[0], ()
-
-    parts = jax.tree.map(lambda value: value.reshape(stretch, length // stretch, *value.shape[1:]), inputs)
-    found: tuple[PyTree, tuple[()]] = jax.lax.scan(walk_stretch, begun, parts, length=stretch)
-    return found
 
 
 def histories_of(structure: Structure, law: Law, parameters: Parameters) -> Metrics:

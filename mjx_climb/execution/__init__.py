@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mjx_climb.execution.batches import walking_with as walking_with
     from mjx_climb.execution.flat import reached as reached
     from mjx_climb.execution.limbs import of_limbs as of_limbs
+    from mjx_climb.execution.one_robot import gradients_over_robots as gradients_over_robots
     from mjx_climb.execution.one_robot import over_robots as over_robots
     from mjx_climb.execution.paths import many_at_once as many_at_once
 
@@ -25,7 +26,7 @@ _HOMES = {
     **dict.fromkeys(("Robots", "run", "run_one", "shapes_of", "walking_with"), "batches"),
     "reached": "flat",
     "of_limbs": "limbs",
-    "over_robots": "one_robot",
+    **dict.fromkeys(("gradients_over_robots", "over_robots"), "one_robot"),
     "many_at_once": "paths",
 }
 

@@ -29,12 +29,14 @@ from mjx_climb.execution.cache import (
 )
 from mjx_climb.execution.contents import Unidentifiable, identity
 from mjx_climb.execution.jax_types import Function, PyTree
-from mjx_climb.execution.one_robot import over_robots
+from mjx_climb.execution.one_robot import gradients_over_robots, over_robots
 from mjx_climb.execution.paths import first_possible
 
+MOST_GRADIENTS = 2**16  # walks of which one call takes gradients: each keeps some 100 kB on its way back
 Progress = Callable[[int, int], None]
 _Values = TypeVar("_Values", np.ndarray, Array)
-_TANGENT = "tangent of "  # before the name of a result
+# before the name of what a derivative is of: of a result along directions, or of weighted results by a gain
+_TANGENT, _GRADIENT = "tangent of ", "gradient by "
 
 
 class _Call(NamedTuple):
@@ -44,7 +46,7 @@ class _Call(NamedTuple):
     structure: Hashable
     batched: tuple[bool, ...]  # of each leaf of the arguments
     path: str = ""
-    tangents: bool = False
+    derivatives: str = ""  # `_TANGENT` or `_GRADIENT`, which are asked for by the last tree of the arguments
 
 
 class Robots(NamedTuple):
@@ -55,6 +57,8 @@ class Robots(NamedTuple):
     shape: tuple[int, ...]  # the batch axes
     # a tree like `arguments[0]` of arrays (*shape, k, ...) of tangents; with axes of 1 for all robots
     directions: PyTree = None
+    # weights (*shape, k) by the names of results, of k sums whose gradients by `arguments[0]` are asked for
+    weights: PyTree = None
 
 
 def run(
@@ -82,16 +86,18 @@ def run(
 
     Returns:
         The results with the batch axes in front; with `directions` a pair of these and of the tangents (*shape, k, ...)
-        of those that are real numbers.
+        of those that are real numbers, with `weights` of these and of the gradients (*shape, k, ...).
 
     Raises:
         ValueError: a batch size below one.
     """
-    arguments, axes, shape, directions = robots
+    arguments, axes, shape, directions, weights = robots
     count = math.prod(shape)
     trees, own = tuple(arguments), tuple(axes)
-    if directions is not None:
-        trees, own = (*trees, directions), (*own, jax.tree.map(lambda rate: rate.ndim - len(shape), directions))
+    asked, derivatives = (weights, _GRADIENT) if directions is None else (directions, _TANGENT)
+    derivatives = "" if asked is None else derivatives
+    if asked is not None:
+        trees, own = (*trees, asked), (*own, jax.tree.map(lambda rate: rate.ndim - len(shape), asked))
     leaves, tree = jax.tree.flatten(trees)
     own_axes = jax.tree.leaves(own)
     flat = [flattened(leaf, size, shape) for leaf, size in zip(leaves, own_axes, strict=True)]
@@ -99,11 +105,11 @@ def run(
     if not any(batched):  # a batch of equal robots: one leaf says how many
         flat[0], batched[0] = np.broadcast_to(flat[0], (count, *flat[0].shape)), True
 
-    tangents = 0 if directions is None else jax.tree.leaves(directions)[0].shape[len(shape)]
+    number = 0 if asked is None else jax.tree.leaves(asked)[0].shape[len(shape)]
     double = any(leaf.dtype == np.float64 for leaf in flat)
     kernel = not (double or over_time)  # in double precision its values do not find room in the registers
-    on = paths.device_for(count, tangents, kernel=kernel)
-    call = _Call(function, structure, tuple(batched), tangents=directions is not None)
+    on = paths.device_for(count, number, kernel=kernel)
+    call = _Call(function, structure, tuple(batched), derivatives=derivatives)
     enable_cache()
 
     @functools.cache
@@ -112,7 +118,9 @@ def run(
         return same
 
     def by(path: str) -> dict[str, np.ndarray]:
-        share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and directions is None)
+        share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and not derivatives)
+        if derivatives == _GRADIENT:
+            share = min(share, max(1, MOST_GRADIENTS // number))
         program = _program(path, on, compile_briefly)
 
         def of_rows(rows: np.ndarray, sharding: Sharding) -> dict[str, Array]:
@@ -127,10 +135,10 @@ def run(
 
     found = first_possible(by, paths.path_for(on, kernel=kernel), (call, tree))
     found = {name: value.reshape((*shape, *value.shape[1:])) for name, value in found.items()}
-    if directions is None:
+    if not derivatives:
         return found
-    values = {name: value for name, value in found.items() if not name.startswith(_TANGENT)}
-    return values, {n.removeprefix(_TANGENT): value for n, value in found.items() if n.startswith(_TANGENT)}
+    values = {name: value for name, value in found.items() if not name.startswith(derivatives)}
+    return values, {n.removeprefix(derivatives): value for n, value in found.items() if n.startswith(derivatives)}
 
 
 def run_one(function: Function, structure: Hashable, *arguments: PyTree) -> PyTree:
@@ -226,21 +234,23 @@ def _of_structure(function: Function, structure: Hashable) -> Function:
 
 
 def _carried_out(call: _Call, *trees: PyTree) -> PyTree:
-    """Return the results of a batch, and tangents (B, k, ...) by their names after `_TANGENT`.
+    """Return the results of a batch, and derivatives (B, k, ...) by their names after `_TANGENT` or `_GRADIENT`.
 
-    The directions of tangents are the last tree.
+    The last tree is the directions of tangents, or the weights of gradients.
     """
     function = _of_structure(call.function, call.structure)
     if call.path == "kernel":
-        if not call.tangents:
+        if not call.derivatives:
             return gpu_kernel.over_robots(function, call.batched)(*trees)
-        *given, directions = trees
-        every, (along, tree) = zip(jax.tree.leaves(trees), call.batched, strict=True), jax.tree.flatten(directions)
+        *given, asked = trees
+        every, (along, tree) = zip(jax.tree.leaves(trees), call.batched, strict=True), jax.tree.flatten(asked)
         robots, batched = next(len(leaf) for leaf, own in every if own), call.batched[: -len(along)]
         own = zip(along, call.batched[-len(along) :], strict=True)
         along = [leaf if own else jnp.broadcast_to(leaf, (robots, *leaf.shape)) for leaf, own in own]
-        values, tangents = gpu_kernel.tangents_over_robots(function, batched)(jax.tree.unflatten(tree, along), *given)
-        return values | {_TANGENT + name: value for name, value in tangents.items() if value is not None}
+        tangents, gradients = gpu_kernel.tangents_over_robots, gpu_kernel.gradients_over_robots
+        derived = (tangents if call.derivatives == _TANGENT else gradients)(function, batched)
+        values, found = derived(jax.tree.unflatten(tree, along), *given)
+        return values | {call.derivatives + name: value for name, value in found.items() if value is not None}
     one = over_robots(function, regions=call.path == "regions")
     if not call.batched:
         return one(*trees)
@@ -258,6 +268,12 @@ def _carried_out(call: _Call, *trees: PyTree) -> PyTree:
         found: dict[str, Array] = real | rest | {_TANGENT + name: value for name, value in tangents.items()}
         return found
 
+    def with_gradients(*trees: PyTree) -> dict[str, Array]:
+        by_weights = gradients_over_robots(function, regions=call.path == "regions")
+        results, found = jax.vmap(lambda weights: by_weights(weights, *trees[:-1]), out_axes=(None, 0))(trees[-1])
+        return results | {_GRADIENT + name: value for name, value in found.items()}
+
     leaves, tree = jax.tree.flatten(trees)
-    carry_out, mapped = with_tangents if call.tangents else one, [0 if batched else None for batched in call.batched]
+    carry_out = {"": one, _TANGENT: with_tangents, _GRADIENT: with_gradients}[call.derivatives]
+    mapped = [0 if batched else None for batched in call.batched]
     return jax.vmap(lambda *leaves: carry_out(*jax.tree.unflatten(tree, leaves)), in_axes=mapped)(*leaves)

@@ -176,7 +176,7 @@ _MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
 
 # Arguments are words of 32 bits: `common` of all, the first of which are the numbers of robots and of directions of
 # each; `own` (rows, robots); `along` (rows, walks), of which a robot has one for each direction. Those that nothing is
-# read of are not there. `made` (rows, walks) is written.
+# read of are not there. `made` (rows, walks) is written; what loops write is behind it, see `_KEPT`.
 READ = ("common", "own", "along")
 _HEAD = """
 extern "C" __global__ void __launch_bounds__({threads})
@@ -189,6 +189,12 @@ const int walk = there ? thread / {width} : walks - 1, robot = walk / directions
 _TABLE = """__shared__ int table[{size}];
 for (int place = threadIdx.x; place < {size}; place += blockDim.x) table[place] = constants[place];
 __syncthreads();
+"""
+
+
+# Behind the results: a row of words has one of each thread. Threads beyond the last walk read that of the last.
+_KEPT = """const size_t slots = (size_t)walks * {width}, slot = there ? thread : slots - {width} + lane;
+int *kept = made + {results} * (size_t)walks;
 """
 
 
@@ -212,6 +218,7 @@ class CudaWriter(Writer):
         self.width = 1 << (lanes - 1).bit_length()  # threads of a robot
         self._lines: list[str] = []
         self._count = 0
+        self.kept = 0  # rows of words that loops write, each thread its own
         self._table: list[int] = []  # words of constants that differ from lane to lane
         self._read = dict.fromkeys(READ, 0) | {"common": 2}
         # by the name of an argument's word: the argument, and its row as a sum of what loops add and a place
@@ -229,8 +236,7 @@ class CudaWriter(Writer):
         """Return the kernel, which writes these numbers."""
         rows = []
         for row, number in enumerate(results):
-            word = f"__float_as_int({_text(number)})" if typed(number.dtype) == "float" else f"(int){_text(number)}"
-            rows.append(f"if (mine) made[{row} * (size_t)walks + walk] = {word};")
+            rows.append(f"if (mine) made[{row} * (size_t)walks + walk] = {_as_word(number)};")
         # without values that nothing is made of: NVIDIA's compiler would leave them out, but not exchanges of lanes
         read, lines = set(_NAMES.findall("".join(rows))), rows[::-1]
         for line in reversed(self._lines):
@@ -243,7 +249,8 @@ class CudaWriter(Writer):
         arguments = ", ".join(f"const int *__restrict__ {of}" for of in READ if self._read[of])
         head = _HEAD.format(threads=THREADS, name=NAME, width=self.width, arguments=arguments)
         table = _TABLE.format(size=size) if size else ""
-        return "\n".join([FUNCTIONS + constants + head + table, *lines[::-1], "}\n"])
+        kept = _KEPT.format(results=len(results), width=self.width) if self.kept else ""
+        return "\n".join([FUNCTIONS + constants + head + table + kept, *lines[::-1], "}\n"])
 
     def operation(self, primitive: core.Primitive, parameters: Parameters, operands: Sequence[Number]) -> Value:
         name = primitive.name
@@ -288,14 +295,27 @@ class CudaWriter(Writer):
         start: Sequence[Shared],
         read: Sequence[Sequence[Shared]],
         step: Callable[[list[Value], list[Value]], Sequence[Shared]],
-    ) -> list[Value]:
+    ) -> tuple[list[Value], list[list[Value]]]:
         carried, tables = self._variables(start), [self._table_of(numbers) for numbers in read]
         self._count += 1
         time = f"t{self._count}"
         self._lines += ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
         now = [self._read_at(time, table, row[0].dtype) for row, table in zip(read, tables, strict=True)]
-        self._assign(carried, step(list(carried), now))
-        return carried
+        made = step(list(carried), now)
+        written, first = made[len(carried) :], self.kept
+        self.kept += steps * len(written)
+        for row, number in enumerate(written, first):
+            word = _word("kept", f"({row} + {len(written)} * {time})")
+            self._lines.append(f"if (there) {word} = {_as_word(number)};")
+        self._assign(carried, made[: len(carried)])
+        rows = [range(row, self.kept, len(written)) for row in range(first, first + len(written))]
+        return carried, [[self._kept(row, n.dtype) for row in each] for each, n in zip(rows, written, strict=True)]
+
+    def _kept(self, row: int, dtype: np.dtype) -> Value:
+        """Return a number that a loop has written: it is read where it is used."""
+        value = Value(_from_word(_word("kept", str(row)), dtype), dtype)
+        self._rows[value.content] = "kept", "", row
+        return value
 
     def _table_of(self, numbers: Sequence[Shared]) -> str | _Rows:
         """Return where a loop reads: in rows of an argument at equal distances, or else in an own array, by name."""
@@ -359,7 +379,11 @@ def _text(number: Number) -> str:
 def _word(of: str, row: str) -> str:
     """Return a word of the arguments."""
     own, along = f"own[{row} * (size_t)robots + robot]", f"along[{row} * (size_t)walks + walk]"
-    return {"common": f"common[{row}]", "own": own, "along": along}[of]
+    return {"common": f"common[{row}]", "own": own, "along": along, "kept": f"kept[{row} * slots + slot]"}[of]
+
+
+def _as_word(number: Number) -> str:
+    return f"__float_as_int({_text(number)})" if typed(number.dtype) == "float" else f"(int){_text(number)}"
 
 
 def _from_word(word: str, dtype: DTypeLike) -> str:

@@ -24,6 +24,7 @@ from mjx_climb.execution.limbs import Axis
 MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array to XLA as well
 MOST_PRODUCTS = 4096  # of a product of matrices
 MOST_STEPS = 64  # of a loop that is written out step by step
+MOST_OF_A_TABLE = 60_000  # numbers that a loop writes
 MOST_WRITTEN_OUT = 1000  # equations of all steps of a loop that reads something at each
 MOST_OF_BRANCHES = 100  # equations of a condition all of whose branches are computed
 MOST_CHOICES = 64  # places of a table at which an operation may read or write
@@ -226,22 +227,37 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
     constants, carry = scan_sizes(equation.params)
     common, start, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
     body = equation.params["jaxpr"]
-    steps, few = equation.params["length"], equation.params["length"] * len(body.jaxpr.eqns) <= MOST_WRITTEN_OUT
-    if len(body.jaxpr.outvars) > carry or _searches(equation) or (read and few and not _loops(body)):
+    steps, wide = equation.params["length"], len(read) + len(body.jaxpr.outvars) > carry
+    few = steps <= MOST_STEPS and steps * len(body.jaxpr.eqns) <= MOST_WRITTEN_OUT
+    if _searches(equation) or (wide and few and not _loops(body)):
         return _written_out(do, equation.params, common, start, read)
+    if steps * sum(aval_of(variable).size for variable in body.jaxpr.outvars[carry:]) > MOST_OF_A_TABLE:
+        raise Unsupported(f"a loop that writes more than {MOST_OF_A_TABLE} numbers")
+    avals = [aval_of(variable) for variable in body.jaxpr.outvars]
     axes = [do.limbs.of(variable) for variable in body.jaxpr.invars[constants:]]
-    carry_of = _Shapes([aval_of(variable) for variable in body.jaxpr.outvars], axes[:carry])
-    read_of = _Shapes([aval_of(variable) for variable in body.jaxpr.invars[constants + carry :]], [None] * len(read))
+    carry_of = _Shapes(avals[:carry], axes[:carry])
+    written_of = _Shapes(avals[carry:], [do.limbs.of(variable) for variable in body.jaxpr.outvars[carry:]])
+    # what a loop has written is of the lanes as it was, what an argument has is the same for all
+    own = [
+        axis if axis is not None and do.runs_over_lanes(array, axis + 1) else None
+        for array, axis in zip(read, axes[carry:], strict=True)
+    ]
+    read_of = _Shapes([aval_of(variable) for variable in body.jaxpr.invars[constants + carry :]], own)
     rows = [read_of.numbers(do, [array[step, ...] for array in map(objects, read)]) for step in range(steps)]
     rows = rows[::-1] if equation.params["reverse"] else rows
 
     def step(before: list[Value], now: list[Value]) -> list[Shared]:
         inside = Operations(do.writer, do.limbs, do.done)  # knows the operations before the loop
         given = *carry_of.arrays(inside, before), *read_of.arrays(inside, now)
-        return carry_of.numbers(inside, results(inside, body, [*common, *given]))
+        made = results(inside, body, [*common, *given])
+        return [*carry_of.numbers(inside, made[:carry]), *written_of.numbers(inside, made[carry:])]
 
     columns = list(zip(*rows, strict=True)) if read else []
-    return carry_of.arrays(do, do.writer.loop(steps, carry_of.numbers(do, start), columns, step))
+    after, kept = do.writer.loop(steps, carry_of.numbers(do, start), columns, step)
+    order = slice(None, None, -1 if equation.params["reverse"] else 1)
+    at_steps = [written_of.arrays(do, list(now)) for now in zip(*kept, strict=True)][order]
+    stacked = [np.stack([*map(objects, column)]) for column in zip(*at_steps, strict=True)]
+    return [*carry_of.arrays(do, after), *stacked]
 
 
 class _Shapes(NamedTuple):
@@ -318,8 +334,8 @@ def _written_out(
 ) -> list[Elements]:
     """Return the last carry of a short loop and its records at each step."""
     steps = loop["length"]
-    if not 0 < steps <= MOST_STEPS:
-        raise Unsupported(f"a loop of {steps} steps that reads or writes something at each")
+    if not steps:
+        raise Unsupported("a loop of no steps that reads or writes something at each")
     order = slice(None, None, -1 if loop["reverse"] else 1)
     written: list[list[Elements]] = []
     for step in range(steps)[order]:

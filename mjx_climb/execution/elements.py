@@ -73,10 +73,11 @@ class Writer(Protocol):
         start: Sequence[Shared],
         read: Sequence[Sequence[Shared]],
         step: Callable[[list[Value], list[Value]], Sequence[Shared]],
-    ) -> list[Value]:
-        """Return the last carry of a loop; `step` maps a carry and the numbers that it reads to the next carry.
+    ) -> tuple[list[Value], list[list[Value]]]:
+        """Return the last carry of a loop, and each number that it writes, at all steps.
 
-        `read` has the values of each such number at all steps.
+        `step` maps a carry and the numbers that it reads to the next carry and behind it the numbers that it writes;
+        `read` has the values of each number that it reads at all steps.
         """
         raise Unsupported("a loop")
 

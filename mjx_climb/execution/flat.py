@@ -206,21 +206,27 @@ def with_stable_choices(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
             return results
         return carried_out(primitive, with_inner(with_stable_choices, equation), values)
 
-    def evaluated(*arguments: Array) -> list[Array]:
-        known = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
-        known |= dict(zip(program.jaxpr.invars, arguments, strict=True))
+    return jax.make_jaxpr(lambda *arguments: evaluated(program, arguments, results_of))(*program.in_avals)
 
-        def read(atom: Atom) -> Array:
-            value: Array = atom.val if isinstance(atom, core.Literal) else known[atom]
-            return value
 
-        for equation in program.jaxpr.eqns:
-            with from_line_of(equation):
-                results = results_of(equation, [read(atom) for atom in equation.invars])
-            known.update(zip(equation.outvars, results, strict=True))
-        return [read(atom) for atom in program.jaxpr.outvars]
+def evaluated(
+    program: core.ClosedJaxpr,
+    arguments: Sequence[Array],
+    results_of: Callable[[core.JaxprEqn, list[Array]], list[Array]],
+) -> list[Array]:
+    """Return the results of a program whose equations are carried out by `results_of`."""
+    known = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
+    known |= dict(zip(program.jaxpr.invars, arguments, strict=True))
 
-    return jax.make_jaxpr(evaluated)(*program.in_avals)
+    def read(atom: Atom) -> Array:
+        value: Array = atom.val if isinstance(atom, core.Literal) else known[atom]
+        return value
+
+    for equation in program.jaxpr.eqns:
+        with from_line_of(equation):
+            results = results_of(equation, [read(atom) for atom in equation.invars])
+        known.update(zip(equation.outvars, results, strict=True))
+    return [read(atom) for atom in program.jaxpr.outvars]
 
 
 def _has_choices(jaxpr: core.Jaxpr) -> bool:

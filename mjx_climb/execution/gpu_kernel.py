@@ -22,6 +22,7 @@ import numpy as np
 from jax import Array, lax
 from jax.extend import core
 
+from mjx_climb.execution.adjoint import with_gradients
 from mjx_climb.execution.cuda_writer import NAME, READ, THREADS, CudaWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import results
@@ -97,6 +98,35 @@ def tangents_over_robots(
     return mapped
 
 
+def gradients_over_robots(
+    function: Callable[..., dict[str, Array]], batched: Sequence[bool]
+) -> Callable[..., tuple[dict[str, Array], PyTree]]:
+    """Return the function with gradients of several weighted sums of its results, by its first argument.
+
+    Arguments:
+        function, batched: as `over_robots` takes them; the first argument has real numbers alone.
+
+    Returns:
+        A function of weights and arguments: the weights (B, k) by the names of results that are real numbers, (). It
+        returns the results, and gradients (B, k, ...) in a tree like the first argument.
+    """
+
+    def mapped(weights: dict[str, Array], *arguments: PyTree) -> tuple[dict[str, Array], PyTree]:
+        program, tree = _of_one(function, arguments, batched)
+        moving, along = jax.tree.flatten(arguments[0])
+        names = jax.tree.unflatten(tree, range(tree.num_leaves))
+        order = sorted(weights, key=lambda name: int(names[name]))
+        weighed = tuple(place in {names[name] for name in weights} for place in range(tree.num_leaves))
+        moves = tuple(place < len(moving) for place in range(len(program.in_avals)))
+        both = with_gradients(program, moves, weighed, values=True)
+        given = [*jax.tree.leaves(arguments), *(weights[name] for name in order)]
+        found = _launched(body_of(both), given, [*batched, *[2] * len(weights)])
+        results: dict[str, Array] = jax.tree.unflatten(tree, [array[:, 0] for array in found[: tree.num_leaves]])
+        return results, jax.tree.unflatten(along, found[tree.num_leaves :])
+
+    return mapped
+
+
 def _of_one(
     function: Function, arguments: Sequence[PyTree], batched: Sequence[bool]
 ) -> tuple[core.ClosedJaxpr, jax.tree_util.PyTreeDef]:
@@ -125,13 +155,22 @@ def body_of(program: core.ClosedJaxpr) -> Body:
     return Body(whole, LimbAxes(whole))
 
 
+class Kernel(NamedTuple):
+    """A kernel in CUDA C, and how many rows of words its loops write, each of `walks * threads` words."""
+
+    text: str
+    kept: int
+    threads: int  # of a walk
+
+
 @functools.lru_cache(_KEPT)
-def written(body: Body, axes: tuple[int, ...]) -> str:
-    """Return the kernel of a body in CUDA C; `axes` as of `_launched`."""
+def written(body: Body, axes: tuple[int, ...]) -> Kernel:
+    """Return the kernel of a body; `axes` as of `_launched`."""
     writer, given = CudaWriter(body.limbs.count), []
     for aval, count in zip(body.program.in_avals, axes, strict=True):
         given.append(as_array((writer.read(READ[count], aval.dtype) for _ in range(aval.size)), aval.shape))
-    return writer.source([number for result in body.results(writer, given) for number in result])
+    text = writer.source([number for result in body.results(writer, given) for number in result])
+    return Kernel(text, writer.kept, writer.width)
 
 
 def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[Array]:
@@ -148,11 +187,13 @@ def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[
             raise Unsupported(f"a function of {array.dtype}")
         whole = array.astype(np.int32) if array.dtype.kind == "b" else lax.bitcast_convert_type(array, np.int32)
         words[count].append(whole.reshape(math.prod(batch[:count]), -1).T)
-    source = ptx(written(body, tuple(axes)))
-    walks, outputs = math.prod(batch), body.program.out_avals
-    shape = jax.ShapeDtypeStruct((sum(aval.size for aval in outputs), walks), np.int32)
-    blocks = -(-walks * CudaWriter(body.limbs.count).width // THREADS)
+    kernel = written(body, tuple(axes))
+    source, walks, outputs = ptx(kernel.text), math.prod(batch), body.program.out_avals
+    rows = sum(aval.size for aval in outputs)
+    shape = jax.ShapeDtypeStruct((rows + kernel.kept * kernel.threads, walks), np.int32)
+    blocks = -(-walks * kernel.threads // THREADS)
     made = launched(source, NAME, blocks, THREADS, shape, *(jnp.concatenate(each) for each in words if each))
+    made = made[:rows]
     parts, found = jnp.split(made, list(itertools.accumulate(aval.size for aval in outputs))[:-1]), []
     for part, aval in zip(parts, outputs, strict=True):
         if aval.dtype.kind != "b" and aval.dtype.itemsize != 4:

@@ -1,7 +1,8 @@
 """A function of one robot as one operation of JAX's, which knows its batches, its derivatives and its compilation.
 
-Under `vmap` it takes a batch axis more, under `jvp` its traced program is differentiated, and where it is compiled for
-a CPU it is cut into regions (`cpu_regions`). Other devices, and reverse mode, take the equations as they are.
+Under `vmap` it takes a batch axis more, under `jvp` its traced program is differentiated, in reverse mode its adjoint
+is taken, and where any of these is compiled for a CPU it is cut into regions (`cpu_regions`). Other devices take the
+equations as they are.
 """
 
 import functools
@@ -16,6 +17,7 @@ from jax import Array
 from jax.extend import core
 from jax.interpreters import ad, batching, mlir
 
+from mjx_climb.execution.adjoint import with_gradients
 from mjx_climb.execution.cpu_regions import in_regions
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import Has, by_axis, mapped, reached, tangents_of
@@ -61,21 +63,56 @@ def over_robots(function: Callable[..., _Result], *, regions: bool | None = None
     """
 
     def call(*arguments: PyTree) -> _Result:
-        # XLA's default for float32 on a GPU is TF32, of ten bits
-        with jax.default_matmul_precision("highest"):
-            traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        constants = list(zip(traced.jaxpr.constvars, traced.consts, strict=True))
-        # traced values that the program closes over become its first arguments
-        outside = [(variable, value) for variable, value in constants if isinstance(value, jax.core.Tracer)]
-        known = [(variable, value) for variable, value in constants if not isinstance(value, jax.core.Tracer)]
-        inputs = [*(variable for variable, _ in outside), *traced.jaxpr.invars]
-        program = new_program(traced.jaxpr, traced.jaxpr.eqns, inputs, traced.jaxpr.outvars, known)
-        values = [*(value for _, value in outside), *jax.tree.leaves(arguments)]
+        program, values, tree = _traced(function, arguments)
         results = _program.bind(*values, program=program, batch=(), varies=((),) * len(values), regions=regions)
-        whole: _Result = jax.tree.unflatten(jax.tree.structure(shape), results)
+        whole: _Result = jax.tree.unflatten(tree, results)
         return whole
 
     return jax.jit(functools.wraps(function)(call))
+
+
+def gradients_over_robots(
+    function: Callable[..., dict[str, Array]], *, regions: bool | None = None
+) -> Callable[..., tuple[dict[str, Array], PyTree]]:
+    """Return a function of one robot to its results and the gradients of a weighted sum of them; see `over_robots`.
+
+    It takes weights by the names of results that are real numbers, then the function's arguments. The gradients are by
+    the first of these, a tree of real numbers.
+    """
+
+    def call(weights: dict[str, Array], *arguments: PyTree) -> tuple[dict[str, Array], PyTree]:
+        program, values, tree = _traced(function, arguments)
+        moving, along = jax.tree.flatten(arguments[0])
+        outside = len(values) - len(jax.tree.leaves(arguments))
+        moves = tuple(outside <= place < outside + len(moving) for place in range(len(values)))
+        names = jax.tree.unflatten(tree, range(tree.num_leaves))
+        weighed = tuple(place in {names[name] for name in weights} for place in range(tree.num_leaves))
+        both = with_gradients(program, moves, weighed, values=True)
+        given = [*values, *(weights[name] for name in sorted(weights, key=lambda name: int(names[name])))]
+        made = _program.bind(*given, program=both, batch=(), varies=((),) * len(given), regions=regions)
+        found: dict[str, Array] = jax.tree.unflatten(tree, made[: tree.num_leaves])
+        return found, jax.tree.unflatten(along, made[tree.num_leaves :])
+
+    return jax.jit(call)
+
+
+def _traced(
+    function: Callable[..., PyTree], arguments: Sequence[PyTree]
+) -> tuple[core.ClosedJaxpr, list[Array], jax.tree_util.PyTreeDef]:
+    """Return the program of a function, the values that it takes, and the tree of its results.
+
+    Traced values that the program closes over become its first arguments.
+    """
+    # XLA's default for float32 on a GPU is TF32, of ten bits
+    with jax.default_matmul_precision("highest"):
+        traced, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+    constants = list(zip(traced.jaxpr.constvars, traced.consts, strict=True))
+    outside = [(variable, value) for variable, value in constants if isinstance(value, jax.core.Tracer)]
+    known = [(variable, value) for variable, value in constants if not isinstance(value, jax.core.Tracer)]
+    inputs = [*(variable for variable, _ in outside), *traced.jaxpr.invars]
+    program = new_program(traced.jaxpr, traced.jaxpr.eqns, inputs, traced.jaxpr.outvars, known)
+    values = [*(value for _, value in outside), *jax.tree.leaves(arguments)]
+    return program, values, jax.tree.structure(shape)
 
 
 def _abstract(*avals: PyTree, program: core.ClosedJaxpr, **how: Unpack[_Batch]) -> list[PyTree]:
@@ -118,22 +155,123 @@ def _differentiated(
 
 
 def _linearized(moving: Sequence[bool], *values: Array, **parameters: Unpack[_Whole]) -> PyTree:
-    """Reverse mode goes by JAX's own operations, uncut: a region can be neither transposed nor split in time."""
-    moving = [m and _is_real(value) for m, value in zip(moving, values, strict=True)]
-
-    def plain(*some: Array) -> list[Array]:
-        given = iter(some)
-        return _whole(*(next(given) if m else v for m, v in zip(moving, values, strict=True)), **parameters)
-
-    results, along = jax.linearize(plain, *itertools.compress(values, moving))
-    real = [_is_real(value) for value in results]
+    """Return results, which of them have tangents, and these as a linear operation, whose transpose is the adjoint."""
+    program = parameters["program"]
+    moving = tuple(bool(m) and _is_real(value) for m, value in zip(moving, values, strict=True))
+    moved = reached(program.jaxpr, moving)
+    real = [bool(jnp.issubdtype(aval.dtype, jnp.inexact)) for aval in program.out_avals]
+    moved = [moves and is_real for moves, is_real in zip(moved, real, strict=True)]
+    results = _program.bind(*values, **parameters)
 
     def tangents(*given: Array) -> list[Array | ad.Zero]:
-        found = along(*itertools.compress(given, moving))
+        along = [
+            ad.instantiate_zeros(tangent) if isinstance(tangent, ad.Zero) else tangent
+            for tangent in itertools.compress(given, moving)
+        ]
+        varies = (*parameters["varies"], *itertools.compress(parameters["varies"], moving))
+        how = parameters | {"varies": varies, "moving": moving, "moved": tuple(moved)}
+        found = iter(_tangents.bind(*values, *along, **how) if any(moved) else [])
         zeros = (ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results)
-        return [rate if is_real else zero for rate, is_real, zero in zip(found, real, zeros, strict=True)]
+        return [next(found) if moves else zero for moves, zero in zip(moved, zeros, strict=True)]
 
-    return results, real, tangents
+    return results, moved, tangents
+
+
+# --- tangents of an operation as a linear operation, to be transposed
+
+_tangents = core.Primitive("tangents_over_robots")
+_tangents.multiple_results = True
+
+
+class _Linear(_Whole):
+    """Parameters of the tangents: `varies` of the arguments, then of the tangents of those that are moving."""
+
+    moving: tuple[bool, ...]  # of the arguments
+    moved: tuple[bool, ...]  # of the results
+
+
+def _tangents_vary(how: _Linear) -> list[Has]:
+    """Return which batch axes the tangents of results have: those of the results, and those of the tangents given."""
+    axes, count = len(how["batch"]), len(how["moving"])
+    of_results = _results_vary(how["program"], how["varies"][:count], axes)
+    both, _ = tangents_of(how["program"], how["moving"])
+    along = itertools.compress(of_results, how["moved"])
+    found = _results_vary(both, how["varies"], axes)[len(how["moved"]) :]
+    return [tuple(map(any, zip(*each, strict=True))) for each in zip(along, found, strict=True)]
+
+
+def _with_axes(value: Array, has: Has, wanted: Has, batch: tuple[int, ...]) -> Array:
+    """Return a value summed over the batch axes that are not wanted, and broadcast over those that it lacks."""
+    own = value.ndim - sum(has)
+    places = itertools.accumulate(has, initial=own)
+    gone = [place for place, h, w in zip(places, has, wanted, strict=False) if h and not w]
+    value = value.sum(gone) if gone else value
+    left = [h and w for h, w in zip(has, wanted, strict=True)]
+    there = [own + sum(wanted[:axis]) for axis, h in enumerate(left) if h]
+    shape = (*value.shape[:own], *itertools.compress(batch, wanted))
+    return jax.lax.broadcast_in_dim(value, shape, (*range(own), *there))
+
+
+def _tangents_made(*values: Array, **how: Unpack[_Linear]) -> list[Array]:
+    both, _ = tangents_of(how["program"], how["moving"])
+    batch, varies, regions = how["batch"], how["varies"], how["regions"]
+    made = _program.bind(*values, program=both, batch=batch, varies=varies, regions=regions)
+    count = len(how["moved"])
+    has = _results_vary(both, varies, len(batch))[count:]
+    each = zip(made[count:], has, _tangents_vary(how), strict=True)
+    return [_with_axes(value, own, wanted, batch) for value, own, wanted in each]
+
+
+def _tangents_abstract(*avals: PyTree, **how: Unpack[_Linear]) -> list[PyTree]:
+    moved = itertools.compress(how["program"].out_avals, how["moved"])
+    return [
+        aval.update(shape=(*aval.shape, *itertools.compress(how["batch"], has)))
+        for aval, has in zip(moved, _tangents_vary(how), strict=True)
+    ]
+
+
+def _tangents_batched(
+    values: Sequence[Array], axes: Sequence[int | None], **how: Unpack[_Linear]
+) -> tuple[list[Array], list[int | None]]:
+    size = next(value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
+    last = [v if axis is None else jnp.moveaxis(v, axis, -1) for v, axis in zip(values, axes, strict=True)]
+    how["varies"] = tuple((*has, axis is not None) for has, axis in zip(how["varies"], axes, strict=True))
+    how["batch"] = (*how["batch"], size)
+    made = _tangents.bind(*last, **how)
+    having = _tangents_vary(how)
+    return made, [value.ndim - 1 if has[-1] else None for value, has in zip(made, having, strict=True)]
+
+
+def _tangents_transposed(
+    weights: Sequence[Array | ad.Zero], *values: PyTree, **how: Unpack[_Linear]
+) -> list[Array | None]:
+    """Return the adjoint: gradients of weighted results by the arguments that are moving."""
+    count, program, batch = len(how["moving"]), how["program"], how["batch"]
+    given = iter(zip(weights, _tangents_vary(how), strict=True))
+    along = [next(given) if moves else None for moves in how["moved"]]
+    some = [each for each in along if each is not None and not isinstance(each[0], ad.Zero)]
+    weighed = tuple(each is not None and not isinstance(each[0], ad.Zero) for each in along)
+    back = with_gradients(program, how["moving"], weighed, values=False)
+    varies = (*how["varies"][:count], *(has for _, has in some))
+    arguments = *values[:count], *(value for value, _ in some)
+    made = _program.bind(*arguments, program=back, batch=batch, varies=varies, regions=how["regions"])
+    each = zip(made, _results_vary(back, varies, len(batch)), how["varies"][count:], strict=True)
+    return [*[None] * count, *(_with_axes(value, has, wanted, batch) for value, has, wanted in each)]
+
+
+def _tangents_moved(
+    values: Sequence[Array], tangents: Sequence[Array | ad.Zero], **how: Unpack[_Linear]
+) -> tuple[list[Array], list[Array]]:
+    some = [ad.instantiate_zeros(tangent) for tangent in tangents]
+    return jax.jvp(lambda *given: _tangents_made(*given, **how), tuple(values), tuple(some))
+
+
+_tangents.def_abstract_eval(_tangents_abstract)
+_tangents.def_impl(lambda *values, **how: jax.jit(functools.partial(_tangents.bind, **how))(*values))
+ad.primitive_transposes[_tangents] = _tangents_transposed
+ad.primitive_jvps[_tangents] = _tangents_moved
+batching.primitive_batchers[_tangents] = _tangents_batched
+mlir.register_lowering(_tangents, mlir.lower_fun(_tangents_made, multiple_results=True))
 
 
 def _is_real(value: Array) -> bool:

@@ -73,7 +73,7 @@ def _is_small(equation: core.JaxprEqn) -> bool:
     if name in ("lu", "qr", "cholesky", "triangular_solve"):
         pivoting = equation.params.get("pivoting", False)
         return bool(not pivoting and first.size * max(aval.shape[-1] for aval in avals) <= MOST_OF_MATRICES)
-    return first.size <= MOST_CASES
+    return bool(first.size <= MOST_CASES)
 
 
 # --- order

@@ -19,12 +19,15 @@ class Interpreter(ArrayWriter):
         def whole(numbers):
             return tuple(self.rows(number, shape).astype(of.dtype) for number, of in zip(numbers, start, strict=True))
 
-        def stepped(time, before):
-            now = [self.value(table[time]) for table in tables]
-            return whole(step([*map(self.value, before)], now))
+        def stepped(before, time):
+            widened, now = dict(self._widened), [self.value(table[time]) for table in tables]
+            made = step([*map(self.value, before)], now)
+            found = whole(made[: len(start)]), [self.rows(number, shape) for number in made[len(start) :]]
+            self._widened = widened  # what is made in a loop stays there
+            return found
 
-        after = lax.fori_loop(0, steps, stepped, whole(start))
-        return [*map(self.value, after)]
+        after, written = lax.scan(stepped, whole(start), jnp.arange(steps))
+        return [*map(self.value, after)], [[self.value(row) for row in table] for table in written]
 
     def branch(self, taken, before, make):
         shape = (self.lanes, *self.batch)

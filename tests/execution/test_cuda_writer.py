@@ -17,7 +17,6 @@ from jaxtyping import Float
 
 from mjx_climb.control import law_of
 from mjx_climb.execution import of_limbs
-from mjx_climb.execution.cuda_writer import CudaWriter
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import tangents_of
 from mjx_climb.execution.gpu_kernel import body_of, written
@@ -36,13 +35,14 @@ ONE_WALK = np.ones(2, np.int32)  # of a robot in a direction
 def carried_out(tmp_path):
     """Give a function that builds kernels into a library, runs each, and returns its results by name.
 
-    A kernel is its text, the threads, the values that its arguments are made of, rows of each first, the batch axes,
+    A kernel is what `written` returns, the values that its arguments are made of, rows of each first, the batch axes,
     and the results' shapes and types of one robot.
     """
 
     def carry_out(kernels):
         parts = [f'#include "{HERE / "on_cpu.hpp"}"']
-        for name, (text, threads, given, *_) in kernels.items():
+        for name, ((text, _, threads), given, batch, _) in kernels.items():
+            threads *= math.prod(batch)
             names = [f"argument_{place}" for place in range(len(given))]
             parameters = ", ".join(f"const int *{each}" for each in names)
             parts += [f"namespace in_{name} {{", text.replace('extern "C" ', ""), "}"]
@@ -52,15 +52,15 @@ def carried_out(tmp_path):
         command = ["c++", "-std=c++20", "-O1", "-w", "-shared", "-fPIC", "-pthread", "-o", "kernels.so", "kernels.cpp"]
         subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
         library, results = ctypes.CDLL(str(tmp_path / "kernels.so")), {}
-        for name, (_, _, arguments, batch, avals) in kernels.items():
+        for name, (kernel, arguments, batch, avals) in kernels.items():
             ends = np.cumsum([aval.size for aval in avals])
-            made = np.zeros((ends[-1], math.prod(batch)), np.int32)
+            made = np.zeros((ends[-1] + kernel.kept * kernel.threads, math.prod(batch)), np.int32)
             words = ([np.ascontiguousarray(value).reshape(-1).view(np.int32) for value in each] for each in arguments)
             given = [*map(np.concatenate, words), made]
             getattr(library, f"run_{name}")(*(array.ctypes.data_as(ctypes.c_void_p) for array in given))
             results[name] = [
                 (part != 0 if aval.dtype == bool else part.view(aval.dtype)).T.reshape((*batch, *aval.shape))
-                for part, aval in zip(np.split(made, ends[:-1]), avals, strict=True)
+                for part, aval in zip(np.split(made[: ends[-1]], ends[:-1]), avals, strict=True)
             ]
         return results
 
@@ -77,14 +77,14 @@ def test_every_operation_in_cuda_c(carried_out):
         for name, operation in primitives.KNOWN.items():
             program = jax.make_jaxpr(lambda v, m, n, f=operation: f(v, m * v[1], n))(vector, matrix, number)
             try:
-                text = written(body_of(program), (True, False, True))
+                kernel = written(body_of(program), (True, False, True))
             except Unsupported as error:
                 assert "int8" in str(error)
                 continue
             name = name.replace(" ", "_")
             programs[name] = program
             given = [ONE_WALK, matrix], [vector, number]
-            kernels[name] = text, 1, given, (), program.out_avals
+            kernels[name] = kernel, given, (), program.out_avals
         assert len(kernels) >= len(primitives.KNOWN) - 1
         for name, found in carried_out(kernels).items():
             expected = jax.jit(jax.extend.core.jaxpr_as_fun(programs[name]))(vector, matrix, number)
@@ -133,7 +133,7 @@ def exchanges(step, size=1):
 
     with jax.enable_x64(False):
         program = jax.make_jaxpr(function)(np.ones((4, size), "f4"), np.ones(4, "f4"))
-    text = written(body_of(program), (False, False))
+    text = written(body_of(program), (False, False)).text
     return text.split("#pragma unroll 1")[1].count("__shfl_")
 
 
@@ -176,7 +176,7 @@ def test_a_long_branch_is_taken_by_the_threads_of_a_warp_together():
         return jax.lax.cond(number > 0, long, jnp.cos, number), jax.lax.cond(number > 0, jnp.tanh, jnp.exp, number)
 
     with jax.enable_x64(False):
-        text = written(body_of(jax.make_jaxpr(function)(np.float32(1))), (True,))
+        text = written(body_of(jax.make_jaxpr(function)(np.float32(1))), (True,)).text
     before, inside = text[text.index("extern") :].split("if (__any_sync(")
     inside, after = inside.split("\n}\n")[0], inside.split("\n}\n")[1:]
     assert "sine(" in inside
@@ -215,15 +215,15 @@ def test_directions_share_what_is_of_their_robot(carried_out):
     with jax.enable_x64(False):
         program = jax.make_jaxpr(function)(limbs[0], table[0], scale)
         both, _ = tangents_of(program, [True, False, False])
-        text, batch = written(body_of(both), (1, 1, 0, 2)), (robots, directions)
+        kernel, batch = written(body_of(both), (1, 1, 0, 2)), (robots, directions)
         columns = [
             each.reshape(math.prod(each.shape[:count]), -1).T for each, count in ((limbs, 1), (table, 1), (along, 2))
         ]
         given = [np.array(batch, np.int32), scale], columns[:2], columns[2:]
-        values, tangents = carried_out({"kernel": (text, 4 * 6, given, batch, both.out_avals)})["kernel"]
+        values, tangents = carried_out({"kernel": (kernel, given, batch, both.out_avals)})["kernel"]
         one = lambda limbs, table, rate: jax.jvp(lambda v: function(v, table, scale), (limbs,), (rate,))  # noqa: E731
         expected = jax.vmap(jax.vmap(one, (None, None, 0)))(limbs, table, along)
-    assert text.count("const int *__restrict__") == 3
+    assert kernel.text.count("const int *__restrict__") == 3
     for mine, xlas in zip((values, tangents), expected, strict=True):
         np.testing.assert_allclose(mine, xlas, rtol=1e-4, atol=1e-5)
 
@@ -254,8 +254,8 @@ def of_one(carried_out, function, given, moving=0):
         program, moved = tangents_of(program, [place < moving for place in range(len(leaves))])
         leaves += leaves[:moving]
     body = body_of(program)
-    kernel = written(body, (False,) * len(leaves)), CudaWriter(4).width
-    found = carried_out({"kernel": (*kernel, [[ONE_WALK, *leaves]], (), program.out_avals)})["kernel"]
+    kernel = written(body, (False,) * len(leaves))
+    found = carried_out({"kernel": (kernel, [[ONE_WALK, *leaves]], (), program.out_avals)})["kernel"]
     return (found, moved) if moving else found
 
 

@@ -18,7 +18,7 @@ import mjx_climb as mc
 from mjx_climb.execution import devices
 from mjx_climb.execution.cache import cache_in
 from tuning.benchmarks import commands, operations
-from tuning.benchmarks.walks import TIME_STEP, gains, gradient, scenario, walk
+from tuning.benchmarks.walks import TIME_STEP, adjoint, gains, gradient, scenario, walk
 
 Timed = tuple[int, Callable[[], object]]  # env-steps, and what does them
 
@@ -30,6 +30,7 @@ class Plan(NamedTuple):
     steps: int  # of the closed loop in a round
     peer_steps: int  # of MuJoCo's peers, on the CPU
     tangents: tuple[int, ...]  # of the gradients
+    adjoint: bool  # whether reverse mode runs
     batches: tuple[int, ...]  # for growth with the batch; none: left out
     lengths: tuple[int, ...]  # steps, for growth with time; none: left out
 
@@ -38,12 +39,12 @@ class Plan(NamedTuple):
         """Return the plan whose figures are to be quoted: on a GPU the closed loop walks for 8 s."""
         steps = 200 if jax.default_backend() == "cpu" else 8000
         batches, lengths = (batch * k // 4 for k in (1, 2, 4, 8, 16)), (steps * k // 4 for k in (1, 2, 4, 8))
-        return Plan(5, steps, 200, (2, 12), tuple(batches), tuple(lengths))
+        return Plan(5, steps, 200, (2, 12), True, tuple(batches), tuple(lengths))
 
     @staticmethod
     def quick(batch: int) -> "Plan":
         """Return a plan for a first look, which spares what takes long to compile: those figures are None."""
-        return Plan(3, 100 if jax.default_backend() == "cpu" else 4000, 100, (2,), (), ())
+        return Plan(3, 100 if jax.default_backend() == "cpu" else 4000, 100, (2,), False, (), ())
 
 
 def in_turns(rounds: int, work: Mapping[str, Timed]) -> dict[str, float]:
@@ -56,6 +57,14 @@ def in_turns(rounds: int, work: Mapping[str, Timed]) -> dict[str, float]:
             if turn:
                 seconds[name].append((time.perf_counter() - begin) / env_steps)
     return {name: float(np.median(values)) for name, values in seconds.items()}
+
+
+def reverse_from(costs: Mapping[str, float | None]) -> float | None:
+    """Return the number of gains from which reverse mode costs less: forward costs are a line through two of them."""
+    two, twelve, adjoint = (costs[name] for name in ("gradient_cost_2", "gradient_cost_12", "adjoint_cost"))
+    if two is None or twelve is None or adjoint is None or twelve <= two:
+        return None
+    return max(1.0, 2 + (adjoint - two) * 10 / (twelve - two))
 
 
 def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float | None:
@@ -85,6 +94,8 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
             single_rates = in_turns(plan.rounds, {**single, **numpy_loop})
         say("growth")
         growth, counted = _growth(engine, batch, plan), _operations(engine, batch, plan.steps)
+    runs = {"gradient_cost_2": "gradient_2", "gradient_cost_12": "gradient_12", "adjoint_cost": "adjoint"}
+    costs = {name: rates[run] / rates["value"] if run in rates else None for name, run in runs.items()}
     own, against = rates["closed_loop"], ("mujoco_c", "mjx", "mujoco_batch", "mujoco_warp")
     return {
         "engine": engine, "batch": batch, "steps": plan.steps, "rounds": plan.rounds,
@@ -97,8 +108,8 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
         "closed_loop_steps_per_s": 1 / own,
         **{f"vs_{name}": rates[name] / own if name in rates else None for name in against},
         "vs_numpy_loop_single": single_rates["numpy_loop"] / single_rates["single"],
-        **{f"gradient_cost_{n}": rates[f"gradient_{n}"] / rates["value"] if n in plan.tangents else None
-           for n in (2, 12)},
+        **costs,
+        "adjoint_from": reverse_from(costs),
         "single_steps_per_s": 1 / single_rates["single"],
         "peers_steps_per_s": {
             name: 1 / rate for name, rate in {**rates, **single_rates}.items() if name in (*against, "numpy_loop")
@@ -123,6 +134,8 @@ def _work(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> t
     for tangents in plan.tangents:
         length = steps // 2 if tangents == 2 else steps // 4  # its cost per step does not depend on their number
         ours[f"gradient_{tangents}"] = (batch * length, gradient(tangents, batch, length, engine))
+    if plan.adjoint:
+        ours["adjoint"] = (batch * few, adjoint(batch, few, engine))
     whole = round(8.0 / TIME_STEP)  # one robot is walked for its whole walk
     case, cores, length = scenario(steps), devices.usable_cores(), plan.peer_steps
     bare = peers.Rollout(case, batch, length, cores)

@@ -27,6 +27,12 @@ def walk(batch: int, steps: int, engine: str) -> Callable[[], object]:
     return lambda: mc.rollout_metrics(case, values, dtype=np.float32, engine=engine)
 
 
+def adjoint(batch: int, steps: int, engine: str) -> Callable[[], object]:
+    """Return a function that takes the gradient of a metric by all gains in reverse mode."""
+    simulation, values = mc.Simulation(scenario(steps), engine=engine), mc.Gains(**gains(batch))
+    return lambda: simulation.vjp(values, {"force_variation": np.ones((1, batch))})
+
+
 def gradient(tangents: int, batch: int, steps: int, engine: str) -> Callable[[], object]:
     """Return the same with `tangents` of every metric, by log damping and log stiffness: 2 (of all axes), or 12."""
     simulation, values = mc.Simulation(scenario(steps), engine=engine), gains(batch)

@@ -31,6 +31,8 @@ ROWS = (  # name, what it is, unit, what it should be on two cores
     ("vs_numpy_loop_single", "against a loop over mj_step with NumPy control", "times", "10 or more"),
     ("gradient_cost_2", "value and gradient by 2 gains, in values", "times", "4 or less"),
     ("gradient_cost_12", "value and gradient by 12 gains, in values", "times", "14 or less"),
+    ("adjoint_cost", "gradient by any number of gains, in values", "times", "8 or less"),
+    ("adjoint_from", "gains from which this costs less", "", ""),
     ("compile_value_s", "compiling the walk, no cache", "s", "15 or less"),
     ("compile_gradient_s", "compiling its gradient by 2 gains, no cache", "s", "45 or less"),
     ("warm_start_s", "process start to first step, warm cache", "s", "3 or less"),

@@ -141,9 +141,14 @@ def judged(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, paramete
 
 def scored(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, parameters: mc.Parameters) -> dict[str, Array]:
     """Return the score of one walk under joint targets, and its derivatives by them, in reverse mode."""
-    followed = functools.partial(_followed, asked, numbers, law, parameters)
-    along, pull_back, found = jax.vjp(followed, targets, has_aux=True)
-    return found | {"_slopes": pull_back(jnp.ones_like(along))[0]}
+
+    def followed(targets: Array) -> dict[str, Array]:
+        along, found = _followed(asked, numbers, law, parameters, targets)
+        return {"_along": along} | found
+
+    found, slopes = execution.gradients_over_robots(followed)({"_along": jnp.ones((), targets.dtype)}, targets)
+    del found["_along"]
+    return found | {"_slopes": slopes}
 
 
 def steered(
@@ -193,7 +198,7 @@ def _followed(
     law: mc.Law,
     parameters: mc.Parameters,
     targets: Array,
-    scan: Scan | None = None,
+    scan: Scan = lax.scan,
 ) -> tuple[Array, dict[str, Array]]:
     """Return the derivatives that follow of one walk, and its metrics and score."""
     metrics = metrics_under(asked.structure, law, parameters, targets, scan)

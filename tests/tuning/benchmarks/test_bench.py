@@ -141,6 +141,13 @@ def test_exponent_is_the_slope_of_the_logarithms():
     assert measure.exponent((), []) is None
 
 
+def test_reverse_mode_pays_from_where_forward_mode_costs_as_much():
+    costs = {"gradient_cost_2": 3.0, "gradient_cost_12": 8.0, "adjoint_cost": 6.0}
+    assert measure.reverse_from(costs) == pytest.approx(8.0)
+    assert measure.reverse_from(costs | {"adjoint_cost": 1.0}) == 1.0
+    assert measure.reverse_from(costs | {"gradient_cost_12": None}) is None
+
+
 def test_work_takes_turns_and_the_first_turn_does_not_count():
     order = []
     work = {"a": (1, lambda: order.append("a")), "b": (2, lambda: order.append("b"))}
@@ -171,7 +178,7 @@ def test_ratios_are_how_many_times_faster_this_program_is(monkeypatch):
     monkeypatch.setattr(measure, "_work", lambda *_: ({}, {}, {}, {}))
     for name in ("_growth", "_operations"):
         monkeypatch.setattr(measure, name, lambda *_: {})
-    result = measure.measure("limb", 1, measure.Plan(1, 2, 1, (2,), (), ()), lambda _: None)
+    result = measure.measure("limb", 1, measure.Plan(1, 2, 1, (2,), False, (), ()), lambda _: None)
     names = ("vs_mujoco_c", "vs_mjx", "vs_mujoco_batch", "vs_numpy_loop_single", "gradient_cost_2")
     assert [result[name] for name in names] == [2.0, 3.0, 4.0, 3.0, 5.0]
     assert [result[name] for name in ("compile_value_s", "warm_start_s", "gradient_cost_12")] == [5.0, 7.0, None]
@@ -185,7 +192,14 @@ def test_quick_bench_prints_every_figure_and_sane_ratios():
     command = [sys.executable, "-m", "tuning.command_line", "doctor", "--bench", "--quick", "--json", "--batch", "256"]
     output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     result = json.loads(output)
-    left_out = {"gradient_cost_12", "batch_exponent", "step_exponent", "vs_mujoco_warp"}  # the last is for GPUs
+    left_out = {
+        "gradient_cost_12",
+        "adjoint_cost",
+        "adjoint_from",
+        "batch_exponent",
+        "step_exponent",
+        "vs_mujoco_warp",
+    }  # the last is for GPUs
     assert {name for name, *_ in machine.ROWS} <= result.keys()
     assert left_out == {name for name, value in result.items() if value is None}
     assert result["vs_mjx"] > 1.5

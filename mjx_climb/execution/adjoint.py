@@ -1,0 +1,210 @@
+"""The adjoint of a program of one robot: derivatives of weighted results by all moving arguments, in reverse.
+
+A loop of many steps does not keep what its steps compute. It keeps what it carried at the begin of each stretch of
+steps, about as many stretches as a stretch has steps. On the way back each stretch is walked once more, and what was
+carried at the begin of each step is kept. Then each step is computed once more, last step first, with its own reverse
+derivative. So n steps take the memory of two roots of n, and each step is computed three times.
+
+References:
+    A. Griewank and A. Walther, Evaluating Derivatives, second edition, 2008, chapter 12: checkpoints.
+"""
+
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.extend import core
+
+from mjx_climb.execution.flat import carried_on, depend, evaluated, flat, with_stable_choices
+from mjx_climb.execution.jax_internals import carried_out, inner_program, scan_sizes
+from mjx_climb.execution.jax_types import Parameters, aval_of
+
+MOST_KEPT = 256  # steps of a loop that keeps what it carries at each
+FEW_EQUATIONS = 1000  # in all steps of a loop that keeps all that it computes
+
+
+@functools.lru_cache(maxsize=32)
+def with_gradients(
+    program: core.ClosedJaxpr, moving: tuple[bool, ...], weighed: tuple[bool, ...], *, values: bool
+) -> core.ClosedJaxpr:
+    """Return a program of the arguments and of weights of some results, to the gradients of the weighted sum.
+
+    Arguments:
+        program: of one robot.
+        moving: which arguments, real numbers, the gradients are of.
+        weighed: which results, real numbers, have weights.
+        values: whether it returns the results too, first.
+    """
+    stable = with_stable_choices(program)
+    count = len(moving)
+
+    def of_robot(*given: Array) -> list[Array]:
+        arguments, weights = given[:count], given[count:]
+
+        def results(*some: Array) -> tuple[list[Array], list[Array]]:
+            rest = iter(some)
+            every = [next(rest) if moves else value for moves, value in zip(moving, arguments, strict=True)]
+            found = _results(stable, every, moving)
+            return list(itertools.compress(found, weighed)), found
+
+        _, pull_back, found = jax.vjp(results, *itertools.compress(arguments, moving), has_aux=True)
+        return [*(found if values else ()), *pull_back(list(weights))]
+
+    weights = itertools.compress(program.out_avals, weighed)
+    given = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in (*program.in_avals, *weights)]
+    return flat(jax.make_jaxpr(of_robot)(*given))
+
+
+def _results(program: core.ClosedJaxpr, arguments: Sequence[Array], moving: Sequence[bool]) -> list[Array]:
+    """Return the results of a program, whose long loops have the derivatives of `_loop`."""
+    moves = dict(zip(program.jaxpr.invars, moving, strict=True))
+
+    def results_of(equation: core.JaxprEqn, values: list[Array]) -> list[Array]:
+        given = [not isinstance(atom, core.Literal) and moves.get(atom, False) for atom in equation.invars]
+        moves.update(zip(equation.outvars, depend(equation, given), strict=True))
+        inner, name = inner_program(equation), equation.primitive.name
+        if inner is not None and not name.startswith("custom"):
+            return _results(inner, values, given)
+        if name == "scan" and any(given) and _is_long(equation.params):
+            typed = zip(values, equation.invars, strict=True)
+            arrays = [jnp.asarray(value, aval_of(atom).dtype) for value, atom in typed]
+            return _loop(_Loop(equation.params, tuple(given)), arrays)
+        return carried_out(equation.primitive, equation.params, values)
+
+    return evaluated(program, arguments, results_of)
+
+
+def _is_long(parameters: Parameters) -> bool:
+    size = len(parameters["jaxpr"].jaxpr.eqns)
+    return bool(parameters["length"] > 1 and parameters["length"] * size > FEW_EQUATIONS)
+
+
+class _Loop(NamedTuple):
+    """A loop, and which of its operands move."""
+
+    parameters: Parameters
+    given: tuple[bool, ...]
+
+    @property
+    def body(self) -> core.ClosedJaxpr:
+        body: core.ClosedJaxpr = self.parameters["jaxpr"]
+        return body
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many constants it has, and how many values it carries."""
+        return scan_sizes(self.parameters)
+
+    def moves(self) -> tuple[list[bool], list[bool]]:
+        """Return which operands have gradients, and which results of a step have weights: real numbers that move."""
+        constants, carry = self.sizes
+        found = carried_on(self.parameters, self.given)
+        into = [*self.given[:constants], *found[:carry], *self.given[constants + carry :]]
+        avals = [aval_of(variable) for variable in (*self.body.jaxpr.invars, *self.body.jaxpr.outvars)]
+        real = [bool(jnp.issubdtype(aval.dtype, jnp.floating)) for aval in avals]
+        both = [moves and is_real for moves, is_real in zip((*into, *found), real, strict=True)]
+        return both[: len(into)], both[len(into) :]
+
+    def steps(self, values: Sequence[Array], length: int | None = None, *, keep: bool = False) -> list[Array]:
+        """Return the last carry, the numbers written at each step, and with `keep` the carry into each step."""
+        constants, carry = self.sizes
+        common, begun, read = values[:constants], values[constants : constants + carry], values[constants + carry :]
+
+        def step(carried: list[Array], now: list[Array]) -> tuple[list[Array], list[Array]]:
+            made = core.jaxpr_as_fun(self.body)(*common, *carried, *now)
+            return made[:carry], [*made[carry:], *(carried if keep else ())]
+
+        steps, reverse = length or self.parameters["length"], self.parameters["reverse"]
+        after, written = lax.scan(step, list(begun), list(read), length=steps, reverse=reverse)
+        return [*after, *written]
+
+
+def _loop(loop: _Loop, values: Sequence[Array]) -> list[Array]:
+    """Return the results of a loop of many steps, which has an adjoint of bounded memory."""
+    length = loop.parameters["length"]
+    if length <= MOST_KEPT:
+        return _kept(loop, values)
+    # backwards, the stretches come first that a loop in reverse begins with
+    stretch = math.isqrt(length)
+    constants, carry = loop.sizes
+    count, reverse = length // stretch, loop.parameters["reverse"]
+    whole, rest = count * stretch, length - count * stretch
+    common, begun, read = values[:constants], values[constants : constants + carry], values[constants + carry :]
+    early, late = (slice(rest, None), slice(rest)) if reverse else (slice(whole), slice(whole, None))
+    parts = [array[early].reshape(count, stretch, *array.shape[1:]) for array in read]
+
+    def walk_stretch(common: list[Array], carried: list[Array], now: list[Array]) -> list[Array]:
+        return loop.steps([*common, *carried, *now], stretch)
+
+    avals = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), (list(common), list(begun), parts))
+    avals = *avals[:2], [jax.ShapeDtypeStruct(aval.shape[1:], aval.dtype) for aval in avals[2]]
+    body = jax.make_jaxpr(walk_stretch)(*avals)
+    outer = _Loop({**loop.parameters, "jaxpr": body, "length": count}, loop.given)
+    made = _kept(outer, [*common, *begun, *parts])
+    written = [array.reshape(whole, *array.shape[2:]) for array in made[carry:]]
+    if not rest:
+        return [*made[:carry], *written]
+    last = _kept(
+        loop._replace(parameters={**loop.parameters, "length": rest}),
+        [*common, *made[:carry], *(array[late] for array in read)],
+    )
+    order = (last[carry:], written) if reverse else (written, last[carry:])
+    return [*last[:carry], *(jnp.concatenate(pair) for pair in zip(*order, strict=True))]
+
+
+def _kept(loop: _Loop, values: Sequence[Array]) -> list[Array]:
+    """Return the results of a loop whose adjoint keeps what was carried into each step."""
+    (constants, carry), (into, out) = loop.sizes, loop.moves()
+    count = len(out)
+    body = with_stable_choices(loop.body)
+
+    @jax.custom_vjp
+    def walked(*given: Array) -> list[Array]:
+        return loop.steps(given)
+
+    def forward(*given: Array) -> tuple[list[Array], tuple[list[Array], list[Array], list[Array]]]:
+        found = loop.steps(given, keep=True)
+        return found[:count], (list(given[:constants]), found[count:], list(given[constants + carry :]))
+
+    def backward(kept: tuple[list[Array], list[Array], list[Array]], weights: list[Array]) -> tuple[Array | None, ...]:
+        common, carried, read = kept
+        of_carry, of_written = (
+            [w for w, moves in zip(weights[part], out[part], strict=True) if moves]
+            for part in (slice(carry), slice(carry, None))
+        )
+        nothing = [jnp.zeros_like(value) for value in itertools.compress(common, into)]
+
+        def back(
+            sums: tuple[list[Array], list[Array]], now: tuple[list[Array], ...]
+        ) -> tuple[tuple[list[Array], list[Array]], list[Array]]:
+            (so_far, weights), (carried, read, of_written) = sums, now
+            at_step = [*common, *carried, *read]
+
+            def step(*some: Array) -> list[Array]:
+                rest = iter(some)
+                mixed = [next(rest) if moves else value for moves, value in zip(into, at_step, strict=True)]
+                return list(itertools.compress(_results(body, mixed, into), out))
+
+            _, pull_back = jax.vjp(step, *itertools.compress(at_step, into))
+            found = pull_back([*weights, *of_written])
+            ends = list(itertools.accumulate((sum(into[:constants]), sum(into[constants : constants + carry]))))
+            more, before, of_read = found[: ends[0]], found[ends[0] : ends[1]], found[ends[1] :]
+            return ([a + b for a, b in zip(so_far, more, strict=True)], list(before)), list(of_read)
+
+        (of_common, of_begun), of_read = lax.scan(
+            back,
+            (nothing, of_carry),
+            (carried, read, of_written),
+            length=loop.parameters["length"],
+            reverse=not loop.parameters["reverse"],
+        )
+        found = iter([*of_common, *of_begun, *of_read])
+        return tuple(next(found) if moves else None for moves in into)
+
+    walked.defvjp(forward, backward)
+    return list(walked(*values))

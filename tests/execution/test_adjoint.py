@@ -1,0 +1,129 @@
+"""Gradients of a function of one robot: by its adjoint in regions and in kernels, against JAX's own reverse mode."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import Array, lax
+from jaxtyping import Float
+
+from mjx_climb.execution import of_limbs, over_robots
+from mjx_climb.execution.gpu_kernel import gradients_over_robots
+from tests.execution.programs import SIZE, program
+
+ROBOTS = 3
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Limbs:
+    """Angles of four limbs."""
+
+    OF_LIMBS = ("angle",)
+    angle: Float[Array, "limb n"]
+
+
+def motion(steps, *, reverse=False):
+    """Return a motion of limbs that pull at each other: it reads, writes, counts, and keeps its largest rate."""
+
+    def walk(gain, start, targets):
+        limbs = of_limbs(Limbs(start)).angle
+
+        def step(carry, target):
+            angle, rate, largest, count = carry
+            pull = angle
+            for _ in range(4):
+                pull = jnp.sin(pull) * gain + 0.1 * pull.sum() * jnp.cos(pull[::-1])
+            rate = 0.9 * rate - 0.05 * pull + 0.1 * target
+            angle = angle + 0.1 * jnp.where(count % 3 == 0, rate, 0.5 * rate)
+            size = (rate**2).sum()
+            return (angle, rate, jnp.where(size > largest, size, largest), count + 1), (angle * rate).sum()
+
+        begun = limbs, jnp.zeros_like(limbs), jnp.zeros(()), 0
+        (angle, _, largest, count), work = lax.scan(step, begun, targets, reverse=reverse, length=steps)
+        return {"count": count, "end": angle.sum() * gain, "largest": largest, "work": work.sum()}
+
+    rng = np.random.default_rng(steps)
+    return walk, (rng.uniform(1, 2, ROBOTS), rng.normal(size=(ROBOTS, 4, 1)), rng.normal(size=(steps, 1)))
+
+
+def weighed(walk):
+    """Return a number that depends on all real results of a walk, not linearly."""
+    return lambda *given: (lambda found: found["end"] * found["largest"] + 0.1 * found["work"])(walk(*given))
+
+
+# one level of checkpoints, two, two and a rest, and backwards
+LENGTHS = [(30, False), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((300, False), (307, True)))]
+
+
+@pytest.mark.parametrize(("steps", "reverse"), LENGTHS)
+def test_gradients_in_regions_are_jaxs(steps, reverse):
+    """Of robots that differ in two arguments of three, by all three."""
+    walk, given = motion(steps, reverse=reverse)
+    each = [weighed(over_robots(walk, regions=True)), weighed(walk)]
+
+    def total(one):
+        return lambda *given: jax.vmap(one, (0, 0, None))(*given).sum()
+
+    found, expected = (jax.jit(jax.grad(total(one), (0, 1, 2)))(*given) for one in each)
+    for mine, jaxs in zip(found, expected, strict=True):
+        np.testing.assert_allclose(mine, jaxs, rtol=1e-9, atol=1e-12)
+
+
+def test_second_derivatives_and_several_weights():
+    """Rows of a Jacobian, of one robot and of several, and the second derivative of one."""
+    walk, given = motion(30)
+    one = tuple(value[0] if len(value) == ROBOTS else value for value in given)
+    for mine, theirs in zip(
+        *(
+            (
+                jax.jit(jax.vmap(jax.jacrev(lambda *of, walk=walk: walk(*of)["end"]), (0, 0, None)))(*given),
+                jax.jit(jax.jacrev(lambda *of, walk=walk: jax.vmap(walk, (0, None, None))(*of)["work"], 1))(
+                    given[0], one[1], given[2]
+                ),
+                jax.jit(jax.hessian(lambda gain, walk=walk: walk(gain, *one[1:])["end"]))(one[0]),
+            )
+            for walk in (over_robots(walk, regions=True), walk)
+        ),
+        strict=True,
+    ):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-8, atol=1e-11)
+
+
+@pytest.mark.parametrize("steps", [30, pytest.param(300, marks=pytest.mark.slow)])
+def test_gradients_in_the_kernel_are_jaxs(steps, interpreted):
+    """Of two weighted sums, with the results, a thread for each limb."""
+    walk, given = motion(steps)
+    rng = np.random.default_rng(1)
+    weights = {name: rng.normal(size=(ROBOTS, 2)) for name in ("work", "end")}
+    moved = lambda moving, targets: walk(*moving, targets)  # noqa: E731
+    batched = [True, True, False]
+    values, found = jax.jit(gradients_over_robots(moved, batched))(weights, tuple(given[:2]), given[2])
+
+    def one(gain, start, weights):
+        _, pull_back = jax.vjp(lambda *of: {n: walk(*of, given[2])[n] for n in weights}, gain, start)
+        return walk(gain, start, given[2]), jax.vmap(pull_back)(weights)
+
+    expected = jax.jit(jax.vmap(one))(*given[:2], weights)
+    for mine, jaxs in zip(jax.tree.leaves((values, found)), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(mine, jaxs, rtol=1e-9, atol=1e-11)
+
+
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+SEEDS += [pytest.param(seed, marks=pytest.mark.nightly) for seed in range(3, 100)]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_gradients_of_random_programs_are_xlas(seed, interpreted):
+    """Of what laws are written with, in float64 to 1e-11 of numbers near one."""
+    names, function = program(seed)
+    rng = np.random.default_rng(seed)
+    vectors, matrix = rng.normal(size=(ROBOTS, SIZE)), rng.normal(size=(SIZE, SIZE))
+    places = np.arange(ROBOTS, dtype=np.int32)
+    summed = lambda vector, place: {"sum": (function(vector, matrix, place) * np.arange(1, SIZE + 1)).sum()}  # noqa: E731
+    by_kernel = gradients_over_robots(summed, [True, True])
+    _, found = jax.jit(by_kernel)({"sum": np.ones((ROBOTS, 1))}, vectors, places)
+    expected = jax.jit(jax.vmap(jax.grad(lambda *of: summed(*of)["sum"])))(vectors, places)
+    np.testing.assert_allclose(found[:, 0], expected, rtol=1e-11, atol=1e-11, err_msg=str(names))
