@@ -129,10 +129,8 @@ def _loop(loop: _Loop, values: Sequence[Array]) -> list[Array]:
     length = loop.parameters["length"]
     if length <= MOST_KEPT:
         return _kept(loop, values)
-    # backwards, the stretches come first that a loop in reverse begins with
-    stretch = math.isqrt(length)
-    constants, carry = loop.sizes
-    count, reverse = length // stretch, loop.parameters["reverse"]
+    count, stretch = _stretches(length)
+    (constants, carry), reverse = loop.sizes, loop.parameters["reverse"]
     whole, rest = count * stretch, length - count * stretch
     common, begun, read = values[:constants], values[constants : constants + carry], values[constants + carry :]
     early, late = (slice(rest, None), slice(rest)) if reverse else (slice(whole), slice(whole, None))
@@ -155,6 +153,16 @@ def _loop(loop: _Loop, values: Sequence[Array]) -> list[Array]:
     )
     order = (last[carry:], written) if reverse else (written, last[carry:])
     return [*last[:carry], *(jnp.concatenate(pair) for pair in zip(*order, strict=True))]
+
+
+def _stretches(length: int) -> tuple[int, int]:
+    """Return the number of stretches of a loop and the steps of one: all steps where two factors are alike.
+
+    A rest is a loop of its own, which takes as long to compile.
+    """
+    root = math.isqrt(length)
+    count = next(each for each in range(root, 0, -1) if length % each == 0)
+    return (count, length // count) if count + length // count <= 3 * root else (length // root, root)
 
 
 def _kept(loop: _Loop, values: Sequence[Array]) -> list[Array]:
