@@ -193,7 +193,7 @@ def test_a_loop_in_a_loop_reads_rows_of_an_argument_from_memory():
         return jax.lax.scan(lambda carry, rows: (jax.lax.scan(inner, carry, rows)[0], None), number, table)[0]
 
     with jax.enable_x64(False):
-        text = written(body_of(jax.make_jaxpr(function)(np.ones((5, 7, 2), "f4"), np.float32(1))), (True, False))
+        text = written(body_of(jax.make_jaxpr(function)(np.ones((5, 7, 2), "f4"), np.float32(1))), (True, False)).text
     outer, inner = re.findall(r"for \(int (t\d+) = 0; \1 < [57];", text)
     assert f"own[(14 * {outer} + 1 + 2 * {inner}) * (size_t)robots + robot]" in text
     assert not re.search(r"const \S+ v\d+\[", text)

@@ -55,7 +55,7 @@ def squared(_, vector, number):
 def test_robots_share_directions(interpreted):
     """In a kernel as by XLA's own."""
     vectors, rates, _, numbers = own()
-    call = batches._Call(squared, None, (True, True, False), tangents=True)
+    call = batches._Call(squared, None, (True, True, False), derivatives=batches._TANGENT)
     kernel, plain = (
         batches._carried_out(call._replace(path=path), vectors, numbers, rates[0]) for path in ("kernel", "plain")
     )
@@ -66,7 +66,7 @@ def test_robots_share_directions(interpreted):
 def test_a_batch_of_another_size_has_the_same_kernel(without_nvrtc):
     """It is written once."""
     known = [made.cache_info().misses for made in (gpu_kernel._moved, gpu_kernel.written)]
-    call = batches._Call(squared, None, (True, True, False), "kernel", tangents=True)
+    call = batches._Call(squared, None, (True, True, False), "kernel", derivatives=batches._TANGENT)
     with jax.enable_x64(False):
         for robots in (3, 5):
             given = np.ones((robots, 3), "f4"), np.ones(robots, "i4"), np.ones((2, 3), "f4")
