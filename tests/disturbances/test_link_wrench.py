@@ -56,8 +56,10 @@ def test_a_wrench_is_that_of_mujoco(limb, link, frame):
 
 @pytest.mark.slow
 def test_a_window_takes_the_steps_nearest_to_it(case):
+    """A step counts where its middle is in the window."""
     scenario = case("case_1_2", "pd", {"duration": 0.3, "disturbance.cargo.mass": 0.0})
-    touched = mc.Simulation(scenario, disturbances=[LinkWrench(limb=1.0, link=2.0, **TOUCH)]).rollout()
+    window = TOUCH | {"start": 0.1004, "stop": 0.2004}
+    touched = mc.Simulation(scenario, disturbances=[LinkWrench(limb=1.0, link=2.0, **window)]).rollout()
     acts = np.flatnonzero(np.abs(touched.push).sum(1))
     assert (acts[0], acts[-1], len(acts)) == (100, 199, 100)
     np.testing.assert_allclose(touched.push[acts, :3], FORCE[None] * np.ones((100, 1)), atol=1e-12)

@@ -71,6 +71,26 @@ def test_a_mass_on_one_joint_is_moved_as_riccati_says():
     assert least <= found * (1 + 1e-9) and found == pytest.approx(least, rel=0.01)
 
 
+def test_a_descent_ends_at_its_best_point_and_follows_the_true_extremes_at_the_end():
+    """Steps of 1 overshoot: the best point is none of the last ones. Of ten evaluations six are smooth, three true."""
+    asked, first = [], np.array([[1.0, 2.0], [0.3, -1.0]])
+
+    def evaluate(x, sharp):
+        asked.append((x.copy(), sharp))
+        return Evaluated((x**2).sum(1), 2 * x)
+
+    found = descend(evaluate, first, 10, step=1.0)
+    places, sharp = zip(*asked, strict=True)
+    assert sharp == (0.0,) * 6 + (1.0,) * 3 + (0.0,)
+    merits = np.array([(x**2).sum(1) for x in places[:-1]])
+    np.testing.assert_allclose(found.merit, merits.min(0))
+    np.testing.assert_array_equal(found.x, [places[at][row] for row, at in enumerate(merits.argmin(0))])
+    np.testing.assert_array_equal(places[-1], found.x)
+    assert not np.array_equal(places[-1], places[-2])
+    np.testing.assert_allclose(found.slope, np.linalg.norm(found.x, axis=1) / np.linalg.norm(first, axis=1))
+    np.testing.assert_array_equal(found.first, merits[0])
+
+
 def exact(members, shared_until):
     """Return the least mean cost of targets that members share up to a step each: by least squares."""
     count, rows, right = len(members), [], []
