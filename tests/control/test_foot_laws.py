@@ -117,7 +117,7 @@ def test_steps_are_those_worked_out_in_numpy(name):
         times = random.uniform(0.0, 0.1, (2, 4))
         known, support = number % 5 != 4, np.arange(4) != (number // 6 if number % 6 < 4 else 4)
         # what is measured where no force is known is none; internal forces get none then
-        force = (known or name != "InternalForce") * np.asarray(measured.foot_force) * 2
+        force = (known or name != "InternalForce") * np.asarray(measured.foot_force) * 6
         torque = random.uniform(-1.1, 1.1, (4, 3))
         measured = measured._replace(
             foot_force=jnp.asarray(force), support=jnp.asarray(support), forces_known=jnp.asarray(known),

@@ -373,6 +373,9 @@ def test_a_pipe_and_a_wall():
     assert pipe.position.shape == (60, 3) and pipe.position[:, 2].max() == 0
     center = np.array([0, 0, -0.3])
     np.testing.assert_allclose((pipe.position - center)[:, 1:], 0.3 * pipe.normal[:, 1:], atol=1e-12)
+    rows = found(wall={"corner": [1, 2], "size": [0.2, 0.1], "filled": 1.0, "height": 0.0, "pitch": 0.1}).position
+    # the second row is shifted by half a pitch, and ends where the wall does
+    np.testing.assert_allclose(rows[:, :2] - [1, 2], [[0, 0], [0.1, 0], [0.2, 0], [0.05, 0.1], [0.15, 0.1]], atol=1e-9)
     wall = found(wall={"corner": [0, 0], "size": [3.0, 3.0], "filled": 0.4, "height": 0.05, "tilt": 0.2})
     assert 0.35 < len(wall.position) / (31 * 31) < 0.45 and 0.04 < wall.position[:, 2].max() <= 0.05
     np.testing.assert_allclose(np.arctan(wall.normal[:, :2] / wall.normal[:, 2:]).std(0), 0.2, rtol=0.15)

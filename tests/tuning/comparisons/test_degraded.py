@@ -114,6 +114,25 @@ def test_tables_say_what_worse_hardware_takes_and_what_is_left_of_the_lead():
     assert pages.plot_degraded(walks).axes[0].get_xlabel() == "mean force variation [N]"
 
 
+def test_the_lead_is_that_over_retuned_pd_where_it_is_there():
+    """In every setting, by the same walks; without it pd is the rival."""
+    rng, level = np.random.default_rng(0), {"mine": 8.0, "pd": 10.0, "retuned_pd": 9.0}
+    base = 1 + 0.01 * rng.normal(size=32)
+    values = np.array([[base * each for each in level.values()]] * 2)
+    dims, about = ("setting", "gains", "member"), {"units": "N", "long_name": "", "larger_is_better": 0}
+    data = {name: (dims, values, about) for name in degraded.METRICS}
+    data |= {name: (dims, 0 * values, about) for name in ("diverged", "peak_utilization")}
+    walks = xr.Dataset(data, {"setting": [degraded.AS_DRAWN, "late"], "gains": [*level], "member": range(32)})
+    for names, rival, less in (([*level], "retuned_pd", 8 / 9 - 1), (["mine", "pd"], "pd", -0.2)):
+        found = degraded.summary(walks.sel(gains=names))
+        assert found.baseline == rival
+        for lead in found.lead.values():
+            assert rival not in lead["gains"] or float(lead["difference"].sel(gains=rival).max()) == 0
+            mean = lead.sel(metric="force_variation", statistic="mean")
+            share = mean["difference"].sel(gains="mine") / mean["value"].sel(gains=rival)
+            assert float(share) == pytest.approx(less, rel=1e-6)
+
+
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_the_command_walks_as_drawn_as_evaluate_does(call, tmp_path):
