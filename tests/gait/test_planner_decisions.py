@@ -31,7 +31,7 @@ from mjx_climb.gait.recovery import (
 )
 from mjx_climb.gait.schedule import Plan
 from mjx_climb.ground import Holds
-from mjx_climb.physics.inverse_kinematics import limb_geometry
+from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
 from tests.gait import footholds_reference as by_loops
@@ -281,6 +281,23 @@ def reaches(points, place, rotation=LEVEL):
     return np.asarray(reached(np.repeat(own[:, None], 4, axis=1))).T
 
 
+def test_a_point_is_within_reach_where_one_a_little_farther_from_the_first_joint_is():
+    """By a twentieth, within the joints' limits there; not so far is what a limb reaches at all."""
+    points = np.random.default_rng(0).uniform(-0.35, 0.35, (400, 3)) * [1, 1, 0.5]
+    first = np.asarray(ROBOT.frame_position)[:, 0]
+    each = np.repeat(points[:, None], 4, axis=1)
+
+    @jax.jit
+    def solved(target):
+        found = inverse_kinematics(limb_geometry(ROBOT), target)
+        inside = (found.joint_angles >= ROBOT.joint_lower) & (found.joint_angles <= ROBOT.joint_upper)
+        return found.reachable & inside.all(-1)
+
+    farther = np.asarray(solved(first + 1.05 * (each - first)))
+    np.testing.assert_array_equal(np.asarray(reached(each)), farther)
+    assert (farther != np.asarray(solved(each))).sum() > 10
+
+
 def test_a_limb_swings_to_the_best_hold_that_it_reaches_from_both_ends_and_that_is_free():
     """Grounds of 12 holds, of which some are near feet, and a base that is turned; prospects of the same holds."""
     random, rule, chosen = np.random.default_rng(1), Nearest(), []
@@ -431,7 +448,7 @@ def test_a_limb_swings_to_a_hold_and_the_base_moves_with_it():
     np.testing.assert_array_equal(found.held.bound[LF], holds.limit_bound[best])
     assert np.isinf(found.held.bound[1:]).all()
     path = BASE + np.array([0.02 * (4 / 20) ** 2 * (3 - 8 / 20), 0, 0])
-    np.testing.assert_allclose(reference.base_position, path + [0, 0.01, 0])
+    np.testing.assert_allclose(reference.base_position, path + np.array([0, 0.01, 0]))
     np.testing.assert_allclose(found.base_start, path)
     middle = by_loops.diagonals(only(LF, point, FEET)) - by_loops.diagonals(FEET) + BASE
     np.testing.assert_allclose(found.base_goal, middle, atol=1e-9)

@@ -187,6 +187,23 @@ def test_better_hardware_is_half_or_twice_of_what_was_drawn(scenario):
     assert compare.on_better_hardware(ideal, mc.parameters(ideal)) == {}
 
 
+@pytest.mark.parametrize(("changes", "expected"), [({"starts": 6}, 60), ({"method": "grid", "starts": 6}, None)])
+def test_a_search_has_converged_after_ten_rounds_of_its_points(scenario, monkeypatch, changes, expected):
+    """Without a better one; a grid walks all of its points."""
+
+    class Begun(Exception):
+        pass
+
+    def begun(problem, search, *, patience, **_):
+        raise Begun(patience)
+
+    monkeypatch.setattr(compare.tune, "run", begun)
+    wanted = settings(**changes)
+    with pytest.raises(Begun) as found:
+        compare.run(compare.contestants(scenario, ["base_admittance"], wanted), Problem(scenario), wanted)
+    assert found.value.args == (expected,)
+
+
 COMMAND = (
     f"compare {CASE} --laws base_admittance,{{files}}/law.py:Shared --hardware dynamixel_x --also share "
     "--ensemble {files}/drawn.yaml --members 6 --seeds 2 --starts 4 --iterations 2 --may-be-worse-than-pd"
