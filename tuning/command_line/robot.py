@@ -27,6 +27,7 @@ class Robot(Options):
     limbs: Annotated[tuple[str, ...], BeforeValidator(lambda text: text.split(","))] = setting(
         (), "limbs to stand on; others are held; null: all", metavar="NAME,NAME,..."
     )
+    stand: bool = setting(False, "the base is held on a stand, as a bench's: no feet, and no walk")
 
     def strength(self) -> float:
         """Return the strength of gravity, m/s^2, refused where it has a sign."""
@@ -50,6 +51,9 @@ def robot(asked: Robot) -> None:
 
     Beside CONFIG a picture shows the robot by its own shapes, and where its feet are taken to be.
 
+    With --stand each row of joints is a limb of a held base, as for excite, replay and identify: a servo with a weight
+    on a rod is one.
+
     Exit code 1: it does not walk at any of these; the line says why, and the scenario is there all the same.
 
     \b
@@ -58,6 +62,7 @@ def robot(asked: Robot) -> None:
       mjx-climb robot anymal.urdf --write anymal.yaml
       mjx-climb robot humanoid.xml --limbs left_leg,right_leg
       mjx-climb robot limbero.urdf --gravity 1.62 --slope 30
+      mjx-climb robot pendulum.xml --stand --write bench.yaml
     """
     from mjx_climb.files import dataset
     from mjx_climb.viz import rendering
@@ -65,6 +70,9 @@ def robot(asked: Robot) -> None:
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(write, "", "another file than the robot's own")
+    if asked.stand:
+        _write_stand(asked)
+        return
     with interruption.at_once():
         scenario, walks = _walked(asked)
     if write is None:
@@ -123,3 +131,28 @@ def _walked(asked: Robot) -> tuple[mc.Scenario, bool]:
     if hung:
         tell("taken" if hung[0] else "warning", "ceiling", hung[1])
     return scenario, walks
+
+
+def _write_stand(asked: Robot) -> None:
+    """Write, or print, the scenario of a robot on a stand."""
+    import yaml
+
+    from mjx_climb.files import dataset
+    from mjx_climb.robot_import.load import load_robot
+    from mjx_climb.scenario.model import validated
+    from tuning.proposal.stand import on_stand
+
+    if asked.limbs:
+        raise InputError(f"--limbs: expected none with --stand, got {','.join(asked.limbs)}")
+    gravity = inclined((0.0, 0.0, -asked.strength()), asked.slope, asked.roof)
+    scenario = validated(mc.Scenario, {"robot": on_stand(asked.file, asked.base), "gravity": gravity}, str(asked.file))
+    for limb, joints in load_robot(scenario.robot).joints_in_file:
+        typer.echo(f"taken    {limb}  {', '.join(joints)}")
+    if asked.write is not None:
+        scenario = scenario.relative_to(asked.write.absolute().parent)
+    text = yaml.safe_dump(scenario.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
+    if asked.write is None:
+        typer.echo("\n" + text, nl=False)
+    else:
+        dataset.write_text_atomically(asked.write, text)
+        typer.echo(f"\nwrote {asked.write}: mjx-climb identify {asked.write} --log LOG --fit KEY")

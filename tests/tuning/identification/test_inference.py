@@ -78,18 +78,20 @@ class Line(Problem):
             1, "converged",
         )  # fmt: skip
 
-    def known(self, memory=1.0, residuals=None, ahead=1.0, **how):
-        """Return the posterior where one of so many of the first signal's residuals counts."""
-        tests = [Whiteness(name, 0.5, np.zeros(3), 0.01, 0.0, own) for name, own in (("a", memory), ("b", 1.0))]
+    def known(self, lasting=(), residuals=None, ahead=1.0, **how):
+        """Return the posterior where the first signal's residuals have some correlation."""
+        rows = np.arange(len(self.fitted)).reshape(2, -1)
+        each = zip("ab", (np.array(lasting, float), np.zeros(0)), rows, strict=True)
+        tests = [Whiteness(name, 0.5, np.zeros(3), 0.01, 0.0, lasts, own) for name, lasts, own in each]
         return posterior(self, self.found(residuals, **how), tests, ahead)
 
 
 def test_what_one_signal_lacks_widens_what_that_signal_tells_alone_and_no_more_than_the_prior():
     problem = Line()
-    plain, wrong, hopeless = problem.known(), problem.known(30.0), problem.known(1e12)
+    plain, wrong, hopeless = problem.known(), problem.known(np.full(15, 0.9)), problem.known(np.full(15, 1e12))
     assert plain.widening == pytest.approx(1.0, abs=0.2)
     assert wrong.widening[1] == pytest.approx(plain.widening[1])
-    assert wrong.widening[0] == pytest.approx(np.sqrt(30), rel=0.01)
+    assert wrong.widening[0] == pytest.approx(np.sqrt(1 + 2 * 15 * 0.9), rel=0.01)
     assert 99.0 < np.sqrt(hopeless.covariance[0, 0]) <= 100.0  # the prior's
 
 
@@ -113,8 +115,14 @@ def test_of_correlated_residuals_one_counts_of_so_many_as_the_correlation_lasts(
     windows.begin, count = np.zeros(len(problem.fitted) // 25), len(noise) // 2
     problem.rows.step, problem.rows.share = np.tile(10 * np.arange(count), 2), np.zeros(len(noise))
     first, _ = whiteness(problem, problem.found(residuals))
-    assert first.memory == pytest.approx((1 + per_sample) / (1 - per_sample), rel=0.25)
+    assert 1 + 2 * first.lasting.sum() == pytest.approx((1 + per_sample) / (1 - per_sample), rel=0.25)
     assert first.period == pytest.approx(0.01)
+    # what a parameter moves back and forth faster than the residuals change, they hardly tell
+    quick = problem.along * np.where(np.arange(len(noise)) % 2, 1.0, -1.0)[:, None]
+    turned = problem.found(residuals)._replace(along=quick)
+    slow, fast = (posterior(problem, each, [first]).widening[0] for each in (problem.found(residuals), turned))
+    assert fast == pytest.approx(1.0, abs=0.3) if per_sample else slow == pytest.approx(1.0, abs=0.2)
+    assert slow > 2.5 or not per_sample
 
 
 def test_few_blocks_count_by_students_quantile():

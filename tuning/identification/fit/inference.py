@@ -5,9 +5,9 @@ samples say is divided by the square of a widening, the prior is not: no log mak
 
 - The gradients of blocks, a limb in a window, may scatter more than those of independent noise. Their scatter is that
   of few blocks, so that it counts by Student's quantile.
-- Where a signal's residuals are correlated in time, the model lacks something that moves: of so many samples as the
-  correlation lasts, one counts. How much of it counts grows from nothing at the limits of the test, so that a false
-  alarm costs little.
+- Where a signal's residuals are correlated in time, the model lacks something that moves: a discrepancy with this
+  correlation counts as noise. How much of it counts grows from nothing at the limits of the test, so that a false alarm
+  costs little.
 
 What was held out may be predicted worse than the noise; intervals are wider by as much. A variable that the samples do
 not tell is held at its nominal value: its posterior is its prior, and the others' intervals have that doubt in them.
@@ -69,7 +69,8 @@ class Whiteness(NamedTuple):
     correlation: Float[np.ndarray, " lags"]
     period: float  # s, of a lag
     share: float  # of the residuals' variance, that the model lacks; 0: nothing
-    memory: float  # samples, of which one counts
+    lasting: Float[np.ndarray, " lags"]  # the part of the correlation that counts, from the first lag on
+    rows: np.ndarray  # (samples,), in the order of time
 
     @property
     def in_words(self) -> str:
@@ -113,7 +114,7 @@ def posterior(problem: Problem, found: Fitted, tests: Sequence[Whiteness], ahead
     moved = found.along[:, free] @ fisher  # of the estimates by each row
     expected = np.diag(fisher @ information[np.ix_(free, free)] @ fisher)
     square = max(ahead, 1.0) ** 2 * np.maximum(
-        _scatter(problem, found, moved, expected), _discrepancy(problem, found, moved, tests)
+        _scatter(problem, found, moved, expected), _discrepancy(found, moved, tests)
     )
     of_samples = np.maximum(1 / own**2 - 1 / sd[free] ** 2, 0.0)
     widened = 1 / np.sqrt(1 / sd[free] ** 2 + of_samples / square)
@@ -154,17 +155,21 @@ def _scatter(problem: Problem, found: Fitted, moved: np.ndarray, expected: np.nd
     return np.asarray(np.maximum(spread / np.maximum(expected, 1e-12 * expected.max()), 1.0))
 
 
-def _discrepancy(
-    problem: Problem, found: Fitted, moved: np.ndarray, tests: Sequence[Whiteness]
-) -> Float[np.ndarray, " k"]:
-    """Return by how much correlated residuals raise the estimates' variances (k,), each signal's as far as it tells."""
-    names, weight = problem.model.windows.names, found.weight * problem.fitted
-    parts = np.stack([
-        (weight[own, None] * moved[own] ** 2).sum(0)
-        for own in (problem.rows.signal == names.index(test.signal) for test in tests)
-    ]) if tests else np.ones((1, moved.shape[1]))  # fmt: skip
-    memory = np.array([test.memory for test in tests]) if tests else np.ones(1)
-    return np.asarray(memory @ parts / np.maximum(parts.sum(0), _LEAST))
+def _discrepancy(found: Fitted, moved: np.ndarray, tests: Sequence[Whiteness]) -> Float[np.ndarray, " k"]:
+    """Return by how much correlated residuals raise the estimates' variances (k,): 1 or more."""
+    weight, by_itself, together = (
+        found.weight[:, None],
+        np.full(moved.shape[1], _LEAST),
+        np.full(moved.shape[1], _LEAST),
+    )
+    for test in tests:
+        own = moved[test.rows] * weight[test.rows]
+        square = (own**2).sum(0)
+        by_itself, together = by_itself + square, together + square
+        if len(test.lasting):
+            apart = np.stack([_sums(column, len(test.lasting)) for column in own.T], axis=1)
+            together = together + 2 * np.maximum(test.lasting @ apart[1:], 0.0)
+    return np.asarray(together / by_itself)
 
 
 def unexplained(noise: Float[np.ndarray, " signals"], moved: Float[np.ndarray, " signals"]) -> str:
@@ -254,7 +259,8 @@ def whiteness(problem: Problem, found: Fitted) -> list[Whiteness]:
         if lags < 1:
             continue
         scaled = np.clip(found.scaled[own], -_CLIP, _CLIP)
-        every = _autocorrelation(scaled, count // 5)
+        sums = _sums(scaled, count // 5)
+        every = sums[1:] / (sums[0] or 1.0)
         correlation = every[:lags]
         statistic = count * (count + 2) * float((correlation**2 / (count - np.arange(1, lags + 1))).sum())
         by_chance = float(chi2.isf(_FALSE_ALARM / len(windows.names), lags))
@@ -262,16 +268,15 @@ def whiteness(problem: Problem, found: Fitted) -> list[Whiteness]:
         largest = float(np.abs(correlation).max())
         share = unmodelled(largest, statistic / by_chance)
         lasts = every[: int(np.argmax(every < _MATTERS)) if (every < _MATTERS).any() else len(every)]
-        memory = 1 + 2 * float(lasts.sum()) * share / largest if share else 1.0
-        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, share, memory))
+        lasts = lasts * (share / largest if share else 0.0)
+        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, share, lasts, own))
     return tests
 
 
-def _autocorrelation(values: Float[np.ndarray, " samples"], lags: int) -> Float[np.ndarray, " lags"]:
-    """Autocorrelation of values at lags from 1 on."""
+def _sums(values: Float[np.ndarray, " samples"], lags: int) -> Float[np.ndarray, " lags"]:
+    """Sums of products of values with those so many samples later, from lag 0 on."""
     size = 2 ** int(np.ceil(np.log2(2 * len(values))))
-    power = np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)
-    return np.asarray(power[1 : lags + 1] / (power[0] or 1.0))
+    return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)[: lags + 1])
 
 
 def unmodelled(correlation: float, statistic: float) -> float:

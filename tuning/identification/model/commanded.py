@@ -17,6 +17,7 @@ from mjx_climb.parameter_types import Parameters
 from mjx_climb.robot.constants import Robot
 from mjx_climb.walk.control_loop import JointTargets
 from tuning.identification.model import held_base as stands
+from tuning.identification.readers.log import COMMANDS
 
 
 class Commands(NamedTuple):
@@ -47,10 +48,11 @@ def in_batch(simulate: Simulate) -> Simulate:
 
 
 @functools.cache
-def held(stages: Stages, time_step: float) -> Simulate:
+def held(stages: Stages, time_step: float, kind: str = COMMANDS[0]) -> Simulate:
     """Return the motion of a robot whose base is held, from rest at angles (limb, joint) or at the first targets.
 
-    Its dry friction comes `lead` s before the rate, see `tuning.identification.model.held_base`.
+    Its commands are of a kind of `COMMANDS`. Its dry friction comes `lead` s before the rate, see
+    `tuning.identification.model.held_base`.
     """
 
     def one_step(
@@ -58,7 +60,8 @@ def held(stages: Stages, time_step: float) -> Simulate:
     ) -> tuple[stands.Moving, Carried]:
         late = parameters.bus.command_delay - now.delay
         sent: stands.Sent = jax.tree.map(lambda value, rate: value - late * rate, now.sent, now.rates)
-        stand = stands.Stand(execution.of_limbs(robot), hardware_of(parameters, stages, time_step, robot), lead)
+        hardware = hardware_of(parameters, stages, time_step, robot)
+        stand = stands.Stand(execution.of_limbs(robot), hardware, lead, kind)
         after, seen = stands.advance(stands.with_gains(stand, sent), moving, sent.targets)
         return after, Carried(*seen, jnp.zeros_like(robot.foot_center))
 

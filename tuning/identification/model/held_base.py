@@ -28,11 +28,13 @@ from mjx_climb.arrays import AnyArray
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.actuator import Drive, Joints
 from mjx_climb.hardware.stages import Hardware
+from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.inverse_dynamics import load_torque
 from mjx_climb.physics.state import Acceleration, Loads, State, integrate
 from mjx_climb.robot.constants import Robot
 from mjx_climb.walk.step import driven_robot
 from tuning.identification.model.held_dynamics import held_accelerations, held_mobility
+from tuning.identification.readers.log import COMMANDS
 
 _SWEEPS = 4  # of Gauss-Seidel, over the joints of a limb
 
@@ -43,6 +45,7 @@ class Stand(NamedTuple):
     robot: Robot
     hardware: Hardware
     lead: Any = 0.0  # () s, by which dry friction comes before the rate
+    commanded: str = COMMANDS[0]  # what is sent, of COMMANDS
 
 
 class Moving(NamedTuple):
@@ -56,7 +59,7 @@ class Moving(NamedTuple):
 class Sent(NamedTuple):
     """What reaches the servos in a step, or its rate over time."""
 
-    targets: AnyArray  # (limb, joint) rad
+    targets: AnyArray  # (limb, joint) rad; of other commands rad/s, N m, or the share of the supply voltage
     share: AnyArray | None = None  # () 1, of the P gain, 0 with the torque off; None: the P gain is the parameters'
     on: AnyArray | None = None  # () 1, of the step: the torque is on
 
@@ -118,7 +121,10 @@ def advance_by(
 
     def driven(rates: Array) -> tuple[Array, tuple[Any, Drive]]:
         joints = Joints(state.joint_angles, rates, None)
-        if isinstance(parameters.drive, servo.Servos):
+        if stand.commanded != COMMANDS[0]:
+            asked = _asked(stand.commanded, targets, rates, parameters)
+            after, drive = servo.driven(before, asked, rates, smooth)
+        elif isinstance(parameters.drive, servo.Servos):
             after, drive = servo.joint_loop(before, targets, joints, gains, smooth)
         else:
             after, drive = parameters.drive.step(before, targets, gains, joints, step)
@@ -157,6 +163,13 @@ def with_gains(stand: Stand, sent: Sent) -> Stand:
     by |= {"hardware.servo.torque_limit": sent.on} if stages.torque_limit else {}
     parameters = own.replace({path: jnp.asarray(own.at(path) * share) for path, share in by.items()})
     return stand._replace(hardware=dataclasses.replace(stand.hardware, parameters=parameters))
+
+
+def _asked(commanded: str, sent: Array, rates: Array, parameters: Parameters) -> Array:
+    """The torque that motors are asked for, (limb, joint) N m, by commands of velocities, torques or PWM."""
+    if commanded == "velocity_command":
+        return jnp.asarray(parameters.joint_loop.kd * (sent - rates))
+    return jnp.asarray(sent * parameters.drive.torque_limit) if commanded == "pwm_command" else sent
 
 
 class _Rubbing(NamedTuple):

@@ -26,6 +26,7 @@ from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.schedule import Schedule, schedule_of
 from tuning.identification.model.variables import Place, Variable, applied, variables, with_all
 from tuning.identification.model.windows import Windows
+from tuning.identification.readers.log import COMMANDS
 
 AT_ONCE = 8  # windows in one call of an executable
 DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
@@ -52,6 +53,7 @@ class Structure(NamedTuple):
     steps: int
     kinds: tuple[str, ...]  # what is recorded
     mass: float = 0.0  # kg, that hangs on each foot
+    commanded: str = COMMANDS[0]  # kind of the commands
 
 
 class Point(NamedTuple):
@@ -147,7 +149,7 @@ def _stand(structure: Structure, point: Point, parameters: Parameters) -> stands
     robot = with_foot_mass(robot, structure.mass)
     robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
     hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
-    return stands.Stand(robot, hardware, _lead(structure, point))
+    return stands.Stand(robot, hardware, _lead(structure, point), structure.commanded)
 
 
 def _lead(structure: Structure, point: Point) -> Any:
@@ -408,7 +410,7 @@ def structure_of(
 ) -> Structure:
     """Structure of the windows of a log; a `mass` in kg hung on each foot."""
     robot = load_robot(scenario.robot)
-    return Structure(robot, places, stages, windows.time_step, windows.steps, windows.kinds, mass)
+    return Structure(robot, places, stages, windows.time_step, windows.steps, windows.kinds, mass, windows.commanded)
 
 
 def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable], mass: float = 0.0) -> Model:

@@ -24,7 +24,7 @@ from tuning.identification.model import held_base as stand
 from tuning.identification.model.commanded import Carried, Commands, held
 from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.schedule import schedule_of
-from tuning.identification.readers.log import KP, OFF, Log, Signal, joints_of
+from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of
 
 Base = Literal["held", "free"]
 
@@ -104,7 +104,10 @@ def prepare(log: Log, scenario: mc.Scenario, base: Base | None = None, mass: flo
             base free.
     """
     robot, signals, chosen = load_robot(scenario.robot), log.signals, base_of(log, base, mass)
-    sent = [name for name in signals if name.endswith(".command")]
+    kind = commanded(log)
+    sent = [name for name in signals if name.endswith(f".{kind}")]
+    if chosen == "free" and kind != COMMANDS[0]:
+        raise ConfigError(log.source, "", "commands of joint angles with the base free", sent[0])
     if not sent:
         raise ConfigError(log.source, "", "commands of joints, such as LF.coxa.command", "none")
     steps = int(log.duration / scenario.time_step + 1e-6) + 1
@@ -158,11 +161,13 @@ def simulate(prepared: Prepared, engine: str = "limb") -> Replay:
 def _targets(log: Log, robot: Robot, scenario: mc.Scenario, on_a_stand: bool) -> Float[np.ndarray, "time limb joint"]:
     """Return the joint targets of every step, each command held until the next; of a stand as they reach the servos."""
     at, delay = scenario.time_step * np.arange(scenario.steps), scenario.hardware.command_delay
-    schedule = schedule_of(log.signals, scenario.control.kp) if on_a_stand else None
+    schedule, kind = schedule_of(log.signals, scenario.control.kp) if on_a_stand else None, commanded(log)
     targets = np.empty((len(at), len(robot.limbs), robot.joints))
     for joint, (row, column) in joints_of(robot).items():
-        command, position = (log.signals.get(f"{joint}.{what}") for what in ("command", "position"))
-        if command is None:
+        command, position = (log.signals.get(f"{joint}.{what}") for what in (kind, "position"))
+        if command is None and kind != COMMANDS[0]:
+            targets[:, row, column] = 0.0
+        elif command is None:
             targets[:, row, column] = robot.stance_joints[row, column] if position is None else position.value[0]
         elif schedule is not None:
             targets[:, row, column], _ = schedule.targets(command, at - delay, scenario.time_step)
@@ -226,7 +231,8 @@ def _of_a_walk(walk: mc.Trajectory, log: Log, robot: Robot) -> Iterator[str]:
 def _on_a_stand(prepared: Prepared, robot: Robot) -> mc.Trajectory:
     """Return the motion of a robot whose base is held, in the form of a walk: no foot touches anything."""
     log, scenario, _, targets, _, mass = prepared
-    begin = targets[0].copy()
+    kind = commanded(log)
+    begin = targets[0].copy() if kind == COMMANDS[0] else np.array(robot.stance_joints, float)
     for joint, place in joints_of(robot).items():
         if (signal := log.signals.get(f"{joint}.position")) is not None:
             begin[place] = signal.value[0]
@@ -237,7 +243,7 @@ def _on_a_stand(prepared: Prepared, robot: Robot) -> mc.Trajectory:
     commands = Commands(sent, jax.tree.map(np.zeros_like, sent), np.full(len(targets), own.bus.command_delay))
     with devices.on_host(), jax.enable_x64(True):
         robot = with_foot_mass(robot, mass)
-        run = held(stages_of(own, scenario.time_step, robot), scenario.time_step)
+        run = held(stages_of(own, scenario.time_step, robot), scenario.time_step, kind)
         carried = jax.tree.map(np.asarray, jax.jit(run)(robot, own, commands, begin))
     return _as_walk(scenario, robot, own, targets, carried)
 

@@ -12,7 +12,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.model.held_base import targets_of
 from tuning.identification.model.schedule import Schedule
 from tuning.identification.readers.doubts import several
-from tuning.identification.readers.log import KP, OFF, Log, Signal, joints_of
+from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of
 
 LENGTH = 1.0  # s, of a window
 SHORTEST = 0.2  # s, of what is left at the end of a stretch
@@ -53,7 +53,8 @@ class Windows:
     rows: Rows
     start: Float[np.ndarray, "windows limb joint 2"]  # rad, rad/s: first guesses of angles and rates
     commands: Mapping[tuple[int, int], Signal]  # by limb and joint
-    resting: Float[np.ndarray, "limb joint"]  # rad, targets of joints without commands
+    commanded: str  # kind of the commands, of COMMANDS
+    resting: Float[np.ndarray, "limb joint"]  # rad, targets of joints without commands; 0 of other commands
     gains: Mapping[str, Signal]  # what the log says of P gains and torque off
     unknown: Float[np.ndarray, "holes 2"]  # s, from when to when commands are missing
     constant: tuple[str, ...]  # signals that never change: they say nothing of their noise, and are not predicted
@@ -140,10 +141,11 @@ def cut(
     Raises:
         ConfigError: a log without commands, without anything that can be predicted, or too short.
     """
+    kind_of_command = commanded(log)
     commands = {
         place: log.signals[name]
         for joint, place in joints_of(robot).items()
-        if (name := f"{joint}.command") in log.signals
+        if (name := f"{joint}.{kind_of_command}") in log.signals
     }
     lacking = {limb for limb, joint in joints_of(robot).values() if (limb, joint) not in commands}
     whole = set(range(len(robot.limbs))) - lacking
@@ -161,7 +163,7 @@ def cut(
         raise ConfigError(log.source, "", "signals that change", f"{several(constant)}, the same all the time")
     if not names:
         missing = "the commands of all joints of a limb" if not whole else "positions, velocities or efforts"
-        first = f"{robot.limbs[0]}.{robot.joint_names[0]}.{'position' if whole else 'command'}"
+        first = f"{robot.limbs[0]}.{robot.joint_names[0]}.{'position' if whole else kind_of_command}"
         raise ConfigError(log.source, "", f"{missing}, as {first}", ", ".join(list(log.signals)[:4]))
     signals, steps = [log.signals[name] for name in names], round(LENGTH / time_step)
     length = steps * time_step
@@ -179,7 +181,8 @@ def cut(
     return Windows(
         begin=begin, abuts=abuts, held_out=np.arange(len(begin)) >= count, steps=steps, time_step=time_step,
         names=names, limb=limb, joint=joint, kind=kind, rows=rows,
-        start=_start(log, robot, begin), commands=commands, resting=np.asarray(robot.stance_joints, float),
+        start=_start(log, robot, begin), commands=commands, commanded=kind_of_command,
+        resting=np.asarray(robot.stance_joints, float) * (kind_of_command == COMMANDS[0]),
         gains={name: log.signals[name] for name in (KP, OFF) if name in log.signals},
         unknown=unknown[1:], constant=constant,
     )  # fmt: skip

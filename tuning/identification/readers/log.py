@@ -1,9 +1,10 @@
 """What a robot recorded: signals in SI units, each at its own times.
 
 Names: `LF.coxa.command` and `.position` in rad, `.velocity` rad/s, `.effort` N m (limb and joint as `mjx-climb robot`
-prints them); `LF.force.x` N, world axes; `LF.support` 1; `base.position.x` m, `base.orientation.w` 1; `base.force.x` N
-and `base.moment.x` N m, world axes, what pushes the base from outside; `control.kp` N m/rad and `torque_off` 1, of all
-servos.
+prints them); in place of a command of the angle `.velocity_command` rad/s, `.effort_command` N m, or `.pwm_command`,
+the share of the supply voltage; `LF.force.x` N, world axes; `LF.support` 1; `base.position.x` m,
+`base.orientation.w` 1; `base.force.x` N and `base.moment.x` N m, world axes, what pushes the base from outside;
+`control.kp` N m/rad and `torque_off` 1, of all servos.
 """
 
 import dataclasses
@@ -14,12 +15,15 @@ import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.robot.constants import Robot
+from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.signals import Signals
 
 KP, OFF = "control.kp", "torque_off"  # P gain that the servos were given; 1 where their torque is off
-JOINT = ("command", "position", "velocity", "effort")
+COMMANDS = ("command", "velocity_command", "effort_command", "pwm_command")  # of which a log has one kind
+JOINT = (*COMMANDS, "position", "velocity", "effort")
 UNITS = {
-    "command": "rad", "position": "rad", "velocity": "rad/s", "effort": "N m", "force": "N", "support": "1",
+    "command": "rad", "velocity_command": "rad/s", "effort_command": "N m", "pwm_command": "1", "position": "rad",
+    "velocity": "rad/s", "effort": "N m", "force": "N", "support": "1",
     "kp": "N m/rad", OFF: "1",
 }  # fmt: skip
 BASE = {
@@ -75,6 +79,18 @@ def joints_of(robot: Robot) -> dict[str, tuple[int, int]]:
     """Return limb and joint of each joint, by its name in a log; of none that only fill up a limb."""
     places = sorted(robot.places_in_file().values())
     return {f"{robot.limbs[n]}.{robot.joint_names[j]}": (n, j) for n, j in places}
+
+
+def commanded(log: Log) -> str:
+    """The kind of commands that a log has, of COMMANDS.
+
+    Raises:
+        ConfigError: several kinds.
+    """
+    kinds = {kind: name for name in log.signals for kind in COMMANDS if name.endswith(f".{kind}")}
+    if len(kinds) > 1:
+        raise ConfigError(log.source, "", "commands of one kind", ", ".join(kinds.values()))
+    return next(iter(kinds), COMMANDS[0])
 
 
 def unit_of(name: str) -> str:

@@ -18,7 +18,7 @@ _LEFT = 1.0  # rad, that an angle may move by beside its jump, or be behind its 
 _MOSTLY, _BEYOND = 0.9, 0.1  # quantile of samples; rad, noise of an angle that is cut at whole turns
 _STALE = 5  # usual lengths of a run of equal samples: what stays the same for longer is at rest
 _STEPS = 2.5  # of an encoder's smallest: by less it moves within a sample, or within two
-_SENT = (".command", ".support", KP, OFF)  # these stay the same without being stale
+_SENT = ("command", ".support", KP, OFF)  # these stay the same without being stale
 _MEASURED = ("position", "velocity", "effort")
 
 Repaired = tuple[dict[str, Signal], tuple[str, ...]]  # signals, and what was changed of them

@@ -1,0 +1,102 @@
+"""A bench: a pendulum on one servo is a robot, whatever its servo is commanded by."""
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+import tuning
+from mjx_climb.robot_import.load import load_robot
+from tuning.identification.model import replay
+from tuning.identification.readers.log import Log, Signal
+
+PENDULUM = """<mujoco><worldbody><body name="rod" pos="0 0 1">
+  <joint name="swing" axis="0 -1 0" range="-3.5 3.5" limited="true"/>
+  <inertial pos="0 0 -0.1" mass="0.49" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""
+MASS, LENGTH, GRAVITY, ARMATURE, VISCOUS = 0.49, 0.1, 9.81, 0.002, 0.02
+STALL, FASTEST = 1.03, 20.0  # N m, rad/s
+
+
+@pytest.fixture
+def bench(tmp_path, call):
+    (tmp_path / "pendulum.xml").write_text(PENDULUM)
+    code, out, err = call("robot", tmp_path / "pendulum.xml", "--stand", "--write", tmp_path / "bench.yaml")
+    assert code == 0 and "taken    rod  swing" in out, err
+    servo = {"armature": ARMATURE, "viscous_friction": VISCOUS}
+    return mc.load_scenario(tmp_path / "bench.yaml").with_overrides(
+        {f"hardware.servo.{k}": v for k, v in servo.items()}
+    )
+
+
+def swung(asked, duration=3.0, rate=200.0, step=1e-4):
+    """Times (T,), angles and what was sent (T,) of a pendulum, by Heun's steps, under a torque of sent, angle, rate."""
+    time = np.arange(round(duration * rate)) / rate
+    sent = np.sin(2 * np.pi * (0.5 * time + 0.4 * time**2))
+    inertia, state, angles = MASS * LENGTH**2 + ARMATURE, np.zeros(2), []
+
+    def slope(state, held):
+        torque = asked(held, *state) - VISCOUS * state[1] - MASS * GRAVITY * LENGTH * np.sin(state[0])
+        return np.array([state[1], torque / inertia])
+
+    for held in sent:
+        angles.append(state[0])
+        for _ in range(round(1 / rate / step)):
+            first = slope(state, held)
+            state = state + step / 2 * (first + slope(state + step * first, held))
+    return time, np.array(angles), sent
+
+
+KINDS = {  # kind of the commands, torque of them, and the servo that has it
+    "command": (lambda sent, angle, rate: 3.0 * (sent - angle) - 0.05 * rate, {"control.kp": 3.0, "control.kd": 0.05}),
+    "velocity_command": (lambda sent, angle, rate: 0.3 * (5 * sent - rate), {"control.kd": 0.3}),
+    "effort_command": (lambda sent, angle, rate: 0.4 * sent, {}),
+    "pwm_command": (lambda sent, angle, rate: STALL * (0.3 * sent - rate / FASTEST), {
+        "hardware.servo": {"drive": "voltage", "torque_limit": STALL, "no_load_speed": FASTEST, "armature": ARMATURE,
+                           "viscous_friction": VISCOUS}}),
+}  # fmt: skip
+SCALES = {"velocity_command": 5.0, "effort_command": 0.4, "pwm_command": 0.3}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bench_swings_as_its_equation_says_whatever_it_is_commanded_by(bench, kind):
+    asked, changes = KINDS[kind]
+    time, angles, sent = swung(asked)
+    names = {f"rod.swing.{kind}": SCALES.get(kind, 1.0) * sent, "rod.swing.position": angles}
+    log = Log({name: Signal(time, value) for name, value in names.items()}, "log.csv")
+    found = replay.simulate(replay.prepare(log, bench.with_overrides(changes), None, 0.0))
+    assert found.errors["rod.swing.position"].rms < 2e-3 < 0.2 < np.std(angles)
+
+
+@pytest.mark.slow
+def test_what_moves_a_bench_is_identified_and_written(bench, tmp_path):
+    asked, changes = KINDS["command"]
+    time, angles, sent = swung(asked)
+    angles = angles + 1e-3 * np.random.default_rng(0).normal(size=len(time))
+    log = Log({"rod.swing.command": Signal(time, sent), "rod.swing.position": Signal(time, angles)}, "log.csv")
+    start = bench.with_overrides({**changes, "hardware.servo.armature": 0.004, "control.kp": 2.0})
+    found = tuning.identify(start, log, ["hardware.servo.armature", "control.kp"], starts=1)
+    for key, truth in (("hardware.servo.armature", ARMATURE), ("control.kp", 3.0)):
+        estimate = found.estimates[key]
+        assert estimate.seen and estimate.value == pytest.approx(truth, rel=0.03), (key, estimate)
+    assert found.fitted.ended == "converged"
+    tuning.write(found, tmp_path / "found")
+    written = mc.load_scenario(tmp_path / "found" / "identified.yaml")
+    assert written.control.kp == pytest.approx(3.0, rel=0.03) and load_robot(written.robot).limbs == ("rod",)
+
+
+def test_a_bench_does_not_walk_and_commands_are_of_one_kind(bench):
+    with pytest.raises(mc.ConfigError, match=r"robot.height: expected a height, to walk, got null"):
+        mc.Simulation(bench)
+    time = np.arange(100) / 100
+    kinds = {f"rod.swing.{kind}": Signal(time, np.sin(time)) for kind in ("command", "effort_command", "position")}
+    with pytest.raises(mc.ConfigError, match=r"log.csv: expected commands of one kind, got rod.swing.command, rod"):
+        tuning.identify(bench, Log(kinds, "log.csv"), ["control.kp"])
+
+
+def test_rows_of_joints_are_limbs_of_a_stand_and_branches_are_refused(tmp_path, call):
+    branched = PENDULUM.replace("</body>", "".join(
+        f'<body name="{n}"><joint name="{n}" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+        for n in "ab") + "</body>", 1)  # fmt: skip
+    (tmp_path / "branched.xml").write_text(branched)
+    code, _, err = call("robot", tmp_path / "branched.xml", "--stand")
+    assert code == 2 and "expected rows of joints, got a and b on rod" in err
