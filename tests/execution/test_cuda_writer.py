@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from mjx_climb.control import law_of
 from mjx_climb.execution import of_limbs
+from mjx_climb.execution.adjoint import with_gradients
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import tangents_of
 from mjx_climb.execution.gpu_kernel import body_of, written
@@ -24,6 +25,7 @@ from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.walk.structure import structure
 from mjx_climb.walks import metrics_of
 from tests.execution import primitives
+from tests.execution.test_adjoint import motion
 
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
@@ -247,6 +249,32 @@ def test_a_walk_in_cuda_c(carried_out, case, changes):
         np.testing.assert_allclose(mine, expected[name], rtol=1e-4, atol=rounding, err_msg=name)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [30, pytest.param(300, marks=pytest.mark.nightly)])
+def test_gradients_in_cuda_c(carried_out, steps):
+    """Loops keep what they carry, each lane its own, and read it backwards: to 1e-4 of JAX's in float64."""
+    walk, (gains, starts, targets) = motion(steps)
+    robots, sums, rng = len(gains), 2, np.random.default_rng(3)
+    weights = {name: rng.normal(size=(robots, sums)) for name in ("end", "work")}
+    single = [np.asarray(value, np.float32) for value in (gains, starts, targets, weights["end"], weights["work"])]
+    with jax.enable_x64(False):
+        program = jax.make_jaxpr(walk)(single[0][0], single[1][0], single[2])
+        weighed = tuple(name in weights for name in ("count", "end", "largest", "work"))
+        both = with_gradients(program, (True, True, False), weighed, values=True)
+        kernel = written(body_of(both), (1, 1, 0, 2, 2))
+        columns = [each.reshape(robots * (sums if place > 2 else 1), -1).T for place, each in enumerate(single)]
+        given = [np.array([robots, sums], np.int32), single[2]], columns[:2], columns[3:]
+        found = carried_out({"kernel": (kernel, given, (robots, sums), both.out_avals)})["kernel"]
+    assert kernel.kept > steps
+
+    def one(gain, start, weights):
+        _, pull_back = jax.vjp(lambda *of: {n: walk(*of, targets)[n] for n in weights}, gain, start)
+        return jax.vmap(pull_back)(weights)
+
+    for mine, jaxs in zip(found[-2:], jax.jit(jax.vmap(one))(gains, starts, weights), strict=True):
+        np.testing.assert_allclose(mine, jaxs, rtol=1e-3, atol=1e-4 * abs(jaxs).max())
+
+
 def of_one(carried_out, function, given, moving=0):
     """Return the results of one robot's function, and their tangents along as many of its first leaves, themselves."""
     program, leaves = jax.make_jaxpr(function)(*given), jax.tree.leaves(given)
@@ -280,3 +308,32 @@ def test_tangents_of_a_walk_in_cuda_c(carried_out, case):
             difference = np.nan_to_num((more - less) / (2 * step))  # nobody is torn off: not a number
             np.testing.assert_allclose(tangent, difference, rtol=1e-3, atol=1e-7, err_msg=name)
     assert next(tangents, None) is None
+
+
+@pytest.mark.nightly
+def test_gradients_of_a_walk_in_cuda_c(carried_out, case):
+    """Of two metrics, by damping and mass, in single precision, against forward mode in float64 to 1e-3."""
+    names = ("base_deviation", "force_variation")
+    with jax.enable_x64(False):
+        walk, (law, numbers) = short_walk(case, STEPS - 5)
+        moved = lambda moving, law, numbers: walk(  # noqa: E731
+            dataclasses.replace(law, damping=moving["damping"]), numbers.replace({"mass_scale": moving["mass"]})
+        )
+        moving = {"damping": law.damping, "mass": np.float32(1.0)}
+        program, shape = jax.make_jaxpr(moved, return_shape=True)(moving, law, numbers)
+        leaves = jax.tree.leaves((moving, law, numbers))
+        moves, weighed = (
+            tuple(place < 2 for place in range(len(leaves))),
+            tuple(name in names for name in sorted(shape)),
+        )
+        both = with_gradients(program, moves, weighed, values=True)
+        kernel, batch = written(body_of(both), (*[0] * len(leaves), 2, 2)), (1, 2)
+        given = [[np.array(batch, np.int32), *leaves], [*np.eye(2, dtype="f4")]]
+        found = carried_out({"kernel": (kernel, given, batch, both.out_avals)})["kernel"]
+    law, numbers, moving = jax.tree.map(np.float64, (law, numbers, moving))
+    slopes = jax.jacfwd(lambda moving: {name: moved(moving, law, numbers)[name] for name in names})
+    expected = jax.jit(slopes, compiler_options={"xla_disable_hlo_passes": "fusion"})(moving)
+    for row, name in enumerate(names):
+        for mine, place in zip(found[-2:], ("damping", "mass"), strict=True):
+            exact = np.asarray(expected[name][place])
+            np.testing.assert_allclose(mine[0, row], exact, rtol=2e-3, atol=2e-3 * abs(exact).max(), err_msg=name)

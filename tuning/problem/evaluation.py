@@ -21,9 +21,9 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.objectives import NO_OBJECTIVE, Goal, OwnObjective
 from tuning.problem.spaces import NO_SPACE, Space, to_gains64
 
-# Directions above which derivatives are taken in reverse mode: of one robot it takes as long as 60 tangents, of several
-# as long as fewer, and twice as long to compile (docs/studies/speed.md). All gains with axes stay below.
-REVERSE_ABOVE = 48
+# Directions above which derivatives are taken in reverse mode: a tangent costs some 0.4 values on a CPU and 0.65 on an
+# H200, reverse mode of two sums some ten; `doctor --bench` measures where they meet. All gains with axes stay below.
+REVERSE_ABOVE = 24
 RIGID = 1e12  # kg, kg m^2: a virtual mass that no wrench moves, with which base admittance is pd
 
 

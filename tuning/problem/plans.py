@@ -30,6 +30,7 @@ from mjx_climb.walk.metrics import peak
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.structure import Structure, structure
 from mjx_climb.walks import Scan, metrics_under, samples_of
+from tuning.problem.evaluation import REVERSE_ABOVE
 from tuning.problem.objectives import Limit, Objective, Term
 
 # robots of a call on one core: four take hardly longer than one, and more than 16 are done no sooner together
@@ -152,13 +153,18 @@ def scored(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, paramete
 
 
 def steered(
-    asked: Asked, offsets: Array, steering: Steering, numbers: Numbers, law: mc.Law, parameters: mc.Parameters
+    asked: Asked,
+    moving: dict[str, Array],
+    steering: Steering,
+    numbers: Numbers,
+    law: mc.Law,
+    parameters: mc.Parameters,
 ) -> dict[str, Array]:
-    """Return the score of one walk under offsets (set, knot, limb, joint) rad, in forward mode: of `_along` alone.
+    """Return the score of one walk under "offsets" (set, knot, limb, joint) rad, with derivatives of `_along` alone.
 
     There is a whole number of steps between knots.
     """
-    scan = functools.partial(_between_knots, offsets, steering)
+    scan = functools.partial(_between_knots, moving["offsets"], steering)
     along, found = _followed(asked, numbers, law, parameters, jnp.asarray(steering.base), scan)
     return {"_along": along} | lax.stop_gradient(found)
 
@@ -287,19 +293,18 @@ class Walks:
     ) -> tuple[Scored, Float[np.ndarray, "problem variable"]]:
         """Walk robots with parameters (N, ...), of `rows`, and return their scores and the derivatives of problems.
 
-        In forward mode by the kernel of a GPU, else in reverse mode.
+        By the kernel of a GPU where it can, in forward mode where directions are few, else in reverse mode.
 
         Arguments:
             sharp: 0 for derivatives of the objective with smooth companions of the extremes, 1 for those of the true
                 metrics, or a share between.
         """
-        derived = self._forward if self._in_forward_mode(freedom) else self._reverse
-        return derived(freedom, x, parameters, sharp)
+        return self._derived(freedom)(freedom, x, parameters, sharp)
 
     def prepare(self, freedom: "Freedom", parameters: mc.Parameters) -> None:
         """Compile the program of gradients for so many plans, by walks of no account, in one call of it."""
-        if self._in_forward_mode(freedom):
-            self._forward(freedom, freedom.none, parameters, 0.0)
+        if (derived := self._derived(freedom)) != self._reverse:
+            derived(freedom, freedom.none, parameters, 0.0)
             return
         targets = freedom.base.reshape(-1, *freedom.base.shape[2:])
         at_once = _at_once(len(targets), kernel=False)
@@ -310,12 +315,15 @@ class Walks:
         """Return the scores of walks under joint targets."""
         return _scored(self._walked(judged, targets, parameters, 1.0, kernel=self.dtype == np.float32))
 
-    def _in_forward_mode(self, freedom: "Freedom") -> bool:
+    def _derived(self, freedom: "Freedom") -> Callable[..., tuple[Scored, np.ndarray]]:
+        """Return which of the next three methods takes the least time."""
         if self.dtype != np.float32 or self.asked.structure.planning or freedom.knots.steps % freedom.knots.every:
-            return False
-        count, directions = math.prod(freedom.base.shape[:2]), freedom.directions
-        on = paths.device_for(count, directions, kernel=True)
-        return on is None and paths.path_for(on, kernel=True) == "kernel"
+            return self._reverse
+        count, few = math.prod(freedom.base.shape[:2]), freedom.directions <= REVERSE_ABOVE
+        on = paths.device_for(count, freedom.directions if few else 1, kernel=True)
+        if on is not None or paths.path_for(on, kernel=True) != "kernel":
+            return self._reverse
+        return self._forward if few else self._reverse_by_knots
 
     def _reverse(
         self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
@@ -328,19 +336,31 @@ class Walks:
     def _forward(
         self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
     ) -> tuple[Scored, np.ndarray]:
-        offsets, steering = freedom.steering(x, self.dtype)
-        given, axes = self._given(parameters, sharp)
-        count, one = len(offsets), offsets[0]
+        robots, offsets = self._steered(freedom, x, parameters, sharp)
+        one = offsets[0]
         directions: np.ndarray = np.eye(one.size, dtype=self.dtype).reshape(1, -1, *one.shape)
-        batch = execution.Robots(
-            (offsets, steering, *given),
-            (one.ndim, jax.tree.map(lambda value: value.ndim - 1, steering), *axes),
-            (count,),
-            directions,
-        )
-        found, tangents = execution.run(steered, self.asked, batch)
+        found, tangents = execution.run(steered, self.asked, robots._replace(directions={"offsets": directions}))
         del found["_along"]
         return _scored(found), freedom.slopes_of_sets(tangents["_along"].reshape(offsets.shape))
+
+    def _reverse_by_knots(
+        self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
+    ) -> tuple[Scored, np.ndarray]:
+        robots, offsets = self._steered(freedom, x, parameters, sharp)
+        weights: dict[str, np.ndarray] = {"_along": np.ones((len(offsets), 1), self.dtype)}
+        found, gradients = execution.run(steered, self.asked, robots._replace(weights=weights))
+        del found["_along"]
+        return _scored(found), freedom.slopes_of_sets(gradients["offsets"][:, 0])
+
+    def _steered(
+        self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
+    ) -> tuple[execution.Robots, np.ndarray]:
+        """Return the arguments of `steered`, and their offsets at knots."""
+        offsets, steering = freedom.steering(x, self.dtype)
+        given, axes = self._given(parameters, sharp)
+        of_steering = jax.tree.map(lambda value: value.ndim - 1, steering)
+        own = {"offsets": offsets.ndim - 1}, of_steering, *axes
+        return execution.Robots(({"offsets": offsets}, steering, *given), own, (len(offsets),)), offsets
 
     def _walked(
         self,

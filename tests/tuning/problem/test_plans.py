@@ -143,8 +143,10 @@ def test_forward_and_reverse_mode_agree():
     freedom = Freedom(base, Knots(100, 25), True, np.array([30.5, 60.0]), -upper - 9, upper)
     x = 1e-3 * rng.normal(size=freedom.none.shape)
     assert 0 < (freedom.targets(x) == upper)[..., 1, 2].mean() < 0.9
-    (there, forward), (found, reverse) = (how(freedom, x, parameters, 0.3) for how in (walks._forward, walks._reverse))
+    ways = walks._forward, walks._reverse, walks._reverse_by_knots
+    (there, forward), (found, reverse), (_, by_knots) = (how(freedom, x, parameters, 0.3) for how in ways)
     np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-9 * abs(reverse).max())
+    np.testing.assert_allclose(by_knots, reverse, rtol=1e-8, atol=1e-9 * abs(reverse).max())
     assert (reverse == 0).any() and np.isfinite(reverse).all() and (reverse != 0).mean() > 0.7
     np.testing.assert_allclose(there.merit, found.merit, rtol=1e-12)
 
