@@ -8,15 +8,14 @@ import mjx_climb as mc
 ROBOTS = 2
 PUSH = {"start": 0.01, "stop": 0.04, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
 SHORT = {"duration": 0.06, "gait.cycle": 0.06, "gait.stride": 0.005, "gait.step_height": 0.002}
-HARDWARE = {
-    "servo": {"frequency": 200.0, "backlash": 0.001, "torque_limit": 8.0},
-    "force_sensor": {"noise": 0.02, "delay": 0.004},
-    "control": {"period": 0.002},
-}
+HARDWARE = {"hardware.control_period": 0.004, "hardware.command_delay": 0.004, "hardware.servo.armature": 0.01}
+CLOSES = {"contact.closing_time": 0.01, "contact.closing_force": 5.0, "contact.capture_distance": 0.004}
 # by name: the law, and what else is not the case's own
 WALKS = {
     "pd": {},
+    "pd on hardware": HARDWARE,
     "virtual_model": {"disturbance.cargo": {"mass": 0.5, "start": 0.02}},
+    "virtual_model with grips that close": {"gait.cycle": 0.3, **CLOSES},
     "measured_pose": {"disturbance.pushes": [PUSH], "gait.base_reference": "actual"},
     "end_effector": {"ground.footholds": {"LF": [0.0, 0.02], "RH": [0.015, 0.0, 0.03]}, "gait.swing": "low_reaction"},
     "measured_pose of three cycles": {"gait.cycle": 0.02, "contact.holding_limit": 4.0},
