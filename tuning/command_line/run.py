@@ -139,7 +139,7 @@ def run(
     In videos and snapshots the force on a foot is an arrow: light blue where the ground presses, yellow to red as a
     pull nears the holding limit. They need OpenGL (EGL or OSMesa), not a display.
 
-    Exit code 1: the robot lost a gripper, or the walk diverged; all is written, and the line says what failed first.
+    Exit code 1: the robot lost a gripper or stands for want of one, or the walk diverged; all is written.
 
     \b
     Examples:

@@ -23,7 +23,7 @@ class Grip(NamedTuple):
     contact: Array  # (limb,) bool: the ground acts on the foot
     detached: Array  # (limb,) bool: the gripper was torn off before this step, for good
     torn_off: Array  # (limb,) bool: the gripper is torn off in this step, and lets go from the next one on
-    missed: Array  # (limb,) bool: the gripper shut out of reach in this step
+    missed: Array  # (limb,) bool: the gripper shut out of reach, or gave up, in this step: the foot may try again
     utilization: Array  # (limb,) 1, share of its limit that a grip uses; 0 without a grip, above 1 it cannot hold
 
 
