@@ -406,11 +406,28 @@ def margins() -> Figure:
     return made
 
 
+def closing() -> Figure:
+    """Pull on a foot over the first 20 ms after its gripper shuts off the ground, at once and closing."""
+    made = Figure(figsize=(WIDTH, 2.6))
+    panel = made.subplots()
+    for name, colour in (("at once", COLOURS[1]), ("closing", COLOURS[0])):
+        rows = table("../explanation/closing", contact=name)
+        time, pull = np.array([[float(row[column]) for column in ("time ms", "pull N")] for row in rows]).T
+        panel.plot(time, pull, color=colour, linewidth=2, label=name)
+    panel.set_xlabel("time since the gripper shuts, ms")
+    panel.set_ylabel("pull, N")
+    panel.grid()
+    panel.spines[["top", "right"]].set_visible(False)
+    legend(made, panel, 2)
+    return made
+
+
 PICTURES: dict[str, Callable[[], Figure]] = {
     draw.__name__: draw
     for draw in (
         ceiling,
         climb,
+        closing,
         does_the_sensor_pay,
         gradient_against_grid,
         identification,
