@@ -49,8 +49,10 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     assert isinstance(goal, Objective)
     with stage("retuned pd", unit="rounds") as told:
         rival = retuned(problem, found.search, found.seeds, out)(told)
-    with stage("load transfer by plan", unit="rounds") as told:
-        plan = planned(problem, found.search, found.seeds, out)(told)
+    plan = None
+    if (work := planned(problem, found.search, found.seeds, out)) is not None:
+        with stage("load transfer by plan", unit="rounds") as told:
+            plan = work(told)
     walked, pd, step, joint = problem, {}, None, dict[str, float]()
     if rival is not None:  # as short a time step as it needs, for all that are compared
         pd, joint = {retuned_pd.NAME: rival.gains}, retuned_pd.joint_of(rival)

@@ -42,7 +42,7 @@ class Begun(NamedTuple):
     """What a search is compared with, independent of what it finds: works that may begin before it."""
 
     retuned: Work[Tuned | None]  # pd retuned
-    planned: Work[Tuned | None]  # load transfer by plan
+    planned: Work[Tuned | None] | None  # load transfer by plan, where it is a rival
     walks: Mapping[str, Work[mc.Trajectory]]  # pd, config
     over: Work[xr.Dataset | None] | None  # the map; None where it depends on the result
     on_hardware: Mapping[str, Work[xr.Dataset]]  # pd, config: the first walks on worse hardware
@@ -57,9 +57,10 @@ def begin(problem: Problem, search: Search, start: Begin, *, seeds: int = 1, out
     on_the_map = law is None and {*JOINT, INTEGRAL, *GAIT}.isdisjoint(
         problem.space.index
     )  # then one map serves all results
+    plan = planned(problem, search, seeds, out)
     return Begun(
         start(retuned(problem, search, seeds, out)),
-        start(planned(problem, search, seeds, out)),
+        None if plan is None else start(plan),
         {"pd": start(one_walk(under_pd(scenario), None, engine)), "config": start(one_walk(scenario, law, engine))},
         start(lambda report: verification.map_with(problem, scenario, None, progress=report)) if on_the_map else None,
         {
@@ -107,8 +108,10 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         walking = {**others.walks, "tuned": start(one_walk(*ours, engine))}
         with stage("retuned pd", unit="rounds") as told:
             rival = others.retuned(told)
-        with stage("load transfer by plan", unit="rounds") as told:
-            plan = others.planned(told)
+        plan = None
+        if others.planned is not None:
+            with stage("load transfer by plan", unit="rounds") as told:
+                plan = others.planned(told)
         if plan is not None:
             walking[retuned_pd.PLANNED] = start(one_walk(*replaced(plan.scenario, plan.law, plan.gains), engine))
         rivals = {"config": margins.Walker(problem.law, {})}

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import mjx_climb as mc
 from mjx_climb import METRICS, Gains, MetricTable, Trajectory
+from mjx_climb.control import PlannedTransfer
 from tuning.background import Begin, Work
 from tuning.gains.gains_file import by_name
 from tuning.numbers import change, failed, is_number, number
@@ -84,11 +85,14 @@ def beside_retuned(scenario: mc.Scenario, joint: Mapping[str, float], ours: Walk
     return found
 
 
-def planned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None]:
-    """Return a work that searches `PlannedTransfer` as the gains were searched, see `retuned_pd.search_plan`."""
-    return lambda report: retuned_pd.search_plan(
-        problem, search, seeds=seeds, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
-    )
+def planned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None] | None:
+    """Return a work that searches `PlannedTransfer` as the gains were searched; None where it is no rival."""
+    if not retuned_pd.can_plan(problem):
+        return None
+    return lambda report: retuned_pd.search(
+        problem, search, seeds=seeds, out=out, law=PlannedTransfer(),
+        progress=lambda now: report(now.rounds, now.rounds_in_all),
+    )  # fmt: skip
 
 
 def retuned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.control import PD, PlannedTransfer
+from mjx_climb.control import PD
 from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
 from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
@@ -88,15 +88,14 @@ def search(
     return found
 
 
-def search_plan(problem: Problem, settings: Search, **how: Any) -> Tuned | None:
-    """Search the gains of `PlannedTransfer` as those of pd are searched; errors as of `search`.
+def can_plan(problem: Problem) -> bool:
+    """Tell whether load transfer by plan is a rival: forces are read, and loads can be handed over.
 
-    None where what was searched reads no forces, or where loads cannot be handed over, since one foot is in the air at
-    all times and the duty is not searched.
+    That takes a time on all feet, or a duty that is searched.
     """
     gait = problem.scenario.gait
     on_all_feet = "gait.duty" in problem.space.gains or len(gait.places) * (1 - gait.duty) < 1 - _ROUNDING
-    return search(problem, settings, law=PlannedTransfer(), **how) if on_all_feet and reads_forces(problem) else None
+    return on_all_feet and reads_forces(problem)
 
 
 def walked_on_grid(
