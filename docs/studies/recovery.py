@@ -1,22 +1,19 @@
 """How large a push a walk survives: case 2 under four laws, each with and without recovery.
 
-    python docs/studies/recovery.py results/recovery [--only ideal-pd] [--draws 16] [--seconds 8]
+    python docs/studies/recovery.py results/recovery.csv [--draws 64] [--seconds 8]
 
-A walk survives if no grip is torn off and the walk does not diverge. Each draw is a time of one push on the base, up
-off the ground, down, sideways or ahead; every walk of a row meets the same draws, at each impulse. Thresholds of the
-recovery are chosen on draws of their own: those with which most walks survive. A file `NAME.json` of each row has
-which walks survived. `--tables` alone gathers them: `survived.csv` has the shares, `half.csv` the impulse at which
-half of the walks survive, with an interval over resampled draws, for all directions and each. `--bound` prints what
-no law and no step could better: the largest push up that grips bear at rest, however they share it.
+Pushes are those of `mjx-climb evaluate --pushes`. Thresholds of the recovery are chosen on draws of their own: those
+with which half of the walks survive most. The table has impulses in N s that half and 95 % survive with intervals, for
+all directions and each. `--bound` prints what no law and no step could better: the largest push up that grips bear at
+rest, however they share it.
 """
 
 import argparse
 import csv
 import dataclasses
 import itertools
-import json
-import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -24,141 +21,74 @@ from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
 import mjx_climb as mc
-from mjx_climb.disturbances import Push
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.spatial import skew
 from mjx_climb.robot_import.load import load_robot
+from tuning.comparisons.pushes import DIRECTIONS, SHARES, Walker, borne, find
 from tuning.gains import gains_file
 
-LENGTHS = {"0.2 s": 0.2, "1 s": 1.0}  # of a push
+LENGTHS = (0.2, 1.0)  # s, of a push
+LARGEST = 160.0  # N
 GRAVITY = {"1e-6 G": 9.81e-6, "1/6 G": 9.81 / 6}
 HARDWARE = ("ideal", "dynamixel_x")
 # files of gains; None: those of the config
 GAINS = {"pd": None, "retuned_pd": "case_2_pd", "base_admittance": "case_2", "load_transfer": "case_2_best"}
-DIRECTIONS = {"up": (0, 0, 1.0), "down": (0, 0, -1.0), "sideways": (0, 1.0, 0), "ahead": (1.0, 0, 0)}
-IMPULSES = np.geomspace(1.5, 32.0, 8)  # N s
 THRESHOLDS = {
     "shift": (0.005, 0.015, 0.04, np.inf),
     "utilization": (0.3, 0.6, 0.9, np.inf),
     "landing_time": (0.1, 0.25),
     "rest_time": (0.3,),
 }
-KINDS = [*itertools.product(GRAVITY, LENGTHS)]  # of pushes
 PERIOD = 0.02  # s, between decisions of the gait
 
 
-def walker(hardware: str, law: str, seconds: float) -> tuple[mc.Simulation, object]:
-    """Return the simulation of a row, and its gains."""
+def walker(hardware: str, law: str, seconds: float, gravity: float) -> tuple[mc.Scenario, Walker]:
+    """Return the scenario of a row, and whose walks are pushed there."""
     scenario = mc.load_scenario("configs/case_2.yaml")
     scenario = scenario.with_overrides({"duration": seconds, "gait.planning_period": PERIOD})
+    scenario = scenario.with_overrides({"gravity": [0.0, 0.0, -gravity]})
     if hardware != "ideal":
         section = yaml.safe_load(Path(f"configs/hardware/{hardware}.yaml").read_text())["hardware"]
         scenario = scenario.with_overrides({"hardware": section})
     if (file := GAINS[law]) is None:
-        return mc.Simulation(scenario.with_overrides({"control.controller": law})), None
+        scenario = scenario.with_overrides({"control.controller": law})
+        return scenario, Walker(None, {}, own_parameters(scenario))
     own = gains_file.whole(f"configs/gains/dynamixel_x_{file}.yaml", scenario)
-    return mc.Simulation(scenario, own.law), own.gains
+    return scenario, Walker(own.law, own.gains, own_parameters(scenario))
 
 
-def drawn(count: int, seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions (direction * draw, 3) and times (direction * draw,) s of pushes; half of those sideways right.
-
-    All directions have the same times.
-    """
-    rng = np.random.default_rng(seed)
-    start = rng.uniform(0.5, seconds - 2.0, count).round(3)
-    way = np.repeat([*DIRECTIONS.values()], count, axis=0)
-    way[:, 1] *= np.tile(np.where(np.arange(count) % 2, -1.0, 1.0), len(DIRECTIONS))
-    return way, np.tile(start, len(DIRECTIONS))
+def recovering(own: Walker, settings: dict[str, float]) -> Walker:
+    """Return the same walks with recovery."""
+    assert own.parameters is not None
+    values: dict[str, Any] = {name: np.asarray(value) for name, value in settings.items()}
+    recovery = Recovery(**values, take_over=np.asarray(1.0))
+    return own._replace(parameters=dataclasses.replace(own.parameters, recovery=recovery))
 
 
-def survived(
-    simulation: mc.Simulation,
-    gains: object,
-    draws: tuple[np.ndarray, np.ndarray],
-    impulses: np.ndarray,
-    recovery: Recovery | None,
-) -> np.ndarray:
-    """Return which walks survive, (..., gravity, length, impulse, draw) bool, behind a recovery's axes."""
-    (way, start), length = draws, np.array([*LENGTHS.values()])
-    force = (impulses[:, None] / length[:, None, None])[..., None] * way
-    own, gravity = own_parameters(simulation.scenario), np.array([*GRAVITY.values()])
-    down = np.stack([0 * gravity, 0 * gravity, -gravity], axis=-1)[:, None, None, None]
-    push = Push(force=force, moment=0 * force, start=start, stop=start + length[:, None, None])
-    others = (each for each in own.disturbances if not isinstance(each, Push))
-    parameters = dataclasses.replace(own, gravity=down, disturbances=(*others, push), recovery=recovery)
-    found = simulation.metrics(gains, parameters, dtype=np.float32, unsteady=True)
-    return np.asarray(np.isnan(found["detached_at"]) & ~found["diverged"].astype(bool))
-
-
-def half(share: np.ndarray, impulses: np.ndarray) -> float:
-    """Return the impulse at which the share of survivors (impulse,) falls to one half, between the impulses tried."""
-    share = np.minimum.accumulate(share)
-    if share[0] < 0.5 or share[-1] > 0.5:
-        return float(impulses[0] if share[0] < 0.5 else impulses[-1])
-    return float(np.exp(np.interp(-0.5, -share, np.log(impulses))))
-
-
-def interval(alive: np.ndarray, impulses: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 95% interval of `half` over resampled times of pushes; `alive` (impulse, direction, draw)."""
-    count = alive.shape[2]
-    found = [half(alive[..., rng.integers(0, count, count)].mean((1, 2)), impulses) for _ in range(1000)]
-    return tuple(np.quantile(found, [0.025, 0.975]).tolist())
-
-
-def best_of(simulation: mc.Simulation, gains: object, seconds: float, count: int) -> list[dict[str, float]]:
-    """Return for each of `KINDS` the thresholds with which most walks of draws of their own survive."""
-    settings = [dict(zip(THRESHOLDS, each, strict=True)) for each in itertools.product(*THRESHOLDS.values())]
-    columns = {name: np.array([each[name] for each in settings]).reshape(-1, 1, 1, 1, 1) for name in THRESHOLDS}
-    alive = survived(simulation, gains, drawn(count, seconds, 1), IMPULSES[1:6], Recovery(**columns, take_over=1.0))
-    score = alive.mean((3, 4)).reshape(len(settings), -1)
-    for number, kind in enumerate(KINDS):
-        order = np.argsort(-score[:, number], kind="stable")[:3]
-        print(" ", *kind, *(f"{settings[n]} {score[n, number]:.3f}" for n in order), sep="\n    ", flush=True)
-    return [settings[int(n)] for n in score.argmax(0)]
-
-
-def walk_row(out: Path, hardware: str, law: str, draws: int, seconds: float) -> None:
-    """Walk a row without and with recovery, and write which walks survived."""
-    simulation, gains = walker(hardware, law, seconds)
-    pushes, sizes = drawn(draws, seconds, 2), (len(GRAVITY), len(LENGTHS), 1, 1)
-    chosen = best_of(simulation, gains, seconds, max(2, draws // 2))
-    columns = {name: np.array([each[name] for each in chosen]).reshape(sizes) for name in THRESHOLDS}
-    alive = {
-        name: survived(simulation, gains, pushes, IMPULSES, recovery).astype(int).tolist()
-        for name, recovery in (("none", None), ("recovery", Recovery(**columns, take_over=1.0)))
-    }
-    row = {"hardware": hardware, "law": law, "chosen": chosen, "alive": alive}
-    (out / f"{hardware}-{law}.json").write_text(json.dumps(row) + "\n")
-
-
-def write_tables(out: Path) -> None:
-    """Write the tables of all rows that have been walked."""
-    shares, halves, rng = [], [], np.random.default_rng(0)
-    for hardware, law in itertools.product(HARDWARE, GAINS):
-        if not (file := out / f"{hardware}-{law}.json").exists():
-            continue
-        found = json.loads(file.read_text())
-        for (number, kind), recovery in itertools.product(enumerate(KINDS), found["alive"]):
-            place = np.unravel_index(number, (len(GRAVITY), len(LENGTHS)))
-            alive = np.array(found["alive"][recovery])[place].reshape(len(IMPULSES), len(DIRECTIONS), -1)
-            row = {"hardware": hardware, "gravity": kind[0], "push": kind[1], "law": law, "recovery": recovery}
-            settings = found["chosen"][number]
-            used = settings if recovery != "none" else dict.fromkeys(settings, "")
-            for n, direction in [(slice(None), "all"), *((slice(n, n + 1), way) for n, way in enumerate(DIRECTIONS))]:
-                own = alive[:, n]
-                low, high = interval(own, IMPULSES, rng)
-                middle, each = half(own.mean((1, 2)), IMPULSES), {**row, "direction": direction}
-                halves.append({**each, "half": f"{middle:.3g}", "low": f"{low:.3g}", "high": f"{high:.3g}", **used})
-                counts = zip(IMPULSES, own.sum((1, 2)), strict=True)
-                of = own[0].size
-                shares += [{**each, "impulse": f"{i:.4g}", "survived": int(k), "of": of} for i, k in counts]
-    for name, rows in (("survived.csv", shares), ("half.csv", halves)):
-        with (out / name).open("w", newline="") as target:
-            writer = csv.DictWriter(target, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+def rows_of(hardware: str, law: str, gravity: str, seconds: float, draws: int) -> list[dict[str, object]]:
+    """Return the rows of one law: without recovery, and with the best thresholds for each length of a push."""
+    scenario, own = walker(hardware, law, seconds, GRAVITY[gravity])
+    each = [dict(zip(THRESHOLDS, values, strict=True)) for values in itertools.product(*THRESHOLDS.values())]
+    tried = {str(n): recovering(own, settings) for n, settings in enumerate(each)}
+    how: dict[str, Any] = {"lengths": LENGTHS, "largest": LARGEST}
+    chosen = find(scenario, tried, **how, draws=max(8, draws // 4), rounds=3, seed=1)
+    rows: list[dict[str, object]] = []
+    for length in LENGTHS:
+        half = [borne(chosen.sel(walker=name, length=length), 0.5).value for name in tried]
+        best = each[int(np.argmax(half))]
+        found = find(scenario, {"none": own, "recovery": recovering(own, best)}, **how, draws=draws, seed=2)
+        for name, direction in itertools.product(("none", "recovery"), ("all", *DIRECTIONS)):
+            data = found.sel(walker=name, length=length)
+            data = data if direction == "all" else data.sel(direction=direction)
+            row: dict[str, object] = {"hardware": hardware, "gravity": gravity, "push": f"{length:g} s", "law": law}
+            row |= {"recovery": name, "direction": direction}
+            for words, share in SHARES.items():
+                middle, low, high = (f"{length * value:.3g}" for value in borne(data, share))
+                row |= {words: middle, f"{words} low".removeprefix("half "): low}
+                row |= {f"{words} high".removeprefix("half "): high}
+            rows.append(row | (best if name == "recovery" else dict.fromkeys(best, "")))
+    return rows
 
 
 def most_up(feet: np.ndarray, base: np.ndarray, com: np.ndarray, weight: float, limit: float) -> float:
@@ -190,15 +120,14 @@ def most_up(feet: np.ndarray, base: np.ndarray, com: np.ndarray, weight: float, 
 
 def print_bound(seconds: float, count: int = 40) -> None:
     """Print the largest push up that the feet bear at rest, as the walk has them and with all of them down."""
-    simulation, gains = walker("ideal", "pd", seconds)
-    robot, times = load_robot(simulation.scenario.robot), drawn(count, seconds, 2)[1][:count]
+    random = np.random.default_rng(2)
     for name, size in GRAVITY.items():
-        own = dataclasses.replace(own_parameters(simulation.scenario), gravity=np.array([0.0, 0.0, -size]))
-        walk = simulation.rollout(gains, own)
-        steps = (times / simulation.scenario.time_step).astype(int)
+        scenario, own = walker("ideal", "pd", seconds, size)
+        walk, robot = mc.rollout(scenario), load_robot(scenario.robot)
+        steps = (random.uniform(0.5, seconds - 2.0, count) / scenario.time_step).astype(int)
         found = [
             [most_up(walk.foot_position[k][down], walk.base_position[k], walk.center_of_mass[k],
-                     robot.total_mass * size, simulation.scenario.contact.holding_limit)
+                     robot.total_mass * size, scenario.contact.holding_limit)
              for down in (walk.support[k], np.full(walk.support.shape[1], True))]
             for k in steps
         ]  # fmt: skip
@@ -206,42 +135,25 @@ def print_bound(seconds: float, count: int = 40) -> None:
         print(f"{name}: {standing:.1f} N on the feet that stand, {all_down:.1f} N on all feet", flush=True)
 
 
-def print_searched(file: Path, seconds: float, draws: int) -> None:
-    """Print how many walks survive without recovery and with the thresholds of a gains file, under pd."""
-    simulation, gains = walker("dynamixel_x", "pd", seconds)
-    found = gains_file.whole(file, simulation.scenario).gains
-    recovery = Recovery(**{name: found[f"recovery_{name}"] for name in (*THRESHOLDS, "take_over")})
-    for name, each in (("none", None), ("searched", recovery)):
-        alive = survived(simulation, gains, drawn(draws, seconds, 7), IMPULSES, each)
-        for gravity, length in np.ndindex(alive.shape[:2]):
-            print(name, [*GRAVITY][gravity], [*LENGTHS][length], *alive[gravity, length].sum(1), "of", alive.shape[-1])
-
-
 def main() -> None:
-    """Walk the rows and write both tables."""
+    """Walk all rows and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--draws", type=int, default=16, help="of each direction")
+    parser.add_argument("--draws", type=int, default=64, help="of each direction")
     parser.add_argument("--seconds", type=float, default=8.0)
-    parser.add_argument("--only", help="the row of this hardware and law, as ideal-pd, and no table")
-    parser.add_argument("--tables", action="store_true", help="walk nothing")
     parser.add_argument("--bound", action="store_true", help="print the bound alone")
-    parser.add_argument("--searched", type=Path, help="gains of Recovering: print its survivors alone")
     asked = parser.parse_args()
-    if asked.searched:
-        print_searched(asked.searched, asked.seconds, asked.draws)
-        return
     if asked.bound:
         print_bound(asked.seconds)
         return
-    asked.out.mkdir(parents=True, exist_ok=True)
-    begun = time.time()
-    for hardware, law in itertools.product(HARDWARE, GAINS):
-        if asked.only in (None, f"{hardware}-{law}") and not asked.tables:
-            print(f"{hardware}, {law}, {time.time() - begun:.0f} s", flush=True)
-            walk_row(asked.out, hardware, law, asked.draws, asked.seconds)
-    if asked.only is None:
-        write_tables(asked.out)
+    rows: list[dict[str, object]] = []
+    for hardware, law, gravity in itertools.product(HARDWARE, GAINS, GRAVITY):
+        print(hardware, law, gravity, flush=True)
+        rows += rows_of(hardware, law, gravity, asked.seconds, asked.draws)
+        with asked.out.open("w", newline="") as target:
+            writer = csv.DictWriter(target, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
 
 
 if __name__ == "__main__":

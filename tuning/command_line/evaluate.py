@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from mjx_climb.scenario import shipped
 from tuning.command_line.from_models import command, in_options
 from tuning.command_line.options import ENSEMBLE, SHARD, Members, Output, Walk
-from tuning.command_line.program import InputError, repeated
+from tuning.command_line.program import InputError, origin, repeated
 from tuning.command_line.sweep import merge, walk_rows
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.search import Judge, Search, check_metrics
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tuning.comparisons.judge import Draw
     from tuning.comparisons.linear_margins import Stable
     from tuning.comparisons.margins import Found
+    from tuning.comparisons.pushes import Walker
     from tuning.gains.gains_file import Whole
     from tuning.problem.ensemble import Ensemble
     from tuning.problem.evaluation import Problem
@@ -222,6 +223,73 @@ class Bounds(Files, Members):
         return self.loaded(self.ensemble or Path("ensemble")) if self.ensemble or self.members else None
 
 
+class Pushes(Files):
+    """How large a push walks bear."""
+
+    pushes: bool = setting(False, "find the largest pushes on the base that half and 95 % of the walks survive")
+    push_length: tuple[float, ...] = setting((0.2, 1.0), "of a push, s", metavar="S")
+    largest_push: float = setting(60.0, "largest force that is tried, N; the smallest is a 64th", gt=0)
+    push_draws: int = setting(80, "instants, and seeds of noise, that are drawn for each direction", ge=8)
+
+    def walkers(self, loaded: "Problem") -> "dict[str, Walker]":
+        """Return the gains of the files, the config's law and pd; without recovery too where the config has one."""
+        from mjx_climb.control import PD, law_of
+        from mjx_climb.inputs.from_scenario import own_parameters
+        from tuning.comparisons.pushes import Walker
+
+        scenario, own = loaded.scenario, own_parameters(loaded.scenario)
+        each = {name: Walker(whole.law, whole.gains, own) for name, whole in self.named(loaded).items()}
+        if loaded.law is not None or scenario.control.controller != "pd":
+            each["config"] = Walker(loaded.law or law_of(scenario), {}, own)
+        each["pd"] = Walker(PD(), {}, own)
+        if own.recovery is None:
+            return each
+        bare = dataclasses.replace(own, recovery=None)
+        return {
+            f"{name}{words}": walker._replace(parameters=parameters)
+            for name, walker in each.items()
+            for words, parameters in (("", own), (", no recovery", bare))
+        }
+
+
+def pushes(asked: Pushes, walk: Annotated[Walk, "-gains"], output: Annotated[Output, "-sections"]) -> None:
+    """Find the largest pushes that walks survive, by direction and length."""
+    with output.session(walks=True) as shell:
+        from mjx_climb.files import dataset
+        from mjx_climb.viz import plots
+        from tuning.command_line.session import from_page
+        from tuning.comparisons import pushes as search
+        from tuning.gains.gains_file import by_name
+        from tuning.pages import pushes as pages
+        from tuning.pages.page import NAME
+        from tuning.results.config_file import write_config
+        from tuning.writing.record import settings_of
+
+        loaded = walk.load()
+        walkers = asked.walkers(loaded)
+        how: dict[str, Any] = {"lengths": asked.push_length, "largest": asked.largest_push, "draws": asked.push_draws}
+        known = {name: {"law": repr(each.law), "gains": by_name(each.gains)} for name, each in walkers.items()}
+        shell.take(walk, "pushes.json", settings_of(loaded, "pushes", gains=known, **how), "pushes")
+        with shell.whole() as out:
+            scenario = write_config(loaded.scenario, out, loaded.law)
+            shell.opening(scenario)
+            with shell.stage("pushes") as told:
+                found = search.find(scenario, walkers, **how, engine=walk.engine, progress=told)
+            text, table = pages.summary(found), pages.pushes_table(found)
+            with shell.stage("drawing", compiles=False):
+                dataset.write_text_atomically(out / "pushes.json", text + "\n")
+                dataset.save(found, out / "pushes.nc")
+                figure = pages.plot_pushes(found)
+                plots.save_figure(figure, out / "pushes", {*output.figures, "png"})
+                again = repeated(["evaluate", "--pushes"], "--gains", "--retuned-pd", "--push-length",
+                                 "--largest-push", "--push-draws", "--engine")  # fmt: skip
+                made = origin(shell.name, again)._replace(pictures={pages.CAPTION: out / "pushes.png"})
+                pages.write_page(found, scenario, made, out)
+        shell.show(from_page(table), pages.verdict(found))
+        pictures = ", ".join(f"pushes.{kind}" for kind in sorted({*output.figures, "png"}))
+        shell.written(f"pushes.json, pushes.nc, {pictures}, {NAME}, config.yaml", text)
+
+
 # of the settings those that a first search needs
 _Asked = Annotated[
     Ceiling, "weights", "limits", "better", "against", "points", "knots", "delays", "iterations", "test_members"
@@ -266,8 +334,8 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
 
 
 @command(
-    "results/<config>-evaluate, -margins, -worse or -ceiling",
-    {"margins": margins, "worse": worse, "ceiling": ceiling, "merge": merge},
+    "results/<config>-evaluate, -margins, -worse, -ceiling or -pushes",
+    {"margins": margins, "worse": worse, "ceiling": ceiling, "pushes": pushes, "merge": merge},
 )
 def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) -> None:
     """Walk gains through a draw that no search over the ensemble has seen, beside the config's own and pd.
@@ -300,6 +368,11 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     --test-members unseen walks too. With --against METRIC along the front of --better and this metric too. Takes
     minutes a walk on two cores: --knots 0.2 --iterations 25 is a first look.
 
+    --pushes finds the largest pushes on the base that half and 95 % of the walks survive, by direction and length, with
+    intervals: gains of files, the config's law and pd, with and without the config's recovery. A walk is lost where a
+    grip uses more than its limit, or it diverges. DIR has the table (pushes.json), each draw (pushes.nc), a picture and
+    a page.
+
     Finished parts are kept in DIR: the same command goes on where it stopped. With --shard, or as a task of a Slurm
     array, the members are spread over machines, and the last one writes what one machine would have written; --merge
     does so by hand.
@@ -311,6 +384,7 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_2 --gains gains.yaml --ensemble mine.yaml --members 100000 --shard 3/16
       mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --margins --json
       mjx-climb evaluate case_2 --gains gains.yaml --worse delay=x2 --worse force_sensor.dead.LF=3.0
+      mjx-climb evaluate case_2 --gains gains.yaml --pushes --push-length 0.2
       mjx-climb evaluate case_2 --ceiling --gains gains.yaml --knots 0.2 --iterations 25
       mjx-climb evaluate case_2 --ceiling --against cost_of_transport --knots 0.2 --iterations 25
     """
