@@ -62,8 +62,8 @@ def recovering(own: Walker, settings: dict[str, float]) -> Walker:
     """Return the same walks with recovery."""
     assert own.parameters is not None
     values: dict[str, Any] = {name: np.asarray(value) for name, value in settings.items()}
-    recovery = Recovery(**values, take_over=np.asarray(1.0))
-    return own._replace(parameters=dataclasses.replace(own.parameters, recovery=recovery))
+    values["take_over"] = np.asarray(1.0)
+    return own._replace(parameters=dataclasses.replace(own.parameters, recovery=Recovery(**values)))
 
 
 def rows_of(hardware: str, law: str, gravity: str, seconds: float, draws: int) -> list[dict[str, object]]:
@@ -122,7 +122,7 @@ def print_bound(seconds: float, count: int = 40) -> None:
     """Print the largest push up that the feet bear at rest, as the walk has them and with all of them down."""
     random = np.random.default_rng(2)
     for name, size in GRAVITY.items():
-        scenario, own = walker("ideal", "pd", seconds, size)
+        scenario, _ = walker("ideal", "pd", seconds, size)
         walk, robot = mc.rollout(scenario), load_robot(scenario.robot)
         steps = (random.uniform(0.5, seconds - 2.0, count) / scenario.time_step).astype(int)
         found = [
