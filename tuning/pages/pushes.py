@@ -98,9 +98,9 @@ def plot_pushes(found: xr.Dataset) -> Figure:
             color, aside = colors[number % len(colors)], 0.7 * ((number + 0.5) / len(names) - 0.5)
             for place, way in enumerate(ways):
                 own = found.sel(length=length, walker=name, direction=way)
-                for share, marker in zip(SHARES.values(), ("o", "_"), strict=True):
+                for share, marker, beside in zip(SHARES.values(), ("o", "_"), (-0.03, 0.03), strict=True):
                     each = np.clip(borne(own, share), smallest, largest)
-                    at = place + aside
+                    at = place + aside + beside
                     panel.plot([at, at], each[1:], color=color, linewidth=0.8)
                     panel.plot(at, each[0], marker, color=color, ms=4 if marker == "o" else 7)
         panel.axhline(largest, color="0.5", linewidth=0.7, linestyle=":")
