@@ -38,6 +38,11 @@ COMMANDS = {  # {gains} stands for a gains file, {swept} for a result, {shards} 
     "schedule": ["tune", *SHORT, "--over", "gravity=0.1,1", "--over", "cargo=0.5", *OUT],
     "reproduce": ["reproduce", *OUT],
     "margins": ["evaluate", *SHORT, "--gains", "{gains}", "--margins", *OUT],
+    "pushes": [
+        *["evaluate", CASE, "--set", "duration=0.9", "--gains", "{gains}", "--pushes"],
+        *"--push-length 0.1 --push-draws 8".split(),
+        *OUT,
+    ],
     "evaluate": ["evaluate", *SHORT, "--gains", "{gains}", "--members", "4", *OUT],
     "compare": [
         "tune",

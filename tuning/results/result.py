@@ -13,11 +13,14 @@ from tuning.problem.search import Search
 
 # by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
 RESULTS = (
-    "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "reproduce.json",
-    "excitation.csv", "replay.json", "result.json", "compared.nc", "ceiling.nc",
-    "degraded.nc", "judged.nc",
+    "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "pushes.json",
+    "reproduce.json", "excitation.csv", "replay.json", "result.json", "compared.nc", "ceiling.nc", "degraded.nc",
+    "judged.nc",
 )  # fmt: skip
-WITHOUT_PARTS = ("trajectory.nc", "margins.json", "reproduce.json", "excitation.csv", "replay.json")  # nothing is kept
+# nothing is kept
+WITHOUT_PARTS = (
+    "trajectory.nc", "margins.json", "pushes.json", "reproduce.json", "excitation.csv", "replay.json"
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
