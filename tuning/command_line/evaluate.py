@@ -11,7 +11,7 @@ from tuning.command_line.program import InputError, origin, repeated
 from tuning.command_line.sweep import merge, walk_rows
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.search import Judge, Search, check_metrics
-from tuning.problem.settings import Options, setting
+from tuning.problem.settings import Options, Positive, setting
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -227,8 +227,10 @@ class Pushes(Files):
     """How large a push walks bear."""
 
     pushes: bool = setting(False, "find the largest pushes on the base that half and 95 % of the walks survive")
-    push_length: tuple[float, ...] = setting((0.2, 1.0), "of a push, s", metavar="S")
-    largest_push: float = setting(60.0, "largest force that is tried, N; the smallest is a 64th", gt=0)
+    push_length: tuple[Positive, ...] = setting(
+        (0.2, 1.0), "length of a push, s", metavar="S", default_in_words="0.2 and 1"
+    )
+    largest_push: Positive = setting(60.0, "largest force that is tried, N; the smallest is a 64th")
     push_draws: int = setting(80, "instants, and seeds of noise, that are drawn for each direction", ge=8)
 
     def walkers(self, loaded: "Problem") -> "dict[str, Walker]":
