@@ -84,14 +84,29 @@ def with_values(
     for key, field in component.VALUES.items():
         given = values.get(key, getattr(component, key))
         value = checked_value(f"{name}.{key}", given, field.shape, *field.bounds, limits=field.limits)
-        if field.shape and None not in field.shape:
-            xp = jnp if isinstance(value, jax.Array) else np
-            batch = value.shape[: max(0, value.ndim - len(field.shape))]
-            value = xp.broadcast_to(value, (*batch, *field.shape))
-        whole[key] = in_precision(f"{name}.{key}", value, array)
+        whole[key] = in_precision(f"{name}.{key}", _in_full(value, field), array)
     within = {key: each for key, each in vars(component).items() if isinstance(each, Component)}
     whole |= {key: with_values(each, {}, array, f"{name}.{key}") for key, each in within.items()}
     return dataclasses.replace(component, **whole)  # type: ignore[type-var]
+
+
+def in_full(component: AnyComponent) -> AnyComponent:
+    """The component with its values, which are checked already, as arrays of their full shape."""
+    own = vars(component)
+    whole = {key: _in_full(own[key], field) for key, field in component.VALUES.items()}
+    changed = {key: value for key, value in whole.items() if value is not own[key]}
+    return dataclasses.replace(component, **changed) if changed else component  # type: ignore[type-var]
+
+
+def _in_full(value: ArrayLike, field: ValueField) -> AnyArray:
+    if isinstance(value, jax.Array) or (isinstance(value, np.ndarray) and value.dtype == np.float64):
+        array: AnyArray = value
+    else:
+        array = real_numbers("value", value)
+    if not field.shape or None in field.shape or array.shape[-len(field.shape) :] == field.shape:
+        return array
+    xp = jnp if isinstance(array, jax.Array) else np
+    return xp.broadcast_to(array, (*array.shape[: max(0, array.ndim - len(field.shape))], *field.shape))
 
 
 def checked_value(

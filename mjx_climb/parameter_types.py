@@ -92,9 +92,7 @@ class Parameters:
         found: dict[str, Component] = {}
         for place, each in _named(self).items():
             found[place] = each
-            for field in dataclasses.fields(each):  # type: ignore[arg-type]  # components are dataclasses
-                if isinstance(inner := getattr(each, field.name), Component):
-                    found[f"{place}.{field.name}"] = inner
+            found |= {f"{place}.{name}": part for name, part in vars(each).items() if isinstance(part, Component)}
         return found
 
     @property
@@ -169,9 +167,7 @@ class Parameters:
         """Parameters with each component replaced by the result of `change` for its section and itself."""
         changed: dict[str, Component] = {}
         for place, each in _named(self).items():
-            fields = dataclasses.fields(each)  # type: ignore[arg-type]
-            inner = {field.name: getattr(each, field.name) for field in fields}
-            new = {n: change(f"{place}.{n}", part) for n, part in inner.items() if isinstance(part, Component)}
+            new = {n: change(f"{place}.{n}", part) for n, part in vars(each).items() if isinstance(part, Component)}
             changed[place] = change(place, dataclasses.replace(each, **new) if new else each)  # type: ignore[type-var]
         disturbances = tuple(each for place, each in changed.items() if place.startswith(f"{_DISTURBANCE}."))
         single: dict[str, Any] = {name: changed[place] for name, place in SECTIONS.items() if place in changed}

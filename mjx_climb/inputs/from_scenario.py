@@ -11,7 +11,7 @@ import numpy as np
 from jax.extend.core import concrete_or_error
 from pydantic import BaseModel
 
-from mjx_climb.component import AnyComponent, Component, checked_value, with_values
+from mjx_climb.component import AnyComponent, Component, checked_value, in_full
 from mjx_climb.disturbances.on_base import Cargo, Push
 from mjx_climb.execution import check_process
 from mjx_climb.gait.footholds.footholds import Footholds
@@ -106,7 +106,7 @@ def _of_section(kind: type[AnyComponent], section: BaseModel, **given: object) -
     values = {name: getattr(section, name) for name in names} | given
     for name in kind.VALUES:
         values[name] = np.asarray(math.inf if values[name] is None else values[name], float)
-    return with_values(kind(**values), {})
+    return in_full(kind(**values))
 
 
 def _footholds(scenario: Scenario, source: str) -> Footholds | None:
@@ -218,7 +218,7 @@ def with_options_of(parameters: Parameters, like: Parameters) -> Parameters:
 
 
 def _with_options(component: Component, like: Component) -> Component:
-    return dataclasses.replace(component, **_options(like))  # type: ignore[type-var]
+    return component if like is component else dataclasses.replace(component, **_options(like))  # type: ignore[type-var]
 
 
 def _options(component: Component) -> dict[str, object]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from mjx_climb.arrays import AnyArray
-from mjx_climb.component import AnyComponent, checked_value, in_precision, real_numbers, with_values
+from mjx_climb.component import AnyComponent, checked_value, in_full, in_precision, real_numbers, with_values
 from mjx_climb.control import PD, Law
 from mjx_climb.execution.batch_axes import batch_shape, own_axes
 from mjx_climb.gait.recovery import recovery_of
@@ -80,7 +80,7 @@ def resolve(
     }
     law = with_values(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
     own = dataclasses.replace(own, recovery=recovery_of(law, own.recovery))
-    own = own.with_components(lambda place, each: with_values(each, {}, lambda value: value, place))
+    own = own.with_components(lambda _, each: in_full(each))
     walked = with_whole_steps(own, scenario.time_step).replace(joint)
     walked = walked if compiled else compiled_for(scenario, walked, called)
     cast = {p: in_precision(called.get(p, f"parameters.{p}"), value, array) for p, value in walked.values.items()}

@@ -179,7 +179,8 @@ def _own_springs(parameters: Parameters, scenario: Scenario) -> list[Own]:
 
 def _shared_gait(parameters: Parameters, own: Gait) -> Gait:
     """Return the gait with the values that all robots have in place of its own."""
-    given = {path.removeprefix("gait."): parameters.at(path) for path in GAIT}
+    values = parameters.values
+    given = {path.removeprefix("gait."): values[path] for path in GAIT}
     known = {key: np.unique(np.asarray(value, float)) for key, value in given.items() if not is_traced(value)}
     return own.model_copy(update={key: float(values[0]) for key, values in known.items() if len(values) == 1})
 

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import os
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,8 @@ from mjx_climb.robot_import.robot_file import refusal, unposed
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
 
+_MODELS = Path(__file__).parents[1] / "robot" / "models"
+
 
 def model_path(name: str | RobotFile) -> Path:
     """Return the file of a robot: a user's own, or the MJCF of one that comes with mjx_climb.
@@ -25,10 +26,9 @@ def model_path(name: str | RobotFile) -> Path:
     """
     if isinstance(name, RobotFile):
         return Path(name.file)
-    folder = Path(str(resources.files("mjx_climb"))) / "robot" / "models"
-    path = folder / f"{name}.xml"
+    path = _MODELS / f"{name}.xml"
     if not os.path.isfile(path):
-        known = ", ".join(sorted(p.stem for p in folder.glob("*.xml")))
+        known = ", ".join(sorted(p.stem for p in _MODELS.glob("*.xml")))
         raise RobotError(f"robot: expected one of {known}, got {name!r}")
     return path
 
@@ -48,7 +48,8 @@ def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
 def _files(name: str | RobotFile) -> list[Path]:
     """The file of a robot, and those that it includes."""
     file = model_path(name)
-    included = mujoco.mju_getXMLDependencies(str(file)) if file.suffix == ".xml" and file.is_file() else []
+    own = isinstance(name, RobotFile) and file.suffix == ".xml" and file.is_file()
+    included = mujoco.mju_getXMLDependencies(str(file)) if own else []
     return sorted({file, *(file.parent / other for other in included)})
 
 
