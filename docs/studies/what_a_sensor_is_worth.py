@@ -25,9 +25,11 @@ sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "guides
 import ceiling as study
 import ceiling_laws as searched
 
+import mjx_climb as mc
 import tuning
 from mjx_climb.control import shipped
 from mjx_climb.inputs.gait_values import scenario_with_gait
+from mjx_climb.scenario.load import load_hardware, with_hardware
 from tuning.gains import gains_file
 from tuning.problem import ensemble as ensembles
 from tuning.problem import spaces
@@ -66,7 +68,8 @@ class Cell:
     def __init__(self, asked, hardware, case):
         """Read the rows that there are."""
         self.asked, self.hardware, self.case = asked, hardware, case
-        self.scenario = study.scenario_of(hardware, case, asked.seconds)
+        ideal = mc.load_scenario(f"case_{case}").with_overrides({"duration": asked.seconds})
+        self.scenario = with_hardware(ideal, load_hardware(hardware), hardware)  # with the noise of its sensors
         self.unseen = ensembles.fresh(walks_of(case, asked.unseen, 0))
         self.file = asked.out / f"{hardware}_{case}.json"
         self.rows = json.loads(self.file.read_text()) if self.file.exists() else []
