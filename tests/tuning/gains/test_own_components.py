@@ -136,7 +136,7 @@ def test_options_take_the_place_of_a_configs_and_set_comes_last(file):
             "disturbance.others.0.att: expected a known key",
         ),
         ({"gait.footholds": {"kind": "planned"}}, "gait.footholds.kind: expected one of nearest, farthest"),
-        ({"gait.footholds": {"kind": "best_margin", "q": 1}}, "gait.footholds.q: expected one of distance_weight"),
+        ({"gait.footholds": {"kind": "best_margin", "q": 1}}, "gait.footholds.q: expected one of reach_a_stride_on"),
         (
             {"own": {"contact": {"name": "PolyhedralGripper"}}},
             "own.contact: expected the section contact, with kind and",
