@@ -177,7 +177,7 @@ class _Luck(NamedTuple):
     """
 
     variances: np.ndarray  # (P, G) of the means over the seeds; of gains that share the baseline's, of the difference
-    freedom: float  # of each variance
+    freedom: np.ndarray  # (G,) of each variance
     shared: np.ndarray  # (G,) bool, those that have the results of the baseline's searches
     baseline: int
 
@@ -186,14 +186,14 @@ class _Luck(NamedTuple):
         """Return the luck that the values (P, G, K) of each seed show."""
         seeds, place = each.shape[-1], np.arange(each.shape[1])
         if seeds == 1:
-            return cls(np.zeros(each.shape[:-1]), np.inf, shared, baseline)
+            return cls(np.zeros(each.shape[:-1]), np.full(len(place), np.inf), shared, baseline)
         own = ~shared | (place == baseline)
         paired = np.where(own[:, None], each, each - each[:, [baseline]])
         variances = paired.var(axis=-1, ddof=1) / seeds
         square = each.mean(-1) ** 2
         # of gains that were searched for themselves; a grid has no luck
         relative = np.where(own & (variances > 0) & (square > 0), variances / np.where(square > 0, square, 1.0), np.nan)
-        found = cls(variances, float(seeds - 1), shared, baseline)
+        found = cls(variances, np.full(len(place), seeds - 1.0), shared, baseline)
         return found if np.isnan(relative).all() else found._pooled(relative, square)
 
     def _pooled(self, relative: np.ndarray, square: np.ndarray) -> "_Luck":
@@ -206,24 +206,26 @@ class _Luck(NamedTuple):
         of_gains = ratios.sum(0) / np.maximum(kept.sum(0), 1) * mean
         least = np.maximum(np.maximum(mean, of_gains), np.nanmedian(relative))
         variances = np.where(kept, np.maximum(relative, least) * square, self.variances)
-        return self._replace(variances=variances, freedom=self._moderated(relative, kept))
+        freedom = np.where(kept.any(0), self._moderated(relative, kept), self.freedom)
+        return self._replace(variances=variances, freedom=freedom)
 
     def _moderated(self, relative: np.ndarray, kept: np.ndarray) -> float:
         """Return the degrees of freedom of a variance, those of its prior included, at most all of a statistic's."""
-        most, half = self.freedom * kept.sum(1).max(), self.freedom / 2
+        own = float(self.freedom[self.baseline])
+        most = own * float(kept.sum(1).max())
         logs = np.where(kept, np.log(np.where(kept, relative, 1.0)), 0.0)
         there = kept.sum(1, keepdims=True)
         apart = np.where(kept, logs - logs.sum(1, keepdims=True) / np.maximum(there, 1), 0.0)
         pairs = np.maximum(there - 1, 0).sum()
         if pairs == 0:
-            return self.freedom
-        more = (apart**2).sum() / pairs - polygamma(1, half)
+            return own
+        more = (apart**2).sum() / pairs - polygamma(1, own / 2)
         if more <= 0:
-            return float(most)
+            return most
         # the trigamma function falls from infinity to 0
         prior = 2 * brentq(lambda at: polygamma(1, at) - more, 1e-8, 1e8)
         # a prior that knows less than the seeds themselves counts as none: laws are too different to lend
-        return float(min(most, self.freedom + (prior if prior > self.freedom else 0.0)))
+        return float(min(most, own + (prior if prior > own else 0.0)))
 
     def of_differences(self, variances: np.ndarray) -> np.ndarray:
         """Return the variances (..., G) of the differences from the baseline."""
@@ -238,7 +240,7 @@ class _Luck(NamedTuple):
         means = np.sqrt(self.variances) * rng.normal(size=shape)
         differences = np.where(self.shared, means, means - means[..., [self.baseline]])
         differences[..., self.baseline] = 0.0
-        spread = rng.chisquare(self.freedom, shape) / self.freedom if np.isfinite(self.freedom) else 1.0
+        spread = rng.chisquare(self.freedom, shape) / self.freedom if np.isfinite(self.freedom).all() else 1.0
         return differences, self.of_differences(self.variances * spread)
 
 
