@@ -72,7 +72,12 @@ def test_registers_are_what_the_manual_makes_of_them(name):
 
 # share of the voltage per rad and unit of P, as github.com/Rhoban/bam has it (`error_gain`); of an MX-64 and MX-106 for
 # protocol 1, where P is 32 where protocol 2 has 880
-MEASURED = {"mx_64": 0.158 * 32 / 880, "mx_106": 0.158 * 32 / 880, "xl_320": 0.05048199, "xl_330": 0.00246}
+MEASURED = {
+    "mx_64": 0.158 * 32 / 880,
+    "mx_106": 0.158 * 32 / 880,
+    "xl_320": 0.05048199,
+    "xl_330": 4096 / (2 * np.pi * 256 * 885),
+}
 
 
 @pytest.mark.parametrize("name", MEASURED)
@@ -319,7 +324,6 @@ BAM = {  # kt N m/A, R Ohm, armature kg m^2 of the identified models M6
     "mx_64": (1.6016832750318712, 2.3164043271967447, 0.012265893049213158),
     "mx_106": (2.209828156174588, 2.033661749312417, 0.026016184370993383),
     "xl_320": (1.0088269677439867, 31.585877261639528, 0.0011629864934131363),
-    "xl_330": (0.37253285274194237, 2.67694806663074, 0.0019264867295509705),
 }
 
 

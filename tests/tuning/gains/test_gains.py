@@ -266,7 +266,7 @@ def test_gains_of_the_joint_loop_are_written_as_registers(export, judged):
         ("mx_64", {"kp": 42.0, "kd": 0.0}, "P Gain 880, I Gain 0, D Gain 0"),
         (
             "xl_330",
-            {"kp": 0.685, "kd": 0.01},
+            {"kp": 0.767, "kd": 0.01},
             "P Gain 400, I Gain 0, D Gain not known (kd 0.01: the scale of D is not known)",
         ),
         ("xl_320", {"kp": 0.387, "kd": 0.0}, "P Gain 32, I Gain 0, D Gain 0"),

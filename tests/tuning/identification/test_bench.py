@@ -6,6 +6,7 @@ import pytest
 import mjx_climb as mc
 import tuning
 from mjx_climb.robot_import.load import load_robot
+from mjx_climb.scenario.load import load_hardware, with_hardware
 from tuning.identification.model import replay
 from tuning.identification.readers.log import Log, Signal
 
@@ -100,3 +101,47 @@ def test_rows_of_joints_are_limbs_of_a_stand_and_branches_are_refused(tmp_path, 
     (tmp_path / "branched.xml").write_text(branched)
     code, _, err = call("robot", tmp_path / "branched.xml", "--stand")
     assert code == 2 and "expected rows of joints, got a and b on rod" in err
+
+
+# ------------------------------------------------------------------------------------------------- real recordings
+
+
+def recorded(*names, kp=0.0):
+    """The log of recordings of an XL-330 one after the other, a second apart; `kp` is that of a P register of 400."""
+    begin, parts = 0.0, []
+    with np.load("tests/reference/xl330_bench.npz") as of:
+        for name in names:
+            rows = of[name].astype(float)
+            share = int(name[1:4]) / 400
+            parts.append(np.column_stack([begin + rows[:, 0], rows[:, 1:], np.full(len(rows), share * kp)]))
+            begin = parts[-1][-1, 0] + 1.0
+    time, goal, angle, gain = np.concatenate(parts).T
+    signals = {"rod.swing.command": goal, "rod.swing.position": angle, "control.kp": gain}
+    return Log({name: Signal(time, value) for name, value in signals.items()}, "bench.csv")
+
+
+@pytest.fixture
+def xl330(bench):
+    on = with_hardware(bench, load_hardware("xl_330"))
+    return on.with_overrides({"hardware.servo.registers": {"p": 400}, "hardware.servo.supply_voltage": 7.4})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["p200_sin_time_square", "p400_sin_time_square"])
+def test_the_shipped_profile_moves_as_the_servo_did(xl330, name):
+    found = replay.simulate(replay.prepare(recorded(name, kp=xl330.control.kp), xl330, "held", 0.0))
+    assert np.degrees(found.errors["rod.swing.position"].rms) < 2.65
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("optimised")
+def test_fits_of_recordings_end_at_one_optimum_and_predict_another_p_gain(xl330):
+    """What was held out is a P register of 400; those of 100 and 200 are fitted."""
+    log = recorded("p100_sin_sin", "p200_sin_time_square", "p400_sin_time_square", kp=xl330.control.kp)
+    keys = ["armature", "torque_limit", "coulomb_friction", "viscous_friction", "load_friction"]
+    found = tuning.identify(xl330, log, [f"hardware.servo.{key}" for key in keys], starts=3, held_out=1 / 3)
+    assert found.fitted.ended == "converged"
+    assert max(found.fitted.costs) < 1.01 * min(found.fitted.costs)
+    assert np.degrees(found.held_out["error"]["rod.swing.position"]) < 2.65
+    assert any("the model is wrong" in line for line in found.warnings)
+    assert all(each.low <= each.value <= each.high for each in found.estimates.values())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.robot_import.load import load_robot
 from tests.tuning.identification.recorded import ROBOT, recorded
 from tuning.identification.fit.problem import Problem
 from tuning.identification.model.predicted import model_of
@@ -88,3 +89,23 @@ def test_what_is_held_out_behind_a_hole_is_predicted_from_its_own_first_samples(
     assert placed.any() and (time[placed] - begin[placed] < SHORTEST).all()
     assert (~fit.predicted == fit.fitted).all()
     np.testing.assert_allclose(begin[placed].min(), 8.9 + LATE, atol=0.011)
+
+
+def test_a_fit_is_compiled_for_a_robot_by_the_contents_of_its_files(tmp_path):
+    """An edited file, or one that it includes, gave the answer for the old robot where programs were kept."""
+    rod = '<mujoco><body name="rod"><joint name="swing" axis="0 1 0"/>{}</body></mujoco>'
+    mass = '<inertial pos="0 0 -0.1" mass="{}" diaginertia="1e-6 1e-6 1e-6"/>'
+    (tmp_path / "bench.xml").write_text('<mujoco><worldbody><include file="rod.xml"/></worldbody></mujoco>')
+    config = {"robot": {"file": str(tmp_path / "bench.xml"), "limbs": {"rod": {"joints": ["swing"]}}}}
+
+    def compiled_for(kilogram):
+        (tmp_path / "rod.xml").write_text(rod.format(mass.format(kilogram)))
+        scenario = mc.Scenario().with_overrides(config)
+        return model_of(scenario, windows, []).structure
+
+    time = np.arange(300) / 100
+    signals = {f"rod.swing.{kind}": Signal(time, np.sin(time)) for kind in ("command", "position")}
+    (tmp_path / "rod.xml").write_text(rod.format(mass.format("0.5")))
+    windows = cut(Log(signals, "log.csv"), load_robot(mc.Scenario().with_overrides(config).robot), STEP, 0.0)
+    first, edited, again = (compiled_for(kilogram) for kilogram in ("0.5", "0.75", "0.5"))
+    assert first == again and first != edited

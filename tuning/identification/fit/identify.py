@@ -35,6 +35,7 @@ STARTS = 4
 _COARSE = 1e-3  # relative tolerance, with which the starts are compared
 _MOST, _PASSES = 100, 4  # evaluations of a search, and passes with the noise estimated anew
 _UNHEARD = 30.0  # times their noise, where starts are compared
+_LOUD = 0.1  # of what a signal moves by, its noise there
 _GUESSED = "the log has base or foot forces: base free, all grippers shut (--base held: on a stand)"
 _OTHERS = 4  # starts, where all those that were asked for diverge
 _SPREAD = 0.7  # sd of the starts, of the prior's
@@ -132,8 +133,11 @@ def _gripped(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Var
 def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted, Problem]:
     """Where the search ends from the best of the starts, with the noise that is left, and what was fitted."""
     model, prior, guess = problem.model, problem.prior, problem.model.guess.ravel()
+    samples = _samples(problem)
+    # far from the optimum residuals are none of the noise's size: its own would have most of them count by size alone
+    louder = np.maximum(problem.noise, _LOUD * samples.moved)
     # torques jump as commands do: no slope leads from one side of a jump to the other
-    louder = np.where(model.windows.kind == KINDS.index("effort"), _UNHEARD * problem.noise, problem.noise)
+    louder = np.where(model.windows.kind == KINDS.index("effort"), _UNHEARD * louder, louder)
     trial = dataclasses.replace(problem, noise=louder)
     ends: list[Fitted] = []
     for point in _starts(model, prior, starts + _OTHERS):
@@ -145,11 +149,17 @@ def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted
     if not ends:
         raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
     best, costs = min(ends, key=lambda end: end.cost), tuple(end.cost for end in ends)
-    found, problem = _settled(problem, best, searches, _PASSES)
-    while (untold := inference.untold(problem, found)).any():
+    noise = noise_of(best.residuals, best.rate, samples, Noise(problem.noise, 0.0))
+    problem = dataclasses.replace(problem, noise=noise.signals, clock=noise.clock, rate=best.rate)
+    if (settled := _settled(problem, best, searches, _PASSES)) is None:
+        raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
+    while settled is not None:
+        found, problem = settled
+        if not (untold := inference.untold(problem, found)).any():
+            break
         held = untold | ~problem.free
-        problem, at = dataclasses.replace(problem, held=held), np.where(held, begin(model.variables), found.x)
-        found, problem = _settled(problem, found._replace(x=at), searches, 1)
+        at = found._replace(x=np.where(held, begin(model.variables), found.x))
+        settled = _settled(dataclasses.replace(problem, held=held), at, searches, 1)  # None: it diverges there
     return found._replace(costs=costs), problem
 
 
@@ -164,15 +174,16 @@ def _starts(model: Fit, prior: Prior, count: int) -> np.ndarray:
     return np.asarray(points)
 
 
-def _settled(problem: Problem, found: Fitted, searches: Searches, passes: int) -> tuple[Fitted, Problem]:
-    """Where searches end from a point, the noise estimated anew after each until it settles, and what was fitted."""
-    windows, rows = problem.model.windows, problem.rows
-    moved = np.array([np.std(rows.value[rows.signal == n]) for n in range(len(windows.names))])
-    samples = Samples(rows.signal, rows.stamp, problem.fitted, windows.stamp_spacing, moved)
+def _settled(problem: Problem, found: Fitted, searches: Searches, passes: int) -> tuple[Fitted, Problem] | None:
+    """Where searches end from a point, the noise estimated anew after each until it settles, and what was fitted.
+
+    None where the model diverges at the point.
+    """
+    samples = _samples(problem)
     for n in range(passes):
         end = searches.search(problem, np.r_[found.x, found.start.ravel()], _MOST, f"pass {n + 1}")
         if end is None:
-            raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
+            return None
         before = Noise(problem.noise, problem.clock)
         now = noise_of(end.residuals, end.rate, samples, before)
         found = end._replace(unsettled=change(before, now))
@@ -180,6 +191,12 @@ def _settled(problem: Problem, found: Fitted, searches: Searches, passes: int) -
             break
         problem = dataclasses.replace(problem, noise=now.signals, clock=now.clock, rate=end.rate)
     return found, problem
+
+
+def _samples(problem: Problem) -> Samples:
+    windows, rows = problem.model.windows, problem.rows
+    moved = np.array([np.std(rows.value[rows.signal == n]) for n in range(len(windows.names))])
+    return Samples(rows.signal, rows.stamp, problem.fitted, windows.stamp_spacing, moved)
 
 
 def _rough_noise(model: Fit) -> np.ndarray:
