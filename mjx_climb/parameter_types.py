@@ -84,7 +84,7 @@ class Parameters:
     disturbances: tuple[Any, ...]  # `Disturbance`s: cargo, pushes, and others
     footholds: Any = None  # `Footholds`, the choice among the holds; None: the planned ones
     recovery: Any = None  # None: nothing interrupts the gait
-    waiting: Any = None  # None: the gait goes on whatever holds
+    waiting: Any = None  # None: the gait does not wait for grips
 
     @property
     def components(self) -> dict[str, Component]:
@@ -143,7 +143,7 @@ class Parameters:
         return self.replace_alone(values)
 
     def replace_alone(self, values: Mapping[str, Any]) -> "Parameters":
-        """`replace`, without what follows from the values.
+        """`replace`, without changes that follow from the values.
 
         Raises:
             ValueError: no such path.

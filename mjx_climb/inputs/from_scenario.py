@@ -127,7 +127,7 @@ def _recovery(scenario: Scenario) -> Recovery | None:
 
 
 def _waiting(scenario: Scenario) -> Waiting | None:
-    """Return how a gait waits for grips, None where it goes on whatever holds."""
+    """How a gait waits for grips, None where it does not."""
     given = scenario.gait.waiting
     usual = scenario.ground.holds is not None or scenario.contact.kind == "uncertain"
     return _of_section(Waiting, given) if (usual if given.waits is None else given.waits) else None

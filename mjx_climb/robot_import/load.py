@@ -94,7 +94,7 @@ def spec_of(source: RobotFile) -> mujoco.MjSpec:
 
 
 def check_stance(scenario: Scenario, source: str = "scenario") -> None:
-    """Refuse a stand, and a stance in which a limb is singular: it cannot move its foot every way, or turn it.
+    """Refuse a stand, and a stance with a singular limb: it cannot move its foot every way, or turn it.
 
     Raises:
         ConfigError: in one line, the key; or the limb and the smallest singular value of its Jacobian.

@@ -119,7 +119,7 @@ class SwingFile(v.Section):
 
 
 class Waiting(v.ComponentSection):
-    """A gait in which no limb lifts off while another that should hold does not."""
+    """A gait that lifts no limb while another that should hold does not."""
 
     COMPONENT = declared.Waiting
 
