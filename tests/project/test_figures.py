@@ -19,3 +19,11 @@ def test_pages_say_what_their_tables_have():
     pieces = figures.texts()
     assert len(pieces) == 4 and sum(map(len, pieces.values())) > 60
     assert [(page.name, piece) for page, piece in figures.lacking()] == []
+
+
+def test_shipped_gains_are_the_best_that_are_known():
+    """`python docs/studies/shipped_gains.py configs/gains` writes them."""
+    files = program("shipped_gains").files()
+    assert len(files) == 2
+    for name, text in files.items():
+        assert (STUDIES.parents[1] / "configs" / "gains" / name).read_text() == text, name
