@@ -302,6 +302,16 @@ def test_a_joint_alone_is_at_rest_where_it_reads_0_for_long(tmp_path, length, ke
     assert len(log.signals["RH.tibia.position"].time) == kept
 
 
+@pytest.mark.parametrize(("shift", "kept"), [(0.0, 999), (1.5, 1000)])
+def test_a_sample_between_two_that_are_far_apart_is_no_outlier(tmp_path, shift, kept):
+    """It jumps away and back alike; a joint that overshoots where it is moved does so too."""
+    columns = recorded()
+    columns["RH.tibia.position"][501:] += shift
+    columns["RH.tibia.position"][500] += 3.0
+    log = read(tmp_path, columns, Signals.make({"outliers": "drop"}))
+    assert len(log.signals["RH.tibia.position"].time) == kept
+
+
 def test_dropped_zeros_leave_the_rest_of_their_messages_as_it_was(tmp_path):
     columns = recorded()
     broken = zeros(columns | {"LF.coxa.velocity": np.gradient(columns["LF.coxa.position"], columns["time"])})
