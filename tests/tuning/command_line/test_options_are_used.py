@@ -33,6 +33,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "mjx_climb.viz.rendering": "save_image save_video snapshots stance view",
     "mjx_climb.viz.rendering.backend": "find require_display",
     "tuning.proposal.propose": "propose",
+    "tuning.proposal.stand": "on_stand",
     "tuning.comparisons.first_walks": "heavy_load on_ceiling slow_enough with_joint_gains",
     "tuning.background": "background",
     "tuning.benchmarks.commands": "measure",
@@ -219,6 +220,7 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     "robot gravity": ["--gravity 1.6"],
     "robot base": ["--base trunk"],
     "robot limbs": ["--limbs a,b"],
+    "robot stand": ["--stand"],
     "doctor bench bench": ["--bench"],
 }
 
@@ -308,6 +310,7 @@ def traced(monkeypatch, tmp_path, folder):
         "tuning.proposal.propose.propose": SimpleNamespace(
             sections=scenario.model_dump(exclude={"time_step"}), notes=[("a", "b", "c")]
         ),
+        "tuning.proposal.stand.on_stand": "hubrobo_v3_2",
         "tuning.comparisons.first_walks.heavy_load": "",
         "tuning.comparisons.first_walks.on_ceiling": None,
         "tuning.comparisons.first_walks.slow_enough": (scenario, True, "as it is", 0.5),
