@@ -60,6 +60,13 @@ def test_a_search_sits_on_a_bound_and_leaves_it_again(target, end):
     assert end or (point == 0.0).all()
 
 
+def test_a_search_ends_beside_a_bound_on_which_the_model_diverges():
+    """As a fit of twelve recordings did: the point on the bound was taken, and it ended in an AssertionError."""
+    curve = Curve(lambda x: np.where(x > 0, 3 * (x + 1.0), np.nan), lambda x: np.diag([3.0, 3.0]), lower=0.0)
+    point, _, how = ended(curve, (1.0, 2.0))
+    assert how == "converged" and (point > 0).all() and (point < 1e-2).all()
+
+
 def test_a_search_whose_evaluations_run_out_says_so_and_a_model_that_diverges_gives_none():
     slow = Curve(lambda x: np.exp(3 - x), lambda x: -np.diag(np.exp(3 - x)))
     assert ended(slow, (0.0, 0.0), most=2)[2] == "out of iterations"

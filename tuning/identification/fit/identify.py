@@ -32,7 +32,7 @@ from tuning.problem.evaluation import Problem as Walks
 
 HELD_OUT = 0.2
 STARTS = 4
-_COARSE = 1e-3  # relative tolerance, with which the starts are compared
+_COARSE = 1e-4  # relative tolerance, with which the starts are compared
 _MOST, _PASSES = 100, 4  # evaluations of a search, and passes with the noise estimated anew
 _UNHEARD = 30.0  # times their noise, where starts are compared
 _LOUD = 0.1  # of what a signal moves by, its noise there

@@ -63,6 +63,8 @@ class Searches:
         end = found.x
         for bound, outwards in ((prior.lower, found.grad > 0), (prior.upper, found.grad < 0)):
             end = np.where((np.abs(end - bound) < _ON_BOUND * prior.sd) & outwards, bound, end)
+        if (end != found.x).any() and problem.evaluate(objective.whole(end)) is None:  # no derivative on the bound
+            end = found.x
         return objective.whole(end), float(found.cost), len(costs), found.status > 0
 
 
