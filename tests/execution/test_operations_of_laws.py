@@ -65,18 +65,27 @@ class Written(mc.Law):
 SHORT = (("duration", 0.02), ("gait.cycle", 0.02), ("disturbance.cargo.start", 0.01), ("disturbance.cargo.mass", 0.5))
 
 
-def test_such_a_law_is_one_kernel(case, without_nvrtc):
+EFFORT = (("hardware.force_sensor", {"source": "joint_effort", "axes": "z", "drift": 0.1}),)
+PLANNED = ("PlannedTransfer+FootOffsets@upward", "normal_damping", EFFORT), ("LoadTransfer", "normal_damping", EFFORT)
+
+
+@pytest.mark.parametrize(
+    ("name", "gain", "sensor"),
+    [("", "damping", ()), *(pytest.param(*each, marks=pytest.mark.slow) for each in PLANNED)],
+)
+def test_such_a_law_is_one_kernel(name, gain, sensor, case, without_nvrtc):
     """Its values and its tangents."""
-    scenario = case("case_1_2", "virtual_model", SHORT)
-    law = Written()
+    scenario = case("case_1_2", "virtual_model", SHORT + sensor)
+    law = mc.control.shipped(name) if name else Written()
     with jax.enable_x64(False):
         found = resolve_in(scenario, law, None, None, np.float32)
         shape = structure(scenario, "limb", found.parameters, law=law)
         walk = functools.partial(metrics_of_moved, shape)
-        moving = {"damping": np.full((ROBOTS, 3), 1e2, "f4")}
+        size = law.GAINS[gain].shape
+        moving = {gain: np.full((ROBOTS, *size), 1e2, "f4")}
         batched = [True] + [False] * len(jax.tree.leaves((found.law, found.parameters)))
         by_kernel = jax.jit(gpu_kernel.tangents_over_robots(walk, batched))
-        given = {"damping": np.ones((ROBOTS, 2, 3), "f4")}, moving, found.law, found.parameters
+        given = {gain: np.ones((ROBOTS, 2, *size), "f4")}, moving, found.law, found.parameters
         lowered = by_kernel.trace(*given).lower(lowering_platforms=("cuda",)).as_text()
     assert lowered.count("__gpu$xla.gpu.ptx") == 1
     assert len(without_nvrtc) == 1
