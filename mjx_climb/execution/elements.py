@@ -129,6 +129,10 @@ def _reshaped(given: list[Elements], p: Parameters) -> list[Elements]:
     return [(array if order is None else array.transpose(order)).reshape(p["new_sizes"])]
 
 
+def _alike(given: list[Elements]) -> list[Elements]:
+    return given if all(map(known, given)) else [*map(objects, given)]
+
+
 def _slice(given: list[Elements], p: Parameters) -> list[Elements]:
     steps = p["strides"] or itertools.repeat(1)
     return [given[0][tuple(map(slice, p["start_indices"], p["limit_indices"], steps))]]
@@ -137,10 +141,10 @@ def _slice(given: list[Elements], p: Parameters) -> list[Elements]:
 MOVES: dict[str, Move] = {
     **dict.fromkeys(("copy", "copy_p", "optimization_barrier", "stop_gradient"), lambda x, p: x),
     "broadcast_in_dim": _broadcast,
-    "concatenate": lambda x, p: [np.concatenate([*map(objects, x)], p["dimension"])],
+    "concatenate": lambda x, p: [np.concatenate(_alike(x), p["dimension"])],
     "reshape": _reshaped,
     "slice": _slice,
     "squeeze": lambda x, p: [np.squeeze(x[0], tuple(p["dimensions"]))],
-    "stack": lambda x, p: [np.stack([*map(objects, x)], p["axis"])],
+    "stack": lambda x, p: [np.stack(_alike(x), p["axis"])],
     "transpose": lambda x, p: [x[0].transpose(p["permutation"])],
 }

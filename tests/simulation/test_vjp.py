@@ -29,7 +29,11 @@ def gains_of(law):
     whole = {"kp": 50.0 * spread, "kd": np.full(ROBOTS, 0.3)}
     if law == "pd":
         return whole
-    return whole | {"damping": np.multiply.outer(200 * spread, np.ones(6)), "stiffness": np.full((ROBOTS, 6), 3e3)}
+    axes = 3 if law == "end_effector" else 6
+    return whole | {
+        "damping": np.multiply.outer(200 * spread, np.ones(axes)),
+        "stiffness": np.full((ROBOTS, axes), 3e3),
+    }
 
 
 def tangents_of(simulation, gains):
