@@ -254,7 +254,7 @@ class Pushes(Files):
         }
 
 
-def pushes(asked: Pushes, walk: Annotated[Walk, "-gains"], output: Annotated[Output, "-sections"]) -> None:
+def pushes(asked: Pushes, walk: Annotated[Walk, "-gains", "-metrics"], output: Annotated[Output, "-sections"]) -> None:
     """Find the largest pushes that walks survive, by direction and length."""
     with output.session(walks=True) as shell:
         from mjx_climb.files import dataset
