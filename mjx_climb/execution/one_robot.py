@@ -158,9 +158,7 @@ def _linearized(moving: Sequence[bool], *values: Array, **parameters: Unpack[_Wh
     """Return results, which of them have tangents, and these as a linear operation, whose transpose is the adjoint."""
     program = parameters["program"]
     moving = tuple(bool(m) and _is_real(value) for m, value in zip(moving, values, strict=True))
-    moved = reached(program.jaxpr, moving)
-    real = [bool(jnp.issubdtype(aval.dtype, jnp.inexact)) for aval in program.out_avals]
-    moved = [moves and is_real for moves, is_real in zip(moved, real, strict=True)]
+    _, moved = tangents_of(program, moving)
     results = _program.bind(*values, **parameters)
 
     def tangents(*given: Array) -> list[Array | ad.Zero]:

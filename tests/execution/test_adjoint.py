@@ -111,6 +111,18 @@ def test_gradients_in_the_kernel_are_jaxs(steps, interpreted):
         np.testing.assert_allclose(mine, jaxs, rtol=1e-9, atol=1e-11)
 
 
+def test_results_that_do_not_move_have_no_gradient():
+    """Though they depend on what moves: a place, a count, and what is held fixed."""
+
+    def walk(gain: Array) -> dict[str, Array]:
+        held = lax.stop_gradient(gain) * 2
+        return {"count": (gain > 1).astype(gain.dtype), "held": held, "moved": gain**2 + held}
+
+    gains = np.array([0.5, 1.5])
+    gradient = jax.grad(lambda gains: sum(value.sum() for value in jax.vmap(over_robots(walk))(gains).values()))
+    np.testing.assert_allclose(jax.jit(gradient)(gains), 2 * gains)
+
+
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 SEEDS += [pytest.param(seed, marks=pytest.mark.nightly) for seed in range(3, 100)]
 
