@@ -166,7 +166,9 @@ def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted
 def _starts(model: Fit, prior: Prior, count: int) -> np.ndarray:
     """Points (count, P) from which searches begin, the first one the nominal values."""
     rng = np.random.default_rng(0)
-    points = prior.mean + _SPREAD * prior.sd * rng.standard_normal((count, len(prior.mean)))
+    # a friction far above its nominal value holds all joints still, and no slope leads away from there
+    sizes = [abs(v.nominal) if v.nominal and not v.log else v.sd for v in model.variables]
+    points = prior.mean + _SPREAD * np.minimum(prior.sd, sizes) * rng.standard_normal((count, len(prior.mean)))
     points = np.clip(np.where(points < prior.lower, 2 * prior.lower - points, points), prior.lower, prior.upper)
     # where a command comes as a sample is taken, a later one changes nothing of it: no place to begin
     off = [2 * model.windows.time_step if v.key == DELAY else -np.inf for v in model.variables]
