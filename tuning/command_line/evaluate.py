@@ -54,6 +54,12 @@ class Margins(Rival):
     margins: bool = setting(
         False, "find how late, slow and weak hardware may be before the gains of one file, or the config's, fail"
     )
+    margin: tuple[str, ...] = setting(
+        (),
+        "with --margins: a path that gets worse up to a value, as contact.spread=0.8, or by a factor, as "
+        "contact.damping=x0.1, in place of delays, period and joint gains",
+        metavar="PATH=VALUE",
+    )
 
 
 def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated[Output, "-sections"]) -> None:
@@ -61,6 +67,7 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
     with output.session(walks=True) as shell:
         from mjx_climb.control import PD, law_of
         from mjx_climb.files import dataset
+        from mjx_climb.scenario.messages import ConfigError
         from mjx_climb.viz import plots
         from tuning.comparisons import linear_margins
         from tuning.comparisons import margins as evaluation
@@ -71,8 +78,12 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
 
         loaded = walk.load()
         law = loaded.law
+        try:
+            quantities = evaluation.quantities(loaded.scenario, asked.margin) or evaluation.QUANTITIES
+        except ConfigError as error:
+            raise error.moved(source="--margin") from None
         gains, others = walk.values(law) or {}, {}
-        known: dict[str, Any] = {"gains": by_name(gains)}
+        known: dict[str, Any] = {"gains": by_name(gains)} | ({"of": list(asked.margin)} if asked.margin else {})
         if walk.gains is not None and law is None:
             config = walk.model_copy(update={"gains": None}).load().scenario
             known["config"] = config.control.model_dump(mode="json")
@@ -80,7 +91,7 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
         if joint := asked.joint_gains():
             others["retuned pd"] = evaluation.Walker(PD(), joint)
         shell.take(walk, "margins.json", settings_of(loaded, "margins", **known, retuned_pd=joint), "margins")
-        how: dict[str, Any] = {"law": law, "engine": walk.engine}
+        how: dict[str, Any] = {"law": law, "asked": quantities, "engine": walk.engine}
         with shell.whole() as out:
             scenario = write_config(loaded.scenario, out, law)
             shell.opening(scenario)
@@ -104,17 +115,14 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
 def _margins_in_words(found: "Found", stable: "dict[str, Stable]", warnings: list[str]) -> "tuple[Table, str]":
     """Return margins beside the scenario's hardware, by walks and of the linearised loop: a table, and JSON in SI."""
     from tuning.command_line.session import plain_table
-    from tuning.comparisons.margins import QUANTITIES, in_words, needed, with_unit
     from tuning.numbers import to_json
 
     table, each = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"), {}
     for name, margin in found.margins.items():
-        # needed: the hardware with a factor of two
-        more = {"needed": needed(name, margin.own), "stable": stable[name]._asdict()}
-        each[name] = dataclasses.asdict(margin) | more
-        reached = [in_words(name, margin.worst, value) for value in (margin.holds, margin.better)]
-        reached.append(in_words(name, stable[name].tried, stable[name].up_to))
-        table.add_row(QUANTITIES[name].title, with_unit(name, margin.own), *reached)
+        each[name] = dataclasses.asdict(margin) | {"needed": margin.needed, "stable": stable[name]._asdict()}
+        loop = margin.in_words(stable[name].up_to, stable[name].tried)
+        reached = map(margin.in_words, (margin.holds, margin.better))
+        table.add_row(margin.title, margin.with_unit(margin.own), *reached, loop)
     own = {"holds": found.holds, "better": found.better}
     return table, to_json({"own_hardware": own, "margins": each, "warnings": warnings})
 
@@ -354,7 +362,8 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     scenario's own hardware, and says up to where no gripper is torn off, up to where the force varies less than under
     pd on the same hardware, and up to where the linearised loop is stable. Warns where walks, or the linearised loop,
     bear less than twice what the hardware has. DIR has the margins (margins.json), all walks (margins.nc) and the force
-    variation over each quantity (margins, in the formats of --figures).
+    variation over each quantity (margins, in the formats of --figures). --margin makes other values worse in their
+    place, those of your own components too.
 
     --worse walks the same members on worse hardware too, one --worse at a time: with a factor on delay, period,
     friction, backlash, noise, bias or armature, as the config has it or a member drew it, or with other values of keys
@@ -385,6 +394,7 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
       mjx-climb evaluate case_2 --gains gains.yaml --retuned-pd gains-retuned_pd.yaml
       mjx-climb evaluate case_2 --gains gains.yaml --ensemble mine.yaml --members 100000 --shard 3/16
       mjx-climb evaluate case_1_2 --gains gains.yaml --hardware dynamixel_x --margins --json
+      mjx-climb evaluate case_1_2 --gains gains.yaml --margins --margin contact.damping=x0.1
       mjx-climb evaluate case_2 --gains gains.yaml --worse delay=x2 --worse force_sensor.dead.LF=3.0
       mjx-climb evaluate case_2 --gains gains.yaml --pushes --push-length 0.2
       mjx-climb evaluate case_2 --ceiling --gains gains.yaml --knots 0.2 --iterations 25

@@ -27,7 +27,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.readings import reads_forces
 from tuning.problem.search import OWN_METHOD, Search
-from tuning.problem.variations import Factor, changed, scalable
+from tuning.problem.variations import Factor, changed, paths_of, scalable
 from tuning.results.judged import Comparison
 from tuning.results.tuned import Tuned
 from tuning.searches import tune
@@ -38,12 +38,8 @@ FEW, MANY = (16, 60), (256, 100)  # points a round, and rounds at most; where a 
 PATIENCE = 10  # rounds of so many points in which a search finds nothing better when it has converged
 SEEDS, SEEDS_OF_MANY = 3, 8  # searches of each law; where a GPU's kernel walks
 CONTROLLERS = ("base_admittance", "end_effector_admittance")
-_PERIOD = "hardware.control_period"
-HARDWARE = {  # what retuned pd walks with at half the value besides: sections, and the ends of the paths in them
-    "half the delay": (("hardware.force_sensor.delay", "hardware.command_delay"), "delay"),
-    "half the friction": (("hardware.servo",), "_friction"),
-    "twice the rate": ((_PERIOD,), "period"),
-}
+# what retuned pd walks with at half the value besides: words of `tuning.problem.variations.WORDS`
+HARDWARE = {"half the delay": "delay", "half the friction": "friction", "twice the rate": "period"}
 _KEYS = ("also", "bounds", "pins", "frozen")  # settings that name gains
 
 
@@ -321,17 +317,9 @@ def on_better_hardware(scenario: mc.Scenario, drawn: mc.Parameters) -> dict[str,
 
     Control periods stay whole time steps, one at least.
     """
-    found = {}
-    for words, (sections, end) in HARDWARE.items():
-        paths = [path for path in drawn.paths if path.startswith(sections) and path.endswith(end)]
-        if not (there := scalable(drawn, paths)):
-            continue
-        found[words] = changed(drawn, dict.fromkeys(there, Factor(0.5)))
-        if _PERIOD in there:
-            period, step = np.asarray(found[words].at(_PERIOD), float), scenario.time_step
-            whole = np.where(period > 0, np.maximum(np.round(period / step), 1) * step, 0.0)
-            found[words] = found[words].replace({_PERIOD: whole})
-    return found
+    there = {words: scalable(drawn, paths_of(drawn, word)) for words, word in HARDWARE.items()}
+    half = {words: dict.fromkeys(paths, Factor(0.5)) for words, paths in there.items() if paths}
+    return {words: changed(drawn, changes, scenario.time_step) for words, changes in half.items()}
 
 
 def file_name(law: str) -> str:

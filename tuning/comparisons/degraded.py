@@ -22,32 +22,23 @@ from tuning.gains.gains_file import Whole
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
-from tuning.problem.variations import Change, Factor, checked, scalable
+from tuning.problem.variations import WORDS, Change, Factor, checked, paths_of, scalable, scaled
 from tuning.results.judged import Degraded
 from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Counted, Rows
 from tuning.searches.sweep import default_batch_size
 
 AS_DRAWN = "as drawn"
-SCALED = {  # what a word scales: sections, and the ends of the paths in them
-    "delay": (("hardware.force_sensor", "hardware.base_estimate", "hardware.command_delay"), "delay"),
-    "period": (("hardware.control_period",), "period"),
-    "friction": (("hardware.servo",), "friction"),
-    "backlash": (("hardware.servo",), "backlash"),
-    "noise": (("hardware",), "noise"),
-    "bias": (("hardware",), "bias"),
-    "armature": (("hardware.servo",), "armature"),
-}
 METRICS = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
 SECTION = "hardware."
-_PERIOD, _MASSES = "hardware.control_period", "mass_scale"
+_MASSES = "mass_scale"
 
 
 class Setting(NamedTuple):
     """What is made worse."""
 
     name: str  # as it was typed
-    factors: Mapping[str, float]  # by words of `SCALED`, or paths
+    factors: Mapping[str, float]  # by words of `tuning.problem.variations.WORDS`, or paths
     keys: Mapping[
         str, Any
     ]  # paths, or keys of the section hardware, with values in place of the config's and the draw's
@@ -65,15 +56,16 @@ def setting(text: str) -> Setting:
     for part in text.split(","):
         key, equals, value = (each.strip() for each in part.partition("="))
         if not equals:
-            words = "|".join(SCALED)
+            words = "|".join(WORDS)
             raise ValueError(f"expected {words}|PATH=xFACTOR, PATH=VALUE or a key of hardware, got {part!r}")
-        if key in SCALED or value.startswith("x"):
-            try:
-                factors[key] = float(value.removeprefix("x"))
-            except ValueError:
-                factors[key] = np.nan
-            if not (value.startswith("x") and 0 < factors[key] < np.inf):
-                raise ValueError(f"{key}: expected a factor above 0, as x2, got {value!r}")
+        try:
+            factor = scaled(value)
+        except ValueError as error:
+            raise ValueError(f"{key}: {error}") from None
+        if factor is not None:
+            factors[key] = factor
+        elif key in WORDS:
+            raise ValueError(f"{key}: expected a factor above 0, as x2, got {value!r}")
         else:
             of_hardware = key.partition(".")[0] not in Scenario.model_fields and key != _MASSES
             changes.append(f"{SECTION * of_hardware}{key}={value}")
@@ -100,23 +92,11 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
             raise ConfigError("", "worse", "a number of the hardware", ", ".join(others))
         found |= there
     for quantity, factor in worse.factors.items():
-        if not (scaled := scalable(drawn, _paths(drawn, quantity))):
+        if not (own := scalable(drawn, paths_of(drawn, quantity))):
             drive = type(drawn.drive).__name__
             raise ConfigError("", "worse", f"{quantity} in the config or the draw to scale", f"none (drive: {drive})")
-        found |= dict.fromkeys(scaled, Factor(factor))
-    worsened = checked(scenario, drawn, found, "worse: {}")
-    if _PERIOD in found:  # of whole time steps
-        steps = np.maximum(np.round(np.asarray(worsened.at(_PERIOD), float) / scenario.time_step), 1)
-        worsened = worsened.replace({_PERIOD: steps * scenario.time_step})
-    return worsened
-
-
-def _paths(parameters: mc.Parameters, quantity: str) -> list[str]:
-    """Return the paths that a word of `SCALED` stands for, or the one path that it is."""
-    if quantity not in SCALED:
-        return [quantity]
-    sections, end = SCALED[quantity]
-    return [path for path in parameters.paths if path.startswith(sections) and path.endswith(end)]
+        found |= dict.fromkeys(own, Factor(factor))
+    return checked(scenario, drawn, found, "worse: {}")
 
 
 def _together(draws: Sequence[mc.Parameters], members: int) -> mc.Parameters:

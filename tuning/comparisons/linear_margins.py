@@ -17,14 +17,13 @@ from tuning.comparisons import stability_limit
 from tuning.comparisons.margins import (
     QUANTITIES,
     Margin,
+    Quantity,
     changes,
     count_good,
-    falls_short,
     joint_gains,
-    values_of,
-    whole_steps,
     without_joint,
 )
+from tuning.problem.variations import PERIOD, whole_periods
 
 POINTS = 9  # values of a quantity that are looked at first
 _FINER, _PRECISION = 4, 1e-3  # values between a good and a bad one, until these are as close together
@@ -44,6 +43,7 @@ def find(
     margins: Mapping[str, Margin],
     *,
     law: mc.Law | None = None,
+    asked: Mapping[str, Quantity] = QUANTITIES,
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Stable]:
@@ -53,22 +53,21 @@ def find(
         gains: those in question; kp, kd and ki replace the scenario's where given.
         margins: of walks with these gains: they say how far to look.
         law: whose gains they are, the scenario's where None.
+        asked: the quantities of the margins.
         progress: called with the number of quantities done and of all.
     """
     own, joint, found = own_parameters(scenario), joint_gains(scenario, gains), {}
     for done, (name, margin) in enumerate(margins.items()):
-        grid, step = values_of(scenario, name), scenario.time_step if name == "control_period" else 0.0
-        if QUANTITIES[name].scales:
-            worst = margin.worst if margin.holds is None else max(margin.worst, margin.holds / _BEYOND)
-            values = np.geomspace(grid[0], worst, POINTS)
-        else:
-            worst = min(margin.worst, _BEYOND * max(margin.holds or 0.0, grid[POINTS // 2]))
-            values = np.linspace(grid[0], worst, POINTS)
-            values = whole_steps(values, step) if step else values
+        quantity, down = asked[name], margin.worst < margin.own
+        grid, step = quantity.values(scenario), scenario.time_step if PERIOD in quantity.paths else 0.0
+        reached = (min if down else max)(grid[POINTS // 2], grid[0] if margin.holds is None else margin.holds)
+        worst = max(margin.worst, reached / _BEYOND) if down else min(margin.worst, reached * _BEYOND)
+        spaced = np.geomspace if quantity.factor else np.linspace
+        values = quantity.on_steps(spaced(grid[0], worst, POINTS), scenario)
 
-        def radii(some: np.ndarray, only: int | None = None, name: str = name) -> np.ndarray:
+        def radii(some: np.ndarray, only: int | None = None, quantity: Quantity = quantity) -> np.ndarray:
             return stability_limit.by_stance(
-                scenario, without_joint(gains), changes(own, name, some, joint),
+                scenario, without_joint(gains), changes(own, quantity, some, joint),
                 only=only, hardware=stability_limit.HARDWARE, law=law, engine=engine,
             )  # fmt: skip
 
@@ -82,8 +81,8 @@ def warnings(margins: Mapping[str, Margin], stable: Mapping[str, Stable]) -> lis
     """Return in words where the loop is stable up to less than twice the hardware, though walks hold so far."""
     lines = []
     for name, margin in margins.items():
-        if not falls_short(name, margin.own, "gains hold", margin.holds):
-            lines += falls_short(name, margin.own, "the linearised loop is stable", stable[name].up_to)
+        if not margin.falls_short("gains hold", margin.holds):
+            lines += margin.falls_short("the linearised loop is stable", stable[name].up_to)
     return lines
 
 
@@ -106,7 +105,7 @@ def crossing(values: np.ndarray, radii: Callable[..., np.ndarray], step: float =
         reached = good
         while abs(worse - reached) > max(1.5 * step, _PRECISION * abs(worse)):
             some = np.linspace(reached, worse, _FINER + 1)
-            some = np.unique(whole_steps(some, step)) if step else some
+            some = np.unique(whole_periods(some, step)) if step else some
             bad = 1 + stable(radii(some[1:-1], int(there.argmax())))
             reached, worse = float(some[bad - 1]), float(some[bad])
         worse, there = reached, radii(np.array([reached]))[0]

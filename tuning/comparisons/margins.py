@@ -6,46 +6,99 @@ then another one, between the last walks that were good and the first that were 
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import PD
+from mjx_climb.hardware.stages import DELAYED
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.parameter_types import path_of_gain
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.gains.gains_file import by_name
+from tuning.problem.variations import PERIOD, Factor, changed, checked, scalable, scaled, whole_periods
 
 POINTS = 16  # values of a quantity that are walked at a time
 FACTOR = 2  # by which hardware is to be better than where gains fail
-_LONGEST_DELAY, _LONGEST_PERIOD = 0.03, 0.05  # s
 _MOST_SAMPLES = 60  # of a delay: a buffer's length
-_WEAKEST = 0.05  # share of the joint gains
 _JOINT = ("kp", "kd", "ki")
 _METRICS = mc.MetricTable(mc.METRICS[name] for name in ("force_variation", "detached_at", "diverged"))
 
 
 class Quantity(NamedTuple):
-    """What is made worse."""
+    """One thing that is made worse: one value at all of its paths, or one factor on their own values."""
 
     title: str
-    paths: tuple[str, ...]  # of the values that all are it
-    scales: bool = False  # a share of the scenario's own values, the worse the smaller
+    paths: tuple[str, ...]
+    worst: float  # value or factor up to which it is walked, further on hardware that is nearly as bad
+    factor: bool = False
+    ideal: float | None = None  # the value that is walked first; None: the scenario's own
+
+    def own(self, scenario: mc.Scenario) -> float:
+        """The value of the scenario's hardware, or a factor of 1."""
+        value = 1.0 if self.factor else float(own_parameters(scenario).at(self.paths[0]))
+        return scenario.time_step if PERIOD in self.paths and not self.factor and not value else value
+
+    def on_steps(self, values: np.ndarray, scenario: mc.Scenario) -> np.ndarray:
+        """The nearest values that a walk has: whole time steps for a control period."""
+        return whole_periods(values, scenario.time_step) if PERIOD in self.paths and not self.factor else values
+
+    def values(self, scenario: mc.Scenario) -> np.ndarray:
+        """The values (POINTS,) that are walked, from good to bad, closer together where the hardware is good."""
+        own, worst, samples = self.own(scenario), self.worst, scenario.time_step * np.array([_MOST_SAMPLES, MAX_DELAY])
+        late = not {*self.paths}.isdisjoint(DELAYED.values()) and not self.factor
+        if self.factor:
+            values = np.geomspace(own, worst, POINTS)
+        elif self.ideal is None:
+            values = own + (worst - own) * np.linspace(0, 1, POINTS) ** 2
+        else:
+            longest = max(min(worst, samples[0]) if late else worst, 2 * FACTOR * own)
+            values = self.ideal + (longest - self.ideal) * np.linspace(0, 1, POINTS) ** 2
+        for wanted in (own, needed(own, worst)):  # what is asked of gains is walked itself
+            if min(values) <= wanted <= max(values):
+                values[np.abs(values - wanted).argmin()] = wanted
+        return self.on_steps(np.minimum(values, samples[1]) if late else values, scenario)
 
 
 QUANTITIES: Mapping[str, Quantity] = {
     # what the law reads of the base is as old as the forces
-    "force_delay": Quantity("force delay", ("hardware.force_sensor.delay", "hardware.base_estimate.delay")),
-    "command_delay": Quantity("command delay", ("hardware.command_delay",)),
-    "control_period": Quantity("control period", ("hardware.control_period",)),
-    "joint_gains": Quantity("share of the joint gains", tuple(map(path_of_gain, _JOINT)), scales=True),
+    "force_delay": Quantity("force delay", (DELAYED["force"], DELAYED["base"]), 0.03, ideal=0.0),
+    "command_delay": Quantity("command delay", (DELAYED["command"],), 0.03, ideal=0.0),
+    "control_period": Quantity("control period", (PERIOD,), 0.05, ideal=0.0),
+    "joint_gains": Quantity("share of the joint gains", tuple(map(path_of_gain, _JOINT)), 0.05, factor=True),
 }
+
+
+def quantities(scenario: mc.Scenario, texts: Iterable[str]) -> dict[str, Quantity]:
+    """Return quantities by their paths, read from "contact.spread=0.8", up to a value, or "contact.damping=x0.1".
+
+    Raises:
+        ConfigError: in one line, no such text, a path that the walk does not have, or a value that it cannot have.
+    """
+    own, found = own_parameters(scenario), dict[str, Quantity]()
+    for text in texts:
+        path, equals, worst = (part.strip() for part in text.partition("="))
+        try:
+            factor = scaled(worst)
+            value = float(worst) if factor is None and equals else factor
+        except ValueError:
+            value = None
+        if value is None or path in found:
+            raise ConfigError("", "", "PATH=VALUE or PATH=xFACTOR, each path once", repr(text))
+        if factor is None and path in own.paths and own.paths[path].shape:
+            raise ConfigError("", path, "a factor, as x0.1, as the value is an array", worst)
+        checked(scenario, own, {path: value if factor is None else Factor(value)}, "{}")
+        if (factor is not None and not scalable(own, [path])) or value == (own.at(path) if factor is None else 1.0):
+            raise ConfigError("", path, f"another value than the scenario's own, {own.at(path):g}", worst)
+        found[path] = Quantity(path, (path,), value, factor is not None)
+    return found
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +109,39 @@ class Margin:
     holds: float | None  # no gripper torn off, and nothing diverges
     better: float | None  # and less force variation than pd
     worst: float  # the worst value walked: a margin that reaches it may be larger
+    title: str = ""
+    unit: str = "s"  # x of a factor
+
+    @property
+    def needed(self) -> float:
+        """How far gains should hold: half the joint gains, twice the delay or period that the hardware has."""
+        return needed(self.own, self.worst)
+
+    def with_unit(self, value: float) -> str:
+        """Return a value as people read it."""
+        if self.unit == "s":
+            return f"{1e3 * value:.3g} ms"
+        return f"x {value:.2g}" if self.unit == "x" else f"{value:.3g} {self.unit}".removesuffix(" 1")
+
+    def in_words(self, reached: float | None, worst: float | None = None) -> str:
+        """Return a value that was reached, of a `worst` one that was tried: "7.03 ms", "30 ms or more", "none"."""
+        beyond = " or less" if self.worst < self.own else " or more"
+        last = self.worst if worst is None else worst
+        return "none" if reached is None else self.with_unit(reached) + beyond * (reached == last)
+
+    def falls_short(self, what: str, reached: float | None) -> list[str]:
+        """Return a line that says what reaches less far than gains should hold on the hardware, none otherwise."""
+        down = self.worst < self.own
+        if reached is not None and (reached <= self.needed if down else reached >= self.needed):
+            return []
+        limit = "at no value" if reached is None else f"up to {self.with_unit(reached)} only"
+        has, safe = self.with_unit(self.own), self.with_unit(self.needed)
+        return [f"{self.title}: {what} {limit}, the hardware has {has}, {safe} would be safe"]
+
+
+def needed(own: float, worst: float) -> float:
+    """Return how far gains should hold on hardware that gets worse towards a value."""
+    return own * FACTOR if worst > own else own / FACTOR
 
 
 class Walker(NamedTuple):
@@ -81,6 +167,7 @@ def find(
     law: mc.Law | None = None,
     others: Mapping[str, Walker] = MappingProxyType({}),
     walked: Mapping[str, xr.Dataset] = MappingProxyType({}),
+    asked: Mapping[str, Quantity] = QUANTITIES,
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
 ) -> Found:
@@ -91,36 +178,42 @@ def find(
         gains: those in question; kp, kd and ki replace the scenario's where given.
         law: whose gains they are, the scenario's where None.
         others: further ones to walk on the same hardware, by name, for the picture.
-        walked: what `on_the_grid` gave of pd and others, by name, where it has walked already.
+        walked: the result of `on_the_grid` for pd and others, by name, where it has walked already.
+        asked: the quantities, see `quantities` for those at other paths.
         progress: called with the number of walks done and of all.
     """
     walkers = {"given": Walker(law, gains), "pd": pd_of(scenario), **others}
-    grid = np.stack([values_of(scenario, name) for name in QUANTITIES])
+    grid = np.stack([quantity.values(scenario) for quantity in asked.values()])
     total = 2 * len(walkers) * grid.size
 
     def walk(values: np.ndarray, done: int, known: Mapping[str, xr.Dataset]) -> xr.Dataset:
         found = []
         for name, walker in walkers.items():
-            given = known[name] if name in known else on_the_grid(scenario, walker, engine, values=values)
+            given = known[name] if name in known else on_the_grid(scenario, walker, engine, values=values, asked=asked)
             found.append(given)
             if progress is not None:
                 progress(done + len(found) * values.size, total)
         return xr.concat(found, xr.Variable("gains", list(walkers)), coords="minimal", compat="override")
 
     coarse = walk(grid, 0, walked)
-    between = np.stack([_between(scenario, coarse.sel(quantity=name)) for name in QUANTITIES])
+    between = np.stack([_between(each, scenario, coarse.sel(quantity=name)) for name, each in asked.items()])
     walks = xr.concat([coarse, walk(between, total // 2, {})], "point", coords="minimal", compat="override")
-    badness = walks["value"] * [[-1.0 if quantity.scales else 1.0] for quantity in QUANTITIES.values()]
+    own = {name: quantity.own(scenario) for name, quantity in asked.items()}
+    down = [[-1.0 if quantity.worst < own[name] else 1.0] for name, quantity in asked.items()]
+    badness = walks["value"] * down
     walks = walks.isel(point=badness.copy(data=np.argsort(badness.values, axis=1, kind="stable")))
     walks = walks.transpose("gains", "quantity", "point").reset_coords("value")
-    margins = {}
-    for name in QUANTITIES:
+    margins, units = {}, own_parameters(scenario).units
+    for name, quantity in asked.items():
         some = walks.sel(quantity=name)
         values = some["value"].values
         counts = map(count_good, _verdicts(some))
         holds, better = (float(values[count - 1]) if count else None for count in counts)
-        margins[name] = Margin(own_value(scenario, name), holds, better, float(values[-1]))
-    holds, better = (bool(good[0]) for good in _verdicts(coarse.sel(quantity="joint_gains")))  # all of them
+        unit = "x" if quantity.factor else units[quantity.paths[0]][0]
+        margins[name] = Margin(own[name], holds, better, float(values[-1]), quantity.title, unit)
+    first = next(iter(asked))
+    here = int(np.abs(grid[0] - own[first]).argmin())
+    holds, better = (bool(good[here]) for good in _verdicts(coarse.sel(quantity=first)))
     return Found(margins, holds, better, walks)
 
 
@@ -130,18 +223,19 @@ def on_the_grid(
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
     values: np.ndarray | None = None,
+    asked: Mapping[str, Quantity] = QUANTITIES,
 ) -> xr.Dataset:
     """Return the metrics on hardware with one quantity changed at a time, to values (Q, N).
 
     Without `values` they are the first walks of one set of gains in `find`, the same whatever gains are in question.
     """
     if values is None:
-        values = np.stack([values_of(scenario, name) for name in QUANTITIES])
+        values = np.stack([quantity.values(scenario) for quantity in asked.values()])
     own, joint = own_parameters(scenario), joint_gains(scenario, walker.gains)
-    each = [changes(own, name, row, joint) for name, row in zip(QUANTITIES, values, strict=True)]
+    each = [changes(own, quantity, row, joint) for quantity, row in zip(asked.values(), values, strict=True)]
     batch = {
-        path: np.stack([np.broadcast_to(changed.at(path), values.shape[1]) for changed in each])
-        for quantity in QUANTITIES.values()
+        path: np.stack([_of_points(changed, path, values.shape[1]) for changed in each])
+        for quantity in asked.values()
         for path in quantity.paths
     }
     found = mc.rollout_metrics(
@@ -150,7 +244,7 @@ def on_the_grid(
     )  # fmt: skip
     dims = ("quantity", "point")
     data = {name: (dims, value) for name, value in found.items()}
-    return xr.Dataset(data, {"quantity": list(QUANTITIES), "value": (dims, values)})
+    return xr.Dataset(data, {"quantity": list(asked), "value": (dims, values)})
 
 
 def pd_of(scenario: mc.Scenario) -> Walker:
@@ -163,70 +257,12 @@ def warnings(found: Found) -> list[str]:
     if not found.holds:
         return ["on the hardware itself the walk fails: a gripper is torn off, or it diverges"]
     lines = [] if found.better else ["on the hardware itself the force varies no less than under pd"]
-    for name, margin in found.margins.items():
-        short = falls_short(name, margin.own, "gains hold", margin.holds)
+    for margin in found.margins.values():
+        short = margin.falls_short("gains hold", margin.holds)
         if not short and found.better:
-            short = falls_short(name, margin.own, "gains stay better than pd", margin.better)
+            short = margin.falls_short("gains stay better than pd", margin.better)
         lines += short
     return lines
-
-
-def falls_short(quantity: str, own: float, what: str, reached: float | None) -> list[str]:
-    """Return a line that says what reaches less far than gains should hold on the `own` hardware, none otherwise."""
-    wanted, scales = needed(quantity, own), QUANTITIES[quantity].scales
-    if reached is not None and (reached <= wanted if scales else reached >= wanted):
-        return []
-    limit = "at no value" if reached is None else f"up to {with_unit(quantity, reached)} only"
-    has, safe = with_unit(quantity, own), with_unit(quantity, wanted)
-    return [f"{QUANTITIES[quantity].title}: {what} {limit}, the hardware has {has}, {safe} would be safe"]
-
-
-def in_words(quantity: str, worst: float, reached: float | None) -> str:
-    """Return the value that a margin reaches, `worst` at most, with its unit: "7.03 ms", "30 ms or more", "none"."""
-    beyond = " or less" if QUANTITIES[quantity].scales else " or more"
-    return "none" if reached is None else with_unit(quantity, reached) + beyond * (reached == worst)
-
-
-def with_unit(quantity: str, value: float) -> str:
-    """Return a value of a quantity as people read it."""
-    return f"x {value:.2g}" if QUANTITIES[quantity].scales else f"{1e3 * value:.3g} ms"
-
-
-def own_value(scenario: mc.Scenario, quantity: str) -> float:
-    """Return a quantity of the scenario's own hardware, in its unit."""
-    hardware = scenario.hardware
-    values: dict[str, float] = {
-        "force_delay": hardware.force_sensor.delay,
-        "command_delay": hardware.command_delay,
-        "control_period": hardware.control_period or scenario.time_step,
-        "joint_gains": 1.0,
-    }
-    return values[quantity]
-
-
-def needed(quantity: str, own: float) -> float:
-    """Return how far gains should hold: half the joint gains, twice the delay or period that the hardware has."""
-    return own / FACTOR if QUANTITIES[quantity].scales else own * FACTOR
-
-
-def values_of(scenario: mc.Scenario, quantity: str) -> np.ndarray:
-    """Return the values (POINTS,) of a quantity that are walked, from good to bad, closer together where it is good."""
-    step, own = scenario.time_step, own_value(scenario, quantity)
-    if QUANTITIES[quantity].scales:
-        values = np.geomspace(1.0, _WEAKEST, POINTS)
-    else:
-        longest = _LONGEST_PERIOD if quantity == "control_period" else min(_LONGEST_DELAY, _MOST_SAMPLES * step)
-        values = max(longest, 2 * FACTOR * own) * np.linspace(0, 1, POINTS) ** 2
-    for wanted in (own, needed(quantity, own)):  # what is asked of gains is walked itself
-        values[np.abs(values - wanted).argmin()] = wanted
-    if quantity == "control_period":
-        return whole_steps(values, step)
-    return values if QUANTITIES[quantity].scales else np.minimum(values, MAX_DELAY * step)
-
-
-def whole_steps(periods: np.ndarray, step: float) -> np.ndarray:
-    """Return the nearest periods of one time step or more, s."""
-    return np.maximum(np.round(periods / step), 1) * step
 
 
 def joint_gains(scenario: mc.Scenario, gains: AnyGains) -> dict[str, float]:
@@ -242,11 +278,17 @@ def without_joint(gains: AnyGains) -> AnyGains:
     return {name: value for name, value in by_name(gains).items() if name not in _JOINT}
 
 
-def changes(own: mc.Parameters, quantity: str, values: np.ndarray, joint: Mapping[str, float]) -> mc.Parameters:
+def changes(own: mc.Parameters, quantity: Quantity, values: np.ndarray, joint: Mapping[str, float]) -> mc.Parameters:
     """Return parameters with one quantity changed to values (N,), on joints with the gains `joint`."""
-    gains = {path_of_gain(name): np.asarray(value) for name, value in joint.items()}
-    paths, scales = QUANTITIES[quantity].paths, QUANTITIES[quantity].scales
-    return own.replace(gains | {path: values * gains[path] if scales else values for path in paths})
+    there = own.replace({path_of_gain(name): np.asarray(value) for name, value in joint.items()})
+    change: Any = Factor(values) if quantity.factor else values
+    return changed(there, dict.fromkeys(quantity.paths, change))
+
+
+def _of_points(parameters: mc.Parameters, path: str, count: int) -> np.ndarray:
+    """Return a value of each of so many robots."""
+    shape = np.shape(own := parameters.at(path))
+    return np.broadcast_to(own, (count, *shape[len(shape) - len(parameters.paths[path].shape) :]))
 
 
 def count_good(good: np.ndarray) -> int:
@@ -261,7 +303,7 @@ def _verdicts(walks: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     return holds[0], holds[0] & ((variation[0] < variation[1]) | ~holds[1])
 
 
-def _between(scenario: mc.Scenario, walks: xr.Dataset) -> np.ndarray:
+def _between(quantity: Quantity, scenario: mc.Scenario, walks: xr.Dataset) -> np.ndarray:
     """Return values (N,) of a quantity about where gains stop to hold, and where they stop to pay.
 
     The last one is the worst of the grid again: it keeps the delays' buffers as long, and so the compiled program.
@@ -271,5 +313,4 @@ def _between(scenario: mc.Scenario, walks: xr.Dataset) -> np.ndarray:
     for good, points in zip(_verdicts(walks), (POINTS // 2, POINTS - POINTS // 2 - 1), strict=True):
         bad = min(max(count_good(good), 1), len(values) - 1)
         finer.append(np.linspace(values[bad - 1], values[bad], points + 2)[1:-1])
-    found = np.concatenate([*finer, values[-1:]])
-    return whole_steps(found, scenario.time_step) if walks["quantity"] == "control_period" else found
+    return quantity.on_steps(np.concatenate([*finer, values[-1:]]), scenario)

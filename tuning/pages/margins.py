@@ -1,5 +1,6 @@
 """Margins of gains: a picture."""
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -22,23 +23,29 @@ _TORN, _DIVERGED = "X", "^"
 def plot_margins(found: margins.Found, given: str = "given gains") -> Figure:
     """Draw force variation over each quantity; a curve ends where a gripper is torn off, or the walk diverges.
 
-    Dotted lines are the scenario's hardware, and twice as much of it (half of the joint gains); `given` is what the
-    given gains are called.
+    Dotted lines are the scenario's hardware, and hardware worse by a factor of 2; `given` is the name of the given
+    gains.
     """
     others = iter((plots.BLUE, plots.GREEN, plots.PURPLE, plots.ORANGE))
     colors = {name: COLORS.get(name) or next(others) for name in found.walks["gains"].values.tolist()}
     dots: dict[str, Any] = {"color": "0.5", "linewidth": 0.7, "linestyle": ":"}
-    figure = Figure(figsize=(2 * plots.COLUMN, 4.4), layout="constrained")
-    for panel, (name, margin) in zip(figure.subplots(2, 2).flat, found.margins.items(), strict=True):
-        quantity = margins.QUANTITIES[name]
-        unit, words = (1.0, "") if quantity.scales else (1e3, " [ms]")
-        _draw_variation(panel, found.walks.sel(quantity=name), unit, colors)
-        if quantity.scales:
+    columns = min(2, len(found.margins))
+    rows = -(-len(found.margins) // columns)
+    figure = Figure(figsize=(columns * plots.COLUMN, 0.4 + 2 * rows), layout="constrained")
+    for panel, each in itertools.zip_longest(figure.subplots(rows, columns, squeeze=False).flat, found.margins.items()):
+        if each is None:
+            panel.set_visible(False)
+            continue
+        name, margin = each
+        factor = 1e3 if margin.unit == "s" else 1.0
+        _draw_variation(panel, found.walks.sel(quantity=name), factor, colors)
+        if margin.unit == "x":
             panel.set_xscale("log")
             plain_numbers(panel.xaxis, few=True)
-        panel.set_xlabel(quantity.title + words)
-        for value in {margin.own, margins.needed(name, margin.own)}:
-            panel.axvline(value * unit, **dots, zorder=0)
+        unit = {"x": "", "1": "", "s": " [ms]"}.get(margin.unit, f" [{margin.unit}]")
+        panel.set_xlabel(margin.title + unit)
+        for value in {margin.own, margin.needed}:
+            panel.axvline(value * factor, **dots, zorder=0)
     handles = [
         *(key(given if name == "given" else name, color=color) for name, color in colors.items()),
         key("gripper torn off", color=plots.RED, marker=_TORN, ms=5, linestyle="none"),

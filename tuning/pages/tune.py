@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 import mjx_climb as mc
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
-from tuning.comparisons import margins, verification
+from tuning.comparisons import verification
 from tuning.comparisons.of_search import TuneComparison
 from tuning.comparisons.side_by_side import Values
 from tuning.gains.gains_file import by_name
@@ -105,9 +105,9 @@ def _outcome_of(checked: verification.Verification, found: Tuned) -> list[str]:
         lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
     if checked.grid_value is not None:
         lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
-    for name, margin in checked.margins.items():
-        holds, better = (margins.in_words(name, margin.worst, reached) for reached in (margin.holds, margin.better))
-        lines.append(f"margin, {margins.QUANTITIES[name].title}: holds up to {holds}, better than pd up to {better}")
+    for margin in checked.margins.values():
+        holds, better = map(margin.in_words, (margin.holds, margin.better))
+        lines.append(f"margin, {margin.title}: holds up to {holds}, better than pd up to {better}")
     lines.append(f"closed loop in its worst stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
     return lines
 

@@ -24,7 +24,17 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
-from tuning.problem.variations import Change, Factor, changed, checked, ending, refused, scalable
+from tuning.problem.variations import (
+    PERIOD,
+    Change,
+    Factor,
+    changed,
+    checked,
+    paths_of,
+    refused,
+    scalable,
+    whole_periods,
+)
 
 _Share = Annotated[float, Field(gt=0, le=1)]
 Range = tuple[NonNegative, NonNegative]
@@ -85,13 +95,12 @@ class Hardware(_Section):
     capture_distance: PositiveRange | None = setting(None, "how far off the ground a gripper holds what it shuts on, m")
 
 
-SERVO = "hardware.servo"
 _OF_HARDWARE = {  # path of a quantity of the section
     "force_delay": "hardware.force_sensor.delay",
     "command_delay": "hardware.command_delay",
     "force_noise": "hardware.force_sensor.noise",
     "force_bias": "hardware.force_sensor.bias",
-    "backlash": f"{SERVO}.backlash",
+    "backlash": "hardware.servo.backlash",
     "capture_distance": "contact.capture_distance",
     "force_filter": "hardware.force_sensor.filter",
 }
@@ -315,11 +324,11 @@ def _hardware(
         if rate[1] > fastest * (1 + 1e-9):
             most = f"the {fastest:g} Hz of the time step"
             raise ConfigError("", "hardware.control_rate", f"at most {most}", f"{rate[1]:g}")
-        drawn["hardware.control_period"] = np.round(fastest / uniform(rate, logs=True)) * scenario.time_step
+        drawn[PERIOD] = whole_periods(1 / uniform(rate, logs=True), scenario.time_step)
     for key in ("friction", "armature"):
         if (span := getattr(hardware, key)) is None:
             continue
-        scaled = scalable(own, ending(own, SERVO, key))
+        scaled = scalable(own, paths_of(own, key))
         if not scaled:
             raise ConfigError("", f"hardware.{key}", f"{key} in the scenario to scale", "none")
         drawn |= dict.fromkeys(scaled, Factor(uniform(span, logs=True)))

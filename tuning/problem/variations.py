@@ -14,8 +14,21 @@ from mjx_climb.component import checked_value, given
 from mjx_climb.hardware.stages import DELAYED
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import GAIT
+from mjx_climb.parameter_types import SECTIONS
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
+
+PERIOD = "hardware.control_period"
+_SERVO = SECTIONS["drive"]
+WORDS: Mapping[str, tuple[tuple[str, ...], str]] = {  # of several paths: their sections, and the end of their names
+    "delay": (("hardware.force_sensor", "hardware.base_estimate", "hardware.command_delay"), "delay"),
+    "period": ((PERIOD,), "period"),
+    "friction": ((_SERVO,), "friction"),
+    "backlash": ((_SERVO,), "backlash"),
+    "noise": (("hardware",), "noise"),
+    "bias": (("hardware",), "bias"),
+    "armature": ((_SERVO,), "armature"),
+}
 
 
 class Factor(NamedTuple):
@@ -27,18 +40,36 @@ class Factor(NamedTuple):
 Change = ArrayLike | Factor
 
 
-def changed(parameters: mc.Parameters, changes: Mapping[str, Change]) -> mc.Parameters:
-    """Return parameters with other values at some paths.
+def scaled(text: str) -> float | None:
+    """Return the factor of a text as x2, None of another text.
+
+    Raises:
+        ValueError: a factor that is no number above 0.
+    """
+    if not text.startswith("x"):
+        return None
+    try:
+        factor = float(text[1:])
+    except ValueError:
+        factor = np.nan
+    if not 0 < factor < np.inf:
+        raise ValueError(f"expected a factor above 0, as x2, got {text!r}")
+    return factor
+
+
+def changed(parameters: mc.Parameters, changes: Mapping[str, Change], step: float | None = None) -> mc.Parameters:
+    """Return parameters with other values at some paths; a control period is whole time steps of `step` s, where given.
 
     Raises:
         ValueError: a path that they do not have.
     """
-    return parameters.replace(
-        {
-            path: _times(parameters, path, change) if isinstance(change, Factor) else np.asarray(change, float)
-            for path, change in changes.items()
-        }
-    )
+    found = {
+        path: _times(parameters, path, change) if isinstance(change, Factor) else np.asarray(change, float)
+        for path, change in changes.items()
+    }
+    if step is not None and PERIOD in found:
+        found[PERIOD] = whole_periods(found[PERIOD], step)
+    return parameters.replace(found)
 
 
 def is_path(name: str) -> bool:
@@ -68,7 +99,7 @@ def checked(scenario: mc.Scenario, parameters: mc.Parameters, changes: Mapping[s
     for path in changes:
         if path not in parameters.paths:
             raise refused(path, parameters, key.format(path))
-    found, longest = changed(parameters, changes), MAX_DELAY * scenario.time_step
+    found, longest = changed(parameters, changes, scenario.time_step), MAX_DELAY * scenario.time_step
     for path in changes:
         field, value = parameters.paths[path], found.at(path)
         try:
@@ -93,9 +124,18 @@ def scalable(parameters: mc.Parameters, paths: Iterable[str]) -> list[str]:
     return [path for path in paths if path in values and given(values[path])]
 
 
-def ending(parameters: mc.Parameters, section: str, *names: str) -> list[str]:
-    """Return the paths of a section whose last word ends in one of some names, as "_friction"."""
-    return [path for path in parameters.paths if path.startswith(f"{section}.") and path.endswith(names)]
+def paths_of(parameters: mc.Parameters, name: str) -> list[str]:
+    """Return the paths that one of `WORDS` stands for, or the one path that a name is."""
+    if name not in WORDS:
+        return [name]
+    sections, end = WORDS[name]
+    return [path for path in parameters.paths if path.startswith(sections) and path.endswith(end)]
+
+
+def whole_periods(periods: ArrayLike, step: float) -> np.ndarray:
+    """Return the nearest control periods of whole time steps, one at least, s; 0 (every step) stays."""
+    periods = np.asarray(periods, float)
+    return np.where(periods > 0, np.maximum(np.round(periods / step), 1) * step, 0.0)
 
 
 def refused(path: str, parameters: mc.Parameters, key: str) -> ConfigError:

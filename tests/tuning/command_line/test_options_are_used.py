@@ -113,6 +113,7 @@ TYPED = {  # what is typed for an option by the name of its parameter, unlike it
     "law": "--law LoadTransfer",
     "limits": "--limit base_deviation=0.01",
     "log": "--log other.csv",
+    "margin": "--margin contact.damping=x0.5",
     "mass": "--mass 0.1",
     "mcap": "--mcap",
     "members": "--members 3",

@@ -1,6 +1,7 @@
 """Margins: found where walks of a known kind fail, and where those of the independent program do."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,56 @@ def test_gains_of_no_use_on_the_hardware_itself_are_said_to_be_so_once(walks, ca
     assert len(lines) == len(expected) and all(map(str.startswith, lines, expected))
 
 
+def test_any_path_has_a_margin(monkeypatch, case):
+    """Values go from the scenario's own to the worst that is asked for, up or down."""
+    asked = []
+
+    def walked(scenario, gains, parameters, *, law, **_):
+        asked.append(parameters)
+        soft = np.asarray(parameters.contact.damping) < 20.0 * 0.3
+        heavy = np.asarray(parameters.mass_scale) > 1.4
+        lost = np.where((soft | heavy) & (not isinstance(law, PD)), 1.0, np.nan)
+        return {"force_variation": np.ones(lost.shape), "detached_at": lost, "diverged": np.zeros(lost.shape, bool)}
+
+    monkeypatch.setattr(mc, "rollout_metrics", walked)
+    scenario = case("case_1_2", "virtual_model")
+    wanted = margins.quantities(scenario, ["contact.damping=x0.1", "mass_scale=2", "gravity=x3"])
+    found = margins.find(scenario, GAINS, asked=wanted).margins
+    damping, mass, gravity = found.values()
+    assert damping.holds == pytest.approx(0.3, abs=0.01) and damping.in_words(damping.holds) == "x 0.3"
+    assert damping.own == 1 and damping.needed == 0.5 and damping.falls_short("gains hold", damping.holds) == []
+    assert mass.holds == pytest.approx(1.4, abs=0.01) and mass.own == 1 and mass.worst == mass.needed == 2
+    says = "mass_scale: gains hold up to 1.39 only, the hardware has 1, 2 would be safe"
+    assert mass.falls_short("gains hold", 1.39) == [says]
+    assert gravity.in_words(gravity.holds) == "x 3 or more"
+    assert np.shape(asked[0].gravity) == (3, margins.POINTS, 3)
+    np.testing.assert_allclose(asked[0].gravity[2, -1] / scenario.gravity[2], [0, 0, 3])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("contact.damping", "expected PATH=VALUE or PATH=xFACTOR, each path once, got 'contact.damping'"),
+        ("contact.damping=soft", "expected PATH=VALUE or PATH=xFACTOR, each path once"),
+        (
+            "contact.spread=0.5",
+            "contact.spread: expected a value at contact.spread to change, got Gripper",
+        ),
+        ("contact.damping=-1", "contact.damping: expected finite numbers of 0 or more, got -1"),
+        ("gravity=3", "gravity: expected a factor, as x0.1, as the value is an array, got 3"),
+        ("mass_scale=1", "mass_scale: expected another value than the scenario's own, 1, got 1"),
+        (
+            "hardware.command_delay=x2",
+            "hardware.command_delay: expected another value than the scenario's own, 0",
+        ),
+    ],
+)
+def test_a_quantity_that_cannot_get_worse_is_refused_in_one_line(case, text, said):
+    with pytest.raises(mc.ConfigError, match=re.escape(said)) as refused:
+        margins.quantities(case("case_1_2", "virtual_model"), [text])
+    assert "\n" not in str(refused.value)
+
+
 @pytest.mark.parametrize(
     ("limits", "values", "step", "expected"),
     [
@@ -130,7 +181,7 @@ def test_a_linear_margin_of_the_control_period_is_whole_steps(case, monkeypatch)
         return 1 + 10 * (np.reshape(parameters.bus.control_period, (-1, 1)) - 7.4e-3)
 
     monkeypatch.setattr(stability_limit, "by_stance", radii)
-    asked = {"control_period": margins.Margin(1e-3, 9e-3, 9e-3, 0.03)}
+    asked = {"control_period": margins.Margin(1e-3, 9e-3, 9e-3, 0.03, "control period")}
     found = linear_margins.find(case("case_1_2", "virtual_model"), GAINS, asked)["control_period"]
     assert found.up_to == pytest.approx(7e-3, rel=1e-12)
 
@@ -145,7 +196,8 @@ def test_a_linear_margin_of_the_control_period_is_whole_steps(case, monkeypatch)
     ],
 )
 def test_the_linearised_loop_warns_where_walks_do_not(own, holds, stable, warned):
-    margin, found = margins.Margin(own, holds, holds, 0.03), linear_margins.Stable(stable, 0.03)
+    margin = margins.Margin(own, holds, holds, 0.03, "force delay")
+    found = linear_margins.Stable(stable, 0.03)
     lines = linear_margins.warnings({"force_delay": margin}, {"force_delay": found})
     reached = "at no value" if stable is None else "up to 7 ms only"
     says = f"force delay: the linearised loop is stable {reached}, the hardware has 4 ms, 8 ms would be safe"
@@ -156,11 +208,11 @@ def test_the_linearised_loop_warns_where_walks_do_not(own, holds, stable, warned
 def test_the_linearised_loop_fails_about_where_walks_do(case, walks):
     """Shaking grows in the worst stance, and tears a gripper off a little beyond where it begins to."""
     scenario, gains = case("case_1_2", "virtual_model"), mc.Gains(1.0, 100.0, 2e3)
-    margin = margins.Margin(0.0, 5.96e-3, 4.25e-3, 0.03)  # of walks
+    margin = margins.Margin(0.0, 5.96e-3, 4.25e-3, 0.03, "force delay")  # of walks
     found = linear_margins.find(scenario, gains, {"force_delay": margin})["force_delay"]
     assert 0.9 * margin.holds < found.up_to < margin.holds
     delays = found.up_to * np.array([1.0, 1.002])
-    late = margins.changes(own_parameters(scenario), "force_delay", delays, {"kp": 50.0, "kd": 0.2})
+    late = margins.changes(own_parameters(scenario), margins.QUANTITIES["force_delay"], delays, {"kp": 50.0, "kd": 0.2})
     radius = stability_limit.spectral_radius(scenario, gains, late)
     assert radius[0] < 1 < radius[1]
 

@@ -180,8 +180,8 @@ def judged(monkeypatch):
         found["asked"].append(scenario)
         reached = {"force_delay": (found["holds"], found["better"]), "joint_gains": (0.1, 0.1)}
         each = {
-            name: margins.Margin(margins.own_value(scenario, name), *reached.get(name, (0.05, 0.05)), 0.05)
-            for name in margins.QUANTITIES
+            name: margins.Margin(each.own(scenario), *reached.get(name, (0.05, 0.05)), 0.05, each.title)
+            for name, each in margins.QUANTITIES.items()
         }
         return margins.Found(each, found["holds"] >= 0.005, found["better"] >= 0.005, None)
 

@@ -157,12 +157,17 @@ def test_each_cell_of_a_sweep_is_a_rollout_with_its_value(scenario, part):
 
 
 @slow()
-def test_margins_walk_the_part_on_worse_hardware(scenario):
+def test_margins_walk_the_part_on_worse_hardware(scenario, part):
+    """Its own value is a margin by its path."""
     gains = {"damping": 300.0, "stiffness": 3000.0}
-    found = margins.find(scenario, gains)
-    walks, own = found.walks.sel(gains="given"), own_parameters(scenario)
-    for quantity in ("force_delay", "control_period"):
-        one = walks.sel(quantity=quantity).isel(point=6)
+    own = own_parameters(scenario)
+    worst = max(part.span, key=lambda end: abs(end - own.at(part.path)))
+    asked = {"force_delay": margins.QUANTITIES["force_delay"]} | margins.quantities(scenario, [f"{part.path}={worst}"])
+    found = margins.find(scenario, gains, asked=asked)
+    walks = found.walks.sel(gains="given")
+    assert found.margins[part.path].own == own.at(part.path) and found.margins[part.path].worst == worst
+    for name, quantity in asked.items():
+        one = walks.sel(quantity=name).isel(point=6)
         hardware = margins.changes(own, quantity, one["value"].values, margins.joint_gains(scenario, {}))
         walked = alone(scenario, gains, hardware, smooth=False)
         np.testing.assert_allclose(one["force_variation"], walked["force_variation"], rtol=5e-3)
