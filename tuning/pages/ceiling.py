@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.comparisons import verdicts
-from tuning.numbers import number, to_json, unit
-from tuning.pages.contents import Contents, Picture, Written, files_of
-from tuning.pages.page import Findings, Origin, Page, Table
+from tuning.numbers import number, unit
+from tuning.pages.contents import Contents, Picture, contents_of
+from tuning.pages.page import Findings, Page, Table
 from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, RETUNED, Bounded, mean_and_interval
 
 BARS = "The objective of each contestant, pd's mean is 1: bars are means, dots the members' walks."
@@ -230,30 +230,20 @@ def plot_front(found: Bounded) -> Figure:
 
 def contents(found: Bounded, _: None, name: str) -> Contents:
     """Return every contestant's walks with the plans found, two pictures, the page."""
-    first, *more = notes(found)
-    said, text, shown = Findings.of(sentence(found), more, first), to_json(summary(found)), table(found)
-    return Contents(
-        Written(data=found.data, outcome=said.lines, summary=text, tables=[shown]),
-        found.problem,
-        files_of(found, name)
-        | {
-            "summary.json": text + "\n",
-            "ceiling.yaml": found.asked.to_yaml(),
-            "bounds": Picture(BARS, lambda: plot_bounds(found)),
-            "first_walk": Picture(FORCES, lambda: plot_histories(found)),
-        }
-        | ({"front": Picture(FRONT, lambda: plot_front(found))} if "front" in found.data else {}),
-        lambda origin: page(found, said, origin),
-    )
+    pictures = {
+        "bounds": Picture(BARS, lambda: plot_bounds(found)),
+        "first_walk": Picture(FORCES, lambda: plot_histories(found)),
+    } | ({"front": Picture(FRONT, lambda: plot_front(found))} if "front" in found.data else {})
+    files = {"ceiling.yaml": found.asked.to_yaml()} | pictures
+    return contents_of(found, name, page_of(found), summary(found), files, data=found.data)
 
 
-def page(found: Bounded, said: Findings, origin: Origin) -> Page:
+def page_of(found: Bounded) -> Page:
     """Return the page."""
+    asked, (first, *more) = found.asked, notes(found)
     front = [front_table(found)] if "front" in found.data else []
-    asked = found.asked
     return Page(
-        title=f"How good could any law be: {origin.name}", origin=origin, findings=said,
-        scenario=found.scenario,
+        "How good could any law be: {}", Findings.of(sentence(found), more, first), found.scenario,
         tables=[table(found), *front, searches_table(found)],
         main=list(dict.fromkeys((CLAIRVOYANT, BLIND, best_law(found), RETUNED, PD))),
         facts={"precision": asked.precision, "seed": asked.seed, "limits": found.data.attrs["limits"],

@@ -12,6 +12,7 @@ from mjx_climb.control import law_of
 from tuning.comparisons.side_by_side import AtOneStep, Compared, Values, differences
 from tuning.comparisons.verdicts import more_or_less
 from tuning.gains import gains_file
+from tuning.numbers import to_json
 from tuning.pages.page import Origin, Page, Table
 from tuning.problem.evaluation import Problem
 from tuning.results.result import Result
@@ -53,6 +54,25 @@ class Contents(NamedTuple):
     files: Files
     page: Callable[[Origin], Page] | None = None
     again: str = ""  # the command or call that repeats it in the folder
+
+
+def contents_of(
+    found: Result, name: str, page: Page, summary: Any, more: Files, *, again: str = "", shown: int = 1, **told: Any
+) -> Contents:
+    """Return the contents of a result's folder: gains, data, settings, summary and page, with more files.
+
+    Arguments:
+        name: of the config.
+        page: without its origin.
+        summary: plain data.
+        again: the command or call that repeats the result in its folder.
+        shown: tables of the page that a terminal shows too.
+        told: further fields of `Written`.
+    """
+    text = to_json(summary)
+    files = {**files_of(found, name), "summary.json": text + "\n", **more}
+    written = Written(outcome=page.findings.lines, summary=text, tables=page.tables[:shown], **told)
+    return Contents(written, found.problem, files, page.at, again)
 
 
 def files_of(found: Result, name: str) -> dict[str, Any]:

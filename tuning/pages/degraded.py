@@ -7,8 +7,8 @@ from mjx_climb.viz import plots
 from tuning.comparisons import judge as judging
 from tuning.comparisons import paired, verdicts
 from tuning.comparisons.degraded import AS_DRAWN, METRICS, Degradation
-from tuning.numbers import number, to_json
-from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.numbers import number
+from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import scaled
 from tuning.results.judged import Degraded
@@ -19,22 +19,14 @@ CHANGES = "Mean force variation on worse hardware, of each gains."
 
 def contents(found: Degraded, compared: Degradation, name: str) -> Contents:
     """Return every walk, both tables, the picture and the page."""
-    ensemble = found.ensemble
-    assert ensemble is not None
-    tables = [losses_table(found, compared), lead_table(found, compared)]
+    assert found.ensemble is not None
     said = Findings(in_words(found, compared), judging.lost_in_words(found.data))
+    tables, facts = [losses_table(found, compared), lead_table(found, compared)], {"seed": found.ensemble.seed}
+    page = Page("Gains on worse hardware, {}", said, found.scenario, tables=tables, facts=facts)
     each = [{"setting": key} | row for key, table in compared.lead.items() for row in paired.differences(table)]
-    summary = to_json({"gains": _plain(compared), "differences": each, "verdict": said.verdict})
-    return Contents(
-        Written(data=found.data, outcome=said.lines, summary=summary, tables=tables),
-        found.problem,
-        files_of(found, name)
-        | {"summary.json": summary + "\n", "degraded": Picture(CHANGES, lambda: plot_degraded(found.data))},
-        lambda origin: Page(
-            title=f"Gains on worse hardware, {origin.name}", origin=origin, findings=said,
-            scenario=found.scenario, tables=tables, facts={"seed": ensemble.seed},
-        ),
-    )  # fmt: skip
+    summary = {"gains": _plain(compared), "differences": each, "verdict": said.verdict}
+    picture = Picture(CHANGES, lambda: plot_degraded(found.data))
+    return contents_of(found, name, page, summary, {"degraded": picture}, shown=2, data=found.data)
 
 
 def change(table: xr.Dataset, metric: str, place: str, statistic: str = "mean") -> str:

@@ -15,8 +15,8 @@ from tuning.comparisons import judge as judging
 from tuning.comparisons import paired, verdicts
 from tuning.comparisons.of_draw import DrawComparison
 from tuning.comparisons.of_ensemble import shown
-from tuning.numbers import change, number, to_json, unit
-from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.numbers import change, number, unit
+from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import COLORS, scaled
 from tuning.problem import ensemble
@@ -34,18 +34,11 @@ def contents(found: Judged, compared: DrawComparison, name: str) -> Contents:
     gains: dict[str, Any] = judging.plain(summed, shown(metrics))
     for own in gains.values():
         own["failed"] = round(own["failed"] * found.data.sizes["member"])
-    plain = {"gains": gains, "differences": paired.differences(compared.table), "verdict": said.verdict}
-    summary, table = to_json(plain), judged_table(summed, metrics)
-    return Contents(
-        Written(data=found.data, summed=summed, outcome=said.lines, summary=summary, tables=[table]),
-        found.problem,
-        files_of(found, name)
-        | {"summary.json": summary + "\n", "judged": Picture(SHARES, lambda: plot_judged(found.data))},
-        lambda origin: Page(
-            title=f"Gains on the walks of {origin.name}", origin=origin, findings=said,
-            scenario=found.scenario, tables=[table], facts={"seed": ensemble.seed},
-        ),
-    )  # fmt: skip
+    tables, facts = [judged_table(summed, metrics)], {"seed": ensemble.seed}
+    page = Page("Gains on the walks of {}", said, found.scenario, tables=tables, facts=facts)
+    summary = {"gains": gains, "differences": paired.differences(compared.table), "verdict": said.verdict}
+    picture = Picture(SHARES, lambda: plot_judged(found.data))
+    return contents_of(found, name, page, summary, {"judged": picture}, data=found.data, summed=summed)
 
 
 def verdict(summed: xr.Dataset) -> str:

@@ -1,11 +1,8 @@
 """Laws side by side: table of differences, picture, page."""
 
-import csv
 import dataclasses
-import io
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -23,11 +20,14 @@ from tuning.comparisons.of_laws import LawsComparison
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import labels
-from tuning.numbers import gain, number, to_json, unit
-from tuning.pages.contents import Contents, Picture, Written, files_of
-from tuning.pages.page import Findings, Origin, Page, Table
+from tuning.numbers import gain, number, unit
+from tuning.pages.contents import Contents, Picture, contents_of
+from tuning.pages.page import Findings, Page, Table
 from tuning.results.judged import Comparison
 from tuning.results.tuned import Tuned
+
+if TYPE_CHECKING:
+    from pandas import DataFrame  # type: ignore[import-untyped]
 
 LAWS = "Differences from retuned pd, with 95 % intervals over walks and seeds; grey where the interval holds 0."
 _NOT_METRICS = {"objective": "objective", "failed": "share lost"}
@@ -52,41 +52,19 @@ def contents(found: Comparison, compared: LawsComparison, name: str) -> Contents
               "seeds": [of_search(each) for each in found.searched[law]]}
         for law, own in found.tuned.items()
     }  # fmt: skip
-    summary = to_json({"verdict": verdict.in_words, "best": verdict.best, "laws": searched, "table": rows})
+    summary = {"verdict": verdict.in_words, "best": verdict.best, "laws": searched, "table": rows.to_dict("records")}
     said = Findings.of(verdict.in_words, [*notes_of(found, table), *judging.lost_in_words(found.data)])
-    side_by_side = laws_table(table, metrics)
-    return Contents(
-        Written(data=found.data, summed=table, outcome=said.lines, summary=summary, tables=[side_by_side]),
-        found.problem,
-        files_of(found, name)
-        | gains
-        | {"compared.csv": to_csv(rows), "summary.json": summary + "\n"}
-        | {"compared": Picture(LAWS, lambda: plot_laws(table))},
-        lambda origin: page_of(found, side_by_side, said, origin),
-    )
+    csv = rows.to_csv(index=False, lineterminator="\n", na_rep="nan")
+    files = gains | {"compared.csv": csv, "compared": Picture(LAWS, lambda: plot_laws(table))}
+    page = page_of(found, laws_table(table, metrics), said)
+    return contents_of(found, name, page, summary, files, data=found.data, summed=table)
 
 
-def rows_of(table: xr.Dataset) -> list[dict[str, Any]]:
-    """Return a comparison of laws as plain rows: a metric, a statistic, a law, and its numbers."""
-    rows: list[dict[str, Any]] = []
-    dims = ("metric", "statistic", "gains")
-    for place in np.ndindex(*(table.sizes[name] for name in dims)):
-        if np.isfinite(table["value"].values[place]):
-            words = {name: str(table[name].values[index]) for name, index in zip(dims, place, strict=True)}
-            numbers = {
-                name: table[name].values[place].item() for name in ("value", "difference", "low", "high", "real")
-            }
-            rows.append(words | numbers)
-    return rows
-
-
-def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return plain rows as CSV."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+def rows_of(table: xr.Dataset) -> "DataFrame":
+    """Return a comparison of laws as rows: a metric, a statistic, a law, and its numbers."""
+    numbers = table[["value", "difference", "low", "high", "real"]]
+    rows = numbers.to_dataframe(dim_order=["metric", "statistic", "gains"]).reset_index()
+    return rows[np.isfinite(rows["value"])][["metric", "statistic", "gains", *numbers]]
 
 
 def laws_table(table: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:
@@ -173,7 +151,7 @@ def _searches_table(found: Comparison) -> Table:
     return Table("Searches", ["law", "seed", "points", "objective", "converged", "keeps all limits"], [("", rows)], 1)
 
 
-def page_of(found: Comparison, table: Table, said: Findings, origin: Origin) -> Page:
+def page_of(found: Comparison, table: Table, said: Findings) -> Page:
     """Return the page of a comparison of laws: what it says, the table, and the gains of each."""
     sections = []
     for name, own in found.tuned.items():
@@ -187,8 +165,8 @@ def page_of(found: Comparison, table: Table, said: Findings, origin: Origin) -> 
     steps = ", ".join(f"{name} {sum(own.env_steps for own in each):,}" for name, each in found.searched.items())
     assert found.search is not None
     return Page(
-        title=f"Laws compared on {origin.name}: {', '.join(found.laws)} beside retuned pd", origin=origin,
-        findings=said, scenario=found.scenario, main=[rows[0][0] for _, rows in table.sections],
+        f"Laws compared on {{}}: {', '.join(found.laws)} beside retuned pd", said, found.scenario,
+        main=[rows[0][0] for _, rows in table.sections],
         tables=[table, _searches_table(found),
                 Table("Gains found by the best search", ["law", "gain", "unit", "value"], sections, 3)],
         facts={"precision": "float32", "seed": found.search.seed, "env-steps": steps},

@@ -77,12 +77,14 @@ class Origin(NamedTuple):
     pictures: Mapping[str, Path] = {}  # PNG files in that folder, by their captions
 
 
+NOWHERE = Origin("", "", "")
+
+
 @dataclasses.dataclass(frozen=True)
 class Page:
-    """What a report says, in the order in which it says it; `page.html.jinja` lays it out."""
+    """The parts of a report in their order; `page.html.jinja` lays it out."""
 
-    title: str
-    origin: Origin
+    title: str  # {} stands for the name of the config
     findings: Findings
     scenario: mc.Scenario
     explorers: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)  # by heading
@@ -92,6 +94,11 @@ class Page:
     prose: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)  # sentences below the tables
     own: Sequence[Part] = ()  # sections of the user's
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # beside the versions: seed, precision, ...
+    origin: Origin = NOWHERE
+
+    def at(self, origin: Origin) -> "Page":
+        """The page with its origin."""
+        return dataclasses.replace(self, title=self.title.replace("{}", origin.name), origin=origin)
 
     @property
     def brief(self) -> Table | None:

@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 import mjx_climb as mc
 from mjx_climb.viz import plots
 from tuning.comparisons.of_front import FrontComparison
-from tuning.numbers import gain, number, to_json, unit
+from tuning.numbers import gain, number, unit
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.explorer import explorer, listed_points
-from tuning.pages.page import Findings, Origin, Page, Table
+from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import COLORS, scaled
 from tuning.results.front import Front, knee, without_sensor
 from tuning.searches.retuned_pd import NAME
@@ -30,24 +30,15 @@ def contents(found: Front, compared: FrontComparison, name: str) -> Contents:
         return [{n: data[f"{prefix}{n}"].values[i] for n in columns} for i in range(data.sizes[along])]
 
     config, pd = ({n: data[f"reference_{n}"].sel(reference=name).item() for n in metrics} for name in ("config", "pd"))
-    summary = to_json(
-        {
-            "front": rows((*metrics, *names), "front"), "knee": found.knee, "config": config, "pd": pd,
-            "pd_over_kp_and_kd": rows(("kp", "kd", *metrics), "without", "without_"),
-            "force_sensor": {"in_words": compared.worth},
-        }
-    )  # fmt: skip
-    said = Findings(verdict(found, compared), [compared.worth])
-    table = front_table(data, found.knee, asked.points, found.problem.metrics)
+    summary = {
+        "front": rows((*metrics, *names), "front"), "knee": found.knee, "config": config, "pd": pd,
+        "pd_over_kp_and_kd": rows(("kp", "kd", *metrics), "without", "without_"),
+        "force_sensor": {"in_words": compared.worth},
+    }  # fmt: skip
+    page, picture = page_of(found, compared), Picture(FRONT, lambda: plot_front(data))
     again = "mjx-climb tune config.yaml --search search.yaml "
     again += f"--better {asked.better} --against {asked.against} --points {asked.points} --out again"
-    return Contents(
-        Written(walks=compared.walks, data=data, outcome=said.lines, summary=summary, tables=[table]),
-        found.problem,
-        files_of(found, name) | {"summary.json": summary + "\n", "front": Picture(FRONT, lambda: plot_front(data))},
-        lambda origin: page_of(found, compared, table, said, origin),
-        again,
-    )
+    return contents_of(found, name, page, summary, {"front": picture}, again=again, walks=compared.walks, data=data)
 
 
 def verdict(found: Front, compared: FrontComparison) -> str:
@@ -62,7 +53,7 @@ def verdict(found: Front, compared: FrontComparison) -> str:
     return f"the front of {front.sizes['front']} points bends at {'; '.join(texts)}"
 
 
-def page_of(found: Front, compared: FrontComparison, table: Table, said: Findings, origin: Origin) -> Page:
+def page_of(found: Front, compared: FrontComparison) -> Page:
     """Return the page of a front, with the time histories on it, and config and pd walked in double precision."""
     about, front, knee = found.problem.metrics, found.data, found.knee
     better, against = found.asked.better, found.asked.against
@@ -70,9 +61,9 @@ def page_of(found: Front, compared: FrontComparison, table: Table, said: Finding
     metrics = {walk: mc.metrics(trajectory, about) for walk, trajectory in walks.items()}
     points = listed_points(front, histories, knee, trade=(against, better), about=about)
     return Page(
-        title=f"What {about.in_words(better)} costs in {about.in_words(against)}: {origin.name}", origin=origin,
-        findings=said, scenario=found.scenario,
-        tables=[table],
+        f"What {about.in_words(better)} costs in {about.in_words(against)}: {{}}",
+        Findings(verdict(found, compared), [compared.worth]), found.scenario,
+        tables=[front_table(front, knee, found.asked.points, about)],
         explorers={"The front": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
         facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},
     )  # fmt: skip

@@ -7,11 +7,10 @@ from tuning.comparisons import judge as judging
 from tuning.comparisons.of_ensemble import RobustComparison, shown
 from tuning.comparisons.side_by_side import Values
 from tuning.gains.gains_file import by_name
-from tuning.numbers import to_json
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.judge import SHARES, judged_table, plot_judged
-from tuning.pages.page import Findings, Origin, Page, Table
+from tuning.pages.page import Findings, Page
 from tuning.pages.tune import CONVERGENCE, plot_convergence
 from tuning.results.tuned import AGREEMENT, Robust
 from tuning.searches.retuned_pd import NAME
@@ -28,20 +27,14 @@ def contents(found: Robust, compared: RobustComparison, name: str) -> Contents:
         "objective": found.value, "feasible": found.feasible, "env_steps": found.env_steps,
         "gains": by_name(found.gains),
     }  # fmt: skip
-    said, table = findings(found, compared), judged_table(summed, metrics)
-    summary = to_json(plain if worth is None else plain | worth.summary)
-    return Contents(
-        Written(data=walks, summed=summed, outcome=said.lines, summary=summary, tables=[table]),
-        found.problem,
-        files_of(found, name)
-        | {"judged.nc": walks, "summary.json": summary + "\n"}
-        | {
-            "judged": Picture(SHARES, lambda: plot_judged(walks)),
-            "convergence": Picture(CONVERGENCE, lambda: plot_convergence(found)),
-        },
-        lambda origin: page_of(found, compared, table, said, origin),
-        "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again",
-    )
+    pictures = {
+        "judged": Picture(SHARES, lambda: plot_judged(walks)),
+        "convergence": Picture(CONVERGENCE, lambda: plot_convergence(found)),
+    }
+    page, summary = page_of(found, compared), plain if worth is None else plain | worth.summary
+    again = "mjx-climb tune config.yaml --search search.yaml --ensemble ensemble.yaml --out again"
+    files = {"judged.nc": walks} | pictures
+    return contents_of(found, name, page, summary, files, again=again, data=walks, summed=summed)
 
 
 def findings(found: Robust, compared: RobustComparison) -> Findings:
@@ -57,8 +50,8 @@ def findings(found: Robust, compared: RobustComparison) -> Findings:
     return Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
 
 
-def page_of(found: Robust, compared: RobustComparison, table: Table, said: Findings, origin: Origin) -> Page:
-    """Return the page of a search over an ensemble; `table` is of walks that the search never saw."""
+def page_of(found: Robust, compared: RobustComparison) -> Page:
+    """Return the page of a search over an ensemble."""
     control = found.scenario.control
     joint = {"kp": control.kp, "kd": control.kd}
     rivals: dict[str, tuple[Values | None, Values]] = {"robust": (joint | by_name(found.gains), {})}
@@ -66,8 +59,8 @@ def page_of(found: Robust, compared: RobustComparison, table: Table, said: Findi
     if not found.law:
         rivals |= {"config": (joint | {key: getattr(control, key) for key in mc.Gains.AXES}, {})}
     return Page(
-        title=f"Robust gains for {origin.name}: {found.method}, {found.search.space}", origin=origin,
-        findings=said, scenario=found.scenario,
+        f"Robust gains for {{}}: {found.method}, {found.search.space}", findings(found, compared), found.scenario,
         facts={"seed": found.search.seed, "env-steps": f"{found.env_steps:,} (best after {found.best_at:,})"},
-        tables=[table], opened=[comparison.gains_table(rivals, found.law)],
+        tables=[judged_table(compared.summed, found.problem.metrics)],
+        opened=[comparison.gains_table(rivals, found.law)],
     )  # fmt: skip

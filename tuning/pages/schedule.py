@@ -12,9 +12,9 @@ from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from mjx_climb.walk.metrics import failed
 from tuning.comparisons.of_schedule import ScheduleComparison
-from tuning.numbers import change, gain, has_axes, number, to_json
-from tuning.pages.contents import Contents, Picture, Written, files_of
-from tuning.pages.page import Findings, Origin, Page, Table
+from tuning.numbers import change, gain, has_axes, number
+from tuning.pages.contents import Contents, Picture, contents_of
+from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import plain_numbers
 from tuning.results.scheduled import Scheduled
 from tuning.searches import retuned_pd
@@ -33,23 +33,15 @@ def contents(found: Scheduled, compared: ScheduleComparison, name: str) -> Conte
     one = "every set of gains breaks a limit at some other operating point"
     if loss < np.inf:
         one = f"the gains of {level:g} G, {load:g} kg lose at most {loss:.3f} of pd's objective"
-    files = {"schedule.csv": to_csv(data), "schedule.yaml": to_yaml(data)}
-    said, table = Findings(compared.verdict, [compared.worth], [f"one for all: {one}"]), table_of(data)
-
-    def page(origin: Origin) -> Page:
-        assert found.search is not None
-        title, facts = f"Gains for each gravity and cargo: {origin.name}", {"seed": found.search.seed}
-        return Page(title, origin, said, found.scenario, tables=[table], facts=facts)
-
-    return Contents(
-        Written(data=data, outcome=said.lines, summary=to_json(rows(data)), tables=[table]),
-        found.problem,
-        files_of(found, name) | files | {"schedule": Picture(SCHEDULE, lambda: plot_schedule(data))},
-        page,
-        "mjx-climb tune config.yaml --search search.yaml "
-        + " ".join(f"--over {each}={','.join(f'{v:.9g}' for v in data[each].values)}" for each in ("gravity", "cargo"))
-        + " --out again",
-    )
+    files: dict[str, Any] = {"schedule.csv": to_csv(data), "schedule.yaml": to_yaml(data)}
+    said = Findings(compared.verdict, [compared.worth], [f"one for all: {one}"])
+    assert found.search is not None
+    tables, facts = [table_of(data)], {"seed": found.search.seed}
+    page = Page("Gains for each gravity and cargo: {}", said, found.scenario, tables=tables, facts=facts)
+    over = (f"--over {each}={','.join(f'{v:.9g}' for v in data[each].values)}" for each in ("gravity", "cargo"))
+    again = f"mjx-climb tune config.yaml --search search.yaml {' '.join(over)} --out again"
+    files |= {"schedule": Picture(SCHEDULE, lambda: plot_schedule(data))}
+    return contents_of(found, name, page, rows(data), files, again=again, data=data)
 
 
 def table_of(data: xr.Dataset) -> Table:

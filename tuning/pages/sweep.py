@@ -15,10 +15,9 @@ from tuning.comparisons.of_sweep import SweepComparison, own_name, variation_of
 from tuning.comparisons.side_by_side import Compared, Values
 from tuning.numbers import number, presentable, remarks, to_json
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, Written, at_own_step, worse_than_pd
+from tuning.pages.contents import Contents, Files, Picture, Written, at_own_step, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
-from tuning.pages.page import Findings, Origin, Page
-from tuning.problem.evaluation import Problem
+from tuning.pages.page import Findings, Page
 from tuning.results.swept import Swept, axes_of, best_cell
 from tuning.searches.sweep import own_values
 
@@ -30,8 +29,7 @@ _HATCHED = ("detached_limb", "diverged")  # shown on every map
 
 def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     """Return the grid, the sheet of maps, the walks beside it, and the page."""
-    (scenario, law), data, best = found.walker(), compared.data, compared.best
-    walked = dataclasses.replace(found.problem, scenario=scenario)
+    data, best = compared.data, compared.best
     count, edges = data["diverged"].size, compared.at_edge
     walks = {
         "config" if name == "paper" else name: {"gains": gains, "metrics": presentable(metrics, None)}
@@ -39,7 +37,7 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     }
     sensor = {} if compared.worth is None else compared.worth.summary
     counts = {"walks": count, "failed": compared.failed, "best_at_edge_of": edges}
-    summary = to_json({"best": None} | walks | sensor | {"grid": counts})
+    summary = {"best": None} | walks | sensor | {"grid": counts}
     metrics = {name: own for name, (_, own) in compared.rows.items()}
     lines = [f"warning: the best lies on the edge of the grid: widen {name}" for name in edges]
     if best is not None:
@@ -51,19 +49,24 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     said = Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
     listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
     call = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed})'
-    return Contents(
-        Written(
-            walks=compared.walks, compared=compared.rows, data=data, outcome=said.lines, summary=summary
-        ),
-        dataclasses.replace(walked, law=law),
-        {
-            found.FILE: data.assign_attrs(scenario=scenario.to_yaml()),
-            "maps": Picture(MAPS, lambda: sheet(data, compared.rows)),
-            "comparison.json": summary + "\n",
-        },
-        lambda origin: page_of(walked, compared, said, origin),
-        f'tuning.write({call}, "again")',
-    )  # fmt: skip
+    page, maps = page_of(found, compared, said), Picture(MAPS, lambda: sheet(data, compared.rows))
+    written = Written(walks=compared.walks, compared=compared.rows, data=data, outcome=said.lines)
+    return _contents(found, written, summary, page, maps, f'tuning.write({call}, "again")')
+
+
+def _contents(
+    found: Swept, written: Written, summary: dict[str, Any], page: Page, maps: Picture, again: str = ""
+) -> Contents:
+    """Return the contents of the folder of a grid, whose config has the gains that replace the scenario's."""
+    (scenario, law), text, data = found.walker(), to_json(summary), written.data
+    assert data is not None
+    files: Files = {
+        found.FILE: data.assign_attrs(scenario=scenario.to_yaml()),
+        "maps": maps,
+        "comparison.json": text + "\n",
+    }
+    problem = dataclasses.replace(found.problem, scenario=scenario, law=law)
+    return Contents(dataclasses.replace(written, summary=text), problem, files, page.at, again)
 
 
 def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
@@ -86,37 +89,22 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     walked = {key: verdicts.Walked(variation_of(metrics)) for key, (_, metrics) in rows.items()}
     ours = f"not yet compared with pd retuned: best of {data['diverged'].size} walks, {listed}"
     outcome = f"{verdicts.against_best(ours, walked, 'force variation', 'N')} (single precision)"
-    summary = to_json(
-        {key: {"gains": values, "metrics": presentable(metrics, None)} for key, (values, metrics) in walks.items()}
-    )
+    summary = {
+        key: {"gains": values, "metrics": presentable(metrics, None)} for key, (values, metrics) in walks.items()
+    }
     baseline = named["pd"]["force_variation"] if "pd" in named else None
-    table = comparison.table(rows, "Walks of the grid, in single precision", about, found.problem.law)
-
-    def draw() -> Figure:
-        return plots.plot_map(data, "force_variation", marks(data, rows), baseline=baseline)
-
-    def page(origin: Origin) -> Page:
-        again = f"{LACKS} are missing here; the same command, as it stands below, goes on with them"
-        return Page(
-            f"Sweep of {origin.name}, not yet compared", origin, Findings(outcome, [again]), scenario, tables=[table],
-        )  # fmt: skip
-
-    return Contents(
-        Written(compared=rows, data=data, outcome=[outcome], summary=summary),
-        dataclasses.replace(found.problem, scenario=scenario, law=law),
-        {
-            found.FILE: data.assign_attrs(scenario=scenario.to_yaml()),
-            "maps": Picture(FIRST_MAP, draw),
-            "comparison.json": summary + "\n",
-        },
-        page,
-    )  # fmt: skip
+    table = comparison.table(rows, "Walks of the grid, in single precision", about, law)
+    again = f"{LACKS} are missing here; the same command, as it stands below, goes on with them"
+    page = Page("Sweep of {}, not yet compared", Findings(outcome, [again]), scenario, tables=[table])
+    how: dict[str, Any] = {"marks": marks(data, rows), "baseline": baseline}
+    maps = Picture(FIRST_MAP, lambda: plots.plot_map(data, "force_variation", **how))
+    return _contents(found, Written(compared=rows, data=data, outcome=[outcome]), summary, page, maps)
 
 
-def page_of(problem: Problem, compared: SweepComparison, said: Findings, origin: Origin) -> Page:
+def page_of(found: Swept, compared: SweepComparison, said: Findings) -> Page:
     """Return the page of a sweep: its maps with gains marked on them, and time histories."""
-    grid, best, rows, about = compared.data, compared.best, compared.rows, problem.metrics
-    histories = compared.histories
+    grid, best, rows, about = compared.data, compared.best, compared.rows, found.problem.metrics
+    (scenario, _), histories = found.walker(), compared.histories
     axes, metrics = axes_of(grid), {walk: numbers for walk, (_, numbers) in rows.items()}
     count, kept, notes = grid["diverged"].size, histories["diverged"].size, [*said.notes]
     if kept < count:
@@ -128,12 +116,12 @@ def page_of(problem: Problem, compared: SweepComparison, said: Findings, origin:
         "precision": f"{grid.attrs['dtype']} (grid), float64 (named walks)", "engine": grid.attrs["engine"],
         "robots at a time": grid.attrs["batch_size"], "seed": "none: nothing is drawn at random",
     }  # fmt: skip
-    how: dict[str, Any] = {"shown": ("pd",), "about": about, "scenario": problem.scenario}
+    how: dict[str, Any] = {"shown": ("pd",), "about": about, "scenario": scenario}
     return Page(
-        title=f"Sweep of {origin.name}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", origin=origin,
-        findings=said._replace(notes=notes), scenario=problem.scenario, facts=facts,
+        f"Sweep of {{}}, {' by '.join(str(grid.sizes[name]) for name in axes)} gains", said._replace(notes=notes),
+        scenario, facts=facts,
         explorers={"Maps and walks": explorer(walks, metrics, points=points, **how)},
-        tables=[comparison.table(rows, precision_of(best), about, problem.law)],
+        tables=[comparison.table(rows, precision_of(best), about, found.problem.law)],
     )  # fmt: skip
 
 

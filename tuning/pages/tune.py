@@ -18,12 +18,12 @@ from tuning.comparisons import verification
 from tuning.comparisons.of_search import TuneComparison
 from tuning.comparisons.side_by_side import Values
 from tuning.gains.gains_file import by_name
-from tuning.numbers import axis_values, number, presentable, remarks, to_json
+from tuning.numbers import axis_values, number, presentable, remarks
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, Written, at_own_step, files_of, worse_than_pd
+from tuning.pages.contents import Contents, Picture, at_own_step, contents_of, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
 from tuning.pages.margins import plot_margins
-from tuning.pages.page import Findings, Origin, Page, Table
+from tuning.pages.page import Findings, Page, Table
 from tuning.problem.spaces import kind_of
 from tuning.results.swept import axes_of
 from tuning.results.tuned import AGREEMENT, Tuned
@@ -59,25 +59,17 @@ def contents(found: Tuned, compared: TuneComparison, name: str) -> Contents:
         "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
     }  # fmt: skip
     plain |= {} if compared.worth is None else compared.worth.summary
-    summary = to_json(plain | {"verification": {**dataclasses.asdict(checked), "passed": checked.passed}})
+    plain["verification"] = {**dataclasses.asdict(checked), "passed": checked.passed}
     walks = {walk: compared.walks[walk] for walk in ("pd", "tuned")}
-    files = files_of(found, name) | {
+    files: dict[str, Any] = {
         "convergence": Picture(CONVERGENCE, lambda: plot_convergence(found)),
         "walks": Picture(WALKS, lambda: plots.plot_comparison(walks)),
-        "summary.json": summary + "\n",
+        "margins": Picture(MARGINS, lambda: plot_margins(compared.hardware, "tuned")),
     }
-    if over is not None:
-        files["map.nc"] = over
-    files["margins"] = Picture(MARGINS, lambda: plot_margins(compared.hardware, "tuned"))
-    if over is not None:
-        files["path"] = Picture(PATH, lambda: plot_path(found, over))
-    return Contents(
-        Written(walks=compared.walks, compared=rows, data=over, outcome=said.lines, summary=summary),
-        found.problem,
-        files,
-        lambda origin: page_of(found, compared, said, origin),
-        "mjx-climb tune config.yaml --search search.yaml --out again",
-    )
+    own = {} if over is None else {"map.nc": over, "path": Picture(PATH, lambda: plot_path(found, over))}
+    again, page = "mjx-climb tune config.yaml --search search.yaml --out again", page_of(found, compared, said)
+    told: dict[str, Any] = {"walks": compared.walks, "compared": rows, "data": over}
+    return contents_of(found, name, page, plain, files | own, again=again, shown=0, **told)
 
 
 def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
@@ -112,7 +104,7 @@ def _outcome_of(checked: verification.Verification, found: Tuned) -> list[str]:
     return lines
 
 
-def page_of(found: Tuned, compared: TuneComparison, said: Findings, origin: Origin) -> Page:
+def page_of(found: Tuned, compared: TuneComparison, said: Findings) -> Page:
     """Return the page of a search."""
     search, about, checked, rows = found.search, found.problem.metrics, compared.checked, compared.rows
     metrics = {walk: numbers for walk, (_, numbers) in rows.items()}
@@ -133,8 +125,7 @@ def page_of(found: Tuned, compared: TuneComparison, said: Findings, origin: Orig
         around.append([name, *cells, shape, number(checked.slopes.get(name))])
     near = Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", around)], 1)
     return Page(
-        title=f"Tuned gains for {origin.name}: {found.method}, {search.space}", origin=origin,
-        findings=said, scenario=found.scenario,
+        f"Tuned gains for {{}}: {found.method}, {search.space}", said, found.scenario,
         explorers={
             title: explorer(walks, values, shown=("pd", "tuned"), opens_on="tuned", points=points, about=about)
         },

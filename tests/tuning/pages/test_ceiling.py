@@ -11,7 +11,6 @@ import xarray as xr
 import mjx_climb as mc
 import tuning
 from tuning.pages import ceiling as pages
-from tuning.pages.page import Findings, Origin
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
@@ -138,7 +137,7 @@ def test_one_walk_has_no_interval():
 
 
 def test_the_first_screen_goes_from_the_best_plan_to_pd():
-    page = pages.page(bounded(), Findings("a sentence"), Origin("case_2", "", ""))
+    page = pages.page_of(bounded())
     shown = [row[0] for _, rows in page.brief.sections for row in rows]
     assert shown == ["clairvoyant", "blind", "mine", "retuned_pd", "pd"]
 

@@ -276,7 +276,7 @@ def test_the_first_screen_is_a_sentence_five_rows_and_a_picture_and_the_rest_is_
     rows = [[name, "1"] for name in ("stiffness", *reversed(page.MAIN), "travel", page.MAIN[0])]
     every = page.Table("every number", ["metric", "value"], [("", rows[:2]), ("", rows[2:])])
     made = page.Page(
-        "", origin, page.Findings("it won", ["warning: it breaks"], ["it is so"]), mc.Scenario(), tables=[every]
+        "", page.Findings("it won", ["warning: it breaks"], ["it is so"]), mc.Scenario(), tables=[every], origin=origin
     )
     open_part, *folded = page.render(made).split('<details class="part">')
     assert re.findall("<li>(.*)</li>", open_part) == ["Warning: it breaks."]
@@ -335,7 +335,7 @@ def tuned_page(named):
     def made(over, **changed):
         compared = TuneComparison(walks, rows, over, None, CHECKED, None, "")
         found = tuned.Tuned(data, Problem(scenario), gains=mc.Gains(**gains | changed))
-        return tune.page_of(found, compared, page.Findings("0.9 of pd"), ORIGIN)
+        return tune.page_of(found, compared, page.Findings("0.9 of pd")).at(ORIGIN)
 
     return made
 
@@ -428,8 +428,7 @@ def test_the_page_of_a_front(swept, named):
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
     found = Front(front, Problem(named[0]))
     compared = FrontComparison(named[1], kept, of_front(found))
-    table = pareto.front_table(front, bend, found.asked.points)
-    made = pareto.page_of(found, compared, table, page.Findings(pareto.verdict(found, compared)), ORIGIN)
+    made = pareto.page_of(found, compared)
     assert made.findings.verdict.startswith("the front of 9 points bends at")
     assert "% above pd with its own kp and kd searched" in made.findings.verdict
     assert compared.worth.endswith(", at no more base deviation")
@@ -577,7 +576,7 @@ def test_the_first_screen_shows_every_law_and_every_statistic():
     rows = [[("force variation N", "", "")[place], law, "1"] for place, law in enumerate(("mine", "other", "pd"))]
     more = [["objective", "mine", "2"], ["", "other", "3"]]
     laws = page.Table("", ["metric", "law", "mean"], [("", rows), ("", more)])
-    made = page.Page("", ORIGIN, page.Findings(""), mc.Scenario(), tables=[laws], main=["objective", rows[0][0]])
+    made = page.Page("", page.Findings(""), mc.Scenario(), origin=ORIGIN, tables=[laws], main=["objective", rows[0][0]])
     assert made.brief.sections == [("", more + rows)]
     means = [["force variation", "mean"], ["force variation", "worst 5%"], ["travel", "mean"]]
     both = dataclasses.replace(made, tables=[page.Table("", ["", ""], [("", means)])], main=page.MAIN)
@@ -588,14 +587,14 @@ def test_the_first_screen_takes_rows_without_a_name():
     """As those of a front: its points have none."""
     table = page.Table("", ["", "N"], [("", [["", "1"], ["", "2"], ["pd", "3"]])], 1)
     said = page.Findings("", [], [])
-    made = page.Page("", ORIGIN, said, mc.Scenario(), tables=[table])
+    made = page.Page("", said, mc.Scenario(), origin=ORIGIN, tables=[table])
     assert made.brief.sections == [("", [["", "1"], ["", "2"], ["pd", "3"]])]
 
 
 def test_a_terminal_ends_with_what_a_page_begins_with():
     said = page.Findings.of("it won", ["a note", "warning: on a bound"], "the sensor does not pay", "")
     assert said.lines == ["a note", "the sensor does not pay", "warning: on a bound", "it won"]
-    made = page.render(page.Page("", ORIGIN, said, mc.Scenario()))
+    made = page.render(page.Page("", said, mc.Scenario(), origin=ORIGIN))
     places = [
         made.index(f"{words}.<") for words in ("It won", "The sensor does not pay", "Warning: on a bound", "A note")
     ]

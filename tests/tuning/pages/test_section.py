@@ -60,9 +60,7 @@ def written(tmp_path, monkeypatch):
     scenario = mc.load_scenario("case_1_2")
 
     def contents(found, compared, name):
-        return Contents(
-            Written(), found.problem, {}, lambda origin: Page("", origin, Findings("", notes=["A note."]), scenario)
-        )
+        return Contents(Written(), found.problem, {}, Page("", Findings("", notes=["A note."]), scenario).at)
 
     monkeypatch.setitem(KINDS, Judged, Kind(lambda *_: "walks", contents))
     return lambda *sections: tuning.write(Judged(xr.Dataset(), Problem(scenario)), tmp_path, sections=sections)
