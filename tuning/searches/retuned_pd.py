@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,12 +14,12 @@ from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
 from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.walk.metrics import failed
 from tuning.gains.gains_file import applied, by_name
 from tuning.methods import parts
 from tuning.methods.rounds import Callback
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.readings import reads_forces
 from tuning.problem.search import OWN_METHOD, Search
 from tuning.problem.spaces import JOINT, default_bounds
@@ -30,8 +30,11 @@ NAME = "retuned_pd"  # in tables and files
 PLANNED = "planned_transfer"
 _COARSE = (12, 9)  # values of kp and kd
 FINE = (24, 18)
-_SEEN = ("force_variation", "detached_limb", "diverged")
-ROUNDS, POINTS = 2, 12  # of `least`: grids of so many values of kp and of kd, the next within a cell of the best
+_SEEN = mc.MetricTable(mc.METRICS[name] for name in ("force_variation", "peak_utilization", "diverged"))
+LEAST = Objective(  # force variation in N while the grips hold
+    (Term("force_variation", 1.0, 1.0, 1.0),), (Limit("peak_utilization", 1.0, 1.0, 0.0, "limit of the grips"),)
+)
+ROUNDS, POINTS = 2, 12  # of `least`: grids, of so many values of kp and of kd the first
 HALVINGS = 2  # of the time step at most, for joint gains that it cannot follow
 ON_A_GRID = "on a grid alone"
 _ROUNDING = 1e-9
@@ -125,7 +128,7 @@ def _followed(scenario: mc.Scenario, joint: Mapping[str, np.ndarray]) -> np.ndar
     pairs = np.stack([joint[name] for name in JOINT], 1)
     known = np.zeros(len(pairs), bool)
     for place in np.argsort(-pairs.prod(1)):
-        if not known[place] and _follows(scenario, dict(zip(JOINT, pairs[place], strict=True))):
+        if not known[place] and follows(scenario, dict(zip(JOINT, pairs[place], strict=True))):
             known |= (pairs <= pairs[place]).all(1)
     return known
 
@@ -133,68 +136,15 @@ def _followed(scenario: mc.Scenario, joint: Mapping[str, np.ndarray]) -> np.ndar
 def least(scenario: mc.Scenario, *, halvings: int = HALVINGS, engine: str = DEFAULT_ENGINE) -> Rival | None:
     """Search kp and kd with which pd has the least force variation and holds, None where it never does.
 
-    Over all of the bounds first, then closer and closer about the best: what a sweep, which looks for the same among
-    the gains of a law, is compared with. The time step is halved so many times at most for kp and kd that it cannot
+    By the tuner's grid over all of the bounds, then closer about the best: a sweep, which looks for the same among the
+    gains of a law, is compared with it. The time step is halved so many times at most for kp and kd that it cannot
     follow; those that it then cannot are left out, which `Rival.lacks` says.
     """
-    pd, table = under_pd(scenario), mc.MetricTable(mc.METRICS[name] for name in _SEEN)
-    how: dict[str, Any] = {"metrics": table, "engine": engine, "unsteady": True}
-    bounds = default_bounds(pd, PD())
-    highest = {name: high for name, (_, high) in bounds.items()}
-    pd = pd.with_overrides({"time_step": time_step_for(scenario, highest, halvings)})
-    ends = np.log(list(bounds.values())).T
-    centre, half = ends.mean(0), np.ptp(ends, axis=0) / 2
-
-    def values(joint: Mapping[str, np.ndarray]) -> np.ndarray:
-        walks = mc.rollout_metrics(pd, joint, **how)
-        return np.where(failed(walks), np.inf, walks["force_variation"])
-
-    found = closer(pd, values, Grids(centre, half, (POINTS, POINTS), ROUNDS, 2 / (POINTS - 1), (ends[0], ends[1])))
-    return None if found is None else Rival(*found, _lacks(pd, highest))
-
-
-class Grids(NamedTuple):
-    """Grids of kp and kd in logarithms, the first about `centre`, each other one about the best of the one before."""
-
-    centre: np.ndarray  # (2,)
-    half: np.ndarray  # (2,) from the centre of the first to its ends
-    counts: tuple[int, int]  # values of kp and of kd
-    rounds: int
-    narrower: float  # factor from one to the next
-    ends: tuple[Any, Any] = (-np.inf, np.inf)  # between which all points lie
-
-
-def closer(
-    scenario: mc.Scenario, values: Callable[[Mapping[str, np.ndarray]], np.ndarray], grids: Grids, digits: int = 17
-) -> tuple[dict[str, float], float] | None:
-    """Search kp and kd of the least value on grids and return them, to so many digits, with their value.
-
-    Each grid has one more point, its last: the best so far, the scenario's own gains in the first. Only gains that the
-    time step can follow are taken; None where there are none of a finite value.
-
-    Arguments:
-        scenario: of the time step and the first kp and kd.
-        values: of kp and kd (N,), infinite where a walk does not count; as many in each round: one program.
-        grids: where to look.
-        digits: of the gains.
-    """
-    centre, half, counts, rounds, narrower, ends = grids
-    best = np.log([scenario.control.kp, max(scenario.control.kd, 1e-12)])
-    offsets = np.stack(np.meshgrid(*(np.linspace(-1, 1, count) for count in counts)), -1).reshape(-1, 2)
-    for _ in range(rounds):
-        points = np.vstack([np.clip(centre + half * offsets, *ends), best])
-        found = values(dict(zip(JOINT, np.exp(points).T, strict=True)))
-        for place in np.argsort(found, kind="stable"):
-            joint = {n: float(f"{gain:.{digits}g}") for n, gain in zip(JOINT, np.exp(points[place]), strict=True)}
-            if not np.isfinite(found[place]):
-                return None
-            if _follows(scenario, joint):
-                break
-        else:
-            return None
-        best = centre = points[place]
-        half = half * narrower
-    return joint, float(found[place])
+    settings, pd = Search(method="grid", joint_gains=True, starts=POINTS, iterations=ROUNDS), under_pd(scenario)
+    space = spaces.space(pd, settings)
+    pd = pd.with_overrides({"time_step": time_step_for(scenario, _highest(space), halvings)})
+    found = tune.run(Problem(pd, space, LEAST, engine=engine, metrics=_SEEN), settings)
+    return rival_of(found) if found.feasible else None
 
 
 def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: int = HALVINGS) -> float:
@@ -210,7 +160,7 @@ def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: i
             shorter = scenario.with_overrides({"time_step": step / 2})
         except ConfigError:  # a delay of more time steps than are kept
             break
-        if _follows(scenario.with_overrides({"time_step": step}), joint):
+        if follows(scenario.with_overrides({"time_step": step}), joint):
             break
         step = shorter.time_step
     return step
@@ -234,13 +184,14 @@ def rival_of(retuned: Tuned, step: float | None = None) -> Rival:
     return Rival(joint_of(retuned), retuned.value, lacks, retuned.feasible, step, name)
 
 
-def _follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
+def follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
+    """Return whether the time step is short enough for joint gains, and their gait where they have one."""
     own = {f"control.{name}": float(joint[name]) for name in JOINT}
     return short_enough(scenario_with_gait(scenario.with_overrides(own), joint))
 
 
 def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:
-    return "" if _follows(scenario, highest) else f"within what a time step of {scenario.time_step:g} s can follow"
+    return "" if follows(scenario, highest) else f"within what a time step of {scenario.time_step:g} s can follow"
 
 
 def _highest(space: spaces.Space) -> dict[str, float]:

@@ -26,7 +26,10 @@ def test_the_fastest_cycle_that_holds():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"gravity": [0, 0, 1.62], "contact.holding_limit": 0.5}, r"limb [LR][FH] lets go; .*holding_limit is 0.5 N"),
+        (
+            {"gravity": [0, 0, 1.62], "contact.holding_limit": 0.5},
+            "would pull .*, contact.holding_limit is 0.5 N",
+        ),
         ({"gravity": [0, 0, -9.81], "control.kp": 0.2, "control.kd": 0.02}, "strays .* control.kp and torque limits"),
     ],
 )
@@ -69,7 +72,7 @@ def test_long_walks_get_one_grid(monkeypatch):
 def test_the_walks_are_counted_before_they_begin():
     """Fewer where they have many steps, and the time in proportion to steps and joints."""
     (few, brief), (fewer, longer) = (expected(short(**{"time_step": step})) for step in (1e-3, 2e-6))
-    assert (few, fewer) == (48, 18)
+    assert (few, fewer) == (47, 17)
     assert longer / brief == pytest.approx(500 * 3 / 5)
 
 
