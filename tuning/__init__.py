@@ -1,13 +1,13 @@
 """Searches for admittance gains, and the command line on top of them.
 
 `tuning.sweep`, `tune`, `pareto`, `schedule`, `robust`, `evaluate`, `degrade`, `compare`, `ceiling`, `identify`,
-`excite`: of what they return `tuning.write(result, folder)` writes what the command writes. `sweep_shard`,
+`excite`: `tuning.write(result, folder)` writes their results as the commands do. `sweep_shard`,
 `evaluate_shard` and `merge` are for several machines.
 """
 
 from mjx_climb.lazy import lazy_names
 
-# what is here is known by its name, as all of a library is: see `mjx_climb.execution.contents`
+# all code here is known by its name, as that of a library: see `mjx_climb.execution.contents`
 __part_of__ = "mjx_climb"
 
 TYPE_CHECKING = False

@@ -1,4 +1,4 @@
-"""Background work: what does not wait for each other, side by side where cores are idle; and how far it has come."""
+"""Background work: independent works side by side where cores are idle, and their progress."""
 
 import contextlib
 import threading

@@ -1,4 +1,4 @@
-"""What each kind of result is compared with, and what its folder then holds: `tuning.write`."""
+"""The rivals of each kind of result, and the contents of its folder: `tuning.write`."""
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -32,8 +32,8 @@ Begun = of_search.Begun | of_sweep.Begun
 class Kind(NamedTuple):
     """A kind of result."""
 
-    compare: Callable[..., Any]  # with a result, stages, the folder that keeps rounds, and what was begun, if anything
-    contents: Callable[[Any, Any, str], Contents]  # of a result, what `compare` gave, and the config's name
+    compare: Callable[..., Any]  # with a result, stages, the folder that keeps rounds, and the works begun, if any
+    contents: Callable[[Any, Any, str], Contents]  # of a result, the result of `compare`, and the config's name
 
 
 KINDS: Mapping[type[Result], Kind] = {
@@ -60,20 +60,20 @@ def write(
     stage: Stage = silent,
     settings: Mapping[str, Any] | None = None,
 ) -> Written:
-    """Compare a result, test it, and write what its command writes: numbers, pictures, gains and the report.
+    """Compare a result, test it, and write the files of its command: numbers, pictures, gains and the report.
 
     The files appear together at the end, in place of those of an earlier result there.
 
     Arguments:
-        found: what a search, `tuning.identify` or `tuning.excite` gave.
-        folder: where to; it is made. What the search kept there with `out=folder` is removed.
-        begun: what `begin` of `tuning.comparisons.of_search` or `of_sweep` gave, where it was begun before the search.
-        origin: what the report says of where it comes from.
+        found: of a search, of `tuning.identify` or of `tuning.excite`.
+        folder: where to; it is made. Rounds that the search kept there with `out=folder` are removed.
+        begun: of `begin` of `tuning.comparisons.of_search` or `of_sweep`, where it was begun before the search.
+        origin: of the report.
         figures: formats of the pictures, of `mjx_climb.viz.plots.FORMATS`; reports hold them as PNG anyway.
-        sections: more of the report: functions of the result and of what it was compared with that return a
+        sections: more of the report: functions of the result and of its comparison that return a
             `tuning.pages.section.Section`, or None; or FILE.py:NAME of such.
         stage: opened for each longer work, see `tuning.background.Stage`; nothing is printed.
-        settings: what a command was asked for, by which it knows its folder again.
+        settings: of a command, which knows its folder again by them.
 
     Raises:
         ConfigError: over an ensemble, some gains diverge in each member; a section fails.
@@ -109,7 +109,7 @@ def _of_identification(
 def write_found(
     found: Result, folder: Path, origin: Origin | None = None, settings: Mapping[str, Any] | None = None
 ) -> None:
-    """Write what was asked, gains and data of a search that goes on from there; `settings` as of `write`."""
+    """Write settings, gains and data of a search that goes on from there; `settings` as of `write`."""
     record.check_own(folder, found.FILE)
     made = Contents(Written(), found.problem, files_of(found, _name(origin)))
     folders.write(made, folder, f"tuning.{found.KIND}(...)", settings=settings, finished=False)

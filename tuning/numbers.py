@@ -1,4 +1,4 @@
-"""Numbers in words and in JSON, the same in a terminal and on a page, and what a reader should know beside them."""
+"""Numbers in words and in JSON, the same in a terminal and on a page, and remarks on them."""
 
 import json
 import math
@@ -18,7 +18,7 @@ WEIGHT = 0.1  # m/s^2; gravity above it is felt
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: numbers of numpy's as Python's, None for what is not finite."""
+    """Return a value as JSON has it: numbers of numpy's as Python's, None for one that is not finite."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):

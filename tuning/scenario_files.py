@@ -39,7 +39,7 @@ def copied(scenario: Scenario, folder: str | os.PathLike[str]) -> Scenario:
 
 
 def portable_yaml(scenario: Scenario, folder: str | os.PathLike[str]) -> str:
-    """Return the scenario as YAML for a file in `folder`: what it names inside the folder is relative to it."""
+    """Return the scenario as YAML for a file in `folder`: files inside the folder are relative to it."""
     return scenario.relative_to(folder).to_yaml()
 
 

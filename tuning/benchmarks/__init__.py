@@ -1,1 +1,1 @@
-"""What `mjx-climb doctor` checks, and measures with `--bench`: this program, and peers built on MuJoCo and NumPy."""
+"""Checks of `mjx-climb doctor`, and its measurements: this program, and peers built on MuJoCo and NumPy."""

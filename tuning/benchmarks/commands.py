@@ -1,4 +1,4 @@
-"""What only a fresh process can tell: whole commands, cold and warm, and a walk's compile times.
+"""Measurements in fresh processes: whole commands, cold and warm, and a walk's compile times.
 
 `python -m tuning.benchmarks.commands value|gradient BATCH STEPS ENGINE` compiles and runs a walk of a batch, or its
 gradient by two gains, twice, and prints as JSON how long each took and when the first was done.
@@ -35,7 +35,7 @@ class Waited(NamedTuple):
 
 
 def measure(names: Sequence[str], say: Callable[[str], object]) -> dict[str, Waited]:
-    """Return how long commands of `COMMANDS` take, each with a cache of its own; `say` is told what goes on."""
+    """Return how long commands of `COMMANDS` take, each with a cache of its own; `say` is told of each step."""
     found = {}
     for name in names:
         clock, processors = [], []
@@ -54,7 +54,7 @@ def measure(names: Sequence[str], say: Callable[[str], object]) -> dict[str, Wai
 def compiled(what: str, batch: int, steps: int, engine: str, cache: str) -> dict[str, float]:
     """Return seconds from a process's start to its first result, of that result and of the same again.
 
-    `what` of a walk is computed, "value" or "gradient"; `cache` is the folder of XLA's cache, "off" for none.
+    The "value" or the "gradient" of a walk is computed; `cache` is the folder of XLA's cache, "off" for none.
     """
     begin = time.time()
     output = _python(("-m", "tuning.benchmarks.commands", what, str(batch), str(steps), engine), cache)

@@ -20,7 +20,7 @@ from mjx_climb.execution.cache import cache_in
 from tuning.benchmarks import commands, operations
 from tuning.benchmarks.walks import TIME_STEP, adjoint, gains, gradient, scenario, walk
 
-Timed = tuple[int, Callable[[], object]]  # env-steps, and what does them
+Timed = tuple[int, Callable[[], object]]  # env-steps, and the function that walks them
 
 
 class Plan(NamedTuple):
@@ -43,7 +43,7 @@ class Plan(NamedTuple):
 
     @staticmethod
     def quick(batch: int) -> "Plan":
-        """Return a plan for a first look, which spares what takes long to compile: those figures are None."""
+        """Return a plan for a first look without the programs that take long to compile: their figures are None."""
         return Plan(3, 100 if jax.default_backend() == "cpu" else 4000, 100, (2,), False, (), ())
 
 
@@ -73,9 +73,9 @@ def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float | None:
 
 
 def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -> dict[str, Any]:
-    """Return every figure of the benchmark by name; `say` is told what goes on.
+    """Return every figure of the benchmark by name; `say` is told of each step.
 
-    Times are in s; ratios say how many times faster this program is than the peer, or what a gradient costs in values.
+    Times are in s; ratios say how many times faster this program is than the peer, or the cost of a gradient in values.
     """
     folder = tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True)
     # new, in this process and for its children, so that every run compiles alike
@@ -99,7 +99,7 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
     own, against = rates["closed_loop"], ("mujoco_c", "mjx", "mujoco_batch", "mujoco_warp")
     return {
         "engine": engine, "batch": batch, "steps": plan.steps, "rounds": plan.rounds,
-        # tracing included: what a first call takes longer than the next
+        # tracing included: the time of a first call less that of the next
         "compile_value_s": value["first"] - value["again"],
         "compile_gradient_s": gradient["first"] - gradient["again"],
         "warm_start_s": warm["from_start"] - warm["again"],  # the run is left out but for one step of it

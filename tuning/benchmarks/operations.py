@@ -2,8 +2,9 @@
 
 Counted are additions, subtractions, products, quotients, minima, maxima and absolute values of one robot under base
 admittance with its virtual model, metrics included; every shared quantity once. Comparisons and selections are not, nor
-is what all robots share (the gait's timing and curves) or what is done once a walk. Sines, cosines, arc tangents and
-square roots are counted apart, as XLA's cost analysis does. Each term stands for one line of the code it names.
+are operations that all robots share (the gait's timing and curves) or that are done once a walk. Sines, cosines, arc
+tangents and square roots are counted apart, as XLA's cost analysis does. Each term stands for one line of the code it
+names.
 """
 
 DOT, CROSS, ROTATE, COMPOSE = 5, 9, 15, 45  # of vectors and 3 x 3 matrices

@@ -36,7 +36,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class Walker:
-    """Grip and controller of N robots; `foot_force` (3, 4, N) and `torque` (3, 4, N) are what the last call gave."""
+    """Grip and controller of N robots; `foot_force` (3, 4, N) and `torque` (3, 4, N) are of the last call."""
 
     def __init__(self, model: mujoco.MjModel, scenario: mc.Scenario, gains: Mapping[str, np.ndarray]):
         """Begin a walk in the rest stance with gains (N, 6) `inertia`, `damping` and `stiffness`.
@@ -183,7 +183,7 @@ class _Peer(abc.ABC):
 
     @abc.abstractmethod
     def _advance(self) -> None:
-        """Finish a step, and do what the next one does before the controller."""
+        """Finish a step, and begin the next one as far as its controller."""
 
 
 class Batch(_Peer):
@@ -252,7 +252,7 @@ def _zero_order_hold(gains: Mapping[str, np.ndarray], time_step: float) -> np.nd
     # the matrix exponential: the Taylor series of a halved matrix by Horner's rule, squared as often as it was halved
     halvings = max(math.ceil(math.log2(np.abs(system).sum(-1).max())) + 1, 0)
     result = np.eye(3)
-    for order in range(15, 0, -1):  # what is left out is below 0.5^16 / 16!
+    for order in range(15, 0, -1):  # the rest is below 0.5^16 / 16!
         result = np.eye(3) + system / 2**halvings @ result / order
     result = np.linalg.matrix_power(result, 2**halvings)
     return np.ascontiguousarray(result[..., :2, :].transpose(2, 3, 1, 0))

@@ -1,6 +1,6 @@
 """Physics and derivatives on this machine, against values stored with the package.
 
-What is compared: the metrics of half a second's walk under Eq. 3 (two swings, two touchdowns, cargo, a push, a slope)
+Compared are the metrics of half a second's walk under Eq. 3 (two swings, two touchdowns, cargo, a push, a slope)
 and their forward derivative by stiffness and damping, in double precision; and the accelerations of one state by both
 engines and by MuJoCo's C code. `python -m tuning.benchmarks.self_check` stores the values anew.
 """
@@ -99,7 +99,7 @@ def _distance(value: Value, stored: Value) -> float:
 
 
 def _accelerations() -> dict[str, dict[str, float]]:
-    """Return the accelerations of a state without pattern by engine, and by MuJoCo's C code, and what moves."""
+    """Return the accelerations of a state without pattern by engine, and by MuJoCo's C code, for base and joints."""
     angles, rates, torque, foot_force, wrench, velocity, orientation, _ = np.split(
         np.sin(np.arange(1.0, 63.0) ** 2), np.cumsum([12, 12, 12, 12, 6, 3, 4])
     )

@@ -12,7 +12,7 @@ class Part(NamedTuple):
     name: str
     text: str  # one line for people
     facts: dict[str, Any]  # plain values
-    findings: Sequence[str] = ()  # what is wrong and what to do, one line each
+    findings: Sequence[str] = ()  # faults and their remedies, one line each
 
 
 def cache() -> Iterator[Part]:

@@ -1,4 +1,4 @@
-"""`mjx-climb evaluate`: what gains are worth where no search looked: on unseen walks, and on worse hardware."""
+"""`mjx-climb evaluate`: gains where no search looked: on unseen walks, and on worse hardware."""
 
 import dataclasses
 from pathlib import Path
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Rival(Options):
-    """What gains are compared with."""
+    """The rival of gains."""
 
     retuned_pd: Path | None = setting(
         None, "gains file whose kp and kd (and gait) pd walks with too, beside pd as the config has it", metavar="FILE"
@@ -154,7 +154,7 @@ class Files(Rival):
 
 
 class Rivals(Files, Judge):
-    """Which gains are evaluated, on what."""
+    """The gains that are evaluated, and their walks."""
 
     gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
     ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
@@ -220,7 +220,7 @@ def worse(asked: Worse, walk: Annotated[Walk, "-gains"], output: Output) -> None
 
 
 class Bounds(Files, Members):
-    """What bounds every law."""
+    """A bound of every law."""
 
     ceiling: bool = setting(
         False, "find how good any law could be on these walks, and what a force sensor is worth at most"
@@ -307,7 +307,7 @@ _Asked = Annotated[
 
 
 def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], output: Output) -> None:
-    """Find the best joint targets over time, by what they know, beside pd and the laws of gains files."""
+    """Find the best joint targets over time, by their knowledge, beside pd and the laws of gains files."""
     with output.session(walks=True) as shell:
         from mjx_climb.control import law_of
         from mjx_climb.scenario.messages import ConfigError
@@ -361,15 +361,15 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     --margins makes force delay, command delay, control period and joint gains worse, one at a time, on top of the
     scenario's own hardware, and says up to where no gripper is torn off, up to where the force varies less than under
     pd on the same hardware, and up to where the linearised loop is stable. Warns where walks, or the linearised loop,
-    bear less than twice what the hardware has. DIR has the margins (margins.json), all walks (margins.nc) and the force
+    bear less than twice the hardware's own. DIR has the margins (margins.json), all walks (margins.nc) and the force
     variation over each quantity (margins, in the formats of --figures). --margin makes other values worse in their
     place, those of your own components too.
 
     --worse walks the same members on worse hardware too, one --worse at a time: with a factor on delay, period,
     friction, backlash, noise, bias or armature, as the config has it or a member drew it, or with other values of keys
     of the config's section hardware, as force_sensor.dead.LF=3.0 for a sensor that dies at 3 s, or with a value or
-    factor at any path, as contact.damping=x0.5. Prints what each takes
-    from the gains, and what is left of their lead over pd (that of --retuned-pd, where it is given). DIR has every walk
+    factor at any path, as contact.damping=x0.5. Prints the loss of each
+    of the gains, and their remaining lead over pd (that of --retuned-pd, where it is given). DIR has every walk
     (degraded.nc).
 
     --ceiling finds how good any law could be: the best joint targets over time for each walk, known in advance; the
@@ -385,7 +385,7 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     a page.
 
     Finished parts are kept in DIR: the same command goes on where it stopped. With --shard, or as a task of a Slurm
-    array, the members are spread over machines, and the last one writes what one machine would have written; --merge
+    array, the members are spread over machines, and the last one writes the result of all; --merge
     does so by hand.
 
     \b

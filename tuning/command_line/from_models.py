@@ -1,7 +1,8 @@
 """Commands made from settings: every field of a pydantic model becomes an argument or option of typer, described there.
 
-A command is a function of models alone. Each is built from what was typed, so that `model_fields_set` tells it from the
-defaults. See `tuning.problem.settings.setting` for a field's default, help and unit; its bounds are checked and shown.
+A command is a function of models alone. Each is built from the words typed, so that `model_fields_set` tells it from
+the defaults. See `tuning.problem.settings.setting` for a field's default, help and unit; its bounds are checked and
+shown.
 """
 
 import ast
@@ -55,10 +56,10 @@ class Form(NamedTuple):
 def command(
     folder: str = "", forms: Mapping[str, Callable[..., None]] = MappingProxyType({})
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that makes what typer takes of a function, with a parameter for each field of its models.
+    """Return a decorator that makes a command of typer of a function, with a parameter for each field of its models.
 
     Of `Annotated[Model, "name"]` these fields alone are options, of "-name" all but these.
-    `folder` is what `--out` is by default, in words. `forms` are functions of models that run in place of the decorated
+    `folder` is the default of `--out` in words. `forms` are functions of models that run in place of the decorated
     one: by the option that asks for them, named twice where it has to be typed more than once. An option that is not of
     the form that runs is refused.
     """
@@ -91,7 +92,7 @@ def command(
             form.function(**{taken: made(model, read[taken]) for taken, model in form.models.items()})
 
         parameters = [inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)]
-        last = [*every[""].models.values()][-1]  # of what is written, below the forms' own options
+        last = [*every[""].models.values()][-1]  # the output, below the forms' own options
         for name, (model, field) in sorted(shown.items(), key=lambda each: each[1][0] is last):
             needed = all(name in form.places and form.field(name).is_required() for form in every.values())
             asks = name in {key.partition(" ")[0] for key in every} and not _repeated(field)
@@ -116,13 +117,13 @@ def _chosen(every: Mapping[str, Form], typed: Collection[str], values: Mapping[s
 
 
 def _asking(key: str, shown: Mapping[str, tuple[type[BaseModel], FieldInfo]]) -> str:
-    """Return in words what asks for a form: "--against", "several --law"; "" for the command's own."""
+    """Return the words that ask for a form: "--against", "several --law"; "" for the command's own."""
     name, *again = key.split() or [""]
     return f"{'several ' * bool(again)}{_flag(name, shown[name][1])}" if name else ""
 
 
 def _about(model: type[BaseModel]) -> str:
-    """Return the beginning of what a model is, the heading of its options."""
+    """Return the beginning of a model's docstring, the heading of its options."""
     return re.split("[.:,]", model.__doc__ or "")[0]
 
 
@@ -131,7 +132,7 @@ def _repeated(field: FieldInfo) -> bool:
 
 
 def made(model: type[BaseModel], values: Mapping[str, Any]) -> BaseModel:
-    """Return a model of what was typed; InputError in one line: the option, what was expected and what was got."""
+    """Return a model of the words typed; InputError in one line: the option, expected and got."""
     try:
         return model.model_validate(dict(values), strict=False)
     except ValidationError as invalid:
@@ -208,9 +209,9 @@ def parts_of(text: str, form: str) -> list[str]:
 def _parameter(
     name: str, field: FieldInfo, default_in_words: str, heading: str, *, needed: bool, asks: bool
 ) -> inspect.Parameter:
-    """Return a field as typer declares it: what is no flag and no path is a text for the model to read.
+    """Return a field as typer declares it: flags and paths as such, all else as text for the model to read.
 
-    `needed`: whatever else is typed; `asks`: it asks for a form of the command, which no default does.
+    `needed`: with any other words; `asks`: it asks for a form of the command, which no default does.
     """
     shell, kind = _shell(field), _kind(field)
     default = None if asks and kind is not bool else field.get_default()

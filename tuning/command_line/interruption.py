@@ -106,7 +106,7 @@ def at_once() -> Iterator[None]:
 
 
 class Interrupted(Exception):
-    """Ctrl-C, and what was kept."""
+    """Ctrl-C, with a line on the work that was kept."""
 
 
 def _for_one_signal() -> Callable[[int], None]:

@@ -1,4 +1,4 @@
-"""Commands about a robot's log: what to command for one, what it says of the robot, the simulation beside it."""
+"""Commands about a robot's log: the motion for one, the parameters in it, the simulation beside it."""
 
 import contextlib
 import json
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 def excite(
     walk: Annotated[Walk, "config", "hardware", "changes", "slope", "roof"], asked: Excitation, output: Output
 ) -> None:
-    """Find what to command so that the robot's own log tells its parameters.
+    """Find commands with which the robot's own log tells its parameters.
 
     Candidates are scaled, stretch by stretch, until joint limits, torque, speed and reach (free: pull of the grippers)
     hold with a margin in the nominal model; the one whose log has the most Fisher information is taken. Prints the
-    standard deviations to expect, beside those after a plain chirp, and what the log will not be able to tell apart.
+    standard deviations to expect, beside those after a plain chirp, and parameters that the log will not tell apart.
 
     Writes to DIR the commands (excitation.csv: time, and LF.coxa.command ... in rad; excitation_trajectory.yaml, a
-    trajectory_msgs/JointTrajectory), what is expected (excitation.json, report.html) and a picture (excitation).
+    trajectory_msgs/JointTrajectory), the expectation (excitation.json, report.html) and a picture (excitation).
 
     \b
     Examples:
@@ -71,7 +71,7 @@ FILES = ("log", "signals")  # fields of Recorded
 
 
 class Recorded(Options):
-    """What was recorded, how it is read, and how the robot stood."""
+    """The log, how it is read, and how the robot stood."""
 
     log: Path = setting(..., "log of the robot: .csv, .nc, .mcap, .db3, or the folder of a bag", metavar="FILE")
     signals: Path | None = setting(
@@ -101,7 +101,7 @@ class Recorded(Options):
         return {**asked, "log": log.digest}
 
     def say_read(self, log: "Log", shell: "Session") -> None:
-        """Say where each signal was found, where that was guessed, and what seems wrong with the log."""
+        """Say where each signal was found, where that was guessed, and faults of the log."""
         if log.guessed is not None:
             how = "guessed where each signal stands (save this as signals.yaml, correct it, --signals signals.yaml):"
             shell.say(f"{self.log}: {how}", log.guessed.to_yaml().rstrip())
@@ -109,7 +109,7 @@ class Recorded(Options):
 
 
 class Fitted(Recorded):
-    """What is fitted, to which log."""
+    """The parameters that are fitted, and the log."""
 
     fit: tuple[str, ...] = setting(..., "key that is fitted, or a pattern of keys, as hardware.servo.*", metavar="KEY")
     held_out: float = setting(0.2, "share of the log, at its end, that is predicted and not fitted", ge=0, le=0.8)
@@ -120,18 +120,18 @@ class Fitted(Recorded):
 def identify(
     asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes", "slope", "roof"], output: Output
 ) -> None:
-    """Fit parameters of a scenario to what the robot itself recorded, on a stand or as it sways on shut grippers.
+    """Fit parameters of a scenario to the robot's own log, made on a stand or as it sways on shut grippers.
 
-    The log holds the commands of the joints and what came of them, as excite asks for. KEY is one of a scenario's
+    The log holds the commands of the joints and the motion after them, as excite asks for. KEY is one of a scenario's
     (hardware.servo.armature, hardware.command_delay, control.kp), gravity (its direction), or one of the robot's own:
     robot.LF.coxa.armature, friction, damping, zero; robot.LF.coxa.mass, center, inertia. With the base free also
     contact.stiffness, contact.damping, robot.base.mass, hardware.force_sensor.bias and delay, and of one force sensor
     log.LF.force.gain, zero.x, y_in_x.
 
-    Prints what was known before and is now, with 95 % intervals, what the log does not tell, and whether the model is
+    Prints values before and after, with 95 % intervals, parameters that the log does not tell, and whether the model is
     right. With --out writes to DIR the scenario as identified (identified.yaml, hardware.yaml for --hardware, and a
-    robot's file where it was fitted), an ensemble of what is left open (posterior.yaml, for tune and evaluate), all
-    numbers (result.json), pictures, and a page (report.html). Every search that ended is kept in DIR: after
+    robot's file where it was fitted), an ensemble of the remaining uncertainty (posterior.yaml, for tune and evaluate),
+    all numbers (result.json), pictures, and a page (report.html). Every search that ended is kept in DIR: after
     Ctrl-C, or worse, the same command goes on from there.
 
     \b
@@ -177,7 +177,7 @@ def identify(
 
 
 class Replayed(Recorded):
-    """What is replayed, and what it is compared with."""
+    """The log that is replayed, and its rivals."""
 
     with_law: bool = setting(False, "walk under the config's law too, with the pushes that were logged, and compare")
 

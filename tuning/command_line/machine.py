@@ -1,4 +1,4 @@
-"""`mjx-climb doctor`: how sound this installation is, how fast, and what its scenarios may hold."""
+"""`mjx-climb doctor`: how sound this installation is, how fast, and the keys of its scenarios."""
 
 import math
 import os
@@ -21,7 +21,7 @@ from tuning.command_line.options import ENGINE, EngineName, Output, reserved_std
 from tuning.command_line.program import InputError, in_words, versions_of
 from tuning.problem.settings import Options, setting
 
-ROWS = (  # name, what it is, unit, what it should be on two cores
+ROWS = (  # name, meaning, unit, goal on two cores
     ("closed_loop_steps_per_s", "closed loop, metrics included", "steps/s", ""),
     ("vs_mujoco_c", "against mujoco.rollout, bare dynamics", "times", "1 or more"),
     ("vs_mjx", "against the closed loop with engine mjx", "times", "5 or more"),
@@ -52,7 +52,7 @@ QUICK = (commands.IMPORT, commands.HELP, commands.RUN)
 
 
 class Bench(Options):
-    """What is measured."""
+    """The measurement."""
 
     bench: bool = setting(False, "measure speed on this machine, beside MuJoCo and MJX in the same run")
     quick: bool = setting(False, "a first look, not to be quoted: fewer rounds, some figures left out")
@@ -106,7 +106,7 @@ NVIDIA = Path("/proc/driver/nvidia/version")  # there where the driver is loaded
 
 
 def versions() -> Iterator[Part]:
-    """Yield the versions of what computes."""
+    """Yield the versions of the packages that compute."""
     found = {"python": platform.python_version(), **versions_of("mjx-climb", *PACKAGES)}
     findings = [f"{name} is not installed: python -m pip install mjx-climb" for name in PACKAGES if not found[name]]
     parts = {name: version for name, version in versions_of(*OF_MUJOCO_4).items() if version}
@@ -117,7 +117,7 @@ def versions() -> Iterator[Part]:
 
 
 def _of_mujoco(engine: str, mjx: str, parts: Mapping[str, str]) -> Iterator[str]:
-    """Yield what is wrong with the releases of MuJoCo and MJX, and with MuJoCo's files.
+    """Yield the faults of the releases of MuJoCo and MJX, and with MuJoCo's files.
 
     An upgrade in place from 3 to 4 installs the new parts, then removes the old package with the files that they share.
     """
@@ -139,7 +139,7 @@ def _of_mujoco(engine: str, mjx: str, parts: Mapping[str, str]) -> Iterator[str]
 
 
 def devices() -> Iterator[Part]:
-    """Yield what simulations run on, and what keeps JAX from an NVIDIA GPU where nobody asked for the CPU."""
+    """Yield the devices of simulations, and why JAX finds no NVIDIA GPU where nobody asked for the CPU."""
     import jax
 
     from mjx_climb.execution.devices import usable_cores
@@ -157,7 +157,7 @@ def devices() -> Iterator[Part]:
 
 
 def path() -> Iterator[Part]:
-    """Yield by which path robots walk: the fast one for this device, where a trial of it went well, or XLA's own."""
+    """Yield the path of walks: the fast one for this device, where a trial of it went well, or XLA's own."""
     from mjx_climb.execution import paths
 
     if (fast := paths.fast_path()) is None:
@@ -188,7 +188,7 @@ def simulation() -> Iterator[Part]:
     from tuning.benchmarks import self_check
 
     with warnings.catch_warnings():
-        # what `cache` has found already
+        # `cache` has found it already
         warnings.filterwarnings("ignore", ".*persistent compilation cache", UserWarning)
         found = self_check.deviations(self_check.measure(), self_check.load())
     own, limit = {name: {name: found.pop(name)} for name in ("walk", "gradient")}, self_check.TOLERANCE
@@ -206,20 +206,20 @@ def simulation() -> Iterator[Part]:
 
 
 def examine() -> list[Part]:
-    """Return all parts, in the order in which they depend on each other."""
+    """Return all parts, each behind those that it depends on."""
     parts: list[Part] = []
     for examination in (versions, devices, cache, path, renderer, simulation):
         interruption.check()
         try:
             parts += examination()
-        except Exception as error:  # whatever it is, the other parts are still of interest
+        except Exception as error:  # the other parts are still of interest
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             parts.append(Part(examination.__name__, "could not be examined", {}, [reason]))
     return parts
 
 
 class Schema(Options):
-    """What a scenario may hold."""
+    """The keys of a scenario."""
 
     of_scenarios: bool = setting(False, "print the JSON schema of scenarios, for editors", flag="--schema")
     out: Path | None = setting(None, "file to write the schema to; null: standard output", metavar="FILE")
@@ -240,19 +240,19 @@ def schema(asked: Schema) -> None:
 
 @command(forms={"bench": bench, "of_scenarios": schema})
 def doctor(output: Annotated[Output, "json_only"]) -> None:
-    """Examine this installation: does it compute what it should?
+    """Examine this installation: does it compute right?
 
     Prints versions, devices, the state of the compilation cache and which OpenGL renders. Then walks half a second and
     takes its gradient by the gains, solves the equations of motion with both engines and with MuJoCo's C code, and
     compares with values stored in the package, to nine digits. Half a minute or so, twice that where the compilation
-    cache is empty. Says of all that is wrong what to do about it.
+    cache is empty. Each fault comes with its remedy.
 
     Exit code 0: all is well. 1: something is wrong.
 
     --bench: a batch of robots walks under base admittance in single precision, all metrics included. Its peers on the
     same cores: mujoco.rollout of the bare dynamics; this program with the dynamics of MJX; mujoco.batch, and a loop
     over mj_step, under the same control law and grip in NumPy. On a GPU mujoco_warp too, where the extra `compare` has
-    installed it: the bare dynamics, in CUDA graphs. Medians of rounds in which all take turns. Then what a user
+    installed it: the bare dynamics, in CUDA graphs. Medians of rounds of all by turns. Then the times that a user
     waits for, whole commands in processes of their own, with an empty cache and again. Needs the machine for itself,
     and a few minutes.
 

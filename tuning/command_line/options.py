@@ -1,4 +1,4 @@
-"""Options that several commands share, each a model, and what is loaded for them."""
+"""Options that several commands share, each a model, and the objects that they load."""
 
 import contextlib
 import dataclasses
@@ -72,7 +72,7 @@ ENGINE = setting("limb", "dynamics: limb (fast) or mjx (MJX's own stages)")
 
 
 class Walk(Options):
-    """What is simulated: a scenario, and what options put in its place."""
+    """The walk: a scenario, and the options that replace parts of it."""
 
     config: Path = setting(
         ...,
@@ -112,14 +112,14 @@ class Walk(Options):
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What walks in place of the config's law and hardware, as folders are called by it."""
+        """The law and hardware in place of the config's, as words of a folder's name."""
         law = None if self.law is None else re.sub(r"[^\w.@+-]", "_", self.law.rpartition(":")[2])
         hardware = None if self.hardware is None else Path(self.hardware).stem
         return tuple(word for word in (self.controller, law, hardware) if word is not None)
 
     @property
     def varied(self) -> bool:
-        """Whether what walks is changed by more than `words` say."""
+        """Whether the walk differs from the config by more than `words` say."""
         ground = self.roof or self.slope is not None
         return bool(ground or self.changes or self.gains or self.contact or self.drive or self.disturbances)
 
@@ -164,7 +164,7 @@ class Walk(Options):
                 raise InputError(f"--set {', '.join(mine)}: {error}") from None
         scenario = without(scenario_from(Path(source), changes, self.hardware, self.controller))
         scenario = scenario.with_overrides({"gravity": inclined(scenario.gravity, self.slope, self.roof)})
-        structure(scenario, self.engine, own_parameters(scenario, source))  # refuses what cannot walk
+        structure(scenario, self.engine, own_parameters(scenario, source))  # refuses a scenario that cannot walk
         if self.gains is not None and self.law is None:
             scenario, law = self._of_file(self.gains, scenario, law, changes)
         elif self.gains is not None and law is not None:
@@ -224,7 +224,7 @@ class Walk(Options):
 def fitted(walk: Walk, command: str) -> "Problem":
     """Return the result of `Walk.load`, for a command that models grippers and servos alone.
 
-    Raises InputError for another contact, drive or disturbance: what acted on the robot stands in its log.
+    Raises InputError for another contact, drive or disturbance: the log tells how the robot was disturbed.
     """
     loaded = walk.load()
     for place, named in loaded.scenario.kinds.items():
@@ -260,7 +260,7 @@ FIGURES = setting("png", f"formats of the pictures, with commas: some of {', '.j
 
 
 class Output(Options):
-    """What is written and printed."""
+    """The output."""
 
     out: Path | None = setting(None, "folder for the results", metavar="DIR")
     figures: Figures = FIGURES
@@ -271,7 +271,7 @@ class Output(Options):
 
     @contextlib.contextmanager
     def session(self, *, walks: bool = False) -> Iterator["Session"]:
-        """Give what the command prints to and shows its progress on; where it walks, JAX's devices begin to start.
+        """Give the session that the command prints to; where it walks, JAX's devices begin to start.
 
         Raises ConfigError: a section is not there.
         """
@@ -383,7 +383,7 @@ def own_objects(law: str | None, metrics: tuple[str, ...]) -> "tuple[mc.Law | No
 
 @contextlib.contextmanager
 def reserved_stdout() -> Iterator[Any]:
-    """Give standard output to one writer; what anything else prints goes to standard error."""
+    """Give standard output to one writer; all other prints go to standard error."""
     stdout = sys.stdout
     with contextlib.redirect_stdout(sys.stderr):
         yield stdout

@@ -1,8 +1,8 @@
 """One command in several processes: of `jax.distributed` all walk together, of a Slurm array each has its shard.
 
 Together every process runs the same program on the same input, so that all come to the same calls in the same order:
-what a batch gives is the same in each. Process 0 alone reads, writes and prints. The others write to a folder that is
-removed at the end, and to no terminal.
+the results of a batch are the same in each. Process 0 alone reads, writes and prints. The others write to a folder that
+is removed at the end, and to no terminal.
 """
 
 import contextlib
@@ -96,7 +96,7 @@ class Team:
 
     def __init__(self, process: Process | None, temporary: Path):
         self.said = "" if process is None else f"{process.of} processes, {process.said}"  # for the announcement
-        self.heard = process is None  # what the others had to say before they walk
+        self.heard = process is None  # whether the others have reported before they walk
         self._process, self._temporary = process, temporary
 
     def folder(self, out: Path) -> Path:
@@ -130,7 +130,7 @@ class Team:
                 files.extractall(kept, filter="data")
 
     def agree(self, digest: bytes, problem: str = "") -> None:
-        """Hear from all processes what they were asked, and what went wrong there: InputError where anything did."""
+        """Hear from all processes their command and their errors: InputError where there is one."""
         import numpy as np
         from jax.experimental import multihost_utils
 

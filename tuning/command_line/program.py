@@ -1,7 +1,7 @@
 """All commands, how they were typed, and how they end.
 
-Exit codes: 0 done; 1 what doctor gives where something is wrong, and run where its walk failed; 2 bad input, with one
-line on stderr; 130 interrupted, with a line that says what was kept.
+Exit codes: 0 done; 1 of doctor where something is wrong, and of run where its walk failed; 2 bad input, with one
+line on stderr; 130 interrupted, with a line on the work that was kept.
 Commands import JAX and all that is heavy when they run, so that `--help` is quick.
 """
 
@@ -45,14 +45,14 @@ _MODULES = {"excite": "logs", "identify": "logs", "replay": "logs", "reproduce":
             "plot": "results", "doctor": "machine"}  # fmt: skip  # of others the name of the command
 _TRUE = ("1", "true", "t", "yes", "y", "on")  # as JAX reads its settings
 _LONGEST = 1000  # characters of a line
-_ALIKE = 0.75  # least likeness of two names of which one may be meant by the other
+_ALIKE = 0.75  # least likeness of two names that may be mistaken for each other
 _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "Refused", "LostProcess", "RenderingError",
                 "InstallationError"}  # fmt: skip
-_OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of what is printed; typer ends quietly where a pipe is closed
+_OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of prints; typer ends quietly where a pipe is closed
 
 
 class Grouped(TyperCommand):
-    """A command whose help lists arguments and options under what they are about."""
+    """A command whose help lists arguments and options under headings."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write a section of help for each panel that parameters name."""
@@ -66,7 +66,7 @@ class Grouped(TyperCommand):
 
 
 class InputError(ValueError):
-    """An argument or option that cannot be used; in one line: option, what was expected, what was got."""
+    """An argument or option that cannot be used; in one line: option, expected, got."""
 
 
 def program(only: str | None = None) -> typer.Typer:
@@ -125,7 +125,7 @@ def _program(
 def run(arguments: Sequence[str]) -> int:
     """Run the program and return its exit code; errors go to standard error."""
     ARGUMENTS.set(tuple(arguments))
-    # the command may stand in what a shell wants completed
+    # the command may stand in the words that a shell completes
     completed = " ".join(os.environ.get(name, "") for name in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"))
     asked = next((word for word in (*arguments, *completed.split()) if word in COMMANDS), "")
     try:
@@ -136,13 +136,13 @@ def run(arguments: Sequence[str]) -> int:
         _say(f"interrupted: {interrupt}" if str(interrupt) else interruption.NOTHING_KEPT)
         return interruption.CODE
     except SystemExit as ended:
-        if {"typer", "click"} & {*_last_file(ended).split("/")}:  # which print what a shell completes, and end
+        if {"typer", "click"} & {*_last_file(ended).split("/")}:  # which print completions, and end
             raise
         _say(f"error: expected own files that leave the program to its end, got sys.exit({ended.code!r})")
         return 2
     except Exception as error:
         message = user_error(error)
-        if interruption.requested():  # it broke what this went wrong on, a program that it had started for example
+        if interruption.requested():  # it broke a program that this had started, for example
             _say(f"interrupted: {message or type(error).__name__}")
             return interruption.CODE
         if message is None:
@@ -150,7 +150,7 @@ def run(arguments: Sequence[str]) -> int:
         _say(f"error: {message}")
         try:
             sys.stdout.flush()
-        except OSError:  # drop what it does not take: Python would try again as it ends, and say so
+        except OSError:  # drop the rest: Python would try again as it ends, and say so
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         except AttributeError:  # closed
             pass
@@ -164,7 +164,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _check_surroundings(arguments: Sequence[str]) -> None:
-    """Refuse what a command would fail on when its work is done."""
+    """Refuse surroundings that a command would fail on when its work is done."""
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")
     if sys.stdout is None:
@@ -240,7 +240,7 @@ def _last_file(error: BaseException) -> str:
 def _nearest(option: str, command: Any) -> str:
     """Return a suggestion, in words, for an option that a command does not have.
 
-    A key of the scenario of this very name, else the commands that have the option, else what is spelt alike.
+    A key of the scenario of this very name, else the commands that have the option, else names spelt alike.
     """
     from difflib import get_close_matches
 
@@ -292,7 +292,7 @@ def repeated(command: Sequence[str], *options: str) -> str:
 
 
 def _by_option() -> Iterator[tuple[str, list[str]]]:
-    """Yield each option that was typed with its words; what follows one is taken for its value."""
+    """Yield each option that was typed with its words; the word behind one is taken for its value."""
     words = list(ARGUMENTS.get())
     while words:
         first = words.pop(0)

@@ -1,4 +1,4 @@
-"""`mjx-climb plot`, `reproduce` and `export`: pictures and other forms of what was found."""
+"""`mjx-climb plot`, `reproduce` and `export`: pictures and other forms of results."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tuning.reproduce.results import Found
 
 
-_BESIDE = "config.yaml"  # what a search leaves beside its gains
+_BESIDE = "config.yaml"  # of a search, beside its gains
 
 
 def _inches(text: str) -> tuple[float, float]:
@@ -54,7 +54,7 @@ def _style(sheet: str) -> dict[str, object]:
 
 
 class Plot(Options):
-    """What is drawn, and how."""
+    """The pictures."""
 
     folder: Path = setting(..., "folder of a result, as a command wrote it", metavar="FOLDER", argument=True)
     metric: tuple[str, ...] = setting(
@@ -104,11 +104,11 @@ def plot(asked: Plot) -> None:
 
 @command("results/reproduce")
 def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
-    """Walk the paper's three cases under every controller and compare with what the paper states.
+    """Walk the paper's three cases under every controller and compare with the paper's statements.
 
     Runs pd, pd whose base reference follows the actual base, base admittance (Eq. 3) in both readings and
-    end-effector admittance (Eq. 2), with the paper's gains and in double precision: a minute or two, of which the
-    compiler takes most the first time. Where a gripper lets go, the walk is repeated with grippers that never do.
+    end-effector admittance (Eq. 2), with the paper's gains and in double precision: a minute or two, most of it
+    the compiler's the first time. Where a gripper lets go, the walk is repeated with grippers that never do.
 
     Prints all metrics beside the paper's numbers, and for each claim whether it holds here. Writes to DIR all of it
     (report.html to look through in a browser, reproduce.json, tables.txt, paper.md), the baseline and the proposed
@@ -187,7 +187,7 @@ ROBOTS_OWN = ("ros2_control", "admittance_control")  # formats of controllers th
 
 
 class Export(Options):
-    """What is written, and in which scenario it must hold."""
+    """The form of the gains, and the scenario that they must hold in."""
 
     gains: Path = setting(..., "gains file, as tune writes it", metavar="GAINS", argument=True)
     form: Literal["ros2_control", "admittance_control", "json", "csv"] = setting(
@@ -231,7 +231,7 @@ class Export(Options):
         return gains_file.limited(self.gains, LoadTransfer())
 
     def scenario(self, law: "mc.Law | None") -> "mc.Scenario | None":
-        """Return the scenario in which the gains of a law (None: the scenario's) must hold, at the update rate.
+        """Return the scenario that the gains of a law (None: the scenario's) must hold in, at the update rate.
 
         None where there is no config.
         """

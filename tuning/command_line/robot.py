@@ -16,7 +16,7 @@ from tuning.problem.settings import Options, setting
 
 
 class Robot(Options):
-    """What is proposed, for which robot."""
+    """The proposal and its robot."""
 
     file: Path = setting(..., "MJCF (.xml) or URDF (.urdf) of the robot", metavar="FILE", argument=True)
     write: Path | None = setting(None, "scenario to write, ready for run; null: print it", metavar="CONFIG")
@@ -42,12 +42,12 @@ class Robot(Options):
 def robot(asked: Robot) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 
-    Limbs are the rows of two to seven joints that start at one base and end in what is called a foot, or the like. The
-    stance is a keyframe's, or searched. Stride, grip and gains are HubRobo's in proportion to mass and reach. Prints
-    what was taken from the file, changed and ignored, each with the reason; then the scenario, for you to look through.
-    Walks the proposal: under pd with 45 pairs of kp and kd, or 15 where time steps are short, to take that of least
-    force variation; with cycles twice and four times as long, to take the first with which it holds; on a ceiling, to
-    say what holding limit it takes.
+    Limbs are the rows of two to seven joints that start at one base and end in a foot, by its name. The stance is a
+    keyframe's, or searched. Stride, grip and gains are HubRobo's in proportion to mass and reach. Prints parts of the
+    file that were taken, changed and ignored, each with the reason; then the scenario, for you to look through. Walks
+    the proposal: under pd with 45 pairs of kp and kd, or 15 where time steps are short, to take that of least force
+    variation; with cycles twice and four times as long, to take the first with which it holds; on a ceiling, to say the
+    holding limit that it takes.
 
     Beside CONFIG a picture shows the robot by its own shapes, and where its feet are taken to be.
 

@@ -1,4 +1,4 @@
-"""`mjx-climb runs`: the results below a folder, what differs between their settings, and what came of each."""
+"""`mjx-climb runs`: the results below a folder, the differences of their settings, and their verdicts."""
 
 from json import dumps
 from pathlib import Path
@@ -19,14 +19,14 @@ class Place(Options):
 
 @command("no page", {})
 def runs(place: Place, output: Annotated[Output, "-figures", "-sections"]) -> None:
-    """List the results below a folder, the newest first: when, what, which settings differ, and the verdict.
+    """List the results below a folder, the newest first: time, folder, settings that differ, and verdict.
 
-    Of settings those are shown in which the listed results differ from each other: keys of the config among all, others
+    Of settings those are shown that differ among the listed results: keys of the config among all, others
     among the results of one command. A verdict is that of the result's own page. A result that is not finished is
     listed as such: the same command goes on with it.
 
-    Reads what commands left in their folders (settings.json, report.html, metrics.json) and walks nothing. --out writes
-    runs.html, a page with the table and a link to each result's page.
+    Reads the files of commands in their folders (settings.json, report.html, metrics.json) and walks nothing. --out
+    writes runs.html, a page with the table and a link to each result's page.
 
     \b
     Examples:

@@ -52,7 +52,7 @@ class Compilation:
     """
 
     def __init__(self, finished: Callable[[], None] = lambda: None, traced: Callable[[], None] = lambda: None):
-        self.seconds: dict[str, float] = {}  # by what was done
+        self.seconds: dict[str, float] = {}  # by activity
         self.since = time.perf_counter()  # when anything was last done
         self._thread = threading.local()  # whose next program comes from the cache
         self._lock = threading.Lock()
@@ -102,7 +102,7 @@ class Estimate:
     """How long the rest takes, from the work done since the compiler finished; None before that is known."""
 
     since: float  # s
-    base: int | None = None  # what was there then
+    base: int | None = None  # done by then
     done: int | None = None
 
     def update(self, done: int, total: int, now: float) -> float | None:
@@ -119,7 +119,7 @@ class Estimate:
 
 
 class Asked(Protocol):
-    """What is written and printed: `tuning.command_line.options.Output`."""
+    """The output: `tuning.command_line.options.Output`."""
 
     out: Path | None
     json_only: bool
@@ -130,7 +130,7 @@ class Asked(Protocol):
 
 
 class Walked(Protocol):
-    """What walks, and what its folder is called by: `tuning.command_line.options.Walk`."""
+    """The walk, and the words of its folder's name: `tuning.command_line.options.Walk`."""
 
     config: Path
 
@@ -151,10 +151,10 @@ class Session:
         self.console = console(stderr=True)
         self.tables = self.console if output.json_only else console(file=stdout)
         self.output, self.name, self.out = output, "", Path()
-        self.done = self._before = 0  # of what is kept where the command is stopped; in stages that are over
+        self.done = self._before = 0  # kept where the command is stopped; of these, in stages that are over
         self.sections = sections  # of the user's own, for the report
-        self.lacks = ""  # what a result lacks that is in the folder before the command ends
-        self.settings: Mapping[str, Any] | None = None  # what the command was asked for
+        self.lacks = ""  # of a result that is in the folder before the command ends
+        self.settings: Mapping[str, Any] | None = None  # of the command
         self._held = contextlib.ExitStack()  # its folder
         self._json = stdout if output.json_only else None
 
@@ -205,7 +205,7 @@ class Session:
         self._held.close()
 
     def take(self, walk: Walked, file: str, settings: Mapping[str, Any], *kind: str, **how: Any) -> Path:
-        """Take the folder of a result of some walk, called by its config and what stands in place of the config's.
+        """Take the folder of a result of some walk, named after its config and the options in place of the config's.
 
         `how` as of `claim`.
         """
@@ -238,7 +238,7 @@ class Session:
             print(text, file=self._json)
 
     def opening(self, scenario: "mc.Scenario | None" = None, *lacks: str) -> None:
-        """Say where compiled programs are kept, and what to know of a scenario and a result before anything walks."""
+        """Say where compiled programs are kept, and warn of a scenario or a result before anything walks."""
         from tuning import numbers
         from tuning.command_line import cache
 
@@ -249,7 +249,7 @@ class Session:
         self.say(f"compilation cache: {state.text}", *(f"warning: {line}" for line in warnings))
 
     def written(self, files: str, json: str, before: str = "") -> None:
-        """Say what was written in which time, and print the JSON where it was asked for."""
+        """Name the files that were written and the time, and print the JSON where it was asked for."""
         self.say(f"{before}written to {self.out} in {duration(time.perf_counter() - self.begin)}: {files}")
         self.print_json(json)
 
@@ -261,7 +261,7 @@ class Session:
         *,
         before: str = "",
     ) -> None:
-        """Write a result with its report, in which `again` repeats it, and print its tables, or that of its walks."""
+        """Write a result with its report, where `again` repeats it, and print its tables, or that of its walks."""
         from tuning import kinds
         from tuning.pages import comparison
 
@@ -279,7 +279,7 @@ class Session:
         self.written(written.files, written.summary, before)
 
     def first_result(self, found: "Result", made: "Contents", again: str, lacks: str) -> None:
-        """Print the first table of a result, and write what there is of it, unless the folder holds the whole one."""
+        """Print the first table of a result, and write it so far, unless the folder holds the whole one."""
         from tuning.writing import folder, record
 
         told, problem = made.written, found.problem
@@ -294,9 +294,9 @@ class Session:
 
     @contextlib.contextmanager
     def keeping(self, what: str, folder: Path | None = None, done: int = 0) -> Iterator[None]:
-        """Say what is kept where the user stops a command, as "3 rounds"; `done` of them were there before.
+        """Name the work that is kept where the user stops a command, as "3 rounds"; `done` of them were there before.
 
-        Interrupted is raised in place of KeyboardInterrupt, and of what goes wrong after the user asked to stop: a
+        Interrupted is raised in place of KeyboardInterrupt, and of errors after the user asked to stop: a
         process that walked beside this one, for example, was stopped as well and may be gone first.
         """
         self.done = done
@@ -320,7 +320,7 @@ class Session:
 
     @contextlib.contextmanager
     def rounds(self, name: str) -> Iterator["Callable[[Rounds], None]"]:
-        """Show the stage of a search whose rounds are kept, with what is best so far."""
+        """Show the stage of a search whose rounds are kept, with the best so far."""
 
         def shown(now: "Rounds") -> None:
             slope = f", gradient {now.gradient_norm:.2g}" if math.isfinite(now.gradient_norm) else ""
@@ -343,8 +343,8 @@ class Session:
     ) -> Iterator[Callable[..., None]]:
         """Show one stage; the function that it gives takes how many walks are done, how many there are, and a text.
 
-        `keeps`: what is done here is kept where the command is stopped. `traced` is called when a large program has
-        been traced, and XLA compiles it, or one has been loaded.
+        `keeps`: the work of this stage is kept where the command is stopped. `traced` is called when a large program
+        has been traced, and XLA compiles it, or one has been loaded.
 
         Raises:
             KeyboardInterrupt: at its beginning and whenever it is told, where the user wants the command to end.

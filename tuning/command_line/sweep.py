@@ -32,7 +32,7 @@ _Typed = Annotated[Range | None, BeforeValidator(lambda text: parts_of(text, RAN
 
 
 class Grid(Options):
-    """What is swept."""
+    """The grid."""
 
     stiffness: _Typed = setting(
         None, "virtual stiffness K, N/m and N m/rad: evenly spaced on a logarithmic scale", metavar=RANGE
@@ -85,7 +85,7 @@ class Grid(Options):
             raise InputError(str(error).replace("axes", "--axis", 1).replace("--axis.", "--axis ", 1)) from None
 
     def said(self, work: "Walks", here: int, there: int) -> list[str]:
-        """Return how many walks there are, on what, and how long they take where that is long."""
+        """Return the number of walks, the device, and the time where that is long."""
         import jax
 
         from mjx_climb.execution.paths import device_for
@@ -113,7 +113,7 @@ class Merge(Options):
 
 
 def merge(asked: Merge, output: Output) -> None:
-    """Put the shards of a sweep or of an evaluation together, and write what one machine would have written."""
+    """Put the shards of a sweep or of an evaluation together, and write the result of all."""
     with output.session() as shell:
         from tuning.comparisons.merge import merged
         from tuning.searches import shards
@@ -143,7 +143,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
         settings = record.settings_of(work.problem, kind, rows=record.without_machine(work.identity()))
         out = shell.take(walk, file, settings, word, team=team, shard=part is not None)
         about = {"again": typed_but("--shard", shards.SHARD), "name": walk.config.stem, "repeat": again}
-        about["settings"] = dumps(settings)  # for the folder of what is merged
+        about["settings"] = dumps(settings)  # for the folder of the merged result
         rows = shards.Rows(work, out, part, about)
         here, there, folder = len(rows.rows), rows.there, rows.folder or out
         said = [*asked.said(work, here, there), which, team.said, f"{there} are there already" if there else ""]
@@ -189,18 +189,18 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
 def sweep(grid: Grid, walk: Walk, output: Output) -> None:
     """Walk a grid of stiffness and damping, or of two other gains, the same on all axes, in single precision.
 
-    Prints the best gains (least force variation among the walks in which all grippers hold), the config's own and pd
+    Prints the best gains (least force variation among the walks whose grippers all hold), the config's own and pd
     side by side, walked again in double precision. Writes to DIR the grid (sweep.nc, opens with xarray), a sheet with a
     map of each metric and the law's limit of stability (maps.png), the table (comparison.json), the resolved scenario
     (config.yaml), and all of it with the walks over time as a page for a browser (report.html). `mjx-climb plot DIR`
     draws each of them by itself.
 
-    A first table, map and page, in single precision, are there as soon as the grid has walked; what they are compared
-    with is added. Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped.
+    A first table, map and page, in single precision, are there as soon as the grid has walked; their
+    rivals are added. Finished parts are kept in DIR: after Ctrl-C, or worse, the same command goes on where it stopped.
     A gains file gives the inertia and the joint gains of the grid, and a further walk to compare with.
 
     With --shard, or as a task of a Slurm array, a sweep is spread over machines: each walks its part of the grid into
-    a folder below DIR, and the last one writes what one machine would have written: on CPUs the same file, bit for bit.
+    a folder below DIR, and the last one writes the result of all: on CPUs the same file, bit for bit.
     --merge does so by hand, of shards that lie in several places for example. Shards of different settings, files or
     versions are refused; one that died is named with its missing walks and the command that finishes it.
 

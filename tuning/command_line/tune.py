@@ -36,7 +36,7 @@ class Many(Members):
 
 
 class Goal(Options):
-    """What is minimised."""
+    """The goal."""
 
     objective: str | None = setting(
         None,
@@ -46,7 +46,7 @@ class Goal(Options):
 
 
 class Laws(Options):
-    """What is simulated: one law, or several that are compared."""
+    """The walk: one law, or several that are compared."""
 
     law: tuple[str, ...] = setting(
         (),
@@ -88,7 +88,7 @@ class Over(Options):
         return points
 
 
-# what a front or operating points are searched by: one method, whose rounds are fixed
+# the search of a front or of operating points has one method, whose rounds are fixed
 _OfPoints = Annotated[Search, "-method", "-starts", "-iterations"]
 _OfFront = Annotated[Search, "-method", "-starts", "-iterations", "-weights", "-no_worse_than_pd"]
 _FromConfig = Annotated[Walk, "-gains"]
@@ -198,7 +198,7 @@ def tune(
     Minimises force variation, peak foot force and cost of transport, each relative to pd, while the grippers hold,
     the joints keep their limits, the base stays within three times pd's deviation, and nothing gets worse than under
     pd. With hardware in the loop kp and kd are searched too. Then walks the result in double precision, tests it, and
-    compares it with the config's gains, pd, and pd with kp and kd searched for the same: what no force sensor gives.
+    compares it with the config's gains, pd, and pd with kp and kd searched for the same, which needs no force sensor.
 
     Writes to DIR the gains (gains.yaml, for run, sweep and evaluate), everything that was evaluated (search.nc), the
     settings (config.yaml, search.yaml), the summary (summary.json), the map and the pictures (map.nc, convergence,
@@ -216,7 +216,7 @@ def tune(
     points find nothing better by a thousandth or --iterations rounds are spent, and tested on the same unseen walks,
     beside pd with kp and kd retuned. Prints mean and worst 5 % of each metric, the difference from retuned pd with
     intervals of 95 % for all rows at once, of a search once more (~: holds 0), and in a sentence which law is
-    better, what the force sensor is worth, and what half the delay, half the friction or twice the rate would be worth.
+    better, and the worth of the force sensor, of half the delay, of half the friction and of twice the rate.
     DIR has every walk and the differences (compared.nc, compared.csv) and the gains of each law (gains-<law>.yaml). A
     GAIN may be one of any law; laws without it are searched without it.
 
@@ -224,7 +224,7 @@ def tune(
     the front with its gains (front.nc) and the gains at its knee, the point furthest from the line between its ends.
 
     --over: gains for each operating point, all in one batch; the config's gravity gives the direction, its cargo the
-    time of loading. DIR has the table (schedule.csv, schedule.yaml), and what the gains of one point are worth at
+    time of loading. DIR has the table (schedule.csv, schedule.yaml), and the worth of the gains of one point at
     another (schedule.nc).
 
     \b
@@ -298,7 +298,7 @@ def tune(
             if found.interrupted:
                 from tuning import kinds
 
-                # what is whole stays until all of this one is there
+                # a whole result stays until all of this one is there
                 if (before := record.read(folder)) is not None and before.whole:
                     raise KeyboardInterrupt
                 kinds.write_found(found, folder, origin(name, again), settings)

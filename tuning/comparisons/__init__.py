@@ -1,1 +1,1 @@
-"""What found gains are worth: rivals, fresh walks, margins, limits of stability, verdicts."""
+"""The worth of gains that were found: rivals, fresh walks, margins, limits of stability, verdicts."""

@@ -35,10 +35,10 @@ from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Rows
 
 FEW, MANY = (16, 60), (256, 100)  # points a round, and rounds at most; where a GPU's kernel walks them side by side
-PATIENCE = 10  # rounds of so many points in which a search finds nothing better when it has converged
+PATIENCE = 10  # rounds of so many points without a better one, after which a search has converged
 SEEDS, SEEDS_OF_MANY = 3, 8  # searches of each law; where a GPU's kernel walks
 CONTROLLERS = ("base_admittance", "end_effector_admittance")
-# what retuned pd walks with at half the value besides: words of `tuning.problem.variations.WORDS`
+# halves of hardware that retuned pd walks with besides: words of `tuning.problem.variations.WORDS`
 HARDWARE = {"half the delay": "delay", "half the friction": "friction", "twice the rate": "period"}
 _KEYS = ("also", "bounds", "pins", "frozen")  # settings that name gains
 
@@ -84,10 +84,10 @@ def compare(
     `mjx-climb tune --law --law`.
 
     Arguments:
-        scenario: what walks where.
-        laws: instances, or names: `base_admittance`, `end_effector_admittance`, or what `--law` takes; a mapping gives
-            them other names than their own.
-        ensemble: what the walks may meet; drawn again with another seed to judge.
+        scenario: robot, gait and ground.
+        laws: instances, or names: `base_admittance`, `end_effector_admittance`, or a name as of `--law`; a mapping
+            gives them other names than their own.
+        ensemble: of the walks; drawn again with another seed to judge.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it. The
             method is cmaes, optuna, your own, or grid for few gains; 16 points a round where they do not say, on a GPU
             256, and 60 or 100 rounds at most.
@@ -119,7 +119,7 @@ def seeds_for(search: Search, asked: int | None) -> int:
 
 
 def alike(wanted: Search, *given: Search | Mapping[str, Any] | None) -> Search:
-    """Return settings by which all laws are searched alike; `given` say whether the method was chosen.
+    """Return settings that search all laws alike; `given` say whether the method was chosen.
 
     Raises:
         ConfigError: a method that searches some laws longer than others, or joint gains that are not searched.
@@ -313,7 +313,7 @@ def _telling(told: Told) -> Callback:
 
 
 def on_better_hardware(scenario: mc.Scenario, drawn: mc.Parameters) -> dict[str, mc.Parameters]:
-    """Return the parameters of a draw with one thing bettered, by what that is, as far as the hardware has such.
+    """Return the parameters of a draw with one thing bettered, by its name, as far as the hardware has such.
 
     Control periods stay whole time steps, one at least.
     """

@@ -35,7 +35,7 @@ _MASSES = "mass_scale"
 
 
 class Setting(NamedTuple):
-    """What is made worse."""
+    """Hardware that is made worse."""
 
     name: str  # as it was typed
     factors: Mapping[str, float]  # by words of `tuning.problem.variations.WORDS`, or paths
@@ -48,7 +48,7 @@ def setting(text: str) -> Setting:
     """Return a change, read from "delay=x2", "force_sensor.dead.LF=3.0", "contact.spread=0.5", or several with commas.
 
     Raises:
-        ValueError: in a few words, what was expected.
+        ValueError: in a few words, the expected form.
     """
     from mjx_climb.scenario.yaml_text import pairs
 
@@ -164,7 +164,7 @@ def degrade(
 ) -> Degraded:
     """Simulate gains on unseen walks as drawn, and with worse hardware, one setting at a time.
 
-    The members are the same in every setting but for what it changes. The other arguments are
+    The members are the same in every setting but for its change. The other arguments are
     those of `tuning.evaluate`. `tuning.write(tuning.degrade(...), folder)` is `mjx-climb evaluate --worse`.
 
     Arguments:
@@ -184,7 +184,7 @@ def degrade(
 
 
 class Degradation(NamedTuple):
-    """What worse hardware takes."""
+    """The loss by worse hardware."""
 
     losses: Mapping[str, xr.Dataset]  # by gains: settings against their own walks as drawn, see `paired.compared`
     lead: Mapping[str, xr.Dataset]  # by setting: gains against pd (retuned, where it is there) in the same setting

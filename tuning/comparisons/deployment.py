@@ -1,4 +1,4 @@
-"""Whether gains may go to the robot: what speaks against it on the scenario's own hardware."""
+"""Whether gains may go to the robot: objections on the scenario's own hardware."""
 
 import mjx_climb as mc
 from mjx_climb.inputs.resolve import AnyGains

@@ -1,7 +1,7 @@
-"""The first walks of a proposed scenario: its joint gains, the cycle at which it holds, and what a ceiling asks of it.
+"""The first walks of a proposed scenario: its joint gains, the cycle at which it holds, its limit on a ceiling.
 
 All of them are the walks of one compiled program, `WALKS` side by side, which differ by their parameters alone. Their
-grips never let go: they hold where none uses more than its limit, whatever the contact.
+grips never let go: they hold where none uses more than its limit, under any contact.
 """
 
 import math
@@ -30,7 +30,7 @@ ROUNDS = 3  # grids of kp and kd, each about the best of the one before and half
 LONG = 100_000  # time steps of a walk from which on one grid must do
 STEP_TIME = 1e-6  # s on one core, of a time step of one joint of one walk
 GRID, TIMES = (5, 3), (5.0, 10.0)  # values of kp and kd; the first grid goes so many times lower and higher
-SAGS = 0.1  # of the stance's height, what the base may stray for less force variation
+SAGS = 0.1  # of the stance's height: how far the base may stray for less force variation
 MANY = 2.0  # times the robot's weight on Earth, in a single foot: worth a warning
 EARTH = 9.81  # m/s^2
 
@@ -93,7 +93,7 @@ def _walked(
 
 
 def with_joint_gains(scenario: Scenario, told: Told = lambda _: None) -> tuple[Scenario, str]:
-    """Return a scenario with the kp and kd that give pd the least force variation, and in words what they change.
+    """Return a scenario with the kp and kd that give pd the least force variation, and their effect in words.
 
     Walked with grips that never let go, over the scenario's duration; among gains that its time step can follow, with
     which all grippers reach the ground and the base strays no farther than a tenth of its height, or than with the
@@ -187,7 +187,7 @@ def on_ceiling(scenario: Scenario, told: Told = lambda _: None) -> tuple[bool, s
     walked = _walked(scenario, upwards)
     told(1)
     pull, robot = float(walked["peak_pull_force"][0]), load_robot(scenario.robot)
-    # it hangs away from the ground: what counts is how far the limbs hold the base
+    # it hangs away from the ground, as far as the limbs hold the base
     away = np.linalg.norm(limb_frames(robot, None, robot.stance_joints).foot, axis=-1).mean()
     if walked["diverged"][0] or not walked["base_deviation"][0] < away / 2:
         how = "diverges" if walked["diverged"][0] else f"its base strays {walked['base_deviation'][0]:.3g} m"

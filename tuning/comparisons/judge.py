@@ -61,14 +61,14 @@ def evaluate(
 ) -> Judged:
     """Simulate several gains with members that no search over the ensemble has seen, beside the scenario's own and pd.
 
-    Nothing is torn off, so that every walk counts to its end; one in which a grip uses more than its limit, or
+    Nothing is torn off, so that every walk counts to its end; one whose grip uses more than its limit, or
     that diverges, has failed, see `summary`. `tuning.write(tuning.evaluate(scenario, gains, ensemble), folder)` is
     `mjx-climb evaluate`.
 
     Arguments:
-        scenario: what walks where, under an admittance law.
+        scenario: robot, gait and ground, under an admittance law.
         gains: by name; with laws of their own as `tuning.gains.gains_file.whole(file, scenario)` gives them.
-        ensemble: what the walks may meet; drawn again with another seed.
+        ensemble: of the walks; drawn again with another seed.
         members: walks of each set of gains.
         law: whose gains they are, where it is not the scenario's.
         metrics, engine, out: as of `tuning.sweep`.
@@ -96,7 +96,7 @@ def evaluate_shard(
 ) -> Path:
     """Simulate a shard of `evaluate`, with the same arguments, for `merge`; `mjx-climb evaluate --shard 3/16`.
 
-    What `sweep_shard` says of `shard`, `out`, `progress`, its result and its errors holds here.
+    `shard`, `out`, `progress`, result and errors are as of `sweep_shard`.
     """
     walks["metrics"] = mc.MetricTable(walks.get("metrics", mc.METRICS))
     return walk_shard(draw_of(Problem(scenario, **walks), gains, ensemble, members), shard, out, progress)
@@ -187,7 +187,7 @@ class Draw:
 
 
 def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: mc.MetricTable) -> Draw:
-    """Return the walks that a shard is of, from what `Draw.write_asked` left in its folder."""
+    """Return the walks that a shard is of, from the files of `Draw.write_asked` in its folder."""
     names = enumerate(kept.identity["gains"])
     gains = {name: gains_file.whole(kept.folder / f"gains-{number}.yaml", scenario, law) for number, name in names}
     ensemble = Ensemble.load(kept.folder / "ensemble.yaml")
@@ -279,10 +279,10 @@ def lost_in_words(walks: xr.Dataset) -> list[str]:
 
 
 def held(walks: xr.Dataset) -> xr.Dataset:
-    """Return the walks by which gains are compared: the one rule for walks that diverge.
+    """Return the walks that gains are compared by: the one rule for walks that diverge.
 
     Gains that diverge in more than half of the walks (of one of their searches, where there are several) are left out.
-    Of the others the members in which any of them diverges are, for all of them: all are compared on the same walks.
+    So are members where any of the others diverges: all are compared on the same walks.
     """
     diverged = walks["diverged"].astype(bool)
     others = [name for name in diverged.dims if name not in ("gains", "member")]

@@ -1,7 +1,7 @@
 """Margins of the linearised loop: how far hardware may get worse before a small disturbance of the stance grows.
 
-The loop is that of `tuning.comparisons.stability_limit`, with delays, filter and control period in it. Walks say what
-happens until they end; this says where shaking begins that would never end.
+The loop is that of `tuning.comparisons.stability_limit`, with delays, filter and control period in it. Walks tell
+of failures until they end; this tells where shaking begins that would never end.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,14 +27,14 @@ from tuning.problem.variations import PERIOD, whole_periods
 
 POINTS = 9  # values of a quantity that are looked at first
 _FINER, _PRECISION = 4, 1e-3  # values between a good and a bad one, until these are as close together
-_BEYOND = 1.5  # times what a walk bears: a loop that is hardly unstable takes longer than a walk to tear a gripper off
+_BEYOND = 1.5  # times a walk's margin: a loop that is hardly unstable takes longer than a walk to tear a gripper off
 
 
 class Stable(NamedTuple):
     """How far one quantity may go, in its unit."""
 
     up_to: float | None  # None: not even at the best value
-    tried: float  # the worst value: what reaches it may go on
+    tried: float  # the worst value: a margin that reaches it may be larger
 
 
 def find(

@@ -1,4 +1,4 @@
-"""Maps: what walks over a grid of two gains are worth, and where the closed loop is unstable."""
+"""Maps: the scores of walks over a grid of two gains, and where the closed loop is unstable."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -18,7 +18,7 @@ from tuning.searches.tune import problem_of
 
 
 def with_objective(walks: xr.Dataset, scenario: mc.Scenario, search: Search | None = None, **how: Any) -> xr.Dataset:
-    """Add what a search would make of each cell: `objective`, 1 for pd, and `feasible`, keeps every limit.
+    """Add the score of each cell in a search: `objective`, 1 for pd, and `feasible`, keeps every limit.
 
     Arguments:
         walks: metrics over two gains, as `tuning.sweep` gives them.
@@ -29,7 +29,7 @@ def with_objective(walks: xr.Dataset, scenario: mc.Scenario, search: Search | No
 
 
 def judged_by(walks: xr.Dataset, problem: Problem) -> xr.Dataset:
-    """Add what a problem's objective says of each cell, as `with_objective` does."""
+    """Add the score of each cell by a problem's objective, as `with_objective` does."""
     dimensions = walks["diverged"].dims
     walks = walks.transpose(*dimensions, ...)
     score = score_of(problem.objective, {name: walks[name].values for name in problem.metrics.names})
@@ -59,7 +59,7 @@ def best_cell(judged: xr.Dataset, metric: str = "objective") -> xr.Dataset | Non
 
 
 def score_of(objective: objectives.Goal, metrics: Mapping[str, Any]) -> objectives.Score:
-    """Judge metrics that a rollout gave, None or NaN for what is not defined; a walk that let go is infeasible."""
+    """Judge metrics of a rollout, None or NaN where undefined; a walk that let go is infeasible."""
     arrays: dict[str, Any] = {
         name: np.asarray(np.nan if value is None else value)
         for name, value in metrics.items()

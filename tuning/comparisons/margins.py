@@ -26,7 +26,7 @@ from tuning.gains.gains_file import by_name
 from tuning.problem.variations import PERIOD, Factor, changed, checked, scalable, scaled, whole_periods
 
 POINTS = 16  # values of a quantity that are walked at a time
-FACTOR = 2  # by which hardware is to be better than where gains fail
+FACTOR = 2  # between the hardware and a value where gains fail
 _MOST_SAMPLES = 60  # of a delay: a buffer's length
 _JOINT = ("kp", "kd", "ki")
 _METRICS = mc.MetricTable(mc.METRICS[name] for name in ("force_variation", "detached_at", "diverged"))
@@ -61,14 +61,14 @@ class Quantity(NamedTuple):
         else:
             longest = max(min(worst, samples[0]) if late else worst, 2 * FACTOR * own)
             values = self.ideal + (longest - self.ideal) * np.linspace(0, 1, POINTS) ** 2
-        for wanted in (own, needed(own, worst)):  # what is asked of gains is walked itself
+        for wanted in (own, needed(own, worst)):  # the values asked of gains are walked themselves
             if min(values) <= wanted <= max(values):
                 values[np.abs(values - wanted).argmin()] = wanted
         return self.on_steps(np.minimum(values, samples[1]) if late else values, scenario)
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    # what the law reads of the base is as old as the forces
+    # the law's estimate of the base is as old as the forces
     "force_delay": Quantity("force delay", (DELAYED["force"], DELAYED["base"]), 0.03, ideal=0.0),
     "command_delay": Quantity("command delay", (DELAYED["command"],), 0.03, ideal=0.0),
     "control_period": Quantity("control period", (PERIOD,), 0.05, ideal=0.0),
@@ -130,7 +130,7 @@ class Margin:
         return "none" if reached is None else self.with_unit(reached) + beyond * (reached == last)
 
     def falls_short(self, what: str, reached: float | None) -> list[str]:
-        """Return a line that says what reaches less far than gains should hold on the hardware, none otherwise."""
+        """Return a line on a margin that is short of the values that gains should hold at, none otherwise."""
         down = self.worst < self.own
         if reached is not None and (reached <= self.needed if down else reached >= self.needed):
             return []
@@ -152,7 +152,7 @@ class Walker(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Margins by quantity, and what they were found from."""
+    """Margins by quantity, and their walks."""
 
     margins: dict[str, Margin]
     holds: bool  # on the scenario's own hardware: no gripper torn off, and nothing diverges
@@ -227,7 +227,7 @@ def on_the_grid(
 ) -> xr.Dataset:
     """Return the metrics on hardware with one quantity changed at a time, to values (Q, N).
 
-    Without `values` they are the first walks of one set of gains in `find`, the same whatever gains are in question.
+    Without `values` they are the first walks of one set of gains in `find`, the same for all gains in question.
     """
     if values is None:
         values = np.stack([quantity.values(scenario) for quantity in asked.values()])
@@ -253,7 +253,7 @@ def pd_of(scenario: mc.Scenario) -> Walker:
 
 
 def warnings(found: Found) -> list[str]:
-    """Return in words what speaks against gains: no use on their hardware, or margins of less than twice as much."""
+    """Return the objections to gains in words: no use on their hardware, or margins of less than twice as much."""
     if not found.holds:
         return ["on the hardware itself the walk fails: a gripper is torn off, or it diverges"]
     lines = [] if found.better else ["on the hardware itself the force varies no less than under pd"]

@@ -13,7 +13,7 @@ from tuning.searches import sweep
 from tuning.searches.shards import Kept, find, joined
 
 Read = Callable[[Kept, mc.Scenario, mc.Law | None, mc.MetricTable], sweep.Grid | judge.Draw]
-KINDS: Mapping[str, Read] = {Swept.KIND: sweep.read_asked, Judged.KIND: judge.read_asked}  # what may be cut
+KINDS: Mapping[str, Read] = {Swept.KIND: sweep.read_asked, Judged.KIND: judge.read_asked}  # kinds that may be cut
 
 
 def merge(
@@ -30,7 +30,7 @@ def merge(
 
     Raises:
         ConfigError: no shards there, shards of different things, of another law, other metrics or versions, or not all
-            of them: in one line which are missing and what would finish them.
+            of them: in one line which are missing and the command that finishes them.
     """
     return merged(find([Path(folder) for folder in folders]), law, mc.MetricTable(metrics))
 

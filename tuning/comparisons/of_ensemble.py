@@ -44,7 +44,7 @@ class RobustComparison:
 
 
 def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> RobustComparison:
-    """Simulate a result and what it is compared with; `out` keeps the rounds in which pd is retuned."""
+    """Simulate a result and its rivals; `out` keeps the rounds of the search that retunes pd."""
     problem, ensemble, goal = found.problem, found.ensemble, found.problem.objective
     assert isinstance(goal, Objective)
     with stage("retuned pd", unit="rounds") as told:

@@ -1,4 +1,4 @@
-"""The walks along a Pareto front, beside the law's own gains and pd, and what a force sensor is worth at its knee."""
+"""The walks along a Pareto front, beside the law's own gains and pd, and the worth of a force sensor at its knee."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from tuning.results.front import Front
 
 @dataclasses.dataclass(frozen=True)
 class FrontComparison:
-    """What a front is shown with."""
+    """The rivals of a front."""
 
     walks: Mapping[str, mc.Trajectory]  # pd and config, in double precision
     histories: Mapping[str, np.ndarray]  # metrics and time histories of the points on the front

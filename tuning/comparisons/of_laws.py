@@ -1,4 +1,4 @@
-"""Which differences between laws are real, and what that says of the force sensor and of better hardware."""
+"""Which differences between laws are real, and the worth of the force sensor and of better hardware."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

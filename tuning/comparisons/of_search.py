@@ -39,7 +39,7 @@ from tuning.searches.tune import start_of
 
 
 class Begun(NamedTuple):
-    """What a search is compared with, independent of what it finds: works that may begin before it."""
+    """The rivals of a search, independent of its result: works that may begin before it."""
 
     retuned: Work[Tuned | None]  # pd retuned
     planned: Work[Tuned | None] | None  # load transfer by plan, where it is a rival
@@ -49,9 +49,9 @@ class Begun(NamedTuple):
 
 
 def begin(problem: Problem, search: Search, start: Begin, *, seeds: int = 1, out: Path | None = None) -> Begun:
-    """Begin what a search from so many seeds is compared with.
+    """Begin the rivals of a search from so many seeds.
 
-    `out` holds the rounds in which pd is retuned until the result is there.
+    `out` holds the rounds of the search that retunes pd until the result is there.
     """
     scenario, law, engine = problem.scenario, problem.law, problem.engine
     on_the_map = law is None and {*JOINT, INTEGRAL, *GAIT}.isdisjoint(
@@ -78,7 +78,7 @@ def load_tests(problem: Problem, search: Search, start: Begin) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class TuneComparison:
-    """A result beside the scenario's own gains and pd, walked in double precision, and what its tests found."""
+    """A result beside the scenario's own gains and pd, walked in double precision, and its tests."""
 
     walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd, planned_transfer
     rows: Compared  # tuned, retuned_pd, planned_transfer, config, pd
@@ -91,13 +91,13 @@ class TuneComparison:
 
 
 def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None) -> TuneComparison:
-    """Simulate a result, what it is compared with and the map around it, and test it.
+    """Simulate a result, its rivals and the map around it, and test it.
 
     Arguments:
         found: the result.
         stage: opened for each longer work.
-        out: a folder that keeps the rounds in which pd is retuned.
-        begun: what `begin` gave, where it was begun before the search.
+        out: a folder that keeps the rounds of the search that retunes pd.
+        begun: the result of `begin`, where it was begun before the search.
     """
     scenario, problem = found.scenario, found.problem
     ours, engine = (replaced(found.scenario, found.law, found.gains)[0], found.law), problem.engine
@@ -191,7 +191,7 @@ def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] |
 
 
 def _scored(target: Goal, metrics: Values) -> dict[str, float]:
-    """Return the scores by which gains are compared."""
+    """Return the scores that gains are compared by."""
     variation = metrics[VARIATION]
     if variation is None or failed(metrics):
         return {"objective": np.nan, VARIATION: np.nan}

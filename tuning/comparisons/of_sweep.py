@@ -42,14 +42,14 @@ PAPER = {(1.0, 1e4, 4e5), (1.0, 5e3, 5e4), (1.0, 5e3, 2e4)}
 
 
 class Begun(NamedTuple):
-    """What a grid is compared with, independent of what it finds: works that may begin before it has walked."""
+    """The rivals of a grid, independent of its result: works that may begin before it has walked."""
 
     rival: Work[retuned_pd.Rival | None]  # pd retuned
     limit: Work[xr.DataArray]  # of stability
 
 
 def begin(problem: Problem, gains: AnyGains | None, axes: Axes, start: Begin) -> Begun:
-    """Begin what a grid is compared with; `gains` and `axes` are as of `tuning.sweep`."""
+    """Begin the rivals of a grid; `gains` and `axes` are as of `tuning.sweep`."""
     scenario, law, engine = problem.scenario, problem.law, problem.engine
     simulated, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
     return Begun(
@@ -88,16 +88,16 @@ class SweepComparison:
     verdict: str  # the best against the best of the others
     level: AtOneStep | None  # where pd retuned walks at a time step of its own
     histories: xr.Dataset  # a grid with time histories: this one, or a coarser one of a large one
-    remedies: Sequence[str] = ()  # where all failed: what would keep the grippers of the config's walk shut
+    remedies: Sequence[str] = ()  # where all failed: changes that keep the grippers of the config's walk shut
 
 
 def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> SweepComparison:
-    """Simulate what a grid is compared with, and compute its limit of stability.
+    """Simulate the rivals of a grid, and compute its limit of stability.
 
     Arguments:
         found: the grid.
         stage: opened for each longer work.
-        begun: what `begin` gave, where it was begun before the grid walked.
+        begun: the result of `begin`, where it was begun before the grid walked.
     """
     problem, best, (scenario, law) = found.problem, best_cell(found.data), found.walker()
     axes = {name: found.data[name].values for name in found.axes}

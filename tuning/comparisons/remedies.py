@@ -1,4 +1,4 @@
-"""What keeps grippers from letting go: the gap when they shut, and walks that are slower, shorter, of other gains."""
+"""Changes that keep grippers shut: less of a gap when they shut; slower and shorter walks, other joint gains."""
 
 import dataclasses
 
@@ -38,7 +38,7 @@ def gap_in_words(scenario: Scenario, gap: float, pull: float, missed: float) -> 
 
 
 def remedies(scenario: Scenario, detached_at: float, law: Law | None = None) -> str:
-    """Return in one line what pulls on the grips of a walk in which one let go, and with which changes less does.
+    """Return in one line the pull on the grips of a walk that lost one, and changes that make it less.
 
     A gap that feet have when their grippers shut comes first.
 

@@ -26,7 +26,7 @@ class AtOneStep(NamedTuple):
     """Gains beside pd retuned, both at the time step that its kp and kd need, which is not the scenario's."""
 
     step: float  # s
-    change: float  # relative, of what was searched for; NaN where there is no walk of ours
+    change: float  # relative, of the goal of the search; NaN where there is no walk of ours
 
 
 def gains_of(walk: Trajectory) -> dict[str, Any] | None:

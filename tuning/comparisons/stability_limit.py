@@ -9,8 +9,8 @@ not the product over the cycle: a disturbance that grows in one stance and dies 
 cycle, and yet tears grippers off in between. This is the limit of the loop as it is simulated, not of the law by
 itself: the virtual model alone is stable for any positive gains.
 
-What has no linear part is left out: noise, bias, resolution, a sensor that dies, the limits of torque, offset and rate,
-the profile of the servos' goals. The servos' own loop runs every time step here, whatever its rate. Left out are also
+Left out are parts that are not linear: noise, bias, resolution, a sensor that dies, the limits of torque, offset and
+rate, the profile of the servos' goals. The servos' own loop runs every time step here, at any rate. Left out are also
 dry friction, backlash and a deadband, which hold a robot still that would else begin to shake: the limit is that of
 larger motions, which slip.
 
@@ -77,7 +77,7 @@ _LATE = ("base", "command", "force")  # the signals whose delays are put around 
 _REST = "rest"  # of the states, by name behind the signals
 _ONE_STEP = 2  # samples of a buffer whose signal is one time step late: the newest, and the one before
 _PERIOD, _CARGO = "hardware.control_period", "disturbance.cargo.mass"
-HARDWARE = (*(DELAYED[part] for part in _LATE), _PERIOD)  # what a loop may have whatever its values
+HARDWARE = (*(DELAYED[part] for part in _LATE), _PERIOD)  # stages that a loop may have at any of their values
 # by robot in every call, so that all share a program
 _OWN_OF_EACH = (*map(path_of_gain, ("kp", "kd", "ki")), _CARGO, *HARDWARE)
 _REACH = "contact.capture_distance"
@@ -96,8 +96,8 @@ def spectral_radius(
     """Return by how much a small disturbance grows in a time step of the worst stance; the loop is stable below 1.
 
     It is the largest magnitude of an eigenvalue of one control period, taken to the power of a step, in any stance of
-    the scenario's gait; where the scenario has cargo, of the robot without it or with it. What a law remembers in whole
-    numbers, or in yes and no, stays as it is: it cannot be off by a little.
+    the scenario's gait; where the scenario has cargo, of the robot without it or with it. A law's whole
+    numbers and truth values stay as they are: they cannot be off by a little.
 
     Arguments:
         gains: with any leading batch axes, which the radii have too.
@@ -124,8 +124,8 @@ def by_stance(
 
     Arguments:
         only: the number of one stance, which is then the only one.
-        hardware: those of `HARDWARE` that the loop has whatever their values, so that calls in which one or the other
-            of them varies share a compiled program.
+        hardware: those of `HARDWARE` that the loop has at any of their values, so that calls that vary one or the other
+            of them share a compiled program.
     """
     if law is None:
         law = law_of(scenario.with_overrides(_UNBOUNDED))
@@ -250,7 +250,7 @@ def _with_delays(core: np.ndarray, sizes: Sequence[int], weights: Sequence[np.nd
     """Return transposed Jacobians (R, n, n) of a loop with the buffers of delayed signals behind its other states.
 
     Arguments:
-        core: transposed Jacobians (R, s, s) of a loop in which each signal is one step late: of the signals as they
+        core: transposed Jacobians (R, s, s) of a loop whose signals are one step late each: of the signals as they
             were measured or sent in the step before, and of all other states, to the same after the step.
         sizes: of the signals in their order, and of the rest.
         weights: of each signal, see `_weights`.
@@ -355,8 +355,8 @@ def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, st
     """Return the values of a robot after a step before which they were `off` (s,) from those of its stance.
 
     They are the newest samples of the delayed signals, by name, and the `_REST`, in the order of `off`. Whole numbers
-    and truth values cannot be off by a little; what a step hands on unchanged, as a law's discretised gains, is no
-    state: it stays 0.
+    and truth values cannot be off by a little; values that a step hands on unchanged, as a law's discretised gains, are
+    no states: they stay 0.
     """
     setup = set_up(shape, law, parameters)
     walk = walk_of(shape, setup)
@@ -445,6 +445,6 @@ def _stance(walk: Walk, plan: gait.Plan, step: Array) -> Carry:
     begun = walk.contact.init(grip, rotation @ frames.rotation[:, -1])
     feet = foot_kinematics(walk.robot, frames, state)
     turning = foot_turning(walk.robot, frames, state) if walk.contact.transmits_moments else None
-    contact, _ = walk.contact.step(begun, feet, turning, now.closed, ground)  # in which feet that swing let go
+    contact, _ = walk.contact.step(begun, feet, turning, now.closed, ground)  # feet that swing let go
     memory = control_loop.begin(walk.controller, walk.robot, state, reference)
     return carry._replace(state=state, contact=contact, memory=memory)

@@ -34,7 +34,7 @@ GRID = 12  # cells along each axis of the map
 
 @dataclasses.dataclass(frozen=True)
 class Verification:
-    """What the tests found; by coordinate of the space, of arrays as a whole, where there is one number per gain."""
+    """Results of the tests; by coordinate of the space, of arrays as a whole, where there is one number per gain."""
 
     metrics: dict[str, Any]  # of the walk alone, float64, hard detachment
     value: float  # of that walk
@@ -103,7 +103,7 @@ def _problem_of(found: Tuned) -> Problem:
 
 
 class Tests(NamedTuple):
-    """What walks close to a result tell of it."""
+    """The walks close to a result."""
 
     around: Evaluation  # of the result, and with each part of the space in turn 20 % less, then more
     slopes: np.ndarray  # (parts,) of the value, true extremes; NaN along times of the gait
@@ -156,9 +156,9 @@ def verify(
         found: the result.
         problem: as of `map_of`.
         metrics: of its walk alone in float64, where the caller has them already.
-        walks: what `map_of` gave, for the agreement with a grid.
-        hardware: what `tuning.comparisons.margins.find` gave for the result.
-        tested: what `tests` gave for it.
+        walks: the result of `map_of`, for the agreement with a grid.
+        hardware: the margins of the result, of `tuning.comparisons.margins.find`.
+        tested: the result of `tests` for it.
     """
     problem = problem or _problem_of(found)
     objective, names = problem.objective, list(problem.space.parts)
@@ -252,7 +252,7 @@ def _warnings(found: Tuned, problem: Problem, around: Evaluation, checked: Verif
 
 
 def _cliff(goal: Goal, around: Evaluation, less: int, more: int) -> str:
-    """Return in words what breaks off on both sides of a gain: rows `less` and `more` further on."""
+    """Return the failures on both sides of a gain in words: rows `less` and `more` further on."""
     sides = []
     for side, row in (("less", less), ("more", less + more)):
         value, jump = around.value[row], float(around.value[row] - around.value[0])

@@ -1,4 +1,4 @@
-"""Gains files: what a search found, whole, as YAML: a law, its gains and limits, the joint loop's, the gait.
+"""Gains files: the result of a search as YAML: a law, its gains and limits, the joint loop's, the gait.
 
 The gains are inertia, damping and stiffness, or those of another law as it names them. `law` says whose they are: the
 name of a shipped law, or FILE.py:NAME; without it they are the config's law's. `kp`, `kd`, `ki`, `safe_kp` and the keys
@@ -36,7 +36,7 @@ _KEYS = [key.removeprefix("gait.") for key in GAIT]  # of the section
 
 
 class Whole(NamedTuple):
-    """What a gains file says: gains, joint gains and gait, by name, and whose they are."""
+    """The content of a gains file: gains, joint gains and gait, by name, and their law."""
 
     law: mc.Law | None  # the scenario's where None
     gains: AnyGains
@@ -49,7 +49,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
     the scenario's, `walker` gives scenario and law that they are for.
 
     Raises:
-        ConfigError: in one line, what is wrong with the file or a value, or the gains are those of another law.
+        ConfigError: in one line, a fault of the file or a value, or the gains are those of another law.
     """
     source, data = os.fsdecode(path), _data(path)
     stored = data.pop(LAW, None)
@@ -64,7 +64,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
             raise ConfigError(source, key, f"only the keys {', '.join(keys)}", "another")
         if key not in data:
             raise ConfigError(source, key, "a value", "none")
-    # what the scenario has too is checked as there
+    # keys that the scenario has too are checked as there
     joint = data if law is None else {key: value for key, value in data.items() if key in OPTIONAL}
     try:
         control = overridden(mc.Scenario(), {f"control.{key}": value for key, value in joint.items()}, source).control
@@ -251,7 +251,7 @@ def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tupl
 
 
 def registers_in_words(scenario: mc.Scenario, gains: AnyGains) -> str:
-    """Return the registers that hold gains of the joint loop, the scenario's where there are none, and what they miss.
+    """Return the registers that hold gains of the joint loop, the scenario's where there are none, and their errors.
 
     Where the servo's scale is not known a line says so. Nothing where the scenario's servos are none whose loop gives a
     share of the voltage.

@@ -73,7 +73,7 @@ def _rows(gains: mc.Gains, law: type[mc.Law], gait: Mapping[str, Any]) -> list[t
 def write_csv(
     gains: mc.Gains, law: type[mc.Law] = VirtualModelAdmittance, gait: Mapping[str, Any] = MappingProxyType({})
 ) -> str:
-    """Return the gains of a law as CSV in long form, below a comment that says what the law is given."""
+    """Return the gains of a law as CSV in long form, below a comment on the law's input."""
     text = io.StringIO()
     own = INTERFACES[law]
     text.write(f"# {law.__name__}: {own.equation}\n# driven by {own.driven_by}\n# {own.moves}\n")
@@ -84,7 +84,7 @@ def write_csv(
 def write_json(
     gains: mc.Gains, law: type[mc.Law] = VirtualModelAdmittance, gait: Mapping[str, Any] = MappingProxyType({})
 ) -> str:
-    """Return the gains of a law as JSON: what the law is given, and each gain with its units and values by axis."""
+    """Return the gains of a law as JSON: the law's input, and each gain with its units and values by axis."""
     own = INTERFACES[law]
     said = {"name": law.__name__, "equation": own.equation, "driven_by": own.driven_by, "moves": own.moves}
     tree: dict[str, dict[str, Any]] = {"law": said}

@@ -1,4 +1,4 @@
-"""What drives each exported law and what the law moves: sign, frame and axes, for whoever connects a controller."""
+"""The input of each exported law and its output: sign, frame and axes, for the author of a controller."""
 
 import dataclasses
 import textwrap
@@ -20,7 +20,7 @@ class Interface(NamedTuple):
 
     equation: str
     drive: str  # the input, with its sign
-    measured: str  # what its symbol stands for
+    measured: str  # the meaning of its symbol
     moves: str
     axes: int = 6  # three translations, three rotations; 3: translations alone
 
@@ -56,6 +56,6 @@ def of_law(gains: mc.Gains, law: type[mc.Law]) -> mc.Gains:
 
 
 def comment(law: type[mc.Law], before: str) -> str:
-    """Return in lines of a comment what a law is given and what it moves, behind some words."""
+    """Return the input and output of a law as lines of a comment, behind some words."""
     own = INTERFACES[law]
     return "\n".join(textwrap.wrap(f"{before} {own.driven_by}. {own.moves}", _WIDTH))

@@ -1,4 +1,4 @@
-"""What the user brought: FILE.py:NAME of laws and metrics, and the section `own` of a config.yaml that names it all."""
+"""The user's own: FILE.py:NAME of laws and metrics, and the section `own` of a config.yaml that names them all."""
 
 import dataclasses
 import inspect
@@ -26,7 +26,7 @@ THE_CONFIG = "the config's law"
 
 
 def load_law(text: str) -> mc.Law:
-    """Return a law by its name, see `shipped`, or what FILE.py:NAME names: an instance, or a class with defaults.
+    """Return a law by its name, see `shipped`, or by FILE.py:NAME of an instance, or of a class with defaults.
 
     Raises:
         ConfigError: as of `load`; no such name.
@@ -124,7 +124,7 @@ def taken(
 ) -> tuple[mc.Scenario, mc.Law | None, mc.MetricTable]:
     """Return a scenario without the section, and law (None: the scenario's) and metrics: those that it names.
 
-    `law`, and `metrics` other than the shipped ones, take the place of what it names. The files named are run.
+    `law`, and `metrics` other than the shipped ones, take the place of those that it names. The files named are run.
 
     Raises:
         ConfigError: in one line, a file that is gone or has changed, or that holds no such thing.
@@ -157,7 +157,7 @@ def of_one(law: mc.Law, values: Mapping[str, Any]) -> mc.Law:
 
 
 def without(scenario: mc.Scenario) -> mc.Scenario:
-    """Return a scenario that names no law and metrics; the rest stays: what walks, and an objective of its caller."""
+    """Return a scenario that names no law and metrics; the rest stays: components, and an objective of its caller."""
     return scenario if scenario.own is None else scenario.with_own(law=None, metrics=[])
 
 

@@ -18,7 +18,7 @@ from mjx_climb.files.dataset import SIX
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.interfaces import INTERFACES, comment
 
-MASS_BOUNDS = (1e-4, 1e6)  # what the controller takes, kg and kg m^2
+MASS_BOUNDS = (1e-4, 1e6)  # of the controller, kg and kg m^2
 MAX_STIFFNESS = 1e8  # N/m, N m/rad
 MAX_RATE = 1_000_000  # Hz, beyond any robot
 _ROOM = 1.05  # a suggestion lies so far inside the limit

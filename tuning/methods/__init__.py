@@ -1,4 +1,4 @@
-"""Search methods: `method.py` says what one is; those of `tuning.problem.search.METHODS` have a file each."""
+"""Search methods: `method.py` has their base; those of `tuning.problem.search.METHODS` have a file each."""
 
 from tuning.methods.method import Method, Points, Request, Task, method_of
 

@@ -1,4 +1,4 @@
-"""Adam for the rows of a batch, each of which goes back to its best point where it is lost or finds nothing better."""
+"""Adam for the rows of a batch: a row goes back to its best point where it is lost or finds nothing better."""
 
 from typing import Any
 

@@ -47,7 +47,7 @@ class Leg(NamedTuple):
     """A descent of B points."""
 
     theta: np.ndarray  # (B, n) where they start
-    ties: np.ndarray  # (k, n) directions in which they move
+    ties: np.ndarray  # (k, n) their directions
     iterations: int
     pace: Pace
     scales: np.ndarray  # (B,) of their steps

@@ -1,6 +1,6 @@
 """Descent in many variables whose slopes reverse mode gives: Adam for several problems side by side.
 
-Unlike the methods of `METHODS` it knows no gains: a problem is a row of variables, and what evaluates them a function.
+Unlike the methods of `METHODS` it knows no gains: a problem is a row of variables, and a function evaluates them.
 """
 
 from collections.abc import Callable
@@ -19,9 +19,9 @@ TINY = 1e-30
 
 
 class Evaluated(NamedTuple):
-    """What is known about a point of each problem."""
+    """The evaluation of a point of each problem."""
 
-    merit: Float[np.ndarray, " problem"]  # what points are compared by; infinite for a walk that was lost
+    merit: Float[np.ndarray, " problem"]  # to compare points; infinite for a walk that was lost
     slopes: Float[np.ndarray, "problem variable"]
 
 

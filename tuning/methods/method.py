@@ -1,4 +1,4 @@
-"""What a search method is: a class whose generator asks for points and receives what they are worth."""
+"""The base of search methods: a class whose generator asks for points and receives their scores."""
 
 import abc
 import contextlib
@@ -17,7 +17,7 @@ from tuning.problem.spaces import Space
 
 
 class Task(NamedTuple):
-    """What a method is given."""
+    """The task of a method."""
 
     problem: Problem
     search: Search
@@ -57,7 +57,7 @@ class Method(abc.ABC):
     most: ClassVar[int | None] = None  # numbers that it can search, None: any
 
     def check(self, space: Space, search: Search) -> None:
-        """Refuse by a ConfigError, before anything walks, what the method cannot search or is not told right."""
+        """Refuse by a ConfigError, before anything walks, a space that the method cannot search, or wrong settings."""
         if self.most is not None and space.size > self.most:
             cure = "pin or freeze some, or choose gradient"
             expected = f"at most {self.most} numbers to search by {search.method}"
@@ -110,7 +110,7 @@ def own_points(method: Method, task: Task) -> Points:
 
 
 def method_of(named: str | Method | type[Method] | Callable[[Task], Points]) -> Method:
-    """Return a method: by the name of a shipped one, as `optuna:SAMPLER`, as FILE.py:NAME, or of what a caller brought.
+    """Return a method: by the name of a shipped one, as `optuna:SAMPLER`, as FILE.py:NAME, or of a caller's own.
 
     Raises:
         ConfigError: in one line, no such method.

@@ -16,7 +16,7 @@ BATCH = 16
 ROUNDS = 40
 IN_STEPS = ("bruteforce",)  # samplers of values in steps alone, which gains are not
 ENDING = "Sampler"  # of a sampler's class; its name here is the rest, in small letters
-# what a sampler is made with, as far as it takes it; `population_size` and `popsize` besides: one round a generation
+# arguments of a sampler, as far as it takes them; `population_size` and `popsize` besides: one round a generation
 OPTIONS: dict[str, Any] = {"multivariate": True, "constant_liar": True}
 
 
@@ -38,8 +38,8 @@ class Optuna(Method):
         """Return the sampler.
 
         Raises:
-            ConfigError: Optuna, or what the sampler needs besides, is not installed; no such sampler, or one that takes
-                more than a seed.
+            ConfigError: Optuna, or another package that the sampler needs, is not installed; no such sampler, or one
+                that takes more than a seed.
         """
         try:
             import optuna

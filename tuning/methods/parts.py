@@ -1,4 +1,4 @@
-"""Finished parts of a long computation, kept in a folder: what is interrupted goes on where it stopped."""
+"""Finished parts of a long computation, kept in a folder: an interrupted one goes on where it stopped."""
 
 import contextlib
 import hashlib
@@ -32,7 +32,7 @@ _DIGEST = 64  # characters
 
 
 class Parts:
-    """The parts of one computation in `out`/parts; in a `with` block they are saved beside what goes on in it.
+    """The parts of one computation in `out`/parts; in a `with` block they are saved in the background.
 
     Where `out` is None nothing is kept.
     """
@@ -72,7 +72,7 @@ class Parts:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Wait until all is saved, whatever ended the block; what went wrong then is raised where nothing else is."""
+        """Wait until all is saved, however the block ended; an error of that is raised where no other is."""
         assert self._disk is not None
         self._disk.shutdown()
         saving, self._disk, self._saving = self._saving, None, None
@@ -130,7 +130,7 @@ def identity_of(problem: Problem, packages: Mapping[str, str] = PACKAGES) -> dic
     """Return all that determines the walks of a problem, bit by bit, as plain JSON values.
 
     Shipped metrics go by their names, as they change with the version; parameters that were drawn, by their ensemble.
-    `packages` are names of distributions by what they are called here.
+    `packages` are names of distributions by their names here.
 
     Raises:
         Unidentifiable: something of the user's own that cannot be told from another.

@@ -65,7 +65,7 @@ def settled(merits: np.ndarray, patience: int) -> bool:
 
     Arguments:
         merits: of all points evaluated so far, in order: value plus penalty, not finite where a walk diverged.
-        patience: in evaluations, whatever the number of gains.
+        patience: in evaluations, for any number of gains.
     """
     walked = np.where(np.isfinite(merits), merits, np.inf)
     if len(walked) <= patience or not np.isfinite(before := walked[:-patience].min()):
@@ -136,7 +136,7 @@ class Rounds(Parts):
 
 
 def check_request(request: Request, n: int) -> None:
-    """Refuse by a ConfigError in one line what asks for no points (B, n)."""
+    """Refuse by a ConfigError in one line a request without points (B, n)."""
     got = f"a {type(request).__name__}"
     if isinstance(request, Request):
         theta = np.asarray(request.theta)

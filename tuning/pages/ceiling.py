@@ -145,7 +145,7 @@ def summary(found: Bounded) -> dict[str, Any]:
     """Return the result as plain data, as `summary.json` and `evaluate --ceiling --json` have it.
 
     `ceiling`: objective (pd: 1), share and mean metrics of plans (clairvoyant, blind, ...), laws and pd by name;
-    `unseen`: those of blind plan and laws in unseen walks; `sensor`: what a sensor is worth at most, with its interval.
+    `unseen`: those of blind plan and laws in unseen walks; `sensor`: the largest worth of a sensor, with its interval.
     """
     worth = found.sensor
     ceiling = {

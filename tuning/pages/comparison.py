@@ -1,4 +1,4 @@
-"""Walks side by side: a table, and what it says in words."""
+"""Walks side by side: a table, and sentences."""
 
 from collections.abc import Mapping, Sequence
 

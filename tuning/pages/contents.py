@@ -1,4 +1,4 @@
-"""What the folder of a result holds, as data, before anything is written."""
+"""The contents of a result's folder, as data, before anything is written."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -34,7 +34,7 @@ Files = Mapping[str, str | xr.Dataset | Picture]  # by name, of pictures without
 
 @dataclasses.dataclass(frozen=True)
 class Written:
-    """What a result was compared with, what its tests said, and what was written."""
+    """The rivals of a result, its tests, and the files that were written."""
 
     files: str = ""  # their names
     walks: Mapping[str, mc.Trajectory] = dataclasses.field(default_factory=dict)  # in double precision
@@ -47,7 +47,7 @@ class Written:
 
 
 class Contents(NamedTuple):
-    """The files of a folder beside config.yaml, the page, and what is told of them."""
+    """The files of a folder beside config.yaml, the page, and their summary."""
 
     written: Written
     problem: Problem  # whose scenario, law, metrics and objective config.yaml names

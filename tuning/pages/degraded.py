@@ -1,4 +1,4 @@
-"""Gains on worse hardware: what it takes from each, and what is left of their lead over pd."""
+"""Gains on worse hardware: the loss of each, and their remaining lead over pd."""
 
 import xarray as xr
 from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""What the page's script draws, as plain values: walks over time, and the cells of a grid."""
+"""The data of the page's script, as plain values: walks over time, and the cells of a grid."""
 
 import base64
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ def explorer(
 
     At first the walks `shown` are drawn (all where None), and beside the points stand the numbers of the walk that it
     `opens_on` (those of the points' own beginning where None). The points are walks of a `scenario`, the baseline's
-    where None, of which a time step is one or more of the walks'.
+    where None, whose time step is one or more of the walks'.
     """
     first = walks[BASELINE]
     scenario = scenario or first.scenario

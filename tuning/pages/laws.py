@@ -34,7 +34,7 @@ _NOT_METRICS = {"objective": "objective", "failed": "share lost"}
 
 
 def contents(found: Comparison, compared: LawsComparison, name: str) -> Contents:
-    """Return every walk with what differs, a table, the gains of each law, a picture, the page."""
+    """Return every walk with the differences, a table, the gains of each law, a picture, the page."""
     metrics, table, verdict = found.problem.metrics, compared.table, compared.verdict
     found = dataclasses.replace(found, data=paired.beside(found.data, table).assign_attrs(verdict=verdict.in_words))
     gains = {
@@ -152,7 +152,7 @@ def _searches_table(found: Comparison) -> Table:
 
 
 def page_of(found: Comparison, table: Table, said: Findings) -> Page:
-    """Return the page of a comparison of laws: what it says, the table, and the gains of each."""
+    """Return the page of a comparison of laws: verdict, table, and the gains of each."""
     sections = []
     for name, own in found.tuned.items():
         known = labels(own.problem.law)

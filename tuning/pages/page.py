@@ -1,4 +1,4 @@
-"""A report as one HTML page: what stands on it, and how it becomes a file."""
+"""A report as one HTML page: its parts, and how it becomes a file."""
 
 import base64
 import dataclasses
@@ -37,7 +37,7 @@ class Table(NamedTuple):
 
 
 class Part(NamedTuple):
-    """What is folded away under one heading."""
+    """A part that is folded away under one heading."""
 
     heading: str
     sentences: Sequence[str] = ()
@@ -126,7 +126,7 @@ class Page:
 
     @property
     def parts(self) -> list[Part]:
-        """What is below the first screen, as far as there is any."""
+        """The parts below the first screen, as far as there are any."""
         notes = self.findings.notes
         others = {caption: file for caption, file in self.origin.pictures.items() if caption not in self.first_pictures}
         parts = [

@@ -1,4 +1,4 @@
-"""What the pictures of several kinds of results share."""
+"""Colours, labels and axes of the pictures of several kinds of results."""
 
 import xarray as xr
 from matplotlib.axis import Axis
@@ -11,7 +11,7 @@ COLORS = {"config": plots.VERMILLION, "paper": plots.VERMILLION, "pd": "0.6", "r
 
 
 def scaled(variable: xr.DataArray) -> tuple[float, str]:
-    """Return the factor by which people read a metric, and the label of its axis."""
+    """Return the factor from SI to the unit that people read, and the label of its axis."""
     factor, unit = SCALES.get(variable.attrs["units"], (1.0, variable.attrs["units"]))
     return factor, variable.attrs["long_name"] + ("" if unit == "1" else f" [{unit}]")
 

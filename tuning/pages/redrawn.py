@@ -30,11 +30,11 @@ MAPS = {"sweep.nc": ("maps", "comparison.json"), "map.nc": ("map", "summary.json
 
 
 def figures(folder: Path, metrics: Sequence[str] = ()) -> Iterator[tuple[str, Figure]]:
-    """Yield every picture of a folder and what its file is called, without an ending.
+    """Yield the name of every picture of a folder, without an ending, and the picture.
 
     Arguments:
         folder: of a walk, a sweep, or any search.
-        metrics: the maps, or the panels of an ensemble, that are wanted; where there are none, what the result drew.
+        metrics: the maps, or the panels of an ensemble, that are wanted; where there are none, those of the result.
 
     Raises:
         ConfigError: no result there, or none of a metric.

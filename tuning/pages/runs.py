@@ -1,4 +1,4 @@
-"""The results below a folder, from what their folders hold: a page over them."""
+"""The results below a folder, from the files in their folders: a page over them."""
 
 import contextlib
 import html
@@ -35,12 +35,12 @@ class Run(NamedTuple):
     command: str  # as its settings call it; the result's file where nothing says so
     when: datetime  # it was last written
     whole: bool
-    settings: Mapping[str, Any]  # by their keys, those in which it differs from others
+    settings: Mapping[str, Any]  # by their keys, those that differ from others'
     verdict: str
 
     @property
     def differs(self) -> str:
-        """The settings in which it differs, in words."""
+        """The settings that differ, in words."""
         each = (f"{key.removeprefix(_SCENARIO)} {_short(value)}" for key, value in self.settings.items())
         return printable(", ".join(each))
 
@@ -51,7 +51,7 @@ class Run(NamedTuple):
 
     @property
     def plain(self) -> dict[str, Any]:
-        """What is known of it, for JSON."""
+        """All about it, for JSON."""
         told = {**self._asdict(), "folder": str(self.folder), "when": self.when.isoformat(timespec="seconds")}
         return told | {"settings": dict(self.settings)}
 

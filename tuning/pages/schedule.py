@@ -71,7 +71,7 @@ def one_for_all(table: xr.Dataset) -> tuple[float, float, float]:
 
 
 def rows(table: xr.Dataset) -> list[dict[str, Any]]:
-    """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and what they change against pd.
+    """Return the schedule as plain rows: gravity_g, cargo_kg, the gains, and their metrics beside pd's.
 
     A metric of a walk that failed is None.
     """
@@ -146,7 +146,7 @@ def plot_schedule(table: xr.Dataset) -> Figure:
             panel.plot(gravity, values, dash, color=color)
             for some, fill in ((feasible, color), (~feasible, "white")) if marked else ():
                 panel.plot(gravity[some], values[some], "o", color=color, ms=3, mfc=fill)
-    for panel in panels:  # a decade at least: less would make mountains of what does not matter
+    for panel in panels:  # a decade at least: less would make mountains of small differences
         panel.set_yscale("log")
         low, high = panel.get_ylim()
         room = max(np.sqrt(10 * low / high), 1.0)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Section(NamedTuple):
-    """What stands under one heading of a report."""
+    """The content under one heading of a report."""
 
     heading: str
     sentences: Sequence[str] = ()

@@ -22,7 +22,7 @@ from tuning.results.swept import Swept, axes_of, best_cell
 from tuning.searches.sweep import own_values
 
 FIRST_MAP = "Force variation over both gains; brighter is better."
-LACKS = "pd retuned, the walks in double precision and the limit of stability"  # of what stands there first
+LACKS = "pd retuned, the walks in double precision and the limit of stability"  # of the first page
 MAPS = "All metrics over both gains; brighter is better."
 _HATCHED = ("detached_limb", "diverged")  # shown on every map
 

@@ -1,4 +1,4 @@
-"""Gains that a search found: page with the map around them and what their tests found, pictures of the search."""
+"""Gains that a search found: page with the map around them and their tests, pictures of the search."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -1,1 +1,1 @@
-"""What is searched: settings, spaces of gains, objectives, ensembles, and the judging of points."""
+"""The search problem: settings, spaces of gains, objectives, ensembles, and the judging of points."""

@@ -1,4 +1,4 @@
-"""The settings of a search for the best joint targets over time: what bounds every control law from below."""
+"""The settings of a search for the best joint targets over time, which bounds every control law from below."""
 
 import itertools
 from typing import Annotated, Self

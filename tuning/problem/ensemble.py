@@ -79,7 +79,7 @@ class Gravity(_Section):
 
 
 class Hardware(_Section):
-    """What the loop's hardware may be. A range that is null leaves the scenario's own; each walk has its own noise."""
+    """Ranges of the loop's hardware. A range that is null leaves the scenario's own; each walk has its own noise."""
 
     force_delay: Range | None = setting(None, "age of the forces, s")
     command_delay: Range | None = setting(None, "from the law to the joints, s")
@@ -175,7 +175,7 @@ class Worst(_Section):
 
 
 class Ensemble(_Section):
-    """What the walks of an ensemble may meet. A section that is null leaves the scenario's own as it is."""
+    """The ranges of an ensemble's walks. A section that is null leaves the scenario's own as it is."""
 
     members: int = setting(16, "walks per set of gains", ge=1, le=100_000)
     seed: int = setting(0, "of the draw", ge=0, lt=2**31)
@@ -216,8 +216,8 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     """Return the parameters of all members in float64: axes (members, 1) before each value's own, to meet (B, 6) gains.
 
     Raises:
-        ConfigError: a factor on what the scenario does not have, or a control rate or delays that its time step cannot
-            tell.
+        ConfigError: a factor on a value that the scenario does not have, or a control rate or delays that its time step
+            cannot tell.
     """
     rng = np.random.default_rng(ensemble.seed)
     uniform = functools.partial(_uniform, rng, ensemble.members)

@@ -1,4 +1,4 @@
-"""What is searched or evaluated, and points of its space evaluated in batches, with tangents where asked for."""
+"""The problem that is searched or evaluated; points of its space in batches, with tangents where asked for."""
 
 import dataclasses
 import functools
@@ -28,7 +28,7 @@ RIGID = 1e12  # kg, kg m^2: a virtual mass that no wrench moves, with which base
 
 
 class Evaluation(NamedTuple):
-    """What is known about B points; arrays of numpy."""
+    """The evaluation of B points; arrays of numpy."""
 
     value: np.ndarray  # (B,)
     descent: np.ndarray  # (B,)
@@ -102,7 +102,7 @@ class Problem:
         return {**self.walks, "dtype": self.dtype, "smooth": True, "unsteady": True}
 
     def _forward(self, theta: np.ndarray, along: np.ndarray) -> tuple[Any, dict[str, Any]]:
-        """Return derivatives (2, k, B) of descent and of value plus penalty, and what is reported."""
+        """Return derivatives (2, k, B) of descent and of value plus penalty, and the report."""
         with jax.enable_x64(True):  # tangents (k, B, 6)
             each = jnp.broadcast_to(along[:, None], (len(along), *theta.shape))
             tangents = jax.vmap(lambda v: jax.jvp(self.space.to_gains, (theta,), (v,))[1])(each)
@@ -130,7 +130,7 @@ class Problem:
 
 @functools.partial(jax.jit, static_argnums=0)
 def _scored(objective: Goal, metrics: Mapping[str, Array]) -> tuple[tuple[Array, Array], dict[str, Any]]:
-    """Return descent and value plus penalty, (B,) each, to be differentiated; and what is reported beside them."""
+    """Return descent and value plus penalty, (B,) each, to be differentiated; and the report beside them."""
     score = objective.score(metrics)
 
     # an objective may have joined the members: its scores have lost their axis then
@@ -147,7 +147,7 @@ def _scored(objective: Goal, metrics: Mapping[str, Array]) -> tuple[tuple[Array,
 def _scored_tangents(
     objective: Goal, metrics: Mapping[str, Array], tangents: Mapping[str, Array]
 ) -> tuple[tuple[Array, Array], dict[str, Any]]:
-    """Return the tangents (k, B) of `_scored`'s first two from those of the metrics, and what is reported."""
+    """Return the tangents (k, B) of `_scored`'s first two from those of the metrics, and the report."""
     others = {name: value for name, value in metrics.items() if name not in tangents}
     real = {name: metrics[name] for name in tangents}
 

@@ -1,7 +1,7 @@
-"""What a search minimises: weighted metrics relative to pd's, and smooth penalties for constraints.
+"""The objective of a search: weighted metrics relative to pd's, and smooth penalties for constraints.
 
-Three numbers per point. `value` is what is reported and ranked: the weighted mean of the metrics, each relative to
-its value under pd (1 for pd itself), with true extremes. `descent` is what gradients follow: the same with smooth
+Three numbers per point. `value` is reported and ranked: the weighted mean of the metrics, each relative to
+its value under pd (1 for pd itself), with true extremes. Gradients follow `descent`: the same with smooth
 extremes, plus the penalty. `feasible` says whether every constraint holds.
 """
 
@@ -26,11 +26,11 @@ _PENALTY = 100.0
 _BEND = 0.1
 _MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
 PD_MARGIN = 0.005
-BINDING = 1.25  # margins of a limit: as near to it, it is what holds a search there
+BINDING = 1.25  # margins of a limit: as near to it, the limit holds the search there
 
 
 class Score(NamedTuple):
-    """What points are worth, (...) each."""
+    """The scores of points, (...) each."""
 
     value: Array | np.ndarray
     descent: Array | np.ndarray
@@ -63,17 +63,17 @@ class Limit(NamedTuple):
 
 @runtime_checkable
 class Goal(Protocol):
-    """What points are scored by."""
+    """The score of points."""
 
     @property
     def limits(self) -> tuple[Limit, ...]:
-        """What no metric may pass."""
+        """Limits that no metric may pass."""
 
     def score(self, metrics: Metrics) -> Score:
         """Return the scores of points by their metrics."""
 
 
-OwnObjective = Callable[[Metrics], Array] | Goal  # what a user may give: a function in place of the terms, or all of it
+OwnObjective = Callable[[Metrics], Array] | Goal  # of a user: a function in place of the terms, or all of it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +152,7 @@ NO_OBJECTIVE = Objective((), ())
 def lost(metrics: Any) -> Any:
     """Return 1.0 for walks that lose a gripper, diverge or stand for want of a grip, else 0.0, as the metrics are.
 
-    A grip is lost where it uses more than its limit, whatever the contact, the hold and the limit that was drawn.
+    A grip is lost where it uses more than its limit, for any contact, hold and drawn limit.
     """
     used = metrics["peak_utilization"]
     stands = metrics["stands_at"] >= 0 if "stands_at" in metrics else False

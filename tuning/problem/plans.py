@@ -1,7 +1,7 @@
-"""Joint targets over time as what is searched: their knots, and walks under them with scores and derivatives.
+"""Joint targets over time as a search problem: their knots, and walks under them with scores and derivatives.
 
 A plan is the joint target of each step, (time, limb, joint) rad, in place of a control law; the bus holds it and hands
-it on late as it does a law's. What is searched are offsets at knots, on straight lines between them, from a given plan.
+it on late as it does a law's. The search moves offsets at knots, on straight lines between them, from a given plan.
 """
 
 import dataclasses
@@ -102,7 +102,7 @@ def _along_time(matrix: scipy.sparse.csr_array, values: np.ndarray) -> np.ndarra
 
 
 class Asked(NamedTuple):
-    """What walks under plans are compiled for; hashable."""
+    """The static part of walks under plans; hashable."""
 
     structure: Structure
     terms: tuple[tuple[str, bool], ...]  # metric, and whether larger is better
@@ -112,13 +112,13 @@ class Asked(NamedTuple):
 class Numbers(NamedTuple):
     """The numbers of an objective: another one of the same terms and limits needs no other program."""
 
-    terms: np.ndarray  # (terms, 3) weight, and what is 1 of the metric and of its smooth companion
+    terms: np.ndarray  # (terms, 3) weight, and the baselines of the metric and of its smooth companion
     limits: np.ndarray  # (limits, 3) value, scale, margin
     sharp: np.ndarray  # () 0: derivatives of the smooth companions; 1: of the true metrics
 
 
 class Steering(NamedTuple):
-    """What offsets at knots are added to, of one walk."""
+    """The plan of one walk that offsets at knots are added to."""
 
     base: np.ndarray  # (time, limb, joint) rad
     begins: np.ndarray  # (set,) int32, the step from which a set of offsets counts
@@ -127,7 +127,7 @@ class Steering(NamedTuple):
 
 
 class Scored(NamedTuple):
-    """What is known about walks under plans, (N,) each."""
+    """The scores of walks under plans, (N,) each."""
 
     value: np.ndarray
     merit: np.ndarray  # value plus penalty, infinite where the walk diverged
@@ -265,7 +265,7 @@ def _over_time(
 
 
 class Walked(NamedTuple):
-    """Under what a robot walks: a law with its gains, or a plan in its place."""
+    """The command of a walk: a law with its gains, or a plan in its place."""
 
     scenario: mc.Scenario
     law: mc.Law
@@ -470,7 +470,7 @@ def commanded(
     return joint_targets[np.minimum(sent + within + whole, steps - 1)]
 
 
-# --- what of plans may change
+# --- the freedom of plans
 
 
 @dataclasses.dataclass(frozen=True)

@@ -168,7 +168,7 @@ class Judge(Settings):
 def check_metrics(
     search: Search, metrics: "MetricTable", source: str = "search", *, over_ensemble: bool = False
 ) -> None:
-    """Refuse settings that weigh or limit what is no metric, by a ConfigError with the source and the name.
+    """Refuse settings that weigh or limit an unknown metric, by a ConfigError with the source and the name.
 
     Over an ensemble `LOST` may be weighed too.
     """

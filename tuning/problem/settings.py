@@ -1,4 +1,4 @@
-"""What every model of settings is: read from YAML, written to it, refused in one line, and typed in a shell."""
+"""The base of all settings: read from YAML, written to it, refused in one line, and typed in a shell."""
 
 import os
 from numbers import Number
@@ -27,7 +27,7 @@ class Shell(NamedTuple):
 def setting(default: Any, text: str, **how: Any) -> Any:
     """Return a field of a model with its default (`...` for none) and its help with the unit.
 
-    "; null: ..." at the end of the text says what None stands for; `how`: fields of `Shell`, or of `pydantic.Field`.
+    "; null: ..." at the end of the text tells the meaning of None; `how`: fields of `Shell`, or of `pydantic.Field`.
     """
     shell = Shell(**{name: how.pop(name) for name in Shell._fields if name in how})
     field = Field(default=default, description=text, validate_default=isinstance(default, str), **how)
@@ -48,10 +48,10 @@ _EXPECTED = {  # by pydantic's type of an error
 
 
 def explained(invalid: ValidationError) -> tuple[str, str]:
-    """Return the dotted key of the first error of a model, empty for none, and what is wrong there."""
+    """Return the dotted key of the first error of a model, empty for none, and its fault."""
     error = invalid.errors(include_url=False)[0]
     parts = [str(part) for part in error["loc"]]
-    key = ".".join(part for part in parts if not part.startswith("literal["))  # by which pydantic tells a union's kinds
+    key = ".".join(part for part in parts if not part.startswith("literal["))  # pydantic's names of a union's kinds
     context = error.get("ctx", {})
     if isinstance(cause := context.get("error"), ConfigError):  # of a validator
         return ".".join(filter(None, (key, cause.key))), cause.reason
@@ -76,17 +76,17 @@ def _strict(schema: Any) -> Any:
 
 
 class Options(BaseModel):
-    """What is typed. Immutable."""
+    """Options of a command. Immutable."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Settings(Options):
-    """Settings that are read from YAML and written to it: strict, but for what is typed, see `from_models.made`."""
+    """Settings that are read from YAML and written to it: strict, but for options, see `from_models.made`."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """The schema in which truth values and texts are no numbers, and numbers neither."""
+        """The schema: truth values and texts are no numbers, and numbers neither."""
         schema: CoreSchema = _strict(handler(source))
         return schema
 
@@ -106,7 +106,7 @@ class Settings(Options):
         """Return validated settings.
 
         Raises:
-            ConfigError: in one line: source, key and what is wrong.
+            ConfigError: in one line: source, key and fault.
         """
         try:
             return cls(**values)

@@ -1,4 +1,4 @@
-"""Spaces of gains: which numbers a search moves, in which bounds, and the gains that they stand for.
+"""Spaces of gains: the numbers that a search moves, their bounds, and the gains that they stand for.
 
 A point theta holds the natural logarithm of a gain whose bounds are above 0; a gain that may be 0 or less it holds
 itself, in units of its own. Names of its coordinates: `damping` and `stiffness` where all axes share a gain;
@@ -44,7 +44,7 @@ INTEGRAL = "ki"  # searched where the scenario has an integral term, or where as
 _INTEGRAL = 10.0  # bounds: how many times below and above
 _PER_KP = 0.5  # 1/s, ki over kp, as registers of public robots have them: in place of a scenario's ki of zero
 _LONGEST_STANCE = 0.95  # duty, up to which searches look
-_SHARES = (0.02, 0.5)  # of a swing in which a foot waits, of the way that the base sways
+_SHARES = (0.02, 0.5)  # of a swing: a foot's wait; of the way: the base's sway
 _HEIGHT = (0.85, 1.15)  # of that of the rest stance
 _LANDING = (1e-3, 0.2)  # m/s
 _GAIT_FACTOR = 2.0  # cycle and step height: so many times below and above the scenario's own
@@ -64,7 +64,7 @@ class Space:
     upper: np.ndarray
     units: np.ndarray  # (n,) the gain at 1, of a coordinate that is the gain itself; 0: it is the natural logarithm
     index: dict[str, np.ndarray]  # gain: which entries of [theta, fixed values] make it, of the gain's shape
-    fixed: np.ndarray  # (m,) the values of what is not searched
+    fixed: np.ndarray  # (m,) the values that are not searched
 
     @property
     def size(self) -> int:
@@ -318,7 +318,7 @@ def _gait_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
 
 
 def refuse_gait(search: Search) -> None:
-    """Refuse by a ConfigError a gait among what is searched, where `tune` alone searches one."""
+    """Refuse by a ConfigError a gait among the gains, where `tune` alone searches one."""
     if gait := gait_of(dict.fromkeys([*search.also, *search.pins])):
         raise ConfigError("", "also", "gains of the law, as tune alone searches a gait", next(iter(gait)))
 

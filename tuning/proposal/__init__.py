@@ -1,1 +1,1 @@
-"""What a robot's file suggests for a scenario: limbs, feet, a stance that is searched, gait and gains in proportion."""
+"""A scenario proposed from a robot's file: limbs, feet, a stance that is searched, gait and gains in proportion."""

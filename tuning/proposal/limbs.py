@@ -31,7 +31,7 @@ _FOOT = re.compile(
 
 
 class Note(NamedTuple):
-    """What became of something in the file."""
+    """The fate of a part of the file."""
 
     kind: str  # taken as it is, changed (or not in the file), or ignored
     what: str
@@ -44,7 +44,7 @@ class Chain(NamedTuple):
     joints: tuple[int, ...]
     foot: str
     at: tuple[float, float, float]  # m, in the frame of `foot`
-    named: bool  # what it ends in is called a foot, or the like
+    named: bool  # it ends in a foot by name
     end: str = ""  # shapes that the last link ends with, where nothing in the file is called its foot
     guessed: bool = False  # there are none
 
@@ -88,7 +88,7 @@ class Found:
         self.joints = [joint for chain in self.limbs.values() for joint in chain.joints]
 
     def note(self, kind: str, what: str, why: str) -> None:
-        """Note what became of something in the file."""
+        """Note the fate of a part of the file."""
         self.notes.append(Note(kind, what, why))
 
     def _limbs(self, hub: int) -> list[Chain]:
@@ -182,7 +182,7 @@ class Found:
 
 
 def _named(model: mujoco.MjModel, limbs: list[Chain]) -> dict[str, Chain]:
-    """Return the limbs by what the names of their joints have in common, at the beginning or at the end."""
+    """Return the limbs by the common part of their joints' names, at the beginning or at the end."""
     names = [[model.joint(joint).name for joint in chain.joints] for chain in limbs]
     words = [[[word for word in re.split(r"[_\-. /]+", name) if word] for name in row] for row in names]
     beginnings = ["_".join(beginning(rows)) for rows in words]
@@ -239,8 +239,8 @@ def _footed(tree: Tree, row: list[int], shaped: mujoco.MjModel) -> Chain:
 def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tuple[np.ndarray | None, str]:
     """Return where the shapes of some bodies end, seen from `anchor` (3,) m, and the shapes that end there; or None.
 
-    Of shapes that collide, or else of those that are looked at; the middle of what is about as far as the farthest, as
-    are the tips of fingers, or the rim of a wheel.
+    Of shapes that collide, or else of those that are looked at; the middle of the points about as far as the farthest,
+    as the tips of fingers, or the rim of a wheel.
     """
     data = at_zero(model, fixed_joints(model))
     geoms = [geom for geom in range(model.ngeom) if model.body(model.geom_bodyid[geom]).name in bodies]

@@ -1,4 +1,4 @@
-"""What a robot's file suggests for a scenario: base, limbs, feet, stance, a gait in proportion, what was left out."""
+"""A scenario proposed from a robot's file: base, limbs, feet, stance, a gait in proportion, parts left out."""
 
 import os
 from collections.abc import Sequence
@@ -49,14 +49,14 @@ class Proposal(NamedTuple):
 def propose(
     file: str | os.PathLike[str], gravity: float = EARTH, base: str | None = None, stand_on: Sequence[str] = ()
 ) -> Proposal:
-    """Return sections of a scenario for the robot in an MJCF or URDF; what remains is to choose a time step.
+    """Return sections of a scenario for the robot in an MJCF or URDF; its time step remains to be chosen.
 
     It stands on level ground under `gravity`, m/s^2, on the limbs in `stand_on`, by name, or on all that it has. The
-    limbs begin at the body `base`, where that is given, whatever the file begins at.
+    limbs begin at the body `base`, where that is given, in place of the file's first body.
 
     Raises:
         RobotError: a file that MuJoCo does not load, or one without a base and two limbs of two joints or more; limbs
-            of which some start and end higher than others, where nobody says which it stands on.
+            some of which start and end higher than others, where nobody says which it stands on.
     """
     robot = Found(file, base, stand_on)
     model, limbs = robot.model, robot.limbs
@@ -164,7 +164,7 @@ def _springs(robot: Found, control: dict[str, float]) -> dict[str, dict[str, flo
 
 
 def _note_the_rest(robot: Found) -> None:
-    """Note what the file holds and the dynamics do not need, and what was mended."""
+    """Note the parts of the file that the dynamics do not need, and those that were mended."""
     full, model = robot.described, robot.model
     others = set(model.body_rootid[1:]) - {model.body_rootid[robot.base]}
     mended = [repr(body.name) for body in full.bodies if impossible(body)]
@@ -217,7 +217,7 @@ def _note_wide_inertias(robot: Found, reach: float, hips: float) -> None:
 
 
 def _note_drives(robot: Found) -> None:
-    """Note what is taken with the joints, and what they lack."""
+    """Note the values taken with the joints, and those that they lack."""
     model, joints = robot.model, robot.joints
     dofs = model.jnt_dofadr[joints]
     limits = np.array([one_limit(*model.jnt_actfrcrange[joint]) for joint in joints if model.jnt_actfrclimited[joint]])
@@ -277,8 +277,8 @@ def _gait(robot: Found, section: Section, stance: Stance, reach: float) -> Secti
 def _hold_turns(robot: Found, section: Section, proportions: Section, gait: Section, size: float) -> None:
     """Give a robot that stands on one or two feet grips that transmit moments; `size` is its mass times reach squared.
 
-    What swings about one foot sags by grip and joints, and the other one shuts where it should not, so both are firm
-    where limbs can keep the attitude of their feet. Others turn them as the base moves.
+    A robot that swings about one foot sags by grip and joints, and the other foot shuts where it should not, so both
+    are firm where limbs can keep the attitude of their feet. Others turn them as the base moves.
     """
     contact, control = proportions["contact"], proportions["control"]
     contact |= {key: value * size for key, value in _HOLDS_TURNS.items()}

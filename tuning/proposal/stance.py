@@ -38,7 +38,7 @@ class Stance(NamedTuple):
 
 
 class Standing:
-    """What stances are worth to a robot, the section of a scenario, with its feet somewhere about `footholds`.
+    """The scores of stances of a robot, the section of a scenario, with its feet somewhere about `footholds`.
 
     `footholds` are (limb, 2) m, in the order of the section; the model has the limbs in an order of its own. Limbs that
     cannot put a foot anywhere in space may miss their places by `missing` m.
@@ -58,7 +58,7 @@ class Standing:
     def worth(self, stance: Stance) -> float:
         """Return the score of a stance: below 0 a foot misses its place or a joint its limits, 0 is singular.
 
-        It is the smallest singular value of the limbs' Jacobians, for what the grips hold, and less within `_WELL` of a
+        It is the smallest singular value of the limbs' Jacobians, as the grips hold, and less within `_WELL` of a
         joint's limit.
         """
         robot, lower, upper = self.robot, self.robot.joint_lower, self.robot.joint_upper
@@ -74,7 +74,7 @@ class Standing:
     def sampled(self, away: np.ndarray, reach: float) -> Stance | None:
         """Return a stance from postures at random, at the height where the worst limb has most room, or None.
 
-        `away` (limb, 2) are directions out from the base. What counts is room to the limits, and a foot far out.
+        `away` (limb, 2) are directions out from the base. Room to the limits counts, and a foot far out.
         """
         robot, driven, lower, upper = self.robot, self.driven, self.robot.joint_lower, self.robot.joint_upper
         shares = np.random.default_rng(0).uniform(0.08, 0.92, (_SAMPLES, *lower.shape))

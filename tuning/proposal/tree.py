@@ -1,4 +1,4 @@
-"""What hangs on what in a robot: its rigid parts, the hub of its limbs, and rows of joints from there outwards."""
+"""The tree of a robot: its rigid parts, the hub of its limbs, and rows of joints from there outwards."""
 
 from collections.abc import Mapping
 
@@ -27,7 +27,7 @@ def fixed_joints(model: mujoco.MjModel) -> dict[int, float]:
 
 
 class Tree:
-    """The rigid parts of a robot, each called by its first body, and what hangs on what; some joints are fixed."""
+    """The rigid parts of a robot, each called by its first body, and the bodies beyond each; some joints are fixed."""
 
     def __init__(self, model: mujoco.MjModel, fixed: Mapping[int, float]) -> None:
         self.model, self.fixed, self.part = model, fixed, rigid_parts(model, set(fixed))
@@ -60,13 +60,13 @@ class Tree:
         return str(self.model.body(joints[len(joints) // 2 - 1]).name)
 
     def below_dummies(self) -> str | None:
-        """Return the body that all limbs hang on, where what is above it, with the root, weighs nothing; else None.
+        """Return the body that all limbs hang on, where the bodies above it, with the root, weigh nothing; else None.
 
         Many a URDF has such a root, `base_footprint`, on the floor (ROS REP 120). A file with keyframes keeps its root,
         which these place, and so does one whose root alone has a z axis that is up.
         """
         model, hub = self.model, self.hub()
-        rows = []  # of bodies, from the hub to what each limb hangs on
+        rows = []  # of bodies, from the hub to each limb's parent
         for body in model.body_parentid[self.beyond[hub]].tolist():
             row = [body]
             while row[0] not in (0, hub):

@@ -1,1 +1,1 @@
-"""The paper's three cases walked again, and what becomes of its claims: what `mjx-climb reproduce` does."""
+"""The paper's three cases walked again, with verdicts on its claims: `mjx-climb reproduce`."""

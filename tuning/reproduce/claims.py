@@ -1,8 +1,8 @@
-"""What the paper states of its three cases, and whether walks of ours bear it out.
+"""The paper's claims on its three cases, and whether walks of ours bear them out.
 
 M. Imai, K. Uno, K. Yoshida, "Admittance control-based floating base reaction mitigation for limbed climbing robots".
 
-A claim is a function of two walks, the baseline's and the proposed controller's, and of what is published for the case.
+A claim is a function of two walks, the baseline's and the proposed controller's, and of the case's published numbers.
 """
 
 import math
@@ -14,11 +14,11 @@ import numpy as np
 import mjx_climb as mc
 
 UNCHANGED = 0.005  # a smaller relative change is none
-SETTLED = 0.02  # s after a grip change: what it did to the joints' targets is over
+SETTLED = 0.02  # s after a grip change: its jump of the joints' targets is over
 
 
 class Case(NamedTuple):
-    """A case of the paper and what it publishes in numbers."""
+    """A case of the paper and its published numbers."""
 
     config: str  # file name
     title: str
@@ -35,7 +35,7 @@ CASES: dict[str, Case] = {
 
 
 class Method(NamedTuple):
-    """A controller, by what it changes in a case's config."""
+    """A controller, by its changes of a case's config."""
 
     title: str
     controller: str
@@ -143,7 +143,7 @@ def torque_spikes(walks: Pair, _: Case) -> Verdict:
 
 
 def _peak_torque_away_from_grip_changes(walk: mc.Trajectory) -> float:
-    """Return the peak joint torque, N m, without the moments in which a gripper has just opened or shut.
+    """Return the peak joint torque, N m, without the moments after a gripper has opened or shut.
 
     A foot that lifts off is at once commanded along its planned swing, wherever it was, and one whose gripper shuts to
     where it stands: a jump that dies away within a few steps.
@@ -186,7 +186,7 @@ def detachment(walks: Pair, published: Case) -> Verdict:
 
 
 def _first_loss(walk: mc.Trajectory) -> tuple[int, float, str] | None:
-    """Return in which row, when (s) and which gripper was torn off first."""
+    """Return the row, the time (s) and the name of the gripper that was torn off first."""
     row = int(walk.torn_off.any(1).argmax())
     lost = walk.torn_off[row]
     return (row, float(walk.time[row]), walk.limbs[int(lost.argmax())]) if lost.any() else None
@@ -247,7 +247,7 @@ def moves_with_push(walks: Pair, _: Case) -> Verdict:
 def _push_shifts(walk: mc.Trajectory) -> list[float]:
     """Return for each push how far the base went along it, m: the mean over the push, beyond where it began.
 
-    What the base does off its reference counts, not the walk itself.
+    The base's offset from its reference counts, not the walk itself.
     """
     force, shifts = walk.push[:, :3], []
     for rows in np.split(np.arange(len(force)), _changes(force)):
@@ -269,7 +269,7 @@ def _changes(values: np.ndarray) -> np.ndarray:
 
 
 class Claim(NamedTuple):
-    """A claim in words, and what judges it."""
+    """A claim in words, and the function that judges it."""
 
     text: str
     judge: Callable[[Pair, Case], Verdict]

@@ -1,4 +1,4 @@
-"""What a reproduction of the paper finds: walks, tables, sentences, and the page that shows them."""
+"""The results of a reproduction of the paper: walks, tables, sentences, and the page that shows them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ TITLES = {reading: METHODS[reading].title for reading in READINGS}
 
 
 class Reproduction(NamedTuple):
-    """The walks of one case and what they say."""
+    """The walks of one case and their verdicts."""
 
     published: Case
     walks: dict[str, Walk]  # by method
@@ -147,7 +147,7 @@ def _word(verdict: Verdict | None) -> str:
 
 
 def where(found: Found, reading: str, name: str) -> tuple[list[str], int]:
-    """Return the cases in which a claim holds, and in how many it can be judged."""
+    """Return the cases where a claim holds, and the number of cases where it can be judged."""
     judged = {case: what.verdicts[reading][name].holds for case, what in found.items()}
     return [case for case, holds in judged.items() if holds], sum(holds is not None for holds in judged.values())
 
@@ -169,7 +169,7 @@ def overall(found: Found) -> list[str]:
 
 
 def verdict(found: Found) -> str:
-    """Return in one sentence how many claims hold in every case in which they can be judged, by reading of Eq. 3."""
+    """Return in one sentence how many claims hold in every case where they can be judged, by reading of Eq. 3."""
     parts = []
     for reading, title in TITLES.items():
         counts = [where(found, reading, name) for name in CLAIMS]

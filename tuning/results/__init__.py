@@ -1,1 +1,1 @@
-"""What searches return, as data: each kind of result, with its files; nothing here walks."""
+"""The results of searches, as data: each kind of result, with its files; nothing here walks."""

@@ -32,12 +32,12 @@ class Bounded(Result):
     the plans among the contestants. Along `descent` each search: the contestant, its start, the s between knots,
     `value`, `merit` (value plus penalty) before and after it, and `slope`, the norm of the derivatives at its end
     relative to that at its begin. Along `contestant` and `instant` the largest foot force and the base's offset in the
-    walk of the first member. Of an ensemble along `tested` and `fresh` what the blind plan and the laws do in walks of
-    a fresh draw: `unseen_value`, relative to pd in these, `unseen_feasible` and `unseen_` before each metric. With a
-    front along `point` the weight of the second metric, `front_share`, and both metrics of the clairvoyant plans that
-    weigh these two alone, `front` (point, 2, member).
+    walk of the first member. Of an ensemble along `tested` and `fresh` the scores of the blind plan and the laws in
+    walks of a fresh draw: `unseen_value`, relative to pd in these, `unseen_feasible` and `unseen_` before each metric.
+    With a front along `point` the weight of the second metric, `front_share`, and both metrics of the clairvoyant plans
+    that weigh these two alone, `front` (point, 2, member).
 
-    `first` says under what the first member walks as each contestant, by name, to look at it; a result that is read
+    `first` has the command of the first member's walk as each contestant, by name, to look at it; a result that is read
     has none.
     """
 
@@ -63,7 +63,7 @@ class Bounded(Result):
 
     @property
     def sensor(self) -> Worth:
-        """What a sensor is worth at most, as far as the search got: blind less clairvoyant objective."""
+        """The largest worth of a sensor, as far as the search got: blind less clairvoyant objective."""
         return mean_and_interval(self.values(BLIND) - self.values(CLAIRVOYANT))
 
     def share(self, name: str) -> float:

@@ -1,4 +1,4 @@
-"""What a search for a Pareto front returns: the points on it, and its knee."""
+"""The result of a search for a Pareto front: the points on it, and its knee."""
 
 import dataclasses
 

@@ -11,7 +11,7 @@ from tuning.results.tuned import Tuned
 class Judged(Result):
     """The walks of several gains, and of pd, through members of an ensemble that no search of it has seen.
 
-    `data` holds every metric of every walk over `gains` (the names, `pd` last) and `member`; with what was drawn.
+    `data` holds every metric of every walk over `gains` (the names, `pd` last) and `member`; with the drawn values.
     """
 
     FILE = "judged.nc"
@@ -34,8 +34,8 @@ class Comparison(Result):
     """Laws that were tuned alike, and their walks through members of an ensemble that no search has seen.
 
     `data` holds every metric of every walk over `gains` (the laws, pd retuned, that on better hardware, and the
-    scenario's pd), `seed` of their searches and `member`, as of `tuning.evaluate`; and what each search found, where it
-    was one. `write` adds which differences from retuned pd are real.
+    scenario's pd), `seed` of their searches and `member`, as of `tuning.evaluate`; and the result of each search, where
+    it was one. `write` adds which differences from retuned pd are real.
     """
 
     FILE = "compared.nc"
@@ -50,12 +50,12 @@ class Comparison(Result):
 
     @property
     def outside(self) -> list[str]:
-        """The names of the laws of which a search found no gains that keep its limits, pd among them."""
+        """The names of the laws with a search that found no gains within its limits, pd among them."""
         return [law for law, each in self.searched.items() if not all(own.feasible for own in each)]
 
     @property
     def unsettled(self) -> list[str]:
-        """The names of the laws of which a search had not converged when it ended, pd among them."""
+        """The names of the laws with a search that had not converged when it ended, pd among them."""
         return [law for law, each in self.searched.items() if not all(own.converged for own in each)]
 
     @property

@@ -1,4 +1,4 @@
-"""What every search returns: data, gains, and the problem that was searched."""
+"""The base of all results: data, gains, and the problem that was searched."""
 
 import dataclasses
 from typing import ClassVar
@@ -11,7 +11,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 
-# by which a result is known; tune --ensemble writes judged.nc too, so that this comes last
+# marker files of results; tune --ensemble writes judged.nc too, so that this comes last
 RESULTS = (
     "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "pushes.json",
     "reproduce.json", "excitation.csv", "replay.json", "result.json", "compared.nc", "ceiling.nc", "degraded.nc",
@@ -25,7 +25,7 @@ WITHOUT_PARTS = (
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What was found, and for what; its kinds say what else is known of it."""
+    """The result of a computation, and its problem; its kinds have further fields."""
 
     FILE: ClassVar[str]  # of the data; by it the folder of a result is known
     KIND: ClassVar[str]  # the function of `tuning` that gives it

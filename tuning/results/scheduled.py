@@ -1,4 +1,4 @@
-"""What a gain schedule is: gains by gravity and cargo."""
+"""A gain schedule: gains by gravity and cargo."""
 
 import dataclasses
 import math
@@ -32,7 +32,7 @@ class Scheduled(Result):
 def lookup(table: xr.Dataset, gravity: float, cargo: float) -> AnyGains:
     """Return the gains between the operating points: linear in log gravity and in cargo, held at the ends.
 
-    Logarithms are, of gains above 0 at all points; `table` is what `schedule` gave, gravity is in G, cargo in kg.
+    Logarithms are, of gains above 0 at all points; `table` is the data of `schedule`, gravity is in G, cargo in kg.
     """
     loads, levels, level = table["cargo"].values, np.log(table["gravity"].values), math.log(gravity)
     found = {}

@@ -1,4 +1,4 @@
-"""What a sweep returns: the metrics of walks over a grid of two gains."""
+"""The result of a sweep: the metrics of walks over a grid of two gains."""
 
 import dataclasses
 

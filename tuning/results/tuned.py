@@ -1,4 +1,4 @@
-"""What a search for gains returns: every point that was evaluated, and the best."""
+"""The result of a search for gains: every point that was evaluated, and the best."""
 
 import dataclasses
 import functools
@@ -85,7 +85,7 @@ class Tuned(Result):
 
     @property
     def env_steps(self) -> int:
-        """What the search cost; a forward-mode step with n tangents counts 1 + n."""
+        """The cost of the search; a forward-mode step with n tangents counts 1 + n."""
         return int(self.data["env_steps"][-1])
 
     @property

@@ -1,9 +1,9 @@
-"""How good any control law could be: the best joint targets over time, by what they know: `tuning.ceiling`.
+"""How good any control law could be: the best joint targets over time, by their knowledge: `tuning.ceiling`.
 
 Three kinds of plans bound every law on the same walks. The clairvoyant one knows each member's robot, disturbance and
-noise in advance. The blind one is the same for all members: what a gait alone can reach. A causal one is blind until a
+noise in advance. The blind one is the same for all members, as a gait alone. A causal one is blind until a
 disturbance begins, and knows all from a delay after that on. A plan that knows more never ends higher, and neither does
-a finer spacing of the knots. What is found is an upper bound of the least: longer searches may find less.
+a finer spacing of the knots. The best plan found is an upper bound of the least: longer searches may find less.
 """
 
 import dataclasses
@@ -69,7 +69,7 @@ LIMIT_MARGIN = 0.02  # relative: where the penalty of a limit begins, inside it
 INSTANTS = 800  # at most, of the histories that are kept
 _WIDENED = ("base_deviation", SWING.name, "peak_joint_torque", RATE.name)  # limits that no contestant breaks
 Laws = Mapping[str, AnyGains | Whole | str | os.PathLike[str]]  # gains, by the names of who has them
-Progress = Callable[[str, int, int], None]  # called with what is searched, evaluations done, and in all
+Progress = Callable[[str, int, int], None]  # called with the name of a search, evaluations done, and in all
 
 
 class Draws(NamedTuple):
@@ -110,7 +110,7 @@ class Start(NamedTuple):
 
 
 class Contest(NamedTuple):
-    """What all contestants have in common."""
+    """The common part of all contestants."""
 
     scenario: mc.Scenario
     robot: Robot
@@ -145,15 +145,15 @@ def ceiling(
     `tuning.write(ceiling(scenario, {"mine": "gains.yaml"}), "results/mine")` writes a page.
 
     Arguments:
-        scenario: what walks where, with which hardware.
-        laws: what is compared, by name: gains of the scenario's law, gains files, or as
+        scenario: robot, gait, ground and hardware.
+        laws: the rivals by name: gains of the scenario's law, gains files, or as
             `tuning.gains.gains_file.whole(file, scenario)` gives them. pd is among them; so is pd with kp and kd that
             are searched, unless there is a "retuned_pd".
         settings: of the search; `changes` are keys of `tuning.problem.ceiling.Ceiling` in place of it or to change it.
         ensemble: the walks, all alike for every contestant; the scenario's own walk where None.
         metrics: of the walks; weights and limits may name them.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
-        progress: called after each evaluation with what is searched, how many are done, and in all.
+        progress: called after each evaluation with the name of a search, how many are done, and in all.
 
     Raises:
         ConfigError: settings that make no sense for the scenario, or pd diverges.
@@ -238,7 +238,7 @@ def _walker(
 
 
 def _contestant(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains, draws: Draws) -> Contestant:
-    """Return a contestant with its walks, in which nothing is torn off."""
+    """Return a contestant with its walks; nothing is torn off."""
     own = law or law_of(scenario)
     simulation = mc.Simulation(scenario, own, draws.how["metrics"], draws.how["engine"], smooth=True)
     found = simulation.metrics(gains, draws.parameters, dtype=draws.how["dtype"], unsteady=True)
@@ -275,7 +275,7 @@ def _random(scenario: mc.Scenario, asked: Ceiling, about: Start) -> list[Start]:
     return [Start(f"random {number + 1}", each, about.parameters) for number, each in enumerate(shaken)]
 
 
-# --- what is searched for
+# --- the goal
 
 
 def _objective(asked: Ceiling, pd: Mapping[str, np.ndarray], metrics: mc.MetricTable) -> Objective:
@@ -356,7 +356,7 @@ def _plans(contest: Contest, starts: Sequence[Start]) -> tuple[list[Ended], bool
     first = _search(contest, FIRST, shared, undisturbed=hidden)
     begun = first.plan._replace(name=BLIND)
     ended = [first, _search(contest, BLIND, [begun], undisturbed=hidden)]
-    # what the others keep of it until they feel the disturbance
+    # the others keep it until they feel the disturbance
     begun = ended[-1].plan if hidden else begun
     for delay in sorted(asked.delays, reverse=True) if felt.any() else ():
         since = onset + math.ceil(delay / step - 1e-6)
@@ -422,7 +422,7 @@ def _search(
                  "before": found.first[own].mean(), "merit": found.merit[own].mean(),
                  "slope": np.mean(found.slope[own])}
             )  # fmt: skip
-        # the best start of each problem goes on, with what it has found
+        # the best start of each problem goes on, from its best point
         best, every = found.merit.reshape(len(targets), -1).argmin(0), np.arange(members)
         best = np.broadcast_to(best, members)
         targets, names = freedom.targets(found.x)[best, every][None], names[best, every][None]

@@ -1,8 +1,8 @@
-"""The Pareto front of two metrics: what one costs in terms of the other, with the gains that get it: `tuning.pareto`.
+"""The Pareto front of two metrics: the price of one in the other, with the gains for it: `tuning.pareto`.
 
 By the epsilon constraint: each row of a batch betters one metric under its own limit on the other, by the gradient.
-Rows start from the best point that any row has visited within their limit, so neighbours help each other. Whatever
-was walked on the way is a candidate; the front is what nothing else beats in both metrics.
+Rows start from the best point that any row has visited within their limit, so neighbours help each other. All
+walks on the way are candidates; the front is those that no other beats in both metrics.
 """
 
 import dataclasses
@@ -56,7 +56,7 @@ def pareto(
     `tuning.write(tuning.pareto(scenario, out="results/mine"), "results/mine")` is `mjx-climb tune --against`.
 
     Arguments:
-        scenario: what walks where; its own gains are among the first points.
+        scenario: robot, gait and ground; its own gains are among the first points.
         search: space, bounds, limits and seed (weights and method are not used).
         better: the metric that each row betters; the default of this and the next two as of
             `tuning.problem.search.Pareto`.
@@ -109,7 +109,7 @@ def run(
         ceiling = Limit(asked.against, values, scales, _MARGIN, "the row's own", about.larger_is_better)
         rows = dataclasses.replace(problem, objective=dataclasses.replace(plain, limits=(*others, ceiling)))
         for number in range(STAGES):
-            walked = _walked(problem, asked, rounds)  # from the best within each limit, else what comes closest to it
+            walked = _walked(problem, asked, rounds)  # from the best within each limit, else the closest to it
             inside = walked.x <= sign(about) * limits[:, None]
             best = np.where(inside, walked.y, np.inf).argmin(1)
             theta = walked.theta[np.where(inside.any(1), best, walked.x.argmin())]
@@ -137,8 +137,8 @@ class Walked(NamedTuple):
     theta: np.ndarray  # (N, n)
     values: Mapping[str, np.ndarray]  # of both metrics, (N,), in their own sign
     held: np.ndarray  # (N,) bool, every constraint but that of the rows is met
-    x: np.ndarray  # (N,) cost in what is traded away
-    y: np.ndarray  # (N,) cost in what is bettered
+    x: np.ndarray  # (N,) cost in the metric that is traded away
+    y: np.ndarray  # (N,) cost in the metric that is bettered
 
 
 def _walked(problem: Problem, asked: Pareto, rounds: Rounds) -> Walked:
@@ -153,7 +153,7 @@ def _walked(problem: Problem, asked: Pareto, rounds: Rounds) -> Walked:
 
 
 def _limits(problem: Problem, asked: Pareto, walked: Walked) -> np.ndarray:
-    """Return the rows' limits (points,) on what is traded away, in its own sign."""
+    """Return the rows' limits (points,) on the metric that is traded away, in its own sign."""
     factor = sign(problem.metrics[asked.against])
     own: Sequence[Limit] = problem.objective.limits
     widest = [factor * float(np.asarray(limit.value)) for limit in own if limit.metric == asked.against]

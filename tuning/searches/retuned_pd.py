@@ -1,4 +1,4 @@
-"""pd with joint gains of its own for the same goal, and a law that plans: what can be had without a force sensor."""
+"""pd with joint gains of its own for the same goal, and a law that plans: rivals without a force sensor."""
 
 import dataclasses
 import os
@@ -44,8 +44,8 @@ class Rival(NamedTuple):
     """A law without a force sensor, whose gains were searched, and perhaps the gait, by the keys of a scenario."""
 
     joint: Mapping[str, float]
-    value: float  # of what was searched for
-    lacks: str = ""  # in what it was searched less than it might be, nothing where all its bounds were
+    value: float  # of the goal
+    lacks: str = ""  # restriction of the search; "" where all bounds were searched
     feasible: bool = True  # it keeps all limits
     step: float | None = None  # s, the time step of a comparison, where it is not the scenario's
     name: str = "pd"
@@ -66,7 +66,7 @@ def search(
     The time step is one that all kp and kd can follow, see `time_step_for`; where the law's own kp and kd were
     searched, it is the one of theirs. The best of `seeds` searches counts, as with a law's. `out` keeps each finished
     round in a folder of its own.
-    None where what was searched is itself pd.
+    None where the search was of pd itself.
 
     Raises:
         KeyboardInterrupt: the user stopped it; with `out` it goes on from there.

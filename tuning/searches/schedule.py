@@ -61,7 +61,7 @@ def schedule(
     `tuning.write(tuning.schedule(scenario, out="results/mine"), "results/mine")` is `mjx-climb tune --over`.
 
     Arguments:
-        scenario: what walks where; its gravity gives the direction alone, its cargo the window of time alone.
+        scenario: robot, gait and ground; its gravity gives the direction alone, its cargo the window of time alone.
         search: space, bounds, weights, limits and seed (the method is not used).
         gravity: G, ascending; the default of this and the next as of `tuning.problem.search.Schedule`.
         cargo: kg, ascending.
@@ -80,7 +80,7 @@ def schedule(
 
 @dataclasses.dataclass(frozen=True)
 class OperatingPoints:
-    """What is tuned side by side, P pairs of gravity and cargo, the cargo running fastest."""
+    """The problems that are tuned side by side, P pairs of gravity and cargo, the cargo running fastest."""
 
     problem: Problem  # of all of them, a row each: gravity (P, 3), cargo (P,)
     search: Search
@@ -206,10 +206,10 @@ def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, tran
 
 
 def pd_of_each(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return kp and kd, (P,) each, with which pd is best at each point, of a grid, and what it is worth, 1 for pd."""
+    """Return the kp and kd of a grid, (P,) each, with which pd is best at each point, and its objective, 1 for pd."""
     how: dict[str, Any] = {"metrics": problem.metrics, "dtype": problem.dtype, "engine": problem.engine}
     gains, walks = retuned_pd.walked_on_grid(problem.scenario, parameters=problem.parameters, **how)
-    with jax.enable_x64(np.dtype(problem.dtype) == np.float64):  # whatever JAX's own setting
+    with jax.enable_x64(np.dtype(problem.dtype) == np.float64):  # for any setting of JAX
         score = problem.objective.score({name: jnp.asarray(values) for name, values in walks.items()})
     value, feasible = np.asarray(score.value), np.asarray(score.feasible)
     ranks = np.where(feasible, value, 1e3 + value + np.asarray(score.penalty))

@@ -1,7 +1,7 @@
 """Many walks of one program, cut into parts that are kept on disk, and into shards that other processes walk.
 
 A shard walks a run of the rows and leaves it as parts in a folder of its own; `joined` puts the rows of all shards
-together. On a CPU each row has the bits that it has in one process. `tuning.merge` makes of them what was cut.
+together. On a CPU each row has the bits that it has in one process. `tuning.merge` joins them.
 """
 
 import dataclasses
@@ -71,7 +71,7 @@ class Work(Protocol):
         """Return the description of a row."""
 
     def write_asked(self, folder: Path) -> None:
-        """Write what a merge needs beside the identity to make the same work again: `read_asked` of its module."""
+        """Write the files that `read_asked` of its module makes the same work of for a merge, beside the identity."""
 
 
 class Kept(NamedTuple):
@@ -80,7 +80,7 @@ class Kept(NamedTuple):
     folder: Path
     shard: Shard
     identity: Mapping[str, Any]
-    about: Mapping[str, Any]  # what else is said of it
+    about: Mapping[str, Any]  # further facts
 
     @property
     def work(self) -> dict[str, Any]:
@@ -89,7 +89,7 @@ class Kept(NamedTuple):
 
 
 def parts_of(work: Work, rows: range) -> list[range]:
-    """Return the parts in which some of the rows walk: those of all rows, as far as they are among them."""
+    """Return the parts of some rows: those of all rows, as far as they are among them."""
     begins = range(0, work.rows, work.size)
     cut = [range(max(begin, rows.start), min(begin + work.size, rows.stop)) for begin in begins]
     return [part for part in cut if part]
@@ -108,11 +108,11 @@ class Rows:
         """Claim the folder.
 
         Arguments:
-            work: what walks.
+            work: the walks.
             out: the folder, or that below which a shard has one of its own; nothing is kept where None.
             shard: which one, from 1, and how many there are.
             about: for those who merge shards: `again`, the command or call that walks one, with `SHARD` where it names
-                which, and what else the report is to say.
+                which, and further facts for the report.
 
         Raises:
             ConfigError: no such shard, or more shards than rows.

@@ -61,7 +61,7 @@ def sweep(
     `mjx-climb sweep`.
 
     Arguments:
-        scenario: what walks where.
+        scenario: robot, gait and ground.
         axes: a list of values for each of two gains of the law, or paths as `contact.stiffness`, SI units; that of the
             horizontal axis first.
         law: the control law, the scenario's where None.
@@ -73,7 +73,7 @@ def sweep(
         batch_size: robots that walk at a time, all parts by one compiled program; see `default_batch_size`.
         out: a folder that keeps each finished part, so that an interrupted sweep goes on from there, bit by bit; until
             the result is written there, or `tuning.methods.parts.clear(out)`.
-        progress: called with the number of walks done and the number in all: first with what `out` holds already,
+        progress: called with the number of walks done and the number in all: first with those that `out` holds already,
             then after each part.
 
     Raises:
@@ -98,7 +98,7 @@ def sweep_shard(
     progress: Counted | None = None,
     **walks: Any,
 ) -> Path:
-    """Simulate a shard of what `sweep` does, for `merge`, and return its own folder; `mjx-climb sweep --shard 3/16`.
+    """Simulate a shard of a `sweep`, for `merge`, and return its own folder; `mjx-climb sweep --shard 3/16`.
 
     The arguments that are not listed, `walks` among them, are those of `sweep`.
 
@@ -125,7 +125,7 @@ def _problem(scenario: mc.Scenario, precision: Precision, **walks: Any) -> Probl
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """What a sweep walks: a `tuning.searches.shards.Work`. A row is one pair of gains."""
+    """The walks of a sweep: a `tuning.searches.shards.Work`. A row is one pair of gains."""
 
     problem: Problem
     gains: AnyGains | None  # in place of the scenario's or the law's own
@@ -222,7 +222,7 @@ class Grid:
 
 
 def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: mc.MetricTable) -> Grid:
-    """Return the grid that a shard is of, from what `Grid.write_asked` left in its folder."""
+    """Return the grid that a shard is of, from the files of `Grid.write_asked` in its folder."""
     file, asked = kept.folder / GAINS_FILE, kept.identity
     gains = gains_file.load(file, law) if file.is_file() else None
     how: dict[str, Any] = {"law": law, "metrics": metrics, "engine": asked["engine"]}

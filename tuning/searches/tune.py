@@ -57,12 +57,12 @@ def tune(
     `tuning.write(tuning.tune(scenario, space="diagonal", out="results/mine"), "results/mine")` is `mjx-climb tune`.
 
     Arguments:
-        scenario: what walks where.
+        scenario: robot, gait and ground.
         law: whose gains are searched; its own are the first start. The scenario's where None.
         search: the settings; `settings` are keys of `tuning.problem.search.Search` in place of it or to change it.
-        seeds: how many searches, from the seed of the settings on, of which the best counts.
+        seeds: how many searches, from the seed of the settings on; the best counts.
         method: the name of a shipped one, `optuna:SAMPLER`, or FILE.py:NAME; or one of your own, as a
-            `tuning.methods.Method`, or a function that yields a `Request` of points and receives what they are worth.
+            `tuning.methods.Method`, or a function that yields a `Request` of points and receives their evaluation.
             It must ask for the same when it is given the same.
         objective: a pure function of the metrics in place of the weighted terms, see `tuning.problem.objectives`; or
             FILE.py:NAME of one.
@@ -135,7 +135,7 @@ def over_ensemble(settings: Search | None, changes: Mapping[str, Any], ensemble:
 
 
 class Prepared(NamedTuple):
-    """What is resolved of a search's settings before anything walks."""
+    """The settings of a search, resolved before anything walks."""
 
     search: Search  # with the method that is used
     space: spaces.Space
@@ -183,7 +183,7 @@ def own_method(search: Search, scenario: mc.Scenario, given: OwnMethod | None = 
 def own_objective(
     scenario: mc.Scenario, given: OwnObjective | str | None = None
 ) -> tuple[mc.Scenario, OwnObjective | None]:
-    """Return a scenario that names no objective, and the user's own: `given`, FILE.py:NAME, or what the scenario names.
+    """Return a scenario that names no objective, and the user's own: `given`, FILE.py:NAME, or the scenario's.
 
     Raises:
         ConfigError: there is no such objective.
@@ -364,7 +364,7 @@ def without_goal(
     """Return the problem of a search without an objective yet; `walks` are law and engine, `space` as of `problem_of`.
 
     Raises:
-        ConfigError: settings that make no sense, or a shipped metric, by which searches know what failed, is missing.
+        ConfigError: settings that make no sense, or a shipped metric, from which searches know failures, is missing.
     """
     table = mc.MetricTable(metrics)
     if missing := [metric.name for metric in mc.METRICS if metric not in table]:
@@ -393,6 +393,6 @@ def start_of(problem: Problem) -> np.ndarray:
 
 
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
-    """Return all that determines a search, bit by bit; `more`: what else does."""
+    """Return all that determines a search, bit by bit, with `more`."""
     packages = {**PACKAGES, "cmaes": "cmaes", "optuna": "optuna"}
     return {**identity_of(problem, packages), "search": search.model_dump(mode="json"), **more}

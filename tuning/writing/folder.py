@@ -1,4 +1,4 @@
-"""The folder of a result: what it is to hold is drawn and written, and appears there together."""
+"""The folder of a result: its files are drawn and written, and appear there together."""
 
 import contextlib
 import dataclasses
@@ -38,15 +38,15 @@ def write(
     """Write a result, in place of an earlier one, and return its lines for a reader, with the names of the files.
 
     Arguments:
-        made: what the folder is to hold.
+        made: the contents.
         folder: where to; it is made.
-        call: what made the result.
-        origin: what the report says of where it comes from.
+        call: the function that made the result.
+        origin: of the report.
         figures: formats of the pictures, of `mjx_climb.viz.plots.FORMATS`; reports hold them as PNG anyway.
         sections: of the user's own, for the report.
         stage: opened for each longer work, see `tuning.background.Stage`.
-        settings: what a command was asked for, by which it knows its folder again.
-        finished: whether what is kept there of unfinished work is removed.
+        settings: of a command, which knows its folder again by them.
+        finished: whether unfinished work that is kept there is removed.
 
     Raises:
         OutputError: a file cannot be written.

@@ -1,7 +1,7 @@
 """Whose result a folder holds: it belongs to one run's settings, and its files appear together or not at all.
 
-`settings.json` says what was asked for, by which a command knows its own folder again, and which files are the
-result's. Versions and machine are none of it: the same command replaces its own result after an update.
+`settings.json` has a command's settings, which knows its own folder again by them, and the files of the
+result. Versions and machine are none of it: the same command replaces its own result after an update.
 """
 
 import contextlib
@@ -31,15 +31,15 @@ from tuning.problem.evaluation import Problem
 from tuning.results.result import RESULTS, WITHOUT_PARTS
 
 FILE = "settings.json"
-_OF_THE_MACHINE = ("versions", "platform", "batch_size")  # of an identity: how it is computed, not what is asked
+_OF_THE_MACHINE = ("versions", "platform", "batch_size")  # of an identity: how it is computed
 
 Settings = Mapping[str, Any]
 
 
 class Record(NamedTuple):
-    """What a folder's settings.json says."""
+    """The content of a folder's settings.json."""
 
-    settings: Settings | None  # what was asked for; None where Python wrote the result
+    settings: Settings | None  # of the command; None where Python wrote the result
     files: tuple[str, ...] = ()  # of the result, by their paths in the folder; none before there is one
     whole: bool = False  # nothing of the result is missing
 
@@ -64,7 +64,7 @@ def _plain(value: Any) -> Any:
 
 
 def without_machine(identity: Settings) -> dict[str, Any]:
-    """Return an identity of walks without what the same settings may differ in."""
+    """Return an identity of walks without the keys that differ between machines."""
     return {name: value for name, value in identity.items() if name not in _OF_THE_MACHINE}
 
 
@@ -144,7 +144,7 @@ def check_own(folder: Path, result: str) -> None:
 def own_folder(base: Path, settings: Settings, *, varied: bool = False) -> Path:
     """Return a folder that belongs to some settings: `base`, or where that is another run's, one with their digest.
 
-    `varied`: what was asked for is not plain to see in the name, which takes the digest at once.
+    `varied`: the name does not tell all settings, so that it takes the digest at once.
     """
     by_digest = base.with_name(f"{base.name}-{_digest(settings)}")
     taken = varied or by_digest.exists() or another(base, settings)
@@ -191,7 +191,7 @@ def held(folder: Path, settings: Settings | None, *, shard: bool = False) -> Ite
 def whole(folder: Path, settings: Settings | None = None, *, finished: bool = True) -> Iterator[Path]:
     """Give an empty folder, whose files become those of `folder` once the block ends well.
 
-    They take the place of an earlier result's files there, of which none is left where it was another run's. Files that
+    They take the place of an earlier result's files there; none of these is left where it was another run's. Files that
     are no result's stay. Kept parts are removed where the result is `finished`. Of a process that is killed the folder
     keeps the old result; if it dies while the files move, the next that writes there, or is about to, ends the move.
 
@@ -206,7 +206,7 @@ def whole(folder: Path, settings: Settings | None = None, *, finished: bool = Tr
         with contextlib.ExitStack() as until:
             with refused(folder), alone(there):
                 place.mkdir()
-                until.enter_context(alone(place))  # by which `recover` knows that somebody writes it
+                until.enter_context(alone(place))  # tells `recover` that somebody writes it
             yield place
             files = tuple(sorted(f.relative_to(place).as_posix() for f in place.rglob("*") if not f.is_dir()))
             with refused(folder):
@@ -217,7 +217,7 @@ def whole(folder: Path, settings: Settings | None = None, *, finished: bool = Tr
 
 
 def recover(folder: Path) -> None:
-    """End what a killed process of this user's began: move a result that was all written, remove one that was not.
+    """End the work of a killed process of this user's: move a result that was all written, remove one that was not.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -258,7 +258,7 @@ def _unique() -> str:
 
 
 def _prefix(target: Path) -> str:
-    """Return how the folders begin in which the files of a folder are written before they are moved there."""
+    """Return the first part of the names of folders whose files are on their way to a folder."""
     return f".{target.name}.{hashlib.sha256(os.fsencode(target)).hexdigest()[:8]}"
 
 
@@ -292,7 +292,7 @@ def walks_at_home(walks: Mapping[str, mc.Trajectory], place: Path, home: Path) -
 def _replace(place: Path, target: Path, record: Record) -> None:
     """Move the files of a result to their folder; until all are there its record says that it is not whole.
 
-    Repeated after it was cut short, it does what is left.
+    Repeated after it was cut short, it does the rest.
     """
     before = read(target) or Record(None)
     for each in (record, before):

@@ -11,6 +11,7 @@ from mjx_climb.control import FootOffsets, LoadTransfer, PlannedTransfer, Recove
 from mjx_climb.inputs.time_step import short_enough
 from tuning.comparisons import side_by_side
 from tuning.comparisons.worth import BesidePd, OverWalks, between, worth_of
+from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
@@ -56,7 +57,8 @@ def walking(monkeypatch, **other):
     """Have walks go down the valley, with other metrics as functions of the gains."""
 
     def walk(scenario, gains, *_, **__):
-        return _valley(scenario, **gains) | {name: values(gains) for name, values in other.items()}
+        joint = {name: by_name(gains)[name] for name in JOINT}
+        return _valley(scenario, **joint) | {name: values(joint) for name, values in other.items()}
 
     monkeypatch.setattr(mc, "rollout_metrics", walk)
 
@@ -66,8 +68,9 @@ def test_pd_is_searched_over_all_its_bounds_and_refined(monkeypatch):
     calls = []
 
     def walk(scenario, gains, *_, **__):
-        calls.append((scenario.time_step, gains["kp"].size, gains["kd"].min(), gains["kd"].max()))
-        return _valley(scenario, **gains)
+        kp, kd = (by_name(gains)[name] for name in JOINT)
+        calls.append((scenario.time_step, kp.size, kd.min(), kd.max()))
+        return _valley(scenario, kp, kd)
 
     monkeypatch.setattr(mc, "rollout_metrics", walk)
     found = retuned_pd.least(CASE)
