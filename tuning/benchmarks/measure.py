@@ -86,14 +86,14 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
         gradient = commands.compiled("gradient", batch, plan.steps // 2, engine, cache)
         say("compiling the rest")
         with contextlib.ExitStack() as stack:
-            ours, single, peers, numpy_loop = _work(engine, batch, plan, stack)
+            ours, single, peers, numpy_loop = runs_of(engine, batch, plan, stack)
             for _, run in [*ours.values(), *single.values()]:  # side by side they were once seen to wait for each other
                 run()
             say("closed loops and their peers, in turns")
             rates = in_turns(plan.rounds, {**ours, **peers})
             single_rates = in_turns(plan.rounds, {**single, **numpy_loop})
         say("growth")
-        growth, counted = _growth(engine, batch, plan), _operations(engine, batch, plan.steps)
+        growth, counted = growth_of(engine, batch, plan), operations_of(engine, batch, plan.steps)
     runs = {"gradient_cost_2": "gradient_2", "gradient_cost_12": "gradient_12", "adjoint_cost": "adjoint"}
     costs = {name: rates[run] / rates["value"] if run in rates else None for name, run in runs.items()}
     own, against = rates["closed_loop"], ("mujoco_c", "mjx", "mujoco_batch", "mujoco_warp")
@@ -118,7 +118,7 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
     }  # fmt: skip
 
 
-def _work(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> tuple[dict[str, Timed], ...]:
+def runs_of(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> tuple[dict[str, Timed], ...]:
     """Return this program's runs, with a batch and with one robot, and the peers of both.
 
     The stack ends their threads.
@@ -154,7 +154,8 @@ def _work(engine: str, batch: int, plan: Plan, stack: contextlib.ExitStack) -> t
     return ours, single, others, {"numpy_loop": (length, lambda: loop.run(length))}
 
 
-def _growth(engine: str, batch: int, plan: Plan) -> dict[str, object]:
+def growth_of(engine: str, batch: int, plan: Plan) -> dict[str, object]:
+    """Return how the time of walks grows with batch and steps."""
     found: dict[str, object] = {}
     for name, plural, sizes in (("batch", "batch", plan.batches), ("step", "steps", plan.lengths)):
         each = {size: (size, plan.steps) if name == "batch" else (batch, size) for size in sizes}
@@ -168,7 +169,7 @@ def _growth(engine: str, batch: int, plan: Plan) -> dict[str, object]:
     return found
 
 
-def _operations(engine: str, batch: int, steps: int) -> dict[str, float]:
+def operations_of(engine: str, batch: int, steps: int) -> dict[str, float]:
     """Return the operations of a step by XLA's count of the compiled program, which takes a loop's body once."""
     simulate = mc.simulator(scenario(steps // 2), engine=engine)
     single = {name: jnp.asarray(value, jnp.float32) for name, value in gains(batch).items()}

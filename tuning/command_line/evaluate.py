@@ -14,12 +14,8 @@ from tuning.problem.search import Judge, Search, check_metrics
 from tuning.problem.settings import Options, Positive, setting
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from tuning.comparisons.degraded import Worse as Worsened
     from tuning.comparisons.judge import Draw
-    from tuning.comparisons.linear_margins import Stable
-    from tuning.comparisons.margins import Found
     from tuning.comparisons.pushes import Walker
     from tuning.gains.gains_file import Whole
     from tuning.problem.ensemble import Ensemble
@@ -69,10 +65,12 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
         from mjx_climb.files import dataset
         from mjx_climb.scenario.messages import ConfigError
         from mjx_climb.viz import plots
+        from tuning.command_line.session import from_page
         from tuning.comparisons import linear_margins
         from tuning.comparisons import margins as evaluation
         from tuning.gains.gains_file import apart, by_name
-        from tuning.pages.margins import plot_margins
+        from tuning.numbers import to_json
+        from tuning.pages import margins as pages
         from tuning.results.config_file import write_config
         from tuning.writing.record import settings_of
 
@@ -101,30 +99,15 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
                 place, own = apart(scenario, gains)
                 stable = linear_margins.find(place, own, found.margins, progress=told, **how)
             warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
-            table, text = _margins_in_words(found, stable, warnings)
+            text = to_json(pages.summary(found, stable, warnings))
             with shell.stage("drawing", compiles=False):
                 dataset.write_text_atomically(out / "margins.json", text + "\n")
                 dataset.save(found.walks, out / "margins.nc")
-                figure = plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
+                figure = pages.plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
                 plots.save_figure(figure, out / "margins", output.figures)
-        shell.show(table, *(f"warning: {line}" for line in warnings))
+        shell.show(from_page(pages.margins_table(found, stable)), *(f"warning: {line}" for line in warnings))
         pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
         shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
-
-
-def _margins_in_words(found: "Found", stable: "dict[str, Stable]", warnings: list[str]) -> "tuple[Table, str]":
-    """Return margins beside the scenario's hardware, by walks and of the linearised loop: a table, and JSON in SI."""
-    from tuning.command_line.session import plain_table
-    from tuning.numbers import to_json
-
-    table, each = plain_table("", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"), {}
-    for name, margin in found.margins.items():
-        each[name] = dataclasses.asdict(margin) | {"needed": margin.needed, "stable": stable[name]._asdict()}
-        loop = margin.in_words(stable[name].up_to, stable[name].tried)
-        reached = map(margin.in_words, (margin.holds, margin.better))
-        table.add_row(margin.title, margin.with_unit(margin.own), *reached, loop)
-    own = {"holds": found.holds, "better": found.better}
-    return table, to_json({"own_hardware": own, "margins": each, "warnings": warnings})
 
 
 class Files(Rival):

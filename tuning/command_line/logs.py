@@ -224,14 +224,14 @@ def replay(
         shell.opening()
         with shell.stage("replay"):
             found = replays.simulate(prepared, loaded.engine)
-        under_law = _under_law(found, loaded, shell) if asked.with_law else {}
+        under_law = walked_under_law(found, loaded, shell) if asked.with_law else {}
         with shell.whole() as out:
             write_config(found.scenario, out, loaded.law)
             files, text = _write(found, under_law, shell, pictures, out)
         shell.written(files, text)
 
 
-def _under_law(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, dict[str, Any]]:
+def walked_under_law(found: "Replay", loaded: "Problem", shell: "Session") -> dict[str, dict[str, Any]]:
     """Walk under the law with the pushes that were logged, and print and return the metrics of both walks."""
     from tuning import numbers
     from tuning.command_line.run import verdict

@@ -184,7 +184,7 @@ def _walked(
     with shell.whole() as place:
         walks, metrics, files = _written(loaded, name, shell, pictures, recording, place)
     walks = walks_at_home(walks, place, shell.out)
-    _show(walks, metrics, loaded, shell)
+    show(walks, metrics, loaded, shell)
     shell.written(", ".join(files), to_json(presentable(metrics[name], None)))
     return walks, metrics[name]
 
@@ -231,7 +231,7 @@ def _written(
     return walks, metrics, files
 
 
-def _show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:
+def show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:
     """Print the metrics of a walk, and of the one beside it where there is one, and how they went."""
     from tuning import numbers
     from tuning.command_line.session import comparison_table, plain_table

@@ -144,12 +144,12 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             )
         leveled = level(ignore)
     metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in walks.items()}
-    gains, worth = {name: _with_joint_gains(walk, problem) for name, walk in walks.items()}, None
+    gains, worth = {name: with_joint_gains(walk, problem) for name, walk in walks.items()}, None
     if rival is not None:
         both = metrics["tuned"], metrics[retuned_pd.NAME]
-        scored = [_scored(problem.objective, each) for each in both]
+        scored = [scores_of(problem.objective, each) for each in both]
         if step is not None:
-            there = _scored(problem.objective, mc.metrics(leveled, problem.metrics))
+            there = scores_of(problem.objective, mc.metrics(leveled, problem.metrics))
             apart = AtOneStep(step, there["objective"] / scored[1]["objective"] - 1)
         worth = between(both, scored, retuned_pd.rival_of(rival), problem, level=apart)
         if plan is not None:
@@ -159,7 +159,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
     rows = {name: (gains[name], metrics[name]) for name in order}
     walked = {
         name: verdicts.Walked(
-            _scored(problem.objective, each)["objective"], not verification.broken_limits(problem.objective, each)
+            scores_of(problem.objective, each)["objective"], not verification.broken_limits(problem.objective, each)
         )
         for name, (_, each) in rows.items()
     }
@@ -173,14 +173,14 @@ def _beside_plan(
 ) -> Worth:  # fmt: skip
     """Return the worth of a force sensor beside the better of pd retuned and load transfer by plan."""
     ours, pd = scored
-    planned, (retuned, plan) = _scored(problem.objective, by_plan), (retuned_pd.rival_of(each) for each in rivals)
+    planned, (retuned, plan) = scores_of(problem.objective, by_plan), (retuned_pd.rival_of(each) for each in rivals)
     beside = BesidePd(pd["objective"], retuned)
     if not planned["objective"] < pd["objective"]:
         return between(both, scored, retuned, problem, level=apart, pd=beside)
     return between((both[0], by_plan), (ours, planned), plan, problem, pd=beside)
 
 
-def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:
+def with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:
     """Return the gains of a walk, joint loop and searched gait last; None where its controller has none."""
     gains, control = gains_of(walk), walk.scenario.control
     gait = own_gait(walk.scenario) if searches_gait(problem.space) else {}
@@ -190,7 +190,7 @@ def _with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] |
     return None if gains is None else gains | joint | gait
 
 
-def _scored(target: Goal, metrics: Values) -> dict[str, float]:
+def scores_of(target: Goal, metrics: Values) -> dict[str, float]:
     """Return the scores that gains are compared by."""
     variation = metrics[VARIATION]
     if variation is None or failed(metrics):

@@ -169,11 +169,11 @@ def by_stance(
     each |= {DELAYED[part]: np.full(rows.size, scenario.time_step) for part in late}
     each[_CARGO] = each[_CARGO] * loaded
     robots = law, parameters.replace(each)
-    radii = _radii_of(walk, robots, found.axes, delays, periods.ravel()[rows], stances[rows, stance])
+    radii = radii_of(walk, robots, found.axes, delays, periods.ravel()[rows], stances[rows, stance])
     return np.asarray(radii.reshape(*found.shape, which.size))
 
 
-def _radii_of(
+def radii_of(
     walk: Structure,
     robots: _Robots,
     axes: PyTree,

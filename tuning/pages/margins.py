@@ -1,7 +1,8 @@
-"""Margins of gains: a picture."""
+"""Margins of gains: table, plain data, picture."""
 
+import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,33 @@ from matplotlib.figure import Figure
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.comparisons import margins
+from tuning.comparisons.linear_margins import Stable
+from tuning.pages.page import Table
 from tuning.pages.pictures import COLORS, plain_numbers
 
 _ROOM = 1.6  # of the largest force variation of pd on any hardware: above it curves leave the picture
 _WIDE = 4  # range of that from which on the axis is logarithmic
 _TORN, _DIVERGED = "X", "^"
+
+
+def margins_table(found: margins.Found, stable: Mapping[str, Stable]) -> Table:
+    """Return margins beside the scenario's hardware, by walks and of the linearised loop."""
+    rows = []
+    for name, margin in found.margins.items():
+        loop = margin.in_words(stable[name].up_to, stable[name].tried)
+        reached = map(margin.in_words, (margin.holds, margin.better))
+        rows.append([margin.title, margin.with_unit(margin.own), *reached, loop])
+    columns = ["", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"]
+    return Table("Margins", columns, [("", rows)], 1)
+
+
+def summary(found: margins.Found, stable: Mapping[str, Stable], warnings: Sequence[str]) -> dict[str, Any]:
+    """Return margins as plain data in SI, with the hardware that a factor of two asks for as `needed`."""
+    each = {
+        name: dataclasses.asdict(margin) | {"needed": margin.needed, "stable": stable[name]._asdict()}
+        for name, margin in found.margins.items()
+    }
+    return {"own_hardware": {"holds": found.holds, "better": found.better}, "margins": each, "warnings": warnings}
 
 
 @plots.style()

@@ -115,7 +115,7 @@ def run(
             theta = walked.theta[np.where(inside.any(1), best, walked.x.argmin())]
             moves = again(Task(rows, settings, start), theta, ITERATIONS, number, STAGES, rng)
             follow(moves, lambda request: rounds.evaluate(rows, request))
-    data = _dataset(problem, asked, _walked(problem, asked, rounds), sign(about) * limits[-1])
+    data = front_dataset(problem, asked, _walked(problem, asked, rounds), sign(about) * limits[-1])
     data = data.assign_attrs(search=settings.to_yaml(), env_steps=rounds.env_steps)
     found = Front(data, problem, search, asked=asked)
     return dataclasses.replace(found, gains=gains_of(data, found.knee)) if data.sizes["front"] else found
@@ -169,7 +169,7 @@ def _limits(problem: Problem, asked: Pareto, walked: Walked) -> np.ndarray:
     return np.asarray(factor * spaced(low, high, asked.points))
 
 
-def _dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> xr.Dataset:
+def front_dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float) -> xr.Dataset:
     """Return the front among all that was walked, within the widest ceiling where there are such points."""
     scenario, table, law = problem.scenario, problem.metrics, problem.law
     candidates = nondominated(walked.x, walked.y)

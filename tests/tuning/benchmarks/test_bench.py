@@ -175,8 +175,8 @@ def test_ratios_are_how_many_times_faster_this_program_is(monkeypatch):
     times = {"from_start": 9.0, "first": 7.0, "again": 2.0}
     monkeypatch.setattr(commands, "compiled", lambda *_: times)
     monkeypatch.setattr(measure, "in_turns", lambda *_: seconds)
-    monkeypatch.setattr(measure, "_work", lambda *_: ({}, {}, {}, {}))
-    for name in ("_growth", "_operations"):
+    monkeypatch.setattr(measure, "runs_of", lambda *_: ({}, {}, {}, {}))
+    for name in ("growth_of", "operations_of"):
         monkeypatch.setattr(measure, name, lambda *_: {})
     result = measure.measure("limb", 1, measure.Plan(1, 2, 1, (2,), False, (), ()), lambda _: None)
     names = ("vs_mujoco_c", "vs_mjx", "vs_mujoco_batch", "vs_numpy_loop_single", "gradient_cost_2")

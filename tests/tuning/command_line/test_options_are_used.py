@@ -38,12 +38,11 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.background": "background",
     "tuning.benchmarks.commands": "measure",
     "tuning.benchmarks.measure": "measure",
-    "tuning.command_line.logs": "_under_law",
+    "tuning.command_line.logs": "walked_under_law",
     "tuning.command_line.cache": "cache",
     "tuning.command_line.machine": "cache examine",
-    "tuning.command_line.evaluate": "_margins_in_words",
     "tuning.command_line.results": "show",
-    "tuning.command_line.run": "_show",
+    "tuning.command_line.run": "show",
     "tuning.command_line.session": "Session.first_result comparison_table from_page plain_table",
     "tuning.comparisons.deployment": "check",
     "tuning.comparisons.linear_margins": "find warnings",
@@ -64,7 +63,7 @@ RECORDED = {  # what takes long, draws or writes, by module
     "tuning.pages.redrawn": "figures",
     "tuning.numbers": "ahead_of number to_json",
     "tuning.pages.page": "write",
-    "tuning.pages.margins": "plot_margins",
+    "tuning.pages.margins": "margins_table plot_margins summary",
     "tuning.pages.runs": "below write",
     "tuning.pages.sweep": "first",
     "tuning.reproduce.results": "as_json as_markdown overall page reproduced sentences tables",
@@ -319,7 +318,6 @@ def traced(monkeypatch, tmp_path, folder):
         "tuning.benchmarks.measure.measure": defaultdict(float, devices=["cpu"], versions={"mujoco": ""}),
         "tuning.command_line.cache.cache": [SimpleNamespace(text="")],
         "tuning.command_line.machine.examine": [],
-        "tuning.command_line.evaluate._margins_in_words": ("", "{}"),
         "tuning.comparisons.linear_margins.warnings": [],
         "tuning.pages.pushes.summary": "{}",
         "tuning.comparisons.margins.warnings": [],
@@ -410,7 +408,7 @@ def test_every_option_changes_what_a_command_asks_for_or_says(command, traced):
 
 
 def test_of_two_walks_that_are_compared_the_rival_is_shown_first_and_the_walk_itself_measured_first(traced):
-    shown = re.search(r"_show\({'(\w+)'.*?}, {'(\w+)'", traced("run {config} --compare pd"))
+    shown = re.search(r"show\({'(\w+)'.*?}, {'(\w+)'", traced("run {config} --compare pd"))
     assert shown.groups() == ("pd", "base_admittance")
 
 

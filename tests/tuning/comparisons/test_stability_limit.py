@@ -172,7 +172,7 @@ def test_one_program_serves_whatever_part_of_the_hardware_gets_worse(case, monke
 
 @pytest.mark.parametrize("shape", [(), (2,)])
 def test_one_robot_and_a_batch_are_looked_at_over_their_control_period(case, monkeypatch, shape):
-    monkeypatch.setattr(stability_limit, "_radii_of", lambda walk, robots, axes, delays, periods, first: 1.0 * periods)
+    monkeypatch.setattr(stability_limit, "radii_of", lambda walk, robots, axes, delays, periods, first: 1.0 * periods)
     scenario = case("case_2", "virtual_model", {"hardware.control_period": 0.004})
     found = stability_limit.spectral_radius(scenario, mc.Gains(np.ones((*shape, 6)), 150.0, 3000.0))
     np.testing.assert_array_equal(found, np.full(shape, 4.0))  # steps

@@ -10,6 +10,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
+from tuning.methods import parts as module
 from tuning.methods.parts import IDENTITY, Parts, identity_in
 from tuning.searches import shards
 
@@ -17,14 +18,13 @@ from tuning.searches import shards
 @pytest.fixture
 def slow(tmp_path, monkeypatch):
     """Parts that are written when they are allowed to be."""
-    written, go = Parts._write, threading.Event()
+    written, go, parts = module.write_in_place, threading.Event(), Parts(tmp_path, {"a": 1})
 
-    def write(self, number, arrays):
+    def write(file, content):
         assert go.wait(20)
-        written(self, number, arrays)
+        written(file, content)
 
-    monkeypatch.setattr(Parts, "_write", write)
-    parts = Parts(tmp_path, {"a": 1})
+    monkeypatch.setattr(module, "write_in_place", write)
     parts.go = go
     return parts
 

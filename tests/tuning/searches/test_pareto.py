@@ -88,7 +88,7 @@ def given(few, monkeypatch):
     def dataset(problem, asked, walked, widest):
         raise Given(walked, widest)
 
-    monkeypatch.setattr(pareto, "_dataset", dataset)
+    monkeypatch.setattr(pareto, "front_dataset", dataset)
 
 
 def test_rows_begin_at_the_best_point_within_their_limit(given, monkeypatch):

@@ -102,8 +102,8 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkey
     for module, name, value in (
         (verification, "tests", nothing), (of_search, "replaced", lambda *_: (scenario, None)),
         (verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
-        (margins, "find", nothing), (of_search, "_with_joint_gains", nothing), (worths, "differences", nothing),
-        (of_search, "_scored", lambda _, metrics: {"objective": metrics}), (retuned_pd, "joint_of", lambda _: joint),
+        (margins, "find", nothing), (of_search, "with_joint_gains", nothing), (worths, "differences", nothing),
+        (of_search, "scores_of", lambda _, metrics: {"objective": metrics}), (retuned_pd, "joint_of", lambda _: joint),
         (retuned_pd, "rival_of", nothing), (worths, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
