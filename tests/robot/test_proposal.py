@@ -327,7 +327,7 @@ def test_what_the_first_walks_show_is_said(saved, monkeypatch, ended):
     monkeypatch.setattr(first_walks, "on_ceiling", lambda scenario, *_: (False, "lets go"))
     code, out, err = ended(saved(dog()))
     words = " ".join(err.split())
-    assert re.search(r"48 walks of [\d,]+ time steps: about .* on one core, once compiled .*: 15 of 48 walks", words)
+    assert re.search(r"47 walks of [\d,]+ time steps: about .* on one core, once compiled .*: 15 of 47 walks", words)
     assert code == 0 and "kp: 77.0\n  kd: 0.7\n" in out
     for line in ("changed +kp 77, kd 0.7 +found", "taken +walk +holds", "warning +ceiling +lets go",
                  r"warning +load +1e\+04 N on one foot, 67 times its weight on Earth"):  # fmt: skip
