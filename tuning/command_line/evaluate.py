@@ -65,7 +65,6 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
         from mjx_climb.files import dataset
         from mjx_climb.scenario.messages import ConfigError
         from mjx_climb.viz import plots
-        from tuning.command_line.session import from_page
         from tuning.comparisons import linear_margins
         from tuning.comparisons import margins as evaluation
         from tuning.gains.gains_file import apart, by_name
@@ -105,7 +104,7 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
                 dataset.save(found.walks, out / "margins.nc")
                 figure = pages.plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
                 plots.save_figure(figure, out / "margins", output.figures)
-        shell.show(from_page(pages.margins_table(found, stable)), *(f"warning: {line}" for line in warnings))
+        shell.show(pages.margins_table(found, stable), *(f"warning: {line}" for line in warnings))
         pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
         shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
 

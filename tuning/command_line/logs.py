@@ -44,7 +44,6 @@ def excite(
       mjx-climb excite case_1_1 --base free --fit contact.stiffness --fit contact.damping --json
     """
     with output.session() as shell:
-        from tuning.command_line.session import from_page
         from tuning.identification.plan import excitation
         from tuning.identification.plan import output as written
         from tuning.numbers import to_json
@@ -62,7 +61,7 @@ def excite(
         where = origin(walk.config.stem, repeated(("excite",), *options))
         how: dict[str, Any] = {"figures": output.figures, "sections": shell.sections, "stage": shell.stage}
         files = write(found, shell.out, origin=where, settings=settings, **how).files
-        shell.show(from_page(written.table(found)), from_page(written.limits(found)))
+        shell.show(written.table(found), written.limits(found))
         shell.show(*written.notes(found), found.best.information.unseen())
         shell.written(files, to_json(written.summary(found)))
 
@@ -142,7 +141,6 @@ def identify(
       mjx-climb identify case_1_1 --log sway.csv --fit contact.stiffness --base free
     """
     with output.session() as shell:
-        from tuning.command_line.session import from_page
         from tuning.identification.fit import identify as fitting
         from tuning.identification.fit.output import FILE
         from tuning.identification.fit.report import findings, table
@@ -162,7 +160,7 @@ def identify(
         keeping = contextlib.nullcontext() if output.out is None else shell.keeping("iterations")
         with keeping, shell.stage("fit", unit="iterations", keeps=True) as show:
             found = fitting.identify(scenario, progress=show, out=output.out, **dict(asked) | {"log": log})
-        shell.show(from_page(table(found)), *findings(found).lines)
+        shell.show(table(found), *findings(found).lines)
         if output.out is not None:
             from tuning.kinds import write  # with all searches
 
@@ -235,18 +233,23 @@ def walked_under_law(found: "Replay", loaded: "Problem", shell: "Session") -> di
     """Walk under the law with the pushes that were logged, and print and return the metrics of both walks."""
     from tuning import numbers
     from tuning.command_line.run import verdict
-    from tuning.command_line.session import plain_table
+    from tuning.pages.table import Table
 
     with shell.stage("law on the logged pushes"):
         pushes = [push.model_dump() for push in found.scenario.disturbance.pushes]
         changes: dict[str, Any] = {"disturbance.pushes": pushes, "duration": found.scenario.duration}
         walked = mc.rollout(loaded.scenario.with_overrides(changes), law=loaded.law, engine=loaded.engine)
-    walks = {"law": walked, "logged commands": found.walk}
-    metrics = {name: dict(mc.metrics(walk, loaded.metrics)) for name, walk in walks.items()}
-    table = plain_table("metric", *metrics, "unit")
-    for name in metrics["law"]:
-        cells = (numbers.number(values[name]) for values in metrics.values())
-        table.add_row(loaded.metrics.in_words(name), *cells, numbers.unit(name, loaded.metrics))
+    walks, about = {"law": walked, "logged commands": found.walk}, loaded.metrics
+    metrics = {name: dict(mc.metrics(walk, about)) for name, walk in walks.items()}
+    rows = [
+        [
+            about.in_words(name),
+            *(numbers.number(values[name]) for values in metrics.values()),
+            numbers.unit(name, about),
+        ]
+        for name in metrics["law"]
+    ]
+    table = Table("", ["metric", *metrics, "unit"], [("", rows)], 1)
     shell.show(table, *(f"{name}: {verdict(walks[name], values)}" for name, values in metrics.items()))
     return metrics
 
@@ -258,13 +261,12 @@ def _write(
     from mjx_climb.files import dataset
     from mjx_climb.viz import plots
     from tuning import numbers
-    from tuning.command_line.session import plain_table
     from tuning.identification.model.replay_picture import plot_replay
     from tuning.identification.readers.log import unit_of
+    from tuning.pages.table import Table
 
-    table = plain_table("signal", "rms error", "largest", "at s", "moved", "unit")
-    for name, error in found.errors.items():
-        table.add_row(name, *(numbers.number(value) for value in error[:4]), unit_of(name))
+    rows = [[name, *map(numbers.number, error[:4]), unit_of(name)] for name, error in found.errors.items()]
+    table = Table("", ["signal", "rms error", "largest", "at s", "moved", "unit"], [("", rows)], 1)
     shell.show(table, *found.warnings, f"base {found.base}; moved: standard deviation of what was logged")
     by_signal = {name: {**error._asdict(), "unit": unit_of(name)} for name, error in found.errors.items()}
     whole = {"base": found.base, "signals": by_signal, "warnings": [*found.log.warnings, *found.warnings]}

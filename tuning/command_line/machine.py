@@ -68,7 +68,8 @@ def bench(asked: Bench, output: Annotated[Output, "json_only"]) -> None:
             raise InputError(f"--batch: expected a multiple of 4, got {asked.batch}")
         from tuning import numbers
         from tuning.benchmarks import measure
-        from tuning.command_line.session import duration, plain_table
+        from tuning.command_line.session import duration
+        from tuning.pages.table import Table
 
         begin = time.perf_counter()
 
@@ -82,16 +83,12 @@ def bench(asked: Bench, output: Annotated[Output, "json_only"]) -> None:
         waited = commands.measure(names, say)
         result["waits"] = {name: seconds._asdict() for name, seconds in waited.items()}
         say("done")
-        figures = plain_table("measure", "value", "unit", "goal on two cores")
-        for key, label, unit, goal in ROWS:
-            figures.add_row(label, numbers.number(result[key]), unit, goal)
-        waits = plain_table("command", "cold s", "warm s", "CPU s, cold", "CPU s, warm", "goal, cold", "goal, warm")
-        for name, *goals in WAITS:
-            if name in waited:
-                waits.add_row(name, *map(numbers.number, waited[name]), *goals)
+        figures = [[label, numbers.number(result[key]), unit, goal] for key, label, unit, goal in ROWS]
+        waits = [[name, *map(numbers.number, waited[name]), *goals] for name, *goals in WAITS if name in waited]
+        heads = ["command", "cold s", "warm s", "CPU s, cold", "CPU s, warm", "goal, cold", "goal, warm"]
         shell.show(
-            figures,
-            waits,
+            Table("", ["measure", "value", "unit", "goal on two cores"], [("", figures)], 1),
+            Table("", heads, [("", waits)], 1),
             f"batch {asked.batch}, engine {asked.engine}, beside mujoco {result['versions']['mujoco']}, "
             f"{result['threads']} threads of {result['processor']}, "
             f"JAX on {', '.join(sorted(set(result['devices'])))}; load average at the end {result['load_average']:.1f}",

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from pydantic import AfterValidator, BeforeValidator
@@ -21,12 +21,6 @@ from tuning.command_line.options import (
 )
 from tuning.command_line.program import InputError, origin, user_error
 from tuning.problem.settings import Options, setting
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from tuning.reproduce.results import Found
-
 
 _BESIDE = "config.yaml"  # of a search, beside its gains
 
@@ -122,7 +116,7 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
     """
     with output.session() as shell:
         from mjx_climb.files import dataset
-        from tuning.command_line.session import WIDTH, console
+        from tuning.command_line.session import WIDTH, console, print_on
         from tuning.numbers import to_json
         from tuning.pages import page
         from tuning.reproduce import results
@@ -134,47 +128,19 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
             text = to_json(results.as_json(found))
             dataset.write_text_atomically(out / "reproduce.json", text + "\n")
             dataset.write_text_atomically(out / "paper.md", results.as_markdown(found))
+            said: list[Any] = [*results.tables(found), *results.lines(found)]
             with (captured := console()).capture() as capture:
                 captured.width = WIDTH
-                show(found, captured)
+                print_on(captured, *said)
             dataset.write_text_atomically(out / "tables.txt", capture.get())
             with shell.stage("report", compiles=False):
                 made = results.page(found, out, origin("the paper's cases", "mjx-climb reproduce --out again"))
                 page.write(made, out)
             count = len(list(out.glob("*.nc")))
 
-        show(found, shell.tables)
+        shell.show(*said)
         files = "report.html, reproduce.json, tables.txt, paper.md, figures (.png), scenarios (.yaml)"
         shell.written(f"{files}, {count} walks (.nc)", text)
-
-
-def show(found: "Found", console: "Console") -> None:
-    """Print the tables and sentences."""
-    from rich import box
-    from rich.table import Table
-
-    from tuning.reproduce import results
-
-    for made in results.tables(found):
-        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-        for number, name in enumerate(made.columns):
-            words = number == 0 or name == "unit"
-            header, whole = name if number == 0 else name.replace(" ", "\n"), number > 0 or bool(made.sections[0][0])
-            table.add_column(header, justify="left" if words else "right", no_wrap=whole)
-        for heading, rows in made.sections:
-            if heading:
-                table.add_row(heading.split(":")[0], end_section=False, style="bold")
-            for row in rows:
-                table.add_row(*row, end_section=row is rows[-1])
-        console.print(table)
-    for line in results.overall(found):
-        console.print(line)
-    console.print()
-    for heading, said in results.sentences(found).items():
-        console.print(heading)
-        for sentence in said:
-            console.print(f"  {sentence}")
-        console.print()
 
 
 def _identifier(name: str) -> str:

@@ -234,18 +234,18 @@ def _written(
 def show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:
     """Print the metrics of a walk, and of the one beside it where there is one, and how they went."""
     from tuning import numbers
-    from tuning.command_line.session import comparison_table, plain_table
+    from tuning.command_line.session import comparison_table
     from tuning.comparisons.judge import without_sensors
     from tuning.comparisons.remedies import remedies
     from tuning.comparisons.side_by_side import gains_of
+    from tuning.pages.table import Table
 
     (name, *rivals), about, law = metrics, loaded.metrics, loaded.law
     verdicts = {name: verdict(walks[name], values) for name, values in metrics.items()}
     if not rivals:
-        table = plain_table("metric", "value", "unit")
-        for metric, value in numbers.presentable(metrics[name]).items():
-            table.add_row(about.in_words(metric), numbers.number(value), numbers.unit(metric, about))
-        shell.show(table, *verdicts.values())
+        shown = numbers.presentable(metrics[name])
+        rows = [[about.in_words(key), numbers.number(value), numbers.unit(key, about)] for key, value in shown.items()]
+        shell.show(Table("", ["metric", "value", "unit"], [("", rows)], 1), *verdicts.values())
     else:
         compared = {name: (gains_of(walks[name]), values) for name, values in metrics.items()}
         shell.show(comparison_table(compared, rivals[0], shell.tables.width, about, law))

@@ -35,8 +35,8 @@ def runs(place: Place, output: Annotated[Output, "-figures", "-sections"]) -> No
       mjx-climb runs --json
     """
     with output.session() as shell:
-        from tuning.command_line.session import plain_table
         from tuning.pages import runs as pages
+        from tuning.pages.table import Table
         from tuning.results.result import RESULTS
 
         if not place.folder.is_dir():
@@ -44,14 +44,8 @@ def runs(place: Place, output: Annotated[Output, "-figures", "-sections"]) -> No
         found = pages.below(place.folder, interruption.check)
         if not found:
             raise InputError(f"{place.folder}: expected results below it ({', '.join(RESULTS)}), got none")
-        table = plain_table("when", "folder", "differs in", "verdict")
-        for column in table.columns:
-            column.justify, column.overflow = "left", "fold"
-        for column in table.columns[1:]:
-            column.no_wrap = False
-        for run in found:
-            table.add_row(f"{run.when:%Y-%m-%d %H:%M}", run.name, run.differs, run.said)
-        shell.show(table)
+        rows = [[f"{run.when:%Y-%m-%d %H:%M}", run.name, run.differs, run.said] for run in found]
+        shell.show(Table("", ["when", "folder", "differs in", "verdict"], [("", rows)], 4))
         if output.out is not None:
             shell.say(f"written to {pages.write(found, place.folder, output.out)}")
         shell.print_json(dumps([run.plain for run in found], indent=1))

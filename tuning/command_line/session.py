@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 WIDTH = 100  # of tables in a file, unless their numbers need more
 _WIDEST = 100_000  # columns
-WORDS = ("", "metric", "unit", "measure", "signal", "command", "goal on two cores")  # columns that hold no numbers
+LONGEST_WORD = 40  # characters of names that are not broken
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 COMPILED = "/jax/core/compile/backend_compile_duration"  # or loaded, which an event before it says
@@ -223,14 +223,9 @@ class Session:
         for line in lines:
             self.console.print(line, soft_wrap=True)
 
-    def show(self, *results: "str | Table") -> None:
+    def show(self, *results: "str | page.Table") -> None:
         """Print tables and lines of the result."""
-        for result in results:
-            if isinstance(result, Table):  # no number is cut: a table that is wider than the terminal wraps
-                least = Measurement.get(self.tables, self.tables.options.update(max_width=_WIDEST), result).minimum
-                self.tables.print(result, width=max(self.tables.width, least), crop=False, no_wrap=True)
-            else:
-                self.tables.print(result, soft_wrap=True)
+        print_on(self.tables, *results)
 
     def print_json(self, text: str) -> None:
         """Print JSON where it was asked for."""
@@ -270,11 +265,11 @@ class Session:
         how |= {"origin": origin(self.name, again), "settings": self.settings}
         written, problem = kinds.write(found, self.out, **how), found.problem
         if written.tables:
-            self.show(*map(from_page, written.tables))
+            self.show(*written.tables)
         else:
             self.show(comparison_table(written.compared, "pd", self.tables.width, problem.metrics, problem.law))
             if found.search is not None:
-                self.show(from_page(comparison.gains_table(written.compared, problem.law)))
+                self.show(comparison.gains_table(written.compared, problem.law))
         self.show(*written.outcome)
         self.written(written.files, written.summary, before)
 
@@ -398,24 +393,30 @@ def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
     return made
 
 
-def plain_table(*columns: str) -> Table:
-    """Return an empty table: words to the left, numbers to the right."""
+def print_on(console: Console, *results: "str | page.Table") -> None:
+    """Print tables and lines; no number is cut: a table that is wider than the terminal wraps."""
+    for result in results:
+        if isinstance(result, str):
+            console.print(result, soft_wrap=True)
+            continue
+        table = drawn(result)
+        least = Measurement.get(console, console.options.update(max_width=_WIDEST), table).minimum
+        console.print(table, width=max(console.width, least), crop=False, no_wrap=True)
+
+
+def drawn(made: "page.Table") -> Table:
+    """Return a table for the terminal: where it is too wide, long names break, not numbers or words."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
-    for name in columns:
-        table.add_column(name, justify="left" if name in WORDS else "right", no_wrap=True)
-    return table
-
-
-def from_page(made: "page.Table") -> Table:
-    """Return a table of a report for the terminal: where it is too wide, long names break, not numbers or words."""
-    table, every = plain_table(*made.columns), [row for _, rows in made.sections for row in rows]
-    for place, column in enumerate(table.columns):
+    every = [row for _, rows in made.sections for row in rows]
+    for place, name in enumerate(made.columns):
         words = place < made.words
-        column.header = broken(made.columns[place])
-        column.justify, column.no_wrap, column.overflow = "left" if words else "right", False, "fold"
         each = [part for row in every for part in (row[place].split() if words else [row[place]])]
-        column.min_width = max(map(len, each), default=1)
-    for _, rows in made.sections:
+        least = min(max(map(len, each), default=1), LONGEST_WORD if words else _WIDEST)
+        justify: Any = "left" if words or name == "unit" else "right"
+        table.add_column(broken(name), justify=justify, overflow="fold", min_width=least)
+    for heading, rows in made.sections:
+        if heading:
+            table.add_row(heading.partition(":")[0], style="bold")
         for row in rows:
             table.add_row(*row, end_section=row is rows[-1])
     return table
@@ -431,13 +432,13 @@ def broken(name: str, width: int = 12) -> str:
 
 def comparison_table(
     walks: "Compared", baseline: str, width: int, about: "mc.MetricTable", law: "mc.Law | None" = None
-) -> Table:
+) -> "page.Table":
     """Return walks side by side, each with its change against the baseline where `width` characters have room."""
     from tuning.pages import comparison
 
     others = (None, baseline) if baseline in walks and width >= 38 + 19 * (len(walks) - 1) else (None,)
     columns = [(name, other) for name in walks for other in others if other != name]
-    return from_page(comparison.table(walks, "", about, law, columns))
+    return comparison.table(walks, "", about, law, columns)
 
 
 def duration(seconds: float) -> str:

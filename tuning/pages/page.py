@@ -12,6 +12,7 @@ import jinja2
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from tuning.numbers import plain
+from tuning.pages.table import Table as Table
 
 NAME = "report.html"
 HERE = Path(__file__).parent
@@ -25,15 +26,6 @@ ENVIRONMENT.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_na
 ENVIRONMENT.filters["plain"] = plain
 ENVIRONMENT.filters["sentence"] = lambda line: f"{line[:1].upper()}{line[1:]}".removesuffix(".") + "."
 ENVIRONMENT.filters["base64"] = lambda file: base64.b64encode(file.read_bytes()).decode()
-
-
-class Table(NamedTuple):
-    """A table as text; sections are runs of rows with a heading. The first `words` columns are not numbers."""
-
-    caption: str
-    columns: Sequence[str]
-    sections: Sequence[tuple[str, Sequence[Sequence[str]]]]
-    words: int = 2
 
 
 class Part(NamedTuple):

@@ -1,5 +1,6 @@
 """The results of a reproduction of the paper: walks, tables, sentences, and the page that shows them."""
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -193,6 +194,12 @@ def sentences(found: Found) -> dict[str, list[str]]:
         for case, what in found.items()
         for reading, verdicts in what.verdicts.items()
     }
+
+
+def lines(found: Found) -> list[str]:
+    """Return the verdicts and the sentence on each claim, in lines for a terminal."""
+    said = [[heading, *(f"  {sentence}" for sentence in each), ""] for heading, each in sentences(found).items()]
+    return [*overall(found), "", *itertools.chain.from_iterable(said)]
 
 
 def as_markdown(found: Found) -> str:

@@ -14,7 +14,6 @@ import mjx_climb as mc
 from mjx_climb.walks import LINES, histories
 from tests.shell import finish
 from tuning import numbers
-from tuning.command_line import session
 from tuning.command_line.options import Output
 from tuning.command_line.session import Session
 from tuning.comparisons import verification
@@ -610,5 +609,5 @@ def test_no_number_of_a_table_is_cut(terminal):
     file = io.StringIO()
     file.isatty = lambda: terminal
     shell = Session(file, Output())
-    shell.show(session.from_page(made))
+    shell.show(made)
     assert all(cell in file.getvalue() for cell in cells)
