@@ -145,56 +145,51 @@ class Rivals(Files, Judge):
     def work(self, walk: Walk) -> "Draw":
         """Return the walks of the gains."""
         from tuning.comparisons.judge import draw_of
+
+        return draw_of(*self.asked(walk), self.members)
+
+    def asked(self, walk: Walk) -> "tuple[Problem, dict[str, Whole], Ensemble]":
+        """Return the walk, the gains by name and the ensemble."""
         from tuning.problem.ensemble import Ensemble
 
         loaded = walk.load()
-        named = self.named(loaded)
-        ensemble = Ensemble.load(shipped.found(self.ensemble))
-        return draw_of(loaded, named, ensemble, self.members)
+        return loaded, self.named(loaded), Ensemble.load(shipped.found(self.ensemble))
 
-    def said(self, work: "Draw", here: int, _: int) -> list[str]:
+    def said(self, work: Any, here: int, _: int) -> list[str]:
         """Return how many walks there are."""
         return [f"{here} members, {len(work.gains) + 1} walks of {work.problem.scenario.steps} steps each"]
 
 
-class Worse(Files, Judge):
-    """On which worse hardware gains are evaluated."""
+class Worse(Rivals):
+    """The worse hardware on which gains are evaluated."""
 
-    gains: tuple[Path, ...] = setting(..., "gains file to evaluate", metavar="FILE")
     worse: tuple[str, ...] = setting(
         (),
         "walk on worse hardware too: a factor, as delay=x2, a key of the section hardware, as backlash=0.01, or a path",
         metavar="KEY=VALUE",
     )
-    ensemble: Path = setting(Path("ensemble"), ENSEMBLE, metavar="FILE", complete="ensemble")
-
-    @property
-    def shard(self) -> None:
-        """None: all walks are this machine's."""
 
     def work(self, walk: Walk) -> "Worsened":
         """Return the walks of the gains in all settings."""
         from mjx_climb.scenario.messages import ConfigError
         from tuning.comparisons.degraded import draw_of
-        from tuning.problem.ensemble import Ensemble
 
-        loaded, ensemble = walk.load(), Ensemble.load(shipped.found(self.ensemble))
-        named = self.named(loaded)
+        asked = self.asked(walk)
         try:
-            return draw_of(loaded, named, ensemble, self.worse, self.members)
+            return draw_of(*asked, self.worse, self.members)
         except ConfigError as error:
             words = {name: getattr(error, name).removeprefix("worse").removeprefix(": ") for name in ("key", "reason")}
             raise error.moved(source="--worse", **words) from None
         except ValueError as error:
             raise InputError(f"--worse: {error}") from None
 
-    def said(self, work: "Worsened", here: int, _: int) -> list[str]:
+    def said(self, work: Any, here: int, _: int) -> list[str]:
         """Return how many walks there are."""
         each = f"{self.members} members of {work.problem.scenario.steps} steps each"
         return [f"{len(work.settings)} settings, {len(work.gains) + 1} walks of {each}"]
 
 
-def worse(asked: Worse, walk: Annotated[Walk, "-gains"], output: Output) -> None:
+def worse(asked: Annotated[Worse, "-shard"], walk: Annotated[Walk, "-gains"], output: Output) -> None:
     """Walk gains through unseen members as drawn, and on worse hardware, one thing at a time."""
     files = ["evaluate", "--ensemble", "ensemble.yaml"]
     again = repeated(files, "--gains", "--retuned-pd", "--worse", "--members", "--engine")

@@ -22,7 +22,6 @@ from mjx_climb.disturbances.on_base import Cargo as OwnCargo
 from mjx_climb.disturbances.on_base import Push
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import MAX_DELAY
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 from tuning.problem.variations import (
     PERIOD,
@@ -309,16 +308,11 @@ def _hardware(
 ) -> dict[str, Change]:
     """Return the changes of the members' hardware, (members, 1) each."""
     drawn: dict[str, Change] = {}
-    longest, fastest, paths = MAX_DELAY * scenario.time_step, 1 / scenario.time_step, own.paths
-    for name in ("force_delay", "command_delay"):
-        if (span := getattr(hardware, name)) is not None and span[1] > longest:
-            most = f"{MAX_DELAY} time steps, {longest:g} s"
-            raise ConfigError("", f"hardware.{name}", f"at most {most}", f"{span[1]:g}")
+    fastest = 1 / scenario.time_step
     for name, path in _OF_HARDWARE.items():
         if (span := getattr(hardware, name)) is None:
             continue
-        if path not in paths:
-            raise refused(path, own, f"hardware.{name}")
+        checked(scenario, own, {path: span[1]}, f"hardware.{name}")
         drawn[path] = uniform(span, logs=name == "force_filter")
     if (rate := hardware.control_rate) is not None:
         if rate[1] > fastest * (1 + 1e-9):

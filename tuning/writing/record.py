@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from pydantic import BaseModel
 
 import mjx_climb as mc
 from mjx_climb.execution.contents import Unidentifiable
@@ -57,10 +58,12 @@ def settings_of(problem: Problem, command: str, **asked: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return an array, a gain of a file, as lists of numbers."""
+    """Return settings as a mapping, and an array, a gain of a file, as lists of numbers."""
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return value.tolist()
-    raise TypeError(f"expected an array, got {type(value).__name__}")
+    raise TypeError(f"expected settings or an array, got {type(value).__name__}")
 
 
 def without_machine(identity: Settings) -> dict[str, Any]:
