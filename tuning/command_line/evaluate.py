@@ -71,7 +71,6 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
         from tuning.numbers import to_json
         from tuning.pages import margins as pages
         from tuning.results.config_file import write_config
-        from tuning.writing.record import settings_of
 
         loaded = walk.load()
         law = loaded.law
@@ -87,7 +86,7 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
             others["config"] = evaluation.Walker(None if config == loaded.scenario else law_of(config), {})
         if joint := asked.joint_gains():
             others["retuned pd"] = evaluation.Walker(PD(), joint)
-        shell.take(walk, "margins.json", settings_of(loaded, "margins", **known, retuned_pd=joint), "margins")
+        shell.take(walk, "margins.json", loaded, "margins", **known, retuned_pd=joint)
         how: dict[str, Any] = {"law": law, "asked": quantities, "engine": walk.engine}
         with shell.whole() as out:
             scenario = write_config(loaded.scenario, out, law)
@@ -290,7 +289,6 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
         from mjx_climb.scenario.messages import ConfigError
         from tuning.gains.gains_file import Whole, by_name
         from tuning.searches import ceiling as bounds
-        from tuning.writing.record import settings_of
 
         loaded = walk.load()
         check_metrics(Search(weights=search.weights, limits=search.limits), loaded.metrics, "--weight, --limit")
@@ -298,9 +296,8 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
         if loaded.law is not None or loaded.scenario.control.controller != "pd":
             laws["config"] = Whole(loaded.law or law_of(loaded.scenario), {})
         known = {name: {"law": repr(each.law), "gains": by_name(each.gains)} for name, each in laws.items()}
-        own = {"search": search.model_dump(mode="json"), "gains": known}
-        settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "ceiling", **own)
-        shell.take(walk, "ceiling.nc", settings, "ceiling")
+        walked = dataclasses.replace(loaded, ensemble=ensemble)
+        shell.take(walk, "ceiling.nc", walked, "ceiling", search=search, gains=known)
         shell.opening(loaded.scenario)
         with shell.stage("ceiling", unit="gradients") as told:
 

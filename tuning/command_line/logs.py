@@ -47,12 +47,10 @@ def excite(
         from tuning.identification.plan import excitation
         from tuning.identification.plan import output as written
         from tuning.numbers import to_json
-        from tuning.writing.record import settings_of
 
         loaded = fitted(walk, "excite")
         rig = excitation.set_up(loaded.scenario, asked)
-        settings = settings_of(loaded, "excite", asked=asked.model_dump(mode="json"))
-        shell.claim(written.FILE, walk.config.stem, "excite", *walk.words, settings=settings, varied=walk.varied)
+        shell.take(walk, written.FILE, loaded, "excite", asked=asked)
         shell.opening()
         found = excitation.chosen(rig, stage=shell.stage)
         from tuning.kinds import write  # with all searches
@@ -60,7 +58,7 @@ def excite(
         options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
         where = origin(walk.config.stem, repeated(("excite",), *options))
         how: dict[str, Any] = {"figures": output.figures, "sections": shell.sections, "stage": shell.stage}
-        files = write(found, shell.out, origin=where, settings=settings, **how).files
+        files = write(found, shell.out, origin=where, settings=shell.settings, **how).files
         shell.show(written.table(found), written.limits(found))
         shell.show(*written.notes(found), found.best.information.unseen())
         shell.written(files, to_json(written.summary(found)))
@@ -208,7 +206,6 @@ def replay(
     with output.session() as shell:
         from tuning.identification.model import replay as replays
         from tuning.results.config_file import write_config
-        from tuning.writing.record import settings_of
 
         loaded = walk.load_with_gains()
         pictures.check(loaded.scenario)
@@ -216,8 +213,7 @@ def replay(
         if asked.with_law and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
             raise InputError(f"--with-law: expected pushes in {log.source} (base.force.x ...), got none")
         prepared = replays.prepare(log, loaded.scenario, asked.base, asked.mass)
-        settings = settings_of(loaded, "replay", asked=asked.settings(log))
-        shell.claim("replay.json", walk.config.stem, "replay", *walk.words, settings=settings, varied=walk.varied)
+        shell.take(walk, "replay.json", loaded, "replay", asked=asked.settings(log))
         asked.say_read(log, shell)
         shell.opening()
         with shell.stage("replay"):

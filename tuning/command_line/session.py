@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from tuning.pages import page
     from tuning.pages.contents import Contents
     from tuning.pages.section import SectionOf
+    from tuning.problem.evaluation import Problem
     from tuning.results.result import Result
 
 WIDTH = 100  # of tables in a file, unless their numbers need more
@@ -204,13 +205,22 @@ class Session:
         """Let other commands have the folder."""
         self._held.close()
 
-    def take(self, walk: Walked, file: str, settings: Mapping[str, Any], *kind: str, **how: Any) -> Path:
-        """Take the folder of a result of some walk, named after its config and the options in place of the config's.
+    def take(
+        self, walk: Walked, file: str, problem: "Problem", command: str, *words: str, team: "Team | None" = None,
+        shard: bool = False, **asked: Any,
+    ) -> Path:  # fmt: skip
+        """Take the folder of a command's result, named after config, command (or `words`) and options in their place.
 
-        `how` as of `claim`.
+        Arguments:
+            walk, problem: the walk as typed, and as loaded.
+            team, shard: as of `claim`.
+            asked: all else that the result depends on.
         """
-        words = walk.config.stem, *kind, *walk.words
-        return self.claim(file, *words, settings=settings, varied=walk.varied, **how)
+        from tuning.writing.record import settings_of
+
+        name, *rest = walk.config.stem, *(words or (command,)), *walk.words
+        settings = settings_of(problem, command, **asked)
+        return self.claim(file, name, *rest, settings=settings, varied=walk.varied, team=team, shard=shard)
 
     def whole(self) -> "contextlib.AbstractContextManager[Path]":
         """Give an empty folder, whose files become those of the result once the block ends well."""

@@ -140,10 +140,10 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
         from tuning.writing import record
 
         work, (file, word, stage, unit) = asked.work(walk), ROWS[kind]
-        settings = record.settings_of(work.problem, kind, rows=record.without_machine(work.identity()))
-        out = shell.take(walk, file, settings, word, team=team, shard=part is not None)
+        asked_rows = record.without_machine(work.identity())
+        out = shell.take(walk, file, work.problem, kind, word, team=team, shard=part is not None, rows=asked_rows)
         about = {"again": typed_but("--shard", shards.SHARD), "name": walk.config.stem, "repeat": again}
-        about["settings"] = dumps(settings)  # for the folder of the merged result
+        about["settings"] = dumps(shell.settings)  # for the folder of the merged result
         rows = shards.Rows(work, out, part, about)
         here, there, folder = len(rows.rows), rows.there, rows.folder or out
         said = [*asked.said(work, here, there), which, team.said, f"{there} are there already" if there else ""]

@@ -98,14 +98,12 @@ def pareto(asked: Pareto, search: _OfFront, file: SearchFile, walk: _FromConfig,
     """Search the front of two metrics."""
     with output.session(walks=True) as shell:
         from tuning.searches import pareto as fronts
-        from tuning.writing.record import settings_of
 
         loaded = walk.load()
         wanted, space = file.settings(search, loaded, walk.config)
         for option, name in (("--better", asked.better), ("--against", asked.against)):
             check_metrics(Search(weights={name: 1.0}), loaded.metrics, option)
-        own = {"search": wanted.model_dump(mode="json"), "front": asked.model_dump(mode="json")}
-        folder = shell.take(walk, "front.nc", settings_of(loaded, "pareto", **own), "pareto")
+        folder = shell.take(walk, "front.nc", loaded, "pareto", search=wanted, front=asked)
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, "--better"):
             problem = fronts.problem_of(loaded.scenario, wanted, asked, space=space, **loaded.walks)
@@ -120,12 +118,10 @@ def schedule(asked: Over, search: _OfPoints, file: SearchFile, walk: _FromConfig
     """Tune gains for every operating point, all side by side in one batch."""
     with output.session(walks=True) as shell:
         from tuning.searches import schedule as schedules
-        from tuning.writing.record import settings_of
 
         loaded = walk.load()
         points, (wanted, space) = asked.points(loaded.scenario), file.settings(search, loaded, walk.config)
-        own = {"search": wanted.model_dump(mode="json"), "operating_points": points.model_dump(mode="json")}
-        folder = shell.take(walk, "schedule.nc", settings_of(loaded, "schedule", **own), "schedule")
+        folder = shell.take(walk, "schedule.nc", loaded, "schedule", search=wanted, operating_points=points)
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, walk.config):
             problem = schedules.operating_points(loaded.scenario, wanted, points, space=space, **loaded.walks)
@@ -166,10 +162,9 @@ def compare(
             raise error.moved(key=in_options("law" if error.key == "laws" else error.key, Laws)) from None
         each = {name: settings_of(Problem(one.scenario, law=one.law), "law") for name, one in laws.items()}
         seeds = comparing.seeds_for(wanted, asked.seeds)
-        record = {"search": wanted.model_dump(mode="json"), "members": members, "seeds": seeds, "laws": each}
-        loaded = dataclasses.replace(loaded, own_method=method)
-        settings = settings_of(dataclasses.replace(loaded, ensemble=ensemble), "compare", **record)
-        folder = shell.take(walk, "compared.nc", settings, "laws")
+        record: dict[str, Any] = {"search": wanted, "members": members, "seeds": seeds, "laws": each}
+        walked = dataclasses.replace(loaded, own_method=method, ensemble=ensemble)
+        folder = shell.take(walk, "compared.nc", walked, "compare", "laws", **record)
         shell.opening(loaded.scenario, *paired.without_interval(members, ensemble.worst, seeds=seeds))
         with shell.stage("baseline"), file.naming(search, walk.config):
             walks = {"metrics": loaded.metrics, "engine": loaded.engine, "own_method": method}
@@ -272,10 +267,9 @@ def tune(
         seeds = asked.seeds or 1
         if seeds > 1 and wanted.method == "grid":
             raise InputError(f"--seeds: expected 1 of a grid, which draws nothing, got {seeds}")
-        own = {"search": wanted.model_dump(mode="json"), "judges": many.test_members}
-        own |= {"seeds": seeds} if seeds > 1 else {}
-        settings = record.settings_of(dataclasses.replace(loaded, ensemble=drawn), kind, **own)
-        folder = shell.take(walk, "search.nc", settings, kind, word, wanted.space, team=team)
+        own: dict[str, Any] = {"search": wanted, "judges": many.test_members} | ({"seeds": seeds} if seeds > 1 else {})
+        walked, words = dataclasses.replace(loaded, ensemble=drawn), (kind, word, wanted.space)
+        folder = shell.take(walk, "search.nc", walked, kind, *words, team=team, **own)
         judges, worst = many.test_members or Judge().members, None if drawn is None else drawn.worst
         lacks = [] if drawn is None else paired.without_interval(judges, worst, tails=False)
         shell.opening(loaded.scenario, *lacks)
@@ -301,7 +295,7 @@ def tune(
                 # a whole result stays until all of this one is there
                 if (before := record.read(folder)) is not None and before.whole:
                     raise KeyboardInterrupt
-                kinds.write_found(found, folder, origin(name, again), settings)
+                kinds.write_found(found, folder, origin(name, again), shell.settings)
                 best = f"objective {found.value:.4f}, gains.yaml; the same command goes on from there"
                 raise Interrupted(f"the best of {shell.done} rounds is in {folder}: {best}")
             shell.result(found, again, begun)
