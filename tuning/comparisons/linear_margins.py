@@ -66,10 +66,11 @@ def find(
         values = quantity.on_steps(spaced(grid[0], worst, POINTS), scenario)
 
         def radii(some: np.ndarray, only: int | None = None, quantity: Quantity = quantity) -> np.ndarray:
-            return stability_limit.by_stance(
+            found = stability_limit.by_stance(
                 scenario, without_joint(gains), changes(own, quantity, some, joint),
                 only=only, hardware=stability_limit.HARDWARE, law=law, engine=engine,
             )  # fmt: skip
+            return np.broadcast_to(found, (len(some), found.shape[-1]))  # no disturbance but cargo is in the loop
 
         found[name] = Stable(crossing(values, radii, step), float(values[-1]))
         if progress is not None:
