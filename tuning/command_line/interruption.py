@@ -88,7 +88,7 @@ def check() -> None:
 
 @contextlib.contextmanager
 def at_once() -> Iterator[None]:
-    """Have the first signal end the process within a block of which nothing would be kept.
+    """Have the first signal end the process within a block that keeps nothing.
 
     Raises:
         KeyboardInterrupt: the program was asked to end before.

@@ -56,7 +56,7 @@ def propose(
 
     Raises:
         RobotError: a file that MuJoCo does not load, or one without a base and two limbs of two joints or more; limbs
-            some of which start and end higher than others, where nobody says which it stands on.
+            that do not start and end equally high, where nobody says which it stands on.
     """
     robot = Found(file, base, stand_on)
     model, limbs = robot.model, robot.limbs

@@ -135,5 +135,5 @@ def _naming(data: xr.Dataset, copied: mc.Scenario) -> xr.Dataset:
 
 
 def without_folders(text: str) -> str:
-    """Return a text in which absolute paths have lost their folders: these belong to one machine."""
+    """Return a text without the folders of absolute paths: these belong to one machine."""
     return re.sub(r"(?<![\w.:/-])(?:~|[A-Za-z]:)?[/\\](?:[^/\\\n'\"=]+[/\\])*(?=[^/\\\s])", "", text)
