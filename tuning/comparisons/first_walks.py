@@ -148,7 +148,7 @@ def slow_enough(scenario: Scenario, told: Told = lambda _: None) -> FirstWalk:
     broken = _walked(longer, {"gait.cycle": cycles[-1]}, smooth=False)
     if walked["upright"][-1] and broken["detached_limb"][0] >= 0:
         why = f"limb {_detached(scenario, broken)} lets go; a grip that held would pull {_pulled(scenario, walked)}"
-    elif walked["upright"][-1]:
+    elif walked["upright"][-1] or broken["missed_grips"][0]:
         why = f"{broken['missed_grips'][0]} grips miss the ground"
     elif walked["diverged"][-1]:
         why = "diverges, with grips that never let go too: see stance, joint limits and control"
