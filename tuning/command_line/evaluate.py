@@ -243,19 +243,17 @@ def pushes(asked: Pushes, walk: Annotated[Walk, "-gains", "-metrics"], output: A
     with output.session(walks=True) as shell:
         from mjx_climb.files import dataset
         from mjx_climb.viz import plots
-        from tuning.command_line.session import from_page
         from tuning.comparisons import pushes as search
         from tuning.gains.gains_file import by_name
         from tuning.pages import pushes as pages
         from tuning.pages.page import NAME
         from tuning.results.config_file import write_config
-        from tuning.writing.record import settings_of
 
         loaded = walk.load()
         walkers = asked.walkers(loaded)
         how: dict[str, Any] = {"lengths": asked.push_length, "largest": asked.largest_push, "draws": asked.push_draws}
         known = {name: {"law": repr(each.law), "gains": by_name(each.gains)} for name, each in walkers.items()}
-        shell.take(walk, "pushes.json", settings_of(loaded, "pushes", gains=known, **how), "pushes")
+        shell.take(walk, "pushes.json", loaded, "pushes", gains=known, **how)
         with shell.whole() as out:
             scenario = write_config(loaded.scenario, out, loaded.law)
             shell.opening(scenario)
@@ -271,7 +269,7 @@ def pushes(asked: Pushes, walk: Annotated[Walk, "-gains", "-metrics"], output: A
                                  "--largest-push", "--push-draws", "--engine")  # fmt: skip
                 made = origin(shell.name, again)._replace(pictures={pages.CAPTION: out / "pushes.png"})
                 pages.write_page(found, scenario, made, out)
-        shell.show(from_page(table), pages.verdict(found))
+        shell.show(table, pages.verdict(found))
         pictures = ", ".join(f"pushes.{kind}" for kind in sorted({*output.figures, "png"}))
         shell.written(f"pushes.json, pushes.nc, {pictures}, {NAME}, config.yaml", text)
 

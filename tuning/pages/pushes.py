@@ -82,7 +82,7 @@ def write_page(found: xr.Dataset, scenario: mc.Scenario, origin: Origin, folder:
     """Write the page of pushes into a folder."""
     said = Findings(verdict(found))
     table = pushes_table(found)
-    page.write(Page(f"Pushes, {origin.name}", origin, said, scenario, tables=[table], opened=[table]), folder)
+    page.write(Page("Pushes, {}", said, scenario, tables=[table], opened=[table]).at(origin), folder)
 
 
 @plots.style()
