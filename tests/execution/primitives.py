@@ -208,6 +208,12 @@ KNOWN = {
     "inv": lambda v, m, n: (jnp.linalg.inv(_well(m)), jnp.linalg.det(m[:3])),
     "inv of six": lambda v, m, n: jnp.linalg.inv(_of_six(v, m)),
     "qr": lambda v, m, n: (jnp.linalg.qr(_well(m)), jnp.linalg.qr(_well(m)[:, :2])),
+    "inertia of a robot": lambda v, m, n: jax.scipy.linalg.cho_solve(
+        jax.scipy.linalg.cho_factor(
+            5 * jnp.eye(18) + jnp.outer(jnp.cos(jnp.arange(18.0) * v[0]), jnp.arange(18.0) / 18)
+        ),
+        jnp.arange(18.0) * v[1],
+    ),
     "cholesky": lambda v, m, n: jnp.linalg.cholesky(m.T @ m + jnp.eye(3)),
     "convolve of a vector": lambda v, m, n: (
         jnp.convolve(v, m[0]),

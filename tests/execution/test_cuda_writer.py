@@ -100,13 +100,13 @@ CLOSES = {"contact.closing_time": 0.02, "contact.closing_force": 5.0, "contact.c
 WAITS = CLOSES | {"contact.kind": "uncertain", "contact.tested_pull": 20.0, "contact.tries": 1}
 
 
-def short_walk(case, steps, changes=None):
+def short_walk(case, steps, changes=None, engine="limb"):
     """Return a robot's walk that lifts, lands and is pushed, as a function of its arguments, and these."""
     push = {"start": 0.01, "stop": 0.05, "force": [3.0, 0.0, 1.0], "moment": [0.0, 0.5, 0.0]}
     gait = {"gait.cycle": 0.4, "gait.stride": 0.005, "gait.step_height": 0.002}
     scenario = case("case_1_2", "virtual_model", {**gait, "disturbance.pushes": [push], **(changes or {})}.items())
     found = resolve_in(scenario, law_of(scenario), None, None, np.float32)
-    shape = structure(scenario, "limb", found.parameters, law=found.law)._replace(steps=steps)
+    shape = structure(scenario, engine, found.parameters, law=found.law)._replace(steps=steps)
     return functools.partial(metrics_of, shape), (found.law, found.parameters)
 
 
@@ -247,6 +247,18 @@ def test_a_walk_in_cuda_c(carried_out, case, changes):
         # a pull is what is left of a foot's force along the normal, and has the rounding of that whole force
         rounding = 1e-4 * float(expected["peak_foot_force"]) if name == "peak_pull_force" else 1e-5
         np.testing.assert_allclose(mine, expected[name], rtol=1e-4, atol=rounding, err_msg=name)
+
+
+@pytest.mark.nightly
+def test_a_walk_by_mjx_in_cuda_c(carried_out, case):
+    """It factors and solves its inertia in the kernel."""
+    with jax.enable_x64(False):
+        walk, given = short_walk(case, 40, engine="mjx")
+        found = of_one(carried_out, walk, given)
+    expected = jax.jit(walk)(*jax.tree.map(doubled, given))
+    for name, mine in zip(sorted(expected), found, strict=True):
+        rounding = 1e-3 * float(expected["peak_foot_force"]) if name == "peak_pull_force" else 1e-4
+        np.testing.assert_allclose(mine, expected[name], rtol=1e-3, atol=rounding, err_msg=name)
 
 
 @pytest.mark.slow

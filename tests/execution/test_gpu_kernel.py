@@ -84,6 +84,19 @@ def test_the_kernel_is_written_for_gpus(case, law, without_nvrtc):
 
 
 @pytest.mark.slow
+def test_engine_mjx_is_one_kernel(case):
+    """Its inertia is solved without a library."""
+    scenario = case("case_1_2", "pd")
+    with jax.enable_x64(False):
+        found = resolve_in(scenario, law_of(scenario), None, None, np.float32)
+        shape = structure(scenario, "mjx", found.parameters, law=found.law)
+        program = jax.make_jaxpr(functools.partial(metrics_of, shape))(found.law, found.parameters)
+        text = gpu_kernel.written(gpu_kernel.body_of(program), (0,) * len(program.in_avals)).text
+    assert text.count("#pragma unroll 1") == 1
+    assert text.count("\n") < 12_000
+
+
+@pytest.mark.slow
 def test_tangents_are_written_for_gpus(case, without_nvrtc):
     """Tangents by gains of the law and of the joints are one kernel, whatever the number of directions."""
     directions = 5

@@ -10,7 +10,18 @@ from mjx_climb.execution.gpu_kernel import over_robots
 from tests.execution import primitives
 
 ROBOTS = 9
-OF_MATRICES = {"inv of six", "qr", "solve", "inv", "cholesky", "convolve of a vector", "sort", "median", "scatter"}
+OF_MATRICES = {
+    "inertia of a robot",
+    "inv of six",
+    "qr",
+    "solve",
+    "inv",
+    "cholesky",
+    "convolve of a vector",
+    "sort",
+    "median",
+    "scatter",
+}
 LONG = OF_MATRICES | {"interp", "searchsorted", "gather that fills", "dynamic_update_slice"}
 
 
