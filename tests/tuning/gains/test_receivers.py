@@ -52,7 +52,7 @@ def scene():
     no_number, holds = np.zeros(STEPS), np.ones((STEPS, LIMBS), bool)
     measured = Measurement(
         still(base + np.array([0.004, 0.002, -0.003])), still(np.asarray(askew)), *rates, force, wrench, holds,
-        *[no_number] * 3, holds[:, 0],
+        *[no_number] * 3, holds[:, 0], no_number,
     )  # fmt: skip
     return measured, Reference(still(base), still(orientation), still(base + lever), *np.ones((2, STEPS, LIMBS)))
 

@@ -388,7 +388,7 @@ def test_gains_that_diverge_in_most_walks_of_a_search_are_left_out_and_else_the_
 
 
 def test_walks_that_fail_are_counted():
-    names = [n for n in mc.METRICS.names if n not in ("detached_limb", "diverged")]
+    names = [n for n in mc.METRICS.names if n not in ("detached_limb", "diverged", "stands_at")]
     values = np.array([[1.0, 2.0, 16.0], [4.0, 5.0, np.nan]])
     data = {n: (("gains", "member"), values, {"larger_is_better": int(mc.METRICS[n].larger_is_better)}) for n in names}
     data["diverged"] = (("gains", "member"), np.array([[False] * 3, [False, False, True]]))

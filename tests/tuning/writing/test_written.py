@@ -121,6 +121,7 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkey
 def found_in(scenario):
     """Return a result of two points, the second of which is the better one."""
     columns = {"value": [0.9, 0.8], "penalty": [0.0, 0.0], "feasible": [True, True], "env_steps": [10, 20]}
+    columns["phase"] = ["population", "population"]
     data = xr.Dataset({name: ("point", values) for name, values in columns.items()})
     data["theta"] = (("point", "coordinate"), np.log([[1e2, 1e3], [2e2, 2e3]]))
     attrs = {"search": Search(seed=3).to_yaml(), "interrupted": 0, "scenario": scenario.to_yaml()}
