@@ -22,7 +22,7 @@ from mjx_climb.execution.jax_types import Parameters, aval_of
 from mjx_climb.execution.limbs import Axis
 
 MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array to XLA as well
-MOST_PRODUCTS = 4096  # of a product of matrices
+MOST_PRODUCTS = 18**3  # of a product of matrices: of two inertias of a robot of twelve joints
 MOST_STEPS = 64  # of a loop that is written out step by step
 MOST_OF_A_TABLE = 60_000  # numbers that a loop writes
 MOST_WRITTEN_OUT = 1000  # equations of all steps of a loop that reads something at each

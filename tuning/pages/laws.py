@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -25,9 +25,6 @@ from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.page import Findings, Page, Table
 from tuning.results.judged import Comparison
 from tuning.results.tuned import Tuned
-
-if TYPE_CHECKING:
-    from pandas import DataFrame  # type: ignore[import-untyped]
 
 LAWS = "Differences from retuned pd, with 95 % intervals over walks and seeds; grey where the interval holds 0."
 _NOT_METRICS = {"objective": "objective", "failed": "share lost"}
@@ -60,7 +57,7 @@ def contents(found: Comparison, compared: LawsComparison, name: str) -> Contents
     return contents_of(found, name, page, summary, files, data=found.data, summed=table)
 
 
-def rows_of(table: xr.Dataset) -> "DataFrame":
+def rows_of(table: xr.Dataset) -> Any:
     """Return a comparison of laws as rows: a metric, a statistic, a law, and its numbers."""
     numbers = table[["value", "difference", "low", "high", "real"]]
     rows = numbers.to_dataframe(dim_order=["metric", "statistic", "gains"]).reset_index()

@@ -51,7 +51,7 @@ def scenes(limbs):
         force[random.random(support.shape) < 0.02] = dead
     force[50:90, 0] = force[250:, 1] = 0.0  # for a while, and for good
     unread, torque = np.zeros(STEPS), random.normal(0, 1, (STEPS, limbs, 3))
-    measured = Measurement(*base, unread, unread, force, unread, support, unread, unread, torque, unread == 0)
+    measured = Measurement(*base, unread, unread, force, unread, support, unread, unread, torque, unread == 0, unread)
     return measured, Reference(position, orientation, foot, *times)
 
 

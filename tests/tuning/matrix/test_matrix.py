@@ -129,7 +129,7 @@ def test_axes_that_the_walk_does_not_have_are_refused_in_one_line(axes, said):
 @slow("contact", "drive", "disturbance")
 def test_evaluate_walks_each_member_as_a_rollout(scenario, part, ensemble):
     found = tuning.evaluate(scenario, GAINS, ensemble, members=MEMBERS).data
-    drawn = ensembles.draw(scenario, judge.fresh(ensemble))
+    drawn = ensembles.draw(scenario, ensembles.fresh(ensemble, ensembles.Use.EVALUATION))
     np.testing.assert_allclose(found[part.path], drawn.at(part.path)[:, 0])
     for number in range(MEMBERS):
         check(found.sel(gains="mine", member=number), alone(scenario, GAINS["mine"], member(drawn, number)))
@@ -138,7 +138,7 @@ def test_evaluate_walks_each_member_as_a_rollout(scenario, part, ensemble):
 @slow("contact", "drive", "disturbance")
 def test_worse_walks_are_rollouts_with_the_worse_value(scenario, part, ensemble):
     found = tuning.degrade(scenario, GAINS, ensemble, [f"{part.path}={part.span[1]}"], members=MEMBERS).data
-    drawn = ensembles.draw(scenario, judge.fresh(ensemble))
+    drawn = ensembles.draw(scenario, ensembles.fresh(ensemble, ensembles.Use.EVALUATION))
     worse = member(drawn, 0).replace({part.path: part.span[1]})
     check(found.sel(gains="mine", member=0).isel(setting=1), alone(scenario, GAINS["mine"], worse))
     check(found.sel(gains="mine", member=1).isel(setting=0), alone(scenario, GAINS["mine"], member(drawn, 1)))

@@ -328,7 +328,7 @@ def tuned_page(named):
     scenario, walks = named
     walks, gains = {"tuned": walks["config"], **walks}, {"inertia": 1.0, "damping": 1e2, "stiffness": 1e3}
     rows = {name: (None if name == "pd" else gains, mc.metrics(walk)) for name, walk in walks.items()}
-    point = {"value": 0.9, "penalty": 0.0, "feasible": True, "env_steps": 1000}
+    point = {"value": 0.9, "penalty": 0.0, "feasible": True, "env_steps": 1000, "phase": "descent"}
     data = xr.Dataset({name: ("point", [value]) for name, value in point.items()})
 
     def made(over, **changed):
