@@ -380,9 +380,10 @@ def test_a_sweep_that_is_stopped_after_its_first_map_leaves_it(call, monkeypatch
     """Map, table and page of the grid stand there as soon as it has walked; a line says what they lack."""
     values = {name: np.linspace(1.0, 2.0, 6) for name in mc.METRICS.names}
     values |= {"detached_limb": np.full(6, -1), "diverged": np.zeros(6, bool), "detached_at": np.full(6, np.nan)}
+    values["stands_at"] = np.full(6, np.nan)
     values |= {name: np.ones((6, 2, 150), np.float32) for name in LINES}
     numbers = {name: each[3].item() for name, each in values.items() if name in mc.METRICS.names}
-    pd = numbers | {"force_variation": 3.0, "detached_limb": None, "detached_at": None}
+    pd = numbers | {"force_variation": 3.0, "detached_limb": None, "detached_at": None, "stands_at": None}
 
     def stopped(*_):
         raise KeyboardInterrupt
