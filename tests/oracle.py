@@ -594,8 +594,9 @@ def assert_is(walk, law=None):
     found["utilization"] = np.where(none, walk.utilization, found["utilization"])
     for name, expected in found.items():
         size = np.abs(expected[np.isfinite(expected)]).max(initial=1.0)
-        if name == "utilization":  # the norm of three forces over their limit
-            size = max(size, 3**0.5 * np.abs(found["foot_force"]).max() / number(walk.scenario.contact.holding_limit))
+        if name == "utilization":  # the norm of three forces, each as exact as a force is, over their limit
+            force = np.abs(found["foot_force"]).max(initial=1.0)
+            size = max(size, 3**0.5 * force / number(walk.scenario.contact.holding_limit))
         np.testing.assert_allclose(getattr(walk, name), expected, rtol=0, atol=5e-12 * size, err_msg=name)
 
 
