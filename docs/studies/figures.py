@@ -86,7 +86,7 @@ def arrived(robot: str, law: str, rule: str, density: float) -> list[int]:
 
 
 def texts() -> dict[Path, list[str]]:
-    """Return what each page must say."""
+    """Return the sentences that each page must have."""
     transfer, eq_3 = changes(TRANSFER, "objective"), changes(EQ_3, "objective")
     servos = [row for row in eq_3 if row[0] == "dynamixel_x"]
     weightless = next(change for where, case, change, *_ in eq_3 if (where, case) == ("ideal", "2"))

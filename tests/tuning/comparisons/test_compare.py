@@ -23,6 +23,7 @@ from tuning.problem.ensemble import Ensemble, draw
 from tuning.problem.evaluation import Problem
 from tuning.problem.readings import reads_forces
 from tuning.problem.search import Search
+from tuning.searches import tune
 
 CASE = config_path("case_1_2.yaml")
 SHORT = ["duration=0.3", "disturbance.cargo.start=0.1"]
@@ -305,6 +306,16 @@ def made_up(monkeypatch):
 
     monkeypatch.setattr(mc, "rollout_metrics", rollout_metrics)
     return asked
+
+
+def test_each_search_draws_walks_of_its_own(made_up, scenario, files):
+    ensemble, wanted = Ensemble.load(files / "drawn.yaml"), settings()
+    first = tune.problem_of(scenario, wanted, ensemble=ensemble)
+    second = tune.of_search(first, wanted, 1)
+    assert tune.of_search(first, wanted, 0) is first and second.ensemble == ensemble
+    friction = [np.ravel(each.parameters.drive.coulomb_friction) for each in (first, second)]
+    assert not np.intersect1d(*friction).size
+    assert second.objective.terms[0].baseline != first.objective.terms[0].baseline
 
 
 @pytest.mark.slow
