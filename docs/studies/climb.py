@@ -1,20 +1,25 @@
 """How far robots climb: 2 m of random rock at five angles under lunar gravity, and along handrails in microgravity.
 
-    python docs/studies/climb.py results/climb [--grounds 256] [--at-once 256] [--only best_margin] [--contact closing]
-    python docs/studies/climb.py results/contacts --grounds 16 --contact closing --angles 135 180 --densities 400
+    python docs/studies/climb.py results/climb [--grounds 256] [--only best_margin] [--only closing-waits]
+    python docs/studies/climb.py results/small --grounds 2 --way 0.1 --angles 135 --densities 400
 
-Rows are robots, grounds, laws and rules of choice; each walks all angles, densities and grounds in one program. A climb
-succeeds if the base comes 2 m ahead before a grip is torn off. `climb.csv` has the successes with intervals of 95 %
-(Wilson) and what ended the others first. Grounds that have been walked already are not walked again. `--contact` takes
-the grip that closes, with a gait that waits for it, or the one that holds at once, wherever it shuts.
+Rows are robots, grounds, laws, rules of choice, contacts and gaits; each walks all angles, densities and grounds in one
+program. A climb succeeds if the base comes 2 m ahead before a grip is torn off. `climb.csv`, written after each row,
+has the successes with intervals of 95 % (Wilson) and what ended the others first. Rows that have been walked are not
+walked again; several processes may share the rows and the folder.
+
+A grip closes, or holds at once, wherever it shuts, or fails a test of 12 N in a quarter of its tries. The gait waits
+for grips, or goes on.
 """
 
 import argparse
 import csv
 import dataclasses
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -34,29 +39,33 @@ ANGLES = (0, 45, 90, 135, 180)  # degrees, from the floor to the ceiling
 DENSITIES = {"rock": (120.0, 200.0, 400.0), "rails": (0.1, 0.05, 0.02, 0.01)}
 WIDTH = {"hubrobo": 0.5, "hexapod": 0.6}  # m, of the rock
 BETWEEN = {"hubrobo": 0.28, "hexapod": 0.2866}  # m, from rail to rail
-Kind = tuple[str, str, str, str]  # robot, ground, law, rule
+Row = tuple[str, str, str, str, str, str]  # robot, ground, law, rule, contact, gait
 CONTACTS: dict[str, dict[str, object]] = {
     "closing": {},
-    "at_once": {"contact.closing_time": 0.0, "contact.capture_distance": None, "gait.waiting.waits": False},
+    "at once": {"contact.closing_time": 0.0, "contact.capture_distance": None},
+    "failing": {"contact.kind": "uncertain", "contact.tested_pull": 12.0, "contact.spread": 0.3, "contact.tries": 2.0},
 }
+GAITS = {"waits": True, "goes on": False}
+SPARE = {"closing": 1.15, "at once": 1.15, "failing": 1.6}  # times of the gait
+FAILING = 64  # grounds of grips that fail
 REASONS = ("arrived", "stuck", "out of reach", "torn off", "diverged", "stands")
-ROWS: tuple[Kind, ...] = (
-    ("hubrobo", "rock", "base_admittance", "best_margin"),
+_RULES = ("nearest", "best_margin", "least_use")
+_WALKERS: tuple[tuple[str, str, str, str], ...] = (
+    *(("hubrobo", "rock", "base_admittance", rule) for rule in _RULES),
+    *(("hubrobo", "rock", "load_transfer", rule) for rule in ("best_margin", "least_use")),
+    *(("hexapod", "rock", "base_admittance", rule) for rule in _RULES),
     ("hubrobo", "rock", "pd", "best_margin"),
-    ("hubrobo", "rails", "base_admittance", "nearest"),
-    ("hexapod", "rock", "base_admittance", "nearest"),
-    ("hubrobo", "rock", "load_transfer", "best_margin"),
-    *(
-        ("hubrobo", "rock", "base_admittance", rule)
-        for rule in ("nearest", "climblab", "climblab free", "best_margin free")
-    ),
+    *(("hubrobo", "rock", "base_admittance", rule) for rule in ("best_margin free", "climblab", "climblab free")),
+    *(("hubrobo", "rails", law, "nearest") for law in ("base_admittance", "pd", "load_transfer")),
     ("hexapod", "rails", "base_admittance", "nearest"),
-    *(("hubrobo", "rails", law, "nearest") for law in ("pd", "load_transfer")),
-    ("hexapod", "rock", "base_admittance", "best_margin"),
-    *(("hubrobo", "rock", law, "least_use") for law in ("base_admittance", "load_transfer")),
-    ("hexapod", "rock", "base_admittance", "least_use"),
 )
-KEPT = ("reason", "held_way", "detached_limb", "peak_pull_force")  # of each climb
+ROWS: tuple[Row, ...] = (
+    *((*walker, "closing", "waits") for walker in _WALKERS),
+    *((*_WALKERS[2], "failing", gait) for gait in GAITS),
+    *((*walker, contact, "goes on") for contact in ("closing", "at once") for walker in _WALKERS[:3]),
+    *((*walker, "at once", "goes on") for walker in _WALKERS[3:] if walker[1] == "rock"),
+)
+KEPT = ("reason", "held_way", "detached_limb", "peak_pull_force", "missed_grips")  # of each climb
 
 
 def _first(at: Array, happens: Array, now: Array) -> Array:
@@ -88,13 +97,16 @@ UNREACHED = Metric(
 )  # fmt: skip
 
 
-def scenario_of(robot: str, law: str, rule: str, way: float, contact: str = "closing") -> mc.Scenario:
+def scenario_of(
+    robot: str, law: str, rule: str, way: float, contact: str = "closing", gait: str = "waits"
+) -> mc.Scenario:
     """Return the scenario of a row; seeds, density and gravity are given beside it."""
     scenario = mc.load_scenario("configs/climb_rock.yaml")
     rule, _, order = rule.partition(" ")
     keys = CONTACTS[contact] | {"gait.footholds": rule, "gait.order": order or "periodic"}
+    keys["gait.waiting.waits"] = GAITS[gait]
     speed = scenario.gait.stride / scenario.gait.cycle
-    keys["duration"] = float(np.ceil(11.5 * way / speed) / 10)
+    keys["duration"] = float(np.ceil(10 * SPARE[contact] * way / speed) / 10)
     if law == "pd":
         keys["control.controller"] = "pd"
     if robot == "hexapod":
@@ -127,15 +139,18 @@ def grounds(scenario: mc.Scenario, robot: str, ground: str, seeds: range, densit
     return Holds(**{name: np.stack([getattr(each, name) for each in found]) for name in Holds.VALUES})
 
 
-def climbed(row: Kind, seeds: range, asked: argparse.Namespace) -> dict[str, np.ndarray]:
+def climbed(row: Row, seeds: range, asked: argparse.Namespace) -> dict[str, np.ndarray]:
     """Return the `KEPT` metrics of climbs, (angle, density, seed) each; a reason is its index in `REASONS`."""
-    robot, ground, law, rule = row
-    scenario = scenario_of(robot, law, rule, asked.way, asked.contact)
+    robot, ground, law, rule, contact, gait = row
+    scenario = scenario_of(robot, law, rule, asked.way, contact, gait)
     angle = np.radians(angles_of(ground, asked))
     size = LUNAR if ground == "rock" else MICRO
     gravity = size * np.stack([-np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
     holds = grounds(scenario, robot, ground, seeds, densities_of(ground, asked))
-    parameters = own_parameters(scenario).replace({"gravity": gravity[:, None, None]})
+    values: dict[str, object] = {"gravity": gravity[:, None, None]}
+    if contact == "failing":
+        values["contact.seed"] = np.asarray(seeds, float)
+    parameters = own_parameters(scenario).replace(values)
     parameters = dataclasses.replace(parameters, ground=dataclasses.replace(parameters.ground, holds=holds))
     own = LoadTransfer() if law == "load_transfer" else None
     simulation = mc.Simulation(scenario, own, (*mc.METRICS, *along(asked.way), UNREACHED))
@@ -166,17 +181,8 @@ def wilson(count: int, of: int, z: float = 1.96) -> tuple[float, float]:
     return (middle - half) / (1 + more), (middle + half) / (1 + more)
 
 
-def written(path: Path, rows: list[dict[str, object]]) -> None:
-    """Write a table."""
-    with path.open("w", newline="") as target:
-        writer = csv.DictWriter(target, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def table_of(row: Kind, climbs: dict[str, np.ndarray], asked: argparse.Namespace) -> list[dict[str, object]]:
+def table_of(row: Row, climbs: dict[str, np.ndarray], asked: argparse.Namespace) -> list[dict[str, Any]]:
     """Return the rows of the table, one for each angle and density."""
-    robot, ground, law, rule = row
     table = []
     for place in np.ndindex(climbs["reason"].shape[:2]):
         own = {name: value[place] for name, value in climbs.items()}
@@ -184,20 +190,33 @@ def table_of(row: Kind, climbs: dict[str, np.ndarray], asked: argparse.Namespace
         low, high = wilson(count, of)
         limbs = np.bincount(own["detached_limb"][own["reason"] >= 2].astype(int) + 1, minlength=7)[1:]
         table.append(
-            {"robot": robot, "ground": ground, "law": law, "rule": rule, "contact": asked.contact.replace("_", " ")}
-            | {"angle": angles_of(ground, asked)[place[0]] if ground == "rock" else ""}
-            | {"density": densities_of(ground, asked)[place[1]]}
+            dict(zip(("robot", "ground", "law", "rule", "contact", "gait"), row, strict=True))
+            | {"angle": angles_of(row[1], asked)[place[0]] if row[1] == "rock" else ""}
+            | {"density": densities_of(row[1], asked)[place[1]]}
             | {"arrived": count, "of": of, "95 % low": f"{low:.3f}", "95 % high": f"{high:.3f}"}
             | {name: int((own["reason"] == n).sum()) for n, name in enumerate(REASONS) if n}
+            | {"missed grips": int(own["missed_grips"].sum())}
             | {"median way m": f"{np.nanmedian(own['held_way']):.3g}", "limbs torn off": " ".join(map(str, limbs))}
             | {"median peak pull N": f"{np.nanmedian(own['peak_pull_force']):.3g}"}
         )
     return table
 
 
-def named(row: Kind, asked: argparse.Namespace) -> str:
+def named(row: Row) -> str:
     """Return the name of a row's file."""
-    return "-".join((*row, asked.contact)).replace(" ", "_")
+    return "-".join(row).replace(" ", "_")
+
+
+def written(asked: argparse.Namespace) -> None:
+    """Write the table of all rows that have been walked."""
+    files = {row: asked.out / f"{named(row)}.npz" for row in ROWS}
+    table = [each for row, kept in files.items() if kept.exists() for each in table_of(row, dict(np.load(kept)), asked)]
+    unfinished = asked.out / f"climb.{os.getpid()}.csv"
+    with unfinished.open("w", newline="") as target:
+        writer = csv.DictWriter(target, list(table[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(table)
+    unfinished.replace(asked.out / "climb.csv")
 
 
 def main() -> None:
@@ -205,34 +224,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--grounds", type=int, default=256)
-    parser.add_argument("--at-once", type=int, default=256, help="grounds that are walked before results are written")
     parser.add_argument("--way", type=float, default=WAY, help="m")
-    parser.add_argument("--only", default="", help="rows whose names, joined by dashes, have this in them")
-    parser.add_argument("--contact", choices=list(CONTACTS), default="closing")
+    parser.add_argument("--only", nargs="+", default=[""], help="rows whose names, joined by dashes, have one in them")
     parser.add_argument("--angles", type=int, nargs="+", help="degrees, of rock")
     parser.add_argument("--densities", type=float, nargs="+")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     begun = time.time()
     for row in ROWS:
-        if asked.only not in (name := named(row, asked)):
+        kept = asked.out / f"{named(row)}.npz"
+        if kept.exists() or not any(part in named(row) for part in asked.only):
             continue
-        kept = asked.out / f"{name}.npz"
-        climbs = dict(np.load(kept)) if kept.exists() else None
-        while (first := 0 if climbs is None else climbs["reason"].shape[-1]) < asked.grounds:
-            more = climbed(row, range(first, min(first + asked.at_once, asked.grounds)), asked)
-            climbs = more if climbs is None else {k: np.concatenate([climbs[k], more[k]], axis=-1) for k in KEPT}
-            np.savez_compressed(kept, **climbs)
-            shares = [f"{each['angle']}/{each['density']:g} {each['arrived']}" for each in table_of(row, climbs, asked)]
-            print(
-                f"{time.time() - begun:.0f} s: {name} of {climbs['reason'].shape[-1]}: {', '.join(shares)}", flush=True
-            )
-    files = {row: asked.out / f"{named(row, asked)}.npz" for row in ROWS}
-    table = [each for row, kept in files.items() if kept.exists() for each in table_of(row, dict(np.load(kept)), asked)]
-    with (asked.out / "climb.csv").open("w", newline="") as target:
-        writer = csv.DictWriter(target, list(table[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table)
+        count = min(asked.grounds, FAILING) if row[4] == "failing" else asked.grounds
+        climbs = climbed(row, range(count), asked)
+        unfinished = kept.with_suffix(f".{os.getpid()}.npz")
+        np.savez_compressed(unfinished, **climbs)
+        unfinished.replace(kept)
+        shares = [f"{each['angle']}/{each['density']:g} {each['arrived']}" for each in table_of(row, climbs, asked)]
+        print(f"{time.time() - begun:.0f} s: {named(row)} of {count}: {', '.join(shares)}", flush=True)
+        written(asked)
 
 
 if __name__ == "__main__":

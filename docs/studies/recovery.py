@@ -1,9 +1,9 @@
 """How large a push a walk survives: case 2 under four laws, each with and without recovery.
 
-    python docs/studies/recovery.py results/recovery.csv [--draws 64] [--seconds 8]
+    python docs/studies/recovery.py results/recovery.csv [--draws 64] [--seconds 8] [--hardware dynamixel_x]
 
-Pushes are those of `mjx-climb evaluate --pushes`. Thresholds of the recovery are chosen on draws of their own: those
-with which half of the walks survive most. The table has impulses in N s that half and 95 % survive with intervals, for
+Pushes are those of `mjx-climb evaluate --pushes`. Thresholds of the recovery are those with which most walks
+survive on draws of their own. The table has impulses in N s that half and 95 % survive with intervals, for
 all directions and each. `--bound` prints what no law and no step could better: the largest push up that grips bear at
 rest, however they share it.
 """
@@ -25,11 +25,13 @@ from mjx_climb.gait.recovery import Recovery
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.spatial import skew
 from mjx_climb.robot_import.load import load_robot
-from tuning.comparisons.pushes import DIRECTIONS, SHARES, Walker, borne, find
+from tuning.comparisons.pushes import DIRECTIONS, METRICS, SHARES, SMALLEST, Walker, borne, find, instants, pushed
 from tuning.gains import gains_file
+from tuning.problem.objectives import lost
 
 LENGTHS = (0.2, 1.0)  # s, of a push
 LARGEST = 160.0  # N
+FORCES = 8  # with which thresholds are chosen
 GRAVITY = {"1e-6 G": 9.81e-6, "1/6 G": 9.81 / 6}
 HARDWARE = ("ideal", "dynamixel_x")
 # files of gains; None: those of the config
@@ -66,28 +68,41 @@ def recovering(own: Walker, settings: dict[str, float]) -> Walker:
     return own._replace(parameters=dataclasses.replace(own.parameters, recovery=Recovery(**values)))
 
 
+def chosen(scenario: mc.Scenario, own: Walker, draws: int) -> dict[float, dict[str, float]]:
+    """Return the thresholds with which most walks survive, by the length of a push: pushes of all sizes, in one batch.
+
+    Batch axes are thresholds, force, length, direction, draw.
+    """
+    each = [dict(zip(THRESHOLDS, values, strict=True)) for values in itertools.product(*THRESHOLDS.values())]
+    axes = np.moveaxis(np.array([[*settings.values()] for settings in each]), 1, 0)[..., None, None, None, None]
+    walkers = recovering(own, dict(zip(THRESHOLDS, axes, strict=True)))
+    force = np.geomspace(SMALLEST, 1.0, FORCES)[:, None, None, None] * LARGEST
+    force = np.broadcast_to(force, (len(each), FORCES, len(LENGTHS), len(DIRECTIONS), draws))
+    start = instants(scenario, LENGTHS, draws, seed=1)
+    parameters = pushed(scenario, walkers, force, np.array(LENGTHS), start, seed=1)
+    found = mc.rollout_metrics(scenario, own.gains, parameters, law=own.law, metrics=METRICS, unsteady=True)
+    survivors = (np.asarray(lost(found)) == 0).sum(axis=(1, 3, 4))
+    return {length: each[int(np.argmax(survivors[:, n]))] for n, length in enumerate(LENGTHS)}
+
+
 def rows_of(hardware: str, law: str, gravity: str, seconds: float, draws: int) -> list[dict[str, object]]:
     """Return the rows of one law: without recovery, and with the best thresholds for each length of a push."""
     scenario, own = walker(hardware, law, seconds, GRAVITY[gravity])
-    each = [dict(zip(THRESHOLDS, values, strict=True)) for values in itertools.product(*THRESHOLDS.values())]
-    tried = {str(n): recovering(own, settings) for n, settings in enumerate(each)}
-    how: dict[str, Any] = {"lengths": LENGTHS, "largest": LARGEST}
-    chosen = find(scenario, tried, **how, draws=max(8, draws // 4), rounds=3, seed=1)
+    best = chosen(scenario, own, max(2, draws // 8))
+    walkers = {"none": own} | {f"{length:g} s": recovering(own, settings) for length, settings in best.items()}
+    found = find(scenario, walkers, lengths=LENGTHS, largest=LARGEST, draws=draws, seed=2)
     rows: list[dict[str, object]] = []
-    for length in LENGTHS:
-        half = [borne(chosen.sel(walker=name, length=length), 0.5).value for name in tried]
-        best = each[int(np.argmax(half))]
-        found = find(scenario, {"none": own, "recovery": recovering(own, best)}, **how, draws=draws, seed=2)
-        for name, direction in itertools.product(("none", "recovery"), ("all", *DIRECTIONS)):
-            data = found.sel(walker=name, length=length)
-            data = data if direction == "all" else data.sel(direction=direction)
+    for length, name in itertools.product(LENGTHS, ("none", "recovery")):
+        data = found.sel(walker=f"{length:g} s" if name == "recovery" else name, length=length)
+        for direction in ("all", *DIRECTIONS):
+            pushes = data if direction == "all" else data.sel(direction=direction)
             row: dict[str, object] = {"hardware": hardware, "gravity": gravity, "push": f"{length:g} s", "law": law}
             row |= {"recovery": name, "direction": direction}
             for words, share in SHARES.items():
-                middle, low, high = (f"{length * value:.3g}" for value in borne(data, share))
+                middle, low, high = (f"{length * value:.3g}" for value in borne(pushes, share))
                 row |= {words: middle, f"{words} low".removeprefix("half "): low}
                 row |= {f"{words} high".removeprefix("half "): high}
-            rows.append(row | (best if name == "recovery" else dict.fromkeys(best, "")))
+            rows.append(row | (best[length] if name == "recovery" else dict.fromkeys(THRESHOLDS, "")))
     return rows
 
 
@@ -141,13 +156,15 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--draws", type=int, default=64, help="of each direction")
     parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--hardware", choices=HARDWARE, nargs="+", default=list(HARDWARE))
     parser.add_argument("--bound", action="store_true", help="print the bound alone")
     asked = parser.parse_args()
     if asked.bound:
         print_bound(asked.seconds)
         return
     rows: list[dict[str, object]] = []
-    for hardware, law, gravity in itertools.product(HARDWARE, GAINS, GRAVITY):
+    asked.out.parent.mkdir(parents=True, exist_ok=True)
+    for hardware, law, gravity in itertools.product(asked.hardware, GAINS, GRAVITY):
         print(hardware, law, gravity, flush=True)
         rows += rows_of(hardware, law, gravity, asked.seconds, asked.draws)
         with asked.out.open("w", newline="") as target:

@@ -31,7 +31,7 @@ AFTER = 0.5  # s, that a walk goes on after a push at least
 DIRECTIONS: Mapping[str, tuple[float, float, float]] = {
     "up": (0, 0, 1), "down": (0, 0, -1), "ahead": (1, 0, 0), "back": (-1, 0, 0), "left": (0, 1, 0), "right": (0, -1, 0),
 }  # fmt: skip
-_METRICS = mc.MetricTable(mc.METRICS[name] for name in ("peak_utilization", "diverged"))
+METRICS = mc.MetricTable(mc.METRICS[name] for name in ("peak_utilization", "diverged"))
 
 
 class Walker(NamedTuple):
@@ -77,19 +77,15 @@ def find(
     Raises:
         ConfigError: the walk is too short for the pushes.
     """
-    latest = scenario.duration - max(lengths) - AFTER
-    if latest <= EARLIEST:
-        least = EARLIEST + max(lengths) + AFTER
-        raise ConfigError("", "duration", f"more than {least:g} s for pushes of {max(lengths):g} s", scenario.duration)
-    start = np.random.default_rng(seed).uniform(EARLIEST, latest, (len(DIRECTIONS), draws)).round(3)
+    start = instants(scenario, lengths, draws, seed)
     shape, told, bounds = (len(lengths), len(DIRECTIONS), draws), itertools.count(1), []
     walks = int(np.prod(shape))
     for walker in walkers.values():
 
         def survives(force: np.ndarray, walker: Walker = walker) -> np.ndarray:
-            pushed = _pushed(scenario, walker, force, np.array(lengths), start, seed)
+            parameters = pushed(scenario, walker, force, np.array(lengths), start, seed)
             found = mc.rollout_metrics(
-                scenario, walker.gains, pushed, law=walker.law, metrics=_METRICS, engine=engine, unsteady=True
+                scenario, walker.gains, parameters, law=walker.law, metrics=METRICS, engine=engine, unsteady=True
             )
             if progress is not None:
                 progress(next(told) * walks, len(walkers) * (rounds + 2) * walks)
@@ -108,6 +104,19 @@ def find(
     return xr.Dataset(data, named, {"smallest": SMALLEST * largest, "largest": largest})
 
 
+def instants(scenario: mc.Scenario, lengths: tuple[float, ...], draws: int, seed: int) -> np.ndarray:
+    """Return when pushes begin, (direction, draw) s.
+
+    Raises:
+        ConfigError: the walk is too short for the pushes.
+    """
+    latest = scenario.duration - max(lengths) - AFTER
+    if latest <= EARLIEST:
+        least = EARLIEST + max(lengths) + AFTER
+        raise ConfigError("", "duration", f"more than {least:g} s for pushes of {max(lengths):g} s", scenario.duration)
+    return np.random.default_rng(seed).uniform(EARLIEST, latest, (len(DIRECTIONS), draws)).round(3)
+
+
 def _bisected(
     survives: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...], largest: float, rounds: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -123,10 +132,10 @@ def _bisected(
     return low, np.where(endless, np.inf, np.where(bears, high, SMALLEST * largest))
 
 
-def _pushed(
+def pushed(
     scenario: mc.Scenario, walker: Walker, force: np.ndarray, length: np.ndarray, start: np.ndarray, seed: int
 ) -> mc.Parameters:
-    """Return the parameters with one push in place of the scenario's, of forces (length, direction, draw) N."""
+    """Return the parameters with one push in place of the scenario's, of forces (..., length, direction, draw) N."""
     own = own_parameters(scenario) if walker.parameters is None else walker.parameters
     heading = float(np.asarray(own.at("gait.heading")))
     ahead, left = np.array([np.cos(heading), np.sin(heading), 0]), np.array([-np.sin(heading), np.cos(heading), 0])
