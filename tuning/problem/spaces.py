@@ -104,11 +104,14 @@ class Space:
         larger = np.where(self.units > 0, theta * factor, theta + np.log(factor))
         return np.where(self.parts[part], larger, theta)
 
-    def to_gains(self, theta: Float[Array, "*batch n"]) -> AnyGains:
+    def to_gains(self, theta: Float[Array, "*batch n"] | Float[np.ndarray, "*batch n"]) -> AnyGains:
         """Return the gains of points, with their batch axes: `mc.Gains` where they are the paper's, else by name."""
-        fixed = jnp.broadcast_to(jnp.asarray(self.fixed, theta.dtype), (*theta.shape[:-1], self.fixed.size))
-        units = jnp.asarray(self.units, theta.dtype)
-        values = jnp.concatenate([jnp.where(units > 0, units * theta, jnp.exp(theta)), fixed], axis=-1)
+        # NumPy's functions for NumPy's arrays, which JAX would compile one by one
+        xp = jnp if isinstance(theta, jax.Array) else np
+        fixed = xp.broadcast_to(xp.asarray(self.fixed, theta.dtype), (*theta.shape[:-1], self.fixed.size))
+        units = xp.asarray(self.units, theta.dtype)
+        searched = xp.where(units > 0, units * theta, xp.exp(xp.where(units > 0, 0.0, theta)))
+        values = xp.concatenate([searched, fixed], axis=-1)
         return as_gains({name: values[..., index] for name, index in self.index.items()})
 
     def from_gains(self, gains: AnyGains) -> np.ndarray:
@@ -362,6 +365,4 @@ def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:
 
 def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> AnyGains:
     """Return the gains of points in double precision, independent of JAX's setting."""
-    with jax.enable_x64(True):
-        gains: AnyGains = jax.tree.map(np.asarray, space.to_gains(jnp.asarray(theta)))
-        return gains
+    return space.to_gains(np.asarray(theta, float))
