@@ -1,5 +1,6 @@
 """A gait that waits: no limb lifts off while another should hold and does not; feet try again, then other holds."""
 
+import dataclasses
 import functools
 
 import jax
@@ -9,8 +10,12 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.gait.footholds import Nearest
+from mjx_climb.gait.footholds.footholds import SAME
+from mjx_climb.gait.own_swings import OwnSwings
 from mjx_climb.gait.recovery import RecoveringGait
-from mjx_climb.gait.waiting import Waiting, WaitingGait
+from mjx_climb.gait.schedule import settled_phase
+from mjx_climb.gait.swing import rest_to_rest
+from mjx_climb.gait.waiting import Waiting, WaitingGait, Waits
 from mjx_climb.ground import holds
 from mjx_climb.physics.contact.contact import Grip
 from mjx_climb.physics.contact.uncertain import UncertainGripper
@@ -26,6 +31,7 @@ from tests.gait.test_planner_decisions import (
     body_of,
     doubles,
     planner_of,
+    reaches,
 )
 
 LF, LH, RH, RF = range(4)
@@ -35,20 +41,21 @@ AROUND = np.array([[0.0, 0, 0], [0.03, 0, 0], [0.0, 0.05, 0], [-0.02, 0.08, 0]])
 ROCK = holds.of((FEET[:, None] + AROUND).reshape(-1, 3))
 
 
+def waiting_around(own, waiting):
+    """Return a gait that waits, around another one."""
+    fields = {field.name: getattr(own, field.name) for field in dataclasses.fields(OwnSwings)}
+    return WaitingGait(**fields, gait=own, waiting=waiting)
+
+
 @functools.lru_cache
 def walked(kind="planned", period=PERIOD, recovers=False):
     """Return a walk of feet that are where they should be, of which a script has which landings hold."""
     rule = Nearest() if kind == "holds" else None
     own = planner_of(rule, doubles(ROCK) if kind == "holds" else None)
     own = type(own)(**{**vars(own), "period": period})
-    fields = {
-        name: value
-        for name, value in vars(own).items()
-        if name not in ("rule", "moves", "way_points", "table", "gravity")
-    }
 
     def walk(script, waiting):
-        gait = WaitingGait(**fields, gait=own, waiting=waiting)
+        gait = waiting_around(own, waiting)
         around = RecoveringGait(gait, NEVER) if recovers else gait
         swings_of = (lambda memory: memory.swings) if recovers else (lambda memory: memory)
 
@@ -162,6 +169,184 @@ def test_no_limb_lifts_off_while_another_does_not_hold(period):
             # in that step, in which a foot may land too
             assert (holding | ~closed)[number].all() and holding[number + 1][np.arange(4) != limb].all()
         assert lifts.sum() > 8 and (~closed).sum(1).max() == 1
+
+
+# --- decisions, one by one
+
+
+@functools.cache
+def deciding(kind):
+    """Return the memory of a gait that waits, and its decision at a tick in one program for all memories and bodies."""
+    own = planner_of(Nearest() if kind == "holds" else None, doubles(ROCK) if kind == "holds" else None)
+
+    def decided(memory, body, waiting):
+        gait = waiting_around(own, waiting)
+        return gait.lift_off(memory, gait.schedule(memory, memory.step), body.base_position, body)
+
+    memory = waiting_around(own, doubles(Waiting())).init()[0]
+    return memory._replace(start=jnp.asarray(FEET), goal=jnp.asarray(FEET), below=jnp.zeros(4)), jax.jit(decided)
+
+
+def at(memory, step, **changes):
+    """Return the memory at a step, which is the gait's own time too."""
+    return memory._replace(step=jnp.asarray(float(step)), clock=jnp.asarray(float(step)), **changes)
+
+
+def candidates(kind, first):
+    """Return the points that a foot may try, (n, 3) m: holds, or eight around its first foothold, ever farther."""
+    if kind == "holds":
+        return np.asarray(ROCK.position)
+    number = np.arange(1, 9)
+    angle = number * np.pi * (3 - np.sqrt(5))
+    return first + 0.03 * (number / 8)[:, None] * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+
+
+def tried_again(kind, waits, goal, body, limb, retries, others):
+    """Return the tries of a foot that failed, where it goes next, and whether it stands instead."""
+    tries, place = waits.tries[limb] + 1, np.asarray(goal[limb])
+    first = place if waits.tries[limb] == 0 else np.asarray(waits.first[limb])
+    if tries % (retries + 1):
+        return tries, first, place, False
+    points = candidates(kind, first)
+    away = ((points - first) ** 2).sum(1)
+    taken = (((points[:, None] - np.delete(np.asarray(goal), limb, 0)) ** 2).sum(2) <= SAME**2).any(1)
+    beyond = away > ((place - first) ** 2).sum() + SAME**2
+    may = beyond & ~taken & reaches(points, np.asarray(body.base_position), np.asarray(body.base_rotation))[limb]
+    if not may.any() or tries >= (retries + 1) * (others + 1):
+        return tries, first, place, True
+    return tries, first, points[np.where(may, away, np.inf).argmin()], False
+
+
+@pytest.mark.parametrize("kind", ["planned", "holds"])
+def test_each_foot_that_failed_is_sent_where_loops_send_it(kind):
+    """Two feet failed, of which one swings and one has tried all; a base that leans; another foot on a hold nearby."""
+    begun, decided = deciding(kind)
+    own, told = doubles(Waiting(retries=1, other_holds=2)), []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        angle, shift = random.normal(0, 0.2), random.normal(0, 0.03, 3)
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+        first = np.asarray(ROCK.position)[4 * np.arange(4) + random.integers(0, 2, 4)]
+        goal = (
+            first.copy()
+            if kind == "planned"
+            else np.asarray(ROCK.position)[4 * np.arange(4) + random.integers(0, 3, 4)]
+        )
+        goal[RF] = candidates(kind, first[LF])[1 if kind == "planned" else 1 + seed % 3]  # on what LF might go to
+        feet, aim = goal + random.normal(0, 0.01, (4, 3)), random.normal(0, 0.008, (4, 3))
+        tries = random.integers(0, 6, 4).astype(float)
+        waits = Waits(np.array([True, True, True, False]), tries, first, aim, np.array([False, False, True, False]))
+        body = body_of(feet=feet, grip_point=feet + 0.001, base_position=BASE + shift, base_rotation=turn)
+        body = body._replace(support=jnp.array([False, False, False, True]))
+        memory = at(begun, 100, goal=jnp.asarray(goal), waits=jax.tree.map(jnp.asarray, waits))
+        if seed % 4 == 3:
+            memory = memory._replace(begun=memory.begun.at[LH].set(50.0))  # in the air
+        found = decided(memory, body, own)
+        again = [LF] if seed % 4 == 3 else [LF, LH]
+        for limb in range(4):
+            if limb not in again:
+                for name in ("goal", "begun"):
+                    np.testing.assert_array_equal(getattr(found, name)[limb], getattr(memory, name)[limb])
+                np.testing.assert_array_equal(found.waits.aim[limb], aim[limb])
+                assert (found.waits.tries[limb], found.waits.stands[limb]) == (tries[limb], waits.stands[limb])
+                continue
+            count, place, to, stands = tried_again(kind, waits, goal, body, limb, 1, 2)
+            told.append((stands, count % 2 == 0))
+            assert (found.waits.tries[limb], found.waits.stands[limb]) == (count, stands)
+            assert found.waits.failed[limb] == stands
+            np.testing.assert_array_equal(found.waits.first[limb], place)
+            off = aim[limb] + goal[limb] - feet[limb]
+            off *= min(0.02 / np.linalg.norm(off), 1.0)
+            np.testing.assert_allclose(found.waits.aim[limb], off, atol=1e-12)
+            np.testing.assert_allclose(found.goal[limb], goal[limb] if stands else to, atol=1e-12)
+            swung = (memory.start[limb], memory.begun[limb]) if stands else (feet[limb] + 0.001, 100.0)
+            np.testing.assert_array_equal(found.start[limb], swung[0])
+            assert found.begun[limb] == swung[1]
+            if not stands:
+                assert (found.below[limb], found.span[limb]) == (feet[limb, 2] + 0.001, SWING)
+    assert len({*told}) == 3 and told.count((False, True)) > 2
+
+
+LIFTS = {  # what differs in the memory, in its waits and in the body, and whether LF lifts off at 200
+    "all hold": ({}, {}, {}, True),
+    "one does not": ({}, {}, {"support": np.arange(4) != RF}, False),
+    "one swings": ({RH: 50.0}, {}, {"support": np.arange(4) != RH}, True),
+    "one that tries again swings": ({RH: 50.0}, {"tries": [0.0, 0, 1, 0]}, {"support": np.arange(4) != RH}, False),
+    "one that tried again holds": ({}, {"tries": [0.0, 0, 1, 0]}, {}, True),
+    "the gait stands still": ({}, {}, {"running": 0.0}, False),
+}
+
+
+@pytest.mark.parametrize("name", LIFTS)
+def test_a_limb_lifts_off_where_those_hold_that_should(name):
+    swings, own, body, lifts = LIFTS[name]
+    begun, decided = deciding("planned")
+    memory = at(begun, 190, running=jnp.asarray(body.get("running", 1.0)))
+    for limb, since in swings.items():
+        memory = memory._replace(begun=memory.begun.at[limb].set(since))
+    memory = memory._replace(waits=memory.waits._replace(**{key: jnp.asarray(value) for key, value in own.items()}))
+    support = jnp.asarray(body.get("support", np.ones(4, bool)))
+    found = decided(memory, body_of()._replace(support=support), doubles(Waiting()))
+    assert (found.begun[LF] == 200) == lifts and found.running == memory.running
+    np.testing.assert_array_equal(found.begun[1:], memory.begun[1:])
+
+
+AFTER = {  # begun of RF, tries of RF, which of LF, LH and RH hold, and whether the gait's time stands still
+    "all hold": (-500.0, 0.0, [1, 1, 1], False),
+    "one does not": (-500.0, 0.0, [1, 0, 1], True),
+    "one swings": (50.0, 0.0, [1, 1, 1], False),
+    "one tries again": (50.0, 1.0, [1, 1, 1], True),
+    "one tried, and holds": (-500.0, 1.0, [1, 1, 1], False),
+    "one lands as another lifts off": (-99.0, 0.0, [1, 1, 1], True),
+    "one lands later": (-98.0, 0.0, [1, 1, 1], False),
+}
+
+
+@pytest.mark.parametrize("name", AFTER)
+def test_what_a_gait_that_waits_remembers_of_contacts(name):
+    """LF holds after failing; LH has failed or fails anew; RH is to lift off at 101, after step 100."""
+    since, tries, holds, stops = AFTER[name]
+    gait, one = waiting_around(planner_of(), doubles(Waiting())), jnp.ones((4, 3))
+    before = Waits(
+        jnp.array([True, False, False, True]), jnp.array([2.0, 3.0, 0.0, tries]), one, 0.01 * one,
+        jnp.array([True, True, False, True]),
+    )  # fmt: skip
+    memory = at(deciding("planned")[0], 90, waits=before, begun=jnp.array([-1400.0, -1600.0, 101.0, since]))
+    now, zero = gait.schedule(memory, jnp.asarray(100)), jnp.zeros((4, 3))
+    closed = np.array([True, True, True, name not in ("one swings", "one tries again") and "lands" not in name])
+    np.testing.assert_array_equal(now.closed, closed)
+    support = np.array([*map(bool, holds), bool(closed[3])])
+    for missed, detached in ((True, False), (False, True), (False, False)):
+        flags = [jnp.arange(4) == LH if flag else jnp.zeros(4, bool) for flag in (missed, detached)]
+        grip = Grip(zero, zero, zero, jnp.asarray(support), now.closed, flags[1], flags[1], flags[0], zero[:, 0])
+        found = gait.after_contacts(memory, now, jnp.asarray(100), grip)
+        assert found.step == 90 + stops
+        np.testing.assert_array_equal(found.begun, memory.begun + np.array([0, 0, stops, 0]))
+        lacks = closed & ~support
+        np.testing.assert_array_equal(found.waits.failed, lacks & (missed or detached))
+        np.testing.assert_array_equal(found.waits.tries, np.where(closed & support, 0.0, before.tries))
+        np.testing.assert_array_equal(found.waits.aim[:, 0], np.where(closed & support, 0.0, 0.01))
+        np.testing.assert_array_equal(found.waits.stands, lacks & np.asarray(before.stands))
+        np.testing.assert_array_equal(gait.stands(found, grip), found.waits.stands)
+    # a foot that failed stays so until it holds or swings
+    again = gait.after_contacts(
+        memory._replace(waits=before._replace(failed=jnp.ones(4, bool))), now, jnp.asarray(100), grip
+    )
+    np.testing.assert_array_equal(again.waits.failed, lacks)
+
+
+def test_a_foot_that_tries_again_comes_down_beside_its_foothold():
+    """By its aim, as far as it is on its way."""
+    gait = waiting_around(planner_of(), doubles(Waiting()))
+    memory, aim = deciding("planned")[0], np.random.default_rng(0).normal(0, 0.01, (4, 3))
+    memory = at(memory, 90, begun=jnp.array([20.0, -60.0, -1200.0, -1000.0]))
+    now, step = gait.schedule(memory, jnp.asarray(100)), jnp.asarray(100)
+    plain = gait.reference(memory, now, step, BASE, FEET)[1]
+    beside = memory._replace(waits=memory.waits._replace(aim=jnp.asarray(aim)))
+    found = gait.reference(beside, now, step, BASE, FEET)[1]
+    share = rest_to_rest(np.array([80 / 160, 1.0, 0, 0]))
+    np.testing.assert_allclose(rest_to_rest(settled_phase(PLAN, now)), share)
+    np.testing.assert_allclose(found.foot_position, plain.foot_position + share[:, None] * aim, atol=1e-15)
 
 
 # --- walks

@@ -1,8 +1,10 @@
 """The gain schedule: each operating point is its own, and between them the gains go from one to the other."""
 
 import csv
+import dataclasses
 import io
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -12,12 +14,15 @@ import yaml
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.files.dataset import OutputError
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.shipped import config_path
 from tuning.comparisons.worth import of_schedule
+from tuning.gains.gains_file import by_name
 from tuning.gains.own_section import load_law
 from tuning.pages import schedule as pages
 from tuning.pages.schedule import plot_schedule
-from tuning.problem.evaluation import Problem
+from tuning.problem import spaces
+from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Schedule, Search
 from tuning.results.scheduled import lookup
@@ -82,6 +87,104 @@ def test_pd_of_each_point_is_the_best_of_a_grid_that_keeps_the_limits(monkeypatc
     joint, worth = schedule.pd_of_each(Problem(mc.Scenario(), objective=goal))
     assert joint["kp"].tolist() == [40.0, 40.0] and joint["kd"].tolist() == [1.0, 1.0]
     np.testing.assert_allclose(worth, [0.7, np.nan])
+
+
+class Valleys(Problem):
+    """Points whose value is 1 at shares of the space that gravity and cargo say, and more about them.
+
+    The share of the first coordinate has the limit of each row, in place of a metric's.
+    """
+
+    walked: ClassVar[list] = []
+
+    def evaluate(self, theta, directions=None):
+        own, span = self.parameters, self.space.upper - self.space.lower
+        gravity, mass = np.abs(own.gravity[:, 2]), own.disturbances[0].mass
+        shares = (theta - self.space.lower) / span
+        away = shares - (0.2 + 0.03 * gravity + 0.2 * mass)[:, None]
+        value, over = 1 + (away**2).sum(1), shares[:, 0] - np.asarray(self.objective.limits[0].value)
+        slopes = np.zeros((len(theta), 0)) if directions is None else 2 * away / span @ directions.T
+        found = Evaluation(value, value, np.maximum(over, 0), over <= 0, slopes, slopes, {"mass": mass})
+        self.walked.append((theta, gravity / schedule.G, mass, value, over))
+        return found
+
+
+def valleys(scenario, highest=(2.0, 2.0, 2.0, -1.0)):
+    """Return two levels of gravity with two cargos each; at the last point no gains keep the limit."""
+    asked, search = Schedule(gravity=(0.1, 1.0), cargo=(0.0, 1.0)), Search(space="isotropic")
+    level, load = np.array([0.1, 0.1, 1.0, 1.0]), np.array([0.0, 1.0, 0.0, 1.0])
+    rows = {"gravity": schedule.G * level[:, None] * [0, 0, -1.0], "disturbance.cargo.mass": load}
+    goals = [
+        Objective((Term("force_variation", 1.0, 1.0, 1.0),), (Limit("base_deviation", most, 1.0, 0.02, ""),))
+        for most in highest
+    ]
+    problem = Valleys(scenario, spaces.space(scenario, search), parameters=own_parameters(scenario).replace(rows))
+    return schedule.OperatingPoints(dataclasses.replace(problem, objective=goals[0]), search, asked, goals)
+
+
+def who_walks(scenario, gains=None, parameters=None, **_):
+    """Return metrics that tell the law, the cargo and the first gain."""
+    mass, given = parameters.disturbances[0].mass, by_name(gains) if gains is not None else {}
+    of_law = {"pd": 100.0, "base_admittance": 200.0}[scenario.control.controller]
+    first = next(iter(given.values()), np.zeros(1))
+    first = first[..., 0] if first.ndim > 1 and first.shape[-1] == 6 else first
+    found = dict.fromkeys(mc.METRICS.names, np.zeros(np.broadcast_shapes(np.shape(first), mass.shape)))
+    return found | {"travel": of_law + mass + found["travel"], "cost_of_transport": first + 0 * found["travel"]}
+
+
+@pytest.fixture(scope="module")
+def searched(scenario, few):
+    """Return the operating points, the schedule and the rounds of a search in the valleys."""
+    points = valleys(scenario)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schedule, "ITERATIONS", (3, 2))
+        patch.setattr(mc, "rollout_metrics", who_walks)
+        patch.setattr(Valleys, "walked", [])
+        return points, schedule.run(points).data, Valleys.walked
+
+
+def test_every_point_keeps_the_best_of_its_walks_and_goes_on_from_there(searched):
+    """Random points, the config's own first; descents from the best so far, between which neighbours are tried."""
+    points, found, walked = searched
+    drawn, last, own = walked[0], walked[-1], schedule.tune.start_of(points.problem)
+    assert [len(theta) for theta, *_ in walked] == [12, 4, 4, 4, 16, 4, 4, 16]
+
+    def ranks(value, over):
+        return np.where(over <= 0, value, 1e3 + value + np.maximum(over, 0))
+
+    np.testing.assert_allclose(drawn[0].reshape(4, 3, -1)[:, 0], own[None].repeat(4, 0))
+    assert np.ptp(drawn[0].reshape(4, 3, -1), axis=0).max() == 0 and np.ptp(drawn[0][:3], axis=0).min() > 0
+    best, least = own[None].repeat(4, 0), np.full(4, np.inf)
+    for number, (theta, gravity, mass, value, over) in enumerate(walked):
+        if number in (1, 4, 5, 7):
+            np.testing.assert_allclose(theta, best if len(theta) == 4 else np.tile(best, (4, 1)), err_msg=str(number))
+        place = 2 * (gravity > 0.5) + mass.astype(int)
+        assert (np.diff(place) >= 0).all()
+        for at, one, rank in zip(place, theta, ranks(value, over), strict=True):
+            if rank < least[at]:
+                best[at], least[at] = one, rank
+    assert (least[:3] < ranks(*drawn[3:]).reshape(4, 3).min(1)[:3]).all()
+    value = np.append(least[:3], np.nan).reshape(2, 2)
+    np.testing.assert_allclose(found["value"], value)
+    np.testing.assert_array_equal(found["feasible"], np.isfinite(value))
+    transfer = np.where(last[4] <= 0, last[3], np.nan).reshape(2, 2, 2, 2)
+    np.testing.assert_allclose(found["transfer"], transfer)
+    assert len(np.unique(transfer[0, 0])) > 2 and np.isnan(transfer[1, 1]).all()
+    gains = by_name(spaces.to_gains64(points.problem.space, best))
+    for name, values in gains.items():
+        np.testing.assert_allclose(found[name], values.reshape(2, 2, *values.shape[1:]))
+    assert found.attrs["env_steps"] == points.problem.env_steps(12 + 32) + 5 * points.problem.env_steps(4, 2)
+
+
+def test_each_walk_of_a_schedule_has_the_gains_and_the_cargo_of_its_point(scenario, searched):
+    _, found, _ = searched
+    laws = {"tuned": 200.0, "config": 200.0, "retuned_pd": 100.0, "pd": 100.0}
+    for walk, law in laws.items():
+        np.testing.assert_array_equal(found["travel"].sel(walk=walk), law + np.array([[0.0, 1.0]] * 2))
+    first = found.attrs["gains"].split()[0]
+    own = {"tuned": found[first].values[..., 0], "config": 0.0, "retuned_pd": found["retuned_kp"].values}
+    for walk, gain in (own | {"pd": scenario.control.kp}).items():
+        np.testing.assert_allclose(found["cost_of_transport"].sel(walk=walk), np.broadcast_to(gain, (2, 2)))
 
 
 @pytest.mark.nightly
