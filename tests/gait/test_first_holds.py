@@ -1,14 +1,21 @@
 """A robot that chooses its footholds stands on holds from the start, with their normals and limits."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.gait.first_holds import check_first_holds, first_holds
+from mjx_climb.gait.footholds.held import no_holds
 from mjx_climb.ground import holds_of
+from mjx_climb.physics.inverse_kinematics import limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
+from tests.gait import footholds_reference as by_loops
+from tests.gait.test_planner_decisions import BASE, FEET, GRAVITY, ROBOT, ground_of, reaches
 
 ROCK = {"rock": {"density": 400.0, "roughness": 0.01, "corner": [-0.4, -0.25], "size": [1.0, 0.5]}, "limit": 15.0}
 WALL = {"gait.footholds": "nearest", "ground.holds": ROCK, "time_step": 0.0005, "duration": 0.1}
@@ -32,6 +39,67 @@ def test_feet_stand_on_the_holds_next_to_the_rest_stance(heading):
         np.testing.assert_allclose(normals, holds.normal[nearest], atol=1e-12)
     np.testing.assert_allclose(swings.held.rows[:, 0], -holds.normal[nearest], atol=1e-9)
     np.testing.assert_allclose(swings.held.bound, 15.0)
+
+
+def test_each_foot_takes_the_nearest_hold_that_is_its_own_and_that_it_reaches():
+    """By loops, from bases that are turned and moved; where there is none it stays, on the ground that it had."""
+    held, lacking = [], 0
+    begin = jax.jit(lambda holds, place, rest: first_holds(ROBOT, limb_geometry(ROBOT), holds, place, rest))
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        angle, base = random.normal(0, 0.3), BASE + random.normal([1.0, -2.0, 0.5], 0.02)
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+        feet = base + (FEET - BASE) @ turn.T
+        # one foot has none beside it; some lie far off, one between two feet, and one on a foot is padding
+        beside = feet[np.arange(4) != seed % 4] + random.normal(0, 0.05, (3, 3)) * [1, 1, 0.3]
+        far = random.uniform(-0.3, 0.3, (3, 3)) + base
+        points = np.concatenate([beside, far, feet[:2].mean(0)[None] + 0.001, feet[seed % 4][None]])
+        holds = ground_of(points, random)
+        own = no_holds(holds, jnp.asarray(feet))
+        place = tuple(map(jnp.asarray, (base, turn, feet, GRAVITY)))
+        found, on = begin(holds, place, own)
+        may, away = reaches(points, base, turn), np.linalg.norm(points - feet[:, None], axis=2)
+        may = may & (away <= away.min(0)) & (np.arange(len(points)) < len(points) - 1)
+        for limb in range(4):
+            if not may[limb].any():
+                lacking += 1
+                np.testing.assert_array_equal(found[limb], feet[limb])
+                np.testing.assert_array_equal(on.bound[limb], np.inf)
+                continue
+            best = np.where(may[limb], away[limb], np.inf).argmin()
+            held.append(best)
+            np.testing.assert_array_equal(found[limb], points[best])
+            np.testing.assert_array_equal(on.bound[limb], holds.limit_bound[best])
+            axes = by_loops.frame(np.asarray(holds.normal[best]), GRAVITY)
+            np.testing.assert_allclose(on.rows[limb], holds.limit_matrix[best] @ axes.T, atol=1e-12)
+    assert lacking > 2 and len({*held}) > 4
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7])
+def test_the_check_of_a_stance_looks_where_its_feet_stand(heading):
+    """Four holds 1 cm beside the feet, of which one is taken away or moved; the base is turned by the heading."""
+    robot = load_robot("hubrobo_v3_2")
+    turn = np.array([[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
+    own = quaternion_to_matrix(robot.stance_orientation)
+    feet = (robot.stance_position + limb_frames(robot, own, robot.stance_joints).foot) @ turn.T
+    points = feet + np.array([0.006, 0.008, 0.0])
+
+    def checked(points):
+        keys = {
+            "gait.footholds": "nearest",
+            "gait.heading": heading,
+            "ground.holds": {"points": [{"at": at} for at in points.tolist()]},
+        }
+        check_first_holds(mc.load_scenario("case_1_1", keys), "mine.yaml")
+
+    checked(points)
+    for limb, shift in enumerate(([0.4, 0, 0], [0, 0.4, 0], [-0.4, 0, 0], [0, 0, 0.4])):
+        away = points + np.outer(np.arange(4) == limb, shift)
+        nearest = np.linalg.norm(away - feet[limb], axis=1).min()
+        with pytest.raises(
+            ConfigError, match=f"none for {robot.limbs[limb]}, the nearest {nearest:.2g} m away".replace("[", r"\[")
+        ):
+            checked(away)
 
 
 def test_a_stance_without_a_hold_within_reach_is_refused():
