@@ -66,15 +66,25 @@ def goals_on(scenario, weights, *draws):
     drawn = [bounds._draws(scenario, draw, 0, {}).parameters for draw in draws]
     together = jax.tree.map(lambda *each: np.concatenate(each), *drawn)
     pd = mc.Simulation(under_pd(scenario), metrics=TABLE, smooth=True).metrics({}, together, unsteady=True)
-    goals, first = [], 0
-    for draw in draws:
-        own = {name: value[first : first + draw.members] for name, value in pd.items()}
-        goal, way = bounds._objective(Ceiling(weights=weights), own, TABLE), own["travel"].mean()
-        held = [Limit("travel", float(way * (1 + side * WAY)), float(way), 0.1 * WAY, "pd's", side < 0)
-                for side in (-1, 1)]  # fmt: skip
-        goals.append(dataclasses.replace(goal, limits=(*goal.limits, *held)))
-        first += draw.members
-    return goals
+    ends = np.cumsum([draw.members for draw in draws])
+    return [
+        goal_of(weights, {name: value[end - draw.members : end] for name, value in pd.items()})
+        for draw, end in zip(draws, ends, strict=True)
+    ]
+
+
+def goal_of(weights, pd):
+    """Return the objective of `tuning.ceiling` over walks, with the way that pd goes held, by pd's metrics there."""
+    goal, way = bounds._objective(Ceiling(weights=weights), pd, TABLE), pd["travel"].mean()
+    held = [Limit("travel", float(way * (1 + side * WAY)), float(way), 0.1 * WAY, "pd's", side < 0) for side in (-1, 1)]
+    return dataclasses.replace(goal, limits=(*goal.limits, *held))
+
+
+def with_room(goal):
+    """Return an objective whose penalty of a pull begins well below the holding limit."""
+    return dataclasses.replace(goal, limits=tuple(
+        limit._replace(margin=PULL_MARGIN) if limit.metric == "peak_utilization" else limit for limit in goal.limits
+    ))  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,9 +205,7 @@ def main():
     unseen = ensembles.fresh(draw).model_copy(update={"members": asked.unseen})
     weights = {name: float(weight) for name, weight in (text.split("=") for text in asked.weight)} or study.WEIGHTS
     goal, judges = goals_on(scenario, weights, draw, unseen)
-    goal = dataclasses.replace(goal, limits=tuple(
-        limit._replace(margin=PULL_MARGIN) if limit.metric == "peak_utilization" else limit for limit in goal.limits
-    ))  # fmt: skip
+    goal = with_room(goal)
     ended = []
     for place, step in enumerate(asked.steps):
         until = began + 60 * asked.minutes * (place + 1) / len(asked.steps)

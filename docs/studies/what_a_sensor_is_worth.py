@@ -1,24 +1,29 @@
 """What is a force sensor worth: the best law that reads forces beside the best that does not, searched alike.
 
-    python docs/studies/what_a_sensor_is_worth.py results/worth --hardware mx_64 [--case 2] [--minutes 8] [--quick]
+    python docs/studies/what_a_sensor_is_worth.py results/worth [--hardware mx_64] [--case 2] [--minutes 8]
     python docs/studies/what_a_sensor_is_worth.py results/worth --table docs/studies/what_a_sensor_is_worth.csv
 
-The first walks: for each case and each seed, laws and gait are searched by CMA-ES on training walks drawn with that
-seed, within 2 % of the means of the pd that was searched on them, and walked on 512 walks that no search saw. A row for
-each search goes into a file for each case and hardware; rows that are there are not searched again, so that a stopped
-study goes on. The second puts all rows into one table and prints the page's.
+The first searches laws and gait by CMA-ES for each case and hardware, each in a process of its own: the searches of all
+seeds walk side by side, each on walks drawn with its seed, within 2 % of the means of the pd that was searched on them.
+They begin at the config's gains, at the best that are known and at pd's; their best points walk once more on other
+walks of that seed, and the best of these on 512 walks that no search saw. Each round is kept, so that a study that was
+stopped goes on. The second puts all results into one table and prints the page's.
 """
 
 import argparse
 import csv
-import dataclasses
+import functools
 import json
+import os
+import pickle
+import subprocess
 import sys
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
-from scipy.stats import t as student
+from cmaes import CMA
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "guides")]
 
@@ -26,16 +31,20 @@ import ceiling as study
 import ceiling_laws as searched
 
 import mjx_climb as mc
-import tuning
 from mjx_climb.control import shipped
-from mjx_climb.inputs.gait_values import scenario_with_gait
+from mjx_climb.execution import devices
+from mjx_climb.inputs.gait_values import own_gait
 from mjx_climb.scenario.load import load_hardware, with_hardware
+from tuning.comparisons import paired
 from tuning.gains import gains_file
+from tuning.methods import cmaes
 from tuning.problem import ensemble as ensembles
-from tuning.problem import spaces
+from tuning.problem import evaluation, spaces
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.readings import readings
 from tuning.problem.search import Search
+from tuning.searches import ceiling as bounds
+from tuning.searches.tune import start_of
 
 HARDWARE = ("ideal", "dynamixel_x", "mx_64")
 OFFSETS = "FootOffsets@outward,upward"
@@ -44,7 +53,6 @@ LAWS = {
     "pd": ("PD", {}),
     "PlannedTransfer": ("PlannedTransfer", {}),
     "LoadTransfer": ("LoadTransfer", {}),
-    "FootOffsets": (OFFSETS, {}),
     "PlannedTransfer+FootOffsets": (f"PlannedTransfer+{OFFSETS}", {}),
     "LoadTransfer+FootOffsets": (f"LoadTransfer+{OFFSETS}", {}),
     "LoadTransfer by efforts": ("LoadTransfer", {"hardware.force_sensor.source": "joint_effort"}),
@@ -54,128 +62,264 @@ LAWS = {
 }  # fmt: skip
 ON_ALL_FEET = 0.78  # duty at which transfers begin: at 0.75 there is no time in which loads can be handed over
 METRICS = ("objective", *searched.KEPT[:-2])  # of a row
-LEVEL = 0.95
+SPREAD, NEAR = 0.12, 0.06  # of a population, and of the first one about each start, relative to the width of the box
+FLAT, PATIENCE = 5e-4, 10  # the last of so many rounds in which no search finds better by more ends all
+AHEAD = 200  # points of each search that are kept, of which the best walk once more
 
 
-def walks_of(scenario, members, seed):
-    """Return training walks of a seed as an ensemble."""
-    return study.DRAWS[scenario].model_copy(update={"members": members, "seed": seed})
+def known(hardware, case, law):
+    """Return the best gains of a law that are known, by name: those of this hardware first."""
+    found = {}
+    with Path(__file__).with_name("ceiling_gains.csv").open() as rows:
+        for row in csv.DictReader(rows):
+            if row["case"] == case and row["law"] == ("PD" if law == "pd" else "LoadTransfer"):
+                found.setdefault(row["servos"], {})[row["gain"]] = float(row["value"])
+    return [found[name] for name in sorted(found, key=lambda name: name != hardware)]
+
+
+class Walks:
+    """A law on a robot, and the numbers that are searched."""
+
+    def __init__(self, scenario, law):
+        """Take the space from the settings of the ceiling's laws."""
+        cycle, duration = scenario.gait.cycle, scenario.duration
+        also = (*searched.ALSO, *(("pull_limit",) if "pull_limit" in law.GAINS else ()))
+        bound = {"gait.cycle": (cycle / 2, min(2 * cycle, duration))}
+        wanted = Search(space="isotropic", joint_gains=True, also=also, bounds=bound)
+        self.scenario, self.law, self.space = scenario, law, spaces.space(scenario, wanted, law)
+
+    def gains(self, theta):
+        """Return the gains of points (..., n) as arrays by name."""
+        return gains_file.by_name(spaces.to_gains64(self.space, theta))
+
+    def own(self, shape):
+        """Return the config's own gains, of joint loop and gait too, which may lie outside of the space."""
+        own = spaces.own_values(self.scenario, self.law) | own_gait(self.scenario)
+        own |= {name: getattr(self.scenario.control, name) for name in ("kp", "kd")}
+        own = {name: np.asarray(own[name], float) for name in self.space.index}
+        return {name: np.broadcast_to(value, (*shape, *value.shape)) for name, value in own.items()}
+
+    def metrics(self, gains, parameters):
+        """Return metrics of gains (S, P) on parameters (M, S, 1): (M, S, P)."""
+        how = {"law": self.law, "metrics": searched.TABLE, "dtype": np.float32, "unsteady": True}
+        return mc.rollout_metrics(self.scenario, gains, parameters, **how)
+
+
+def of_draws(scenario, draws):
+    """Return the parameters of as many walks of each draw, (M, S, 1)."""
+    each = [bounds._draws(scenario, draw, 0, {}).parameters for draw in draws]
+    return jax.tree.map(lambda *values: np.stack(values, 1)[:, :, None], *each)
+
+
+def scored(goals, metrics):
+    """Return value and penalty (S, P), and the mean metrics of each search."""
+    found = []
+    for place, goal in enumerate(goals):
+        with devices.on_host():
+            own = {name: value[:, place] for name, value in metrics.items()}
+            found.append(jax.tree.map(np.asarray, evaluation._scored(goal, own)[1]))
+    value, penalty = (np.stack([each[name] for each in found]) for name in ("value", "penalty"))
+    return value, penalty, [each["metrics"] for each in found]
 
 
 class Cell:
-    """A case on a robot: the unseen walks, and the rows that there are."""
+    """A case on a robot: its walks, and the rows that there are."""
 
     def __init__(self, asked, hardware, case):
         """Read the rows that there are."""
         self.asked, self.hardware, self.case = asked, hardware, case
         ideal = mc.load_scenario(f"case_{case}").with_overrides({"duration": asked.seconds})
         self.scenario = with_hardware(ideal, load_hardware(hardware), hardware)  # with the noise of its sensors
-        self.unseen = ensembles.fresh(walks_of(case, asked.unseen, 0))
+        draw = study.DRAWS[case].model_copy(update={"members": asked.members})
+        self.draws = [draw.model_copy(update={"seed": seed}) for seed in range(asked.seeds)]
+        self.checks = [ensembles.fresh(own, ensembles.Use.CHECK) for own in self.draws]
+        self.unseen = ensembles.fresh(draw).model_copy(update={"members": asked.unseen})
         self.file = asked.out / f"{hardware}_{case}.json"
         self.rows = json.loads(self.file.read_text()) if self.file.exists() else []
 
-    def found(self, law, seed):
-        """Return the row of a search, None where there is none."""
-        return next((row for row in self.rows if (row["law"], row["seed"]) == (law, seed)), None)
+    def found(self, law):
+        """Return the rows of a law."""
+        return [row for row in self.rows if row["law"] == law]
 
-    def search(self, name, seed, until):
-        """Search a law on the walks of a seed, which ends in time, and walk it on unseen ones."""
-        asked, (law_name, sensors), began = self.asked, LAWS[name], time.time()
-        draw = walks_of(self.case, asked.members, seed)
-        goal, judges = searched.goals_on(self.scenario, study.WEIGHTS, draw, self.unseen)
-        goal = dataclasses.replace(goal, limits=tuple(
-            limit._replace(margin=searched.PULL_MARGIN) if limit.metric == "peak_utilization" else limit
-            for limit in goal.limits
-        ))  # fmt: skip
-        law, begins, held = shipped(law_name), {}, searched.Within(goal, ())
+    @functools.cached_property
+    def goals(self):
+        """The objectives of each seed, of the check of each, and of unseen walks, by pd's walks with config's gains."""
+        walks, goals = Walks(under_pd(self.scenario), shipped("PD")), []
+        for draws in (self.draws, self.checks, [self.unseen]):
+            shape = (len(draws), self.asked.points if len(draws) > 1 else self.asked.seeds)
+            pd = walks.metrics(walks.own(shape), of_draws(self.scenario, draws))
+            goals.append([searched.goal_of(study.WEIGHTS, {name: value[:, place, 0] for name, value in pd.items()})
+                          for place in range(len(draws))])  # fmt: skip
+        search, check, (judges,) = goals
+        return [*map(searched.with_room, search)], check, judges
+
+    def search(self, name, until):
+        """Search a law from all seeds, which ends in time, and walk what was found on unseen walks."""
+        began, (law_name, sensors) = time.time(), LAWS[name]
+        goals, check_goals, judges = self.goals
         if name != "pd":
-            pd = self.found("pd", seed)
-            held = searched.Within(goal, searched.most_of(pd["search"]))
-            part = self.found(name.partition("+")[0], seed) if "+" in name else None
-            begins = (part or pd)["gains"]
-            begins = begins | {"gait.duty": max(begins.get("gait.duty", 0.0), ON_ALL_FEET)}
-        own = {gain: np.asarray(begins[gain], float) for gain in law.GAINS if gain in begins}
-        law = dataclasses.replace(law, **own)
-        joint = {f"control.{gain}": begins[gain] for gain in ("kp", "kd") if gain in begins}
-        scenario = self.scenario.with_overrides(sensors | joint)
-        scenario = scenario_with_gait(scenario, {k: v for k, v in begins.items() if k.startswith("gait.")})
-        scenario = under_pd(scenario) if name == "pd" else scenario
-        cycle = self.scenario.gait.cycle
-        wanted = Search(
-            space="isotropic", joint_gains=True, precision="float32", seed=seed,
-            also=(*searched.ALSO, *(("pull_limit",) if "pull_limit" in law.GAINS else ())),
-            bounds={"gait.cycle": (cycle / 2, min(2 * cycle, asked.seconds))},
-        )  # fmt: skip
-        rounds = []
+            most = [searched.most_of(row["search"]) for row in self.found("pd")]
+            goals, check_goals = (
+                [searched.Within(goal, own) for goal, own in zip(each, most, strict=True)]
+                for each in (goals, check_goals)
+            )
+        scenario = under_pd(self.scenario) if name == "pd" else self.scenario.with_overrides(sensors)
+        walks = Walks(scenario, shipped(law_name))
+        state = State(self.asked.out / f"{self.file.stem}_{name}.pickle", walks, self.starts(name, walks), self.asked)
+        parameters = of_draws(scenario, self.draws)
+        while not state.ended and (time.time() < until or not state.history):
+            theta = state.asked()
+            value, penalty, _ = scored(goals, walks.metrics(walks.gains(theta), parameters))
+            state.told(theta, value + penalty)
+        theta = self.checked(walks, state, check_goals, scenario)
+        (of_search,) = (scored(goals, walks.metrics(walks.gains(
+            np.repeat(theta[:, None], self.asked.points, 1)), parameters))[2],)  # fmt: skip
+        fresh = walks.metrics(walks.gains(theta[None]), of_draws(scenario, [self.unseen]))
+        fresh = {metric: value[:, 0] for metric, value in fresh.items()}  # (M, S)
+        with devices.on_host():
+            objective = np.asarray(judges.score(fresh).value)
+        fails = np.asarray(searched.lost(fresh))
+        reads = sorted(readings(Problem(scenario, law=walks.law)))
+        rows = [row for row in self.rows if row["law"] != name]
+        for seed, own in enumerate(theta):
+            unseen = {metric: float(fresh[metric][:, seed].mean()) for metric in METRICS[1:]}
+            unseen |= {"objective": float(objective[:, seed].mean()), "lost": float(fails[:, seed].sum())}
+            gains = {gain: float(np.ravel(value)[0]) for gain, value in walks.gains(own).items()}
+            rows.append({
+                "law": name, "seed": seed, "reads": reads, "rounds": len(state.history), "ended": bool(state.ended),
+                "gains": gains, "search": {metric: float(v[0]) for metric, v in of_search[seed].items()},
+                "unseen": unseen, "walks": np.round(objective[:, seed].astype(float), 5).tolist(),
+                "history": [round(best[seed], 5) for best in state.history], "seconds": time.time() - began,
+            })  # fmt: skip
+        self.rows = rows
+        self.file.write_text(json.dumps(rows))
+        means = ", ".join(f"{row['unseen']['objective']:.4f}" for row in self.found(name))
+        print(f"{self.file.stem}, {name}: {means}, lost {fails.sum(0)}, {len(state.history)} rounds, "
+              f"{time.time() - began:.0f} s", flush=True)  # fmt: skip
 
-        def told(now):
-            rounds.append(now.best)
-            if time.time() > until and len(rounds) > 1:
-                raise KeyboardInterrupt  # ends the search with what it has
+    def starts(self, name, walks):
+        """Return the gains that a search begins at, a list (k, n) for each seed."""
+        own = start_of(Problem(walks.scenario, walks.space, law=walks.law))
+        each = [{}, *known(self.hardware, self.case, name)]
+        part = self.found(name.partition("+")[0]) if "+" in name else self.found("pd")
+        begins = []
+        for seed in range(self.asked.seeds):
+            mine = [*each, *([part[seed]["gains"]] if part else [])]
+            if name != "pd":
+                mine = [gains | {"gait.duty": max(gains.get("gait.duty", 0.0), ON_ALL_FEET)} for gains in mine]
+            begins.append([walks.space.from_gains(walks.gains(own) | gains) for gains in mine])
+        return begins
 
-        each = ensembles.draw(scenario, draw)
-        found = tuning.tune(
-            scenario, wanted, law=law, objective=held, metrics=searched.TABLE, parameters=each, method="cmaes",
-            starts=asked.points, iterations=asked.rounds, progress=told,
-        )  # fmt: skip
-        space = spaces.space(scenario, wanted, law)
-        theta = space.from_gains(found.gains)[None]
-        how = {"law": law, "metrics": searched.TABLE}
-        of_search = Problem(scenario, space, objective=goal, parameters=each, members=asked.members, **how)
-        fresh = Problem(
-            scenario, space, objective=judges, parameters=ensembles.draw(scenario, self.unseen), members=asked.unseen,
-            **how,
-        )  # fmt: skip
-        walked = searched.values(fresh, theta)
-        gains = {gain: float(np.ravel(value)[0]) for gain, value in gains_file.by_name(found.gains).items()}
-        self.rows.append({
-            "law": name, "seed": seed, "reads": sorted(readings(of_search)), "rounds": len(rounds), "gains": gains,
-            "feasible": bool(found.feasible), "search": searched.means(searched.values(of_search, theta)),
-            "unseen": searched.means(walked) | {"lost": float(walked["lost"].sum())},
-            "walks": walked["objective"].tolist(), "seconds": time.time() - began,
-        })  # fmt: skip
-        self.file.write_text(json.dumps(self.rows))
-        values = self.rows[-1]["unseen"]
-        print(f"{self.file.stem}, {name}, seed {seed}: {values['objective']:.4f}, lost {values['lost']:.0f}, "
-              f"{len(rounds)} rounds, {self.rows[-1]['seconds']:.0f} s", flush=True)  # fmt: skip
+    def checked(self, walks, state, goals, scenario):
+        """Return the best point (S, n) of each search on its own walks and on others of its seed together."""
+        theta, merit = state.best(self.asked.points)
+        value, penalty, _ = scored(goals, walks.metrics(walks.gains(theta), of_draws(scenario, self.checks)))
+        both = np.nan_to_num(merit + value + penalty, nan=np.inf)
+        return theta[np.arange(len(theta)), both.argmin(1)]
+
+
+class State:
+    """The searches of all seeds, kept after each round."""
+
+    def __init__(self, file, walks, starts, asked):
+        """Begin, or go on where a file says."""
+        self.file, self.space, self.starts = file, walks.space, starts
+        self.points, self.rounds = asked.points, asked.rounds
+        self.optimizers, self.kept, self.history = None, [([], [])] * len(starts), []
+        if file.exists():
+            self.optimizers, self.kept, self.history = pickle.loads(file.read_bytes())
+
+    @property
+    def ended(self):
+        """Whether no search has found better for a while, or all rounds are spent."""
+        best = self.history
+        flat = len(best) > PATIENCE and np.all(np.subtract(best[-PATIENCE - 1], best[-1]) < FLAT)
+        return flat or len(best) >= self.rounds
+
+    def asked(self):
+        """Return the next points (S, P, n)."""
+        low, width = self.space.lower, self.space.upper - self.space.lower
+        if self.optimizers is not None:
+            return np.stack([low + width * cmaes.drawn(each) for each in self.optimizers])
+        rng, found = np.random.default_rng(0), []
+        for own in self.starts:
+            own = np.array(own)
+            near = own[np.arange(self.points) % len(own)] + NEAR * width * rng.standard_normal((self.points, len(low)))
+            near[: len(own)] = own
+            found.append(self.space.clip(near))
+        return np.stack(found)
+
+    def told(self, theta, merit):
+        """Let the searches learn of points, and keep them."""
+        low, width = self.space.lower, self.space.upper - self.space.lower
+        merit = np.where(np.isfinite(merit), merit, 1e6).astype(float)
+        unit = (theta - low) / width
+        if self.optimizers is None:
+            box = np.tile([0.0, 1.0], (len(low), 1))
+            self.optimizers = [
+                CMA(mean=unit[seed, merit[seed].argmin()], sigma=SPREAD, bounds=box, seed=seed,
+                    population_size=self.points) for seed in range(len(unit))
+            ]  # fmt: skip
+        else:
+            for each, own, values in zip(self.optimizers, unit, merit, strict=True):
+                each.tell(list(zip(own, values.tolist(), strict=True)))
+        kept = []
+        for (points, values), own, new in zip(self.kept, theta, merit, strict=True):
+            points, values = np.array([*points, *own]), np.array([*values, *new])
+            first = np.argsort(values, kind="stable")[:AHEAD]
+            kept.append((points[first], values[first]))
+        self.kept = kept
+        self.history.append([float(values[0]) for _, values in kept])
+        text = pickle.dumps((self.optimizers, self.kept, self.history))
+        self.file.with_suffix(".new").write_bytes(text)
+        self.file.with_suffix(".new").replace(self.file)
+
+    def best(self, count):
+        """Return the best points (S, count, n) and their merits."""
+        rows = [np.arange(count) % len(values) for _, values in self.kept]
+        points, values = ([own[part][row] for own, row in zip(self.kept, rows, strict=True)] for part in (0, 1))
+        return np.stack(points), np.stack(values)
 
 
 def walk(asked):
-    """Search all rows that are asked for: pd of all cells first, then a law and a seed at a time, in like shares."""
-    cells = [Cell(asked, hardware, case) for hardware in asked.hardware for case in asked.case]
-    works = [(cell, law, seed) for law in asked.laws for seed in range(asked.seeds) for cell in cells]
-    works = [(cell, law, seed) for cell, law, seed in works if cell.found(law, seed) is None]
-    end = time.time() + 60 * asked.minutes
-    for place, (cell, law, seed) in enumerate(works):
-        now = time.time()
-        cell.search(law, seed, now + max(0.0, end - now) / (len(works) - place))
-
-
-def interval(values):
-    """Return the mean of the searches of a law and half its 95 % interval, by Student's t."""
-    values = np.asarray(values, float)
-    if len(values) < 2:
-        return float(values.mean()), float("nan")
-    half = student.ppf((1 + LEVEL) / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
-    return float(values.mean()), float(half)
+    """Search the laws of a cell in like shares of the time, pd's half as long; cells in processes of their own."""
+    if len(asked.hardware) * len(asked.case) > 1:
+        same = ["--began", str(asked.began)]
+        each = [[*same, "--hardware", hardware, "--case", case] for hardware in asked.hardware for case in asked.case]
+        places = os.environ | {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
+        running = [subprocess.Popen([sys.executable, *sys.argv, *own], env=places) for own in each]
+        return max(process.wait() for process in running)
+    cell = Cell(asked, *asked.hardware, *asked.case)
+    end = asked.began + 60 * asked.minutes
+    left = [name for name in asked.laws if name != "pd" or not cell.found("pd")]
+    for place, name in enumerate(left):
+        shares, now = [0.5 if law == "pd" else 1.0 for law in left[place:]], time.time()
+        cell.search(name, now + (end - now) * shares[0] / sum(shares))
+    return 0
 
 
 def summed(rows):
     """Return a line of the table for each law of a cell: means over its searches, the objective with its interval."""
     lines = []
-    for law in dict.fromkeys(row["law"] for row in rows):
+    laws = list(dict.fromkeys(row["law"] for row in rows))
+    values = np.array([[row["walks"] for row in rows if row["law"] == law] for law in laws])  # (G, K, M)
+    reading = ["forces" in next(row for row in rows if row["law"] == law)["reads"] for law in laws]
+    means = values.mean((1, 2))
+    base = min((place for place, reads in enumerate(reading) if not reads), key=lambda place: means[place])
+    found = paired.intervals({"": lambda counts: paired.worst_mean(values, counts)}, values.shape[2], base)[""]
+    for place, law in enumerate(laws):
         own = [row for row in rows if row["law"] == law]
-        mean, half = interval([row["unseen"]["objective"] for row in own])
         line = {"law": law, "reads": " ".join(own[0]["reads"]).replace("base pose", "base_pose"), "seeds": len(own)}
-        line |= {"objective": mean, "half_of_95": half}
-        line |= {name: np.mean([row["unseen"][name] for row in own]) for name in METRICS[1:]}
-        line |= {"lost": np.mean([row["unseen"]["lost"] for row in own]), "rounds": np.mean([r["rounds"] for r in own])}
-        lines.append(line)
+        line |= {name: np.mean([row["unseen"][name] for row in own]) for name in METRICS}
+        line |= {"lost": np.mean([row["unseen"]["lost"] for row in own]), "rounds": own[0]["rounds"]}
+        line["still"] = np.mean([row["history"][-PATIENCE // 2 :][0] - row["history"][-1] for row in own])
+        line |= {"beside": laws[base], "difference": found.difference[place]}
+        lines.append(line | {"low": found.low[place], "high": found.high[place]})
     return lines
 
 
 def table(asked):
-    """Write all rows as one table, and print what a page says of it."""
+    """Write all rows as one table, and print the page's."""
     lines = []
     for hardware in HARDWARE:
         for case in study.CASES:
@@ -197,9 +341,10 @@ def page_table(rows):
         groups = [[row for row in own if ("forces" in row["reads"]) == reads] for reads in (False, True)]
         pd = next(row for row in own if row["law"] == "pd")
         without, best = (min(each, key=lambda row: float(row["objective"]), default=pd) for each in groups)
-        share = (float(without["objective"]) - float(best["objective"])) / float(pd["objective"])
+        worth, low, high = (-100 * float(best[name]) / float(pd["objective"]) for name in ("difference", "high", "low"))
         cells = [f"{row['law']} {float(row['objective']):.3f}; {float(row['lost']):.1f}" for row in (pd, without, best)]
-        lines.append(f"| {servos}, {case.replace('_', '.')} | {' | '.join(cells)} | {100 * share:+.1f} % |")
+        lines.append(f"| {servos}, {case.replace('_', '.')} | {' | '.join(cells)} | "
+                     f"{worth:.1f} % ({low:.1f} to {high:.1f}) |")  # fmt: skip
     return lines
 
 
@@ -212,22 +357,20 @@ def main():
     parser.add_argument("--case", nargs="+", default=list(study.CASES))
     parser.add_argument("--laws", nargs="+", default=list(LAWS)[:3], help=f"of {', '.join(LAWS)}; pd first")
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--minutes", type=float, default=8.0, help="in which all searches end")
+    parser.add_argument("--minutes", type=float, default=8.0, help="from `--began` on, in which searches end")
+    parser.add_argument("--began", type=float, default=time.time(), help="s since 1970")
     parser.add_argument("--members", type=int, default=64, help="walks of a search")
-    parser.add_argument("--points", type=int, default=96, help="of a round")
+    parser.add_argument("--points", type=int, default=40, help="of a round and seed")
     parser.add_argument("--rounds", type=int, default=120, help="at most")
     parser.add_argument("--unseen", type=int, default=512)
     parser.add_argument("--seconds", type=float, default=8.0)
-    parser.add_argument("--quick", action="store_true", help="one seed, few and short walks: does it run?")
     asked = parser.parse_args()
     if asked.table is not None:
         table(asked)
-        return
-    if asked.quick:
-        asked.seeds, asked.members, asked.points, asked.rounds, asked.unseen, asked.seconds = 1, 2, 4, 2, 4, 8.0
+        return 0
     asked.out.mkdir(parents=True, exist_ok=True)
-    walk(asked)
+    return walk(asked)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
