@@ -108,9 +108,7 @@ def run(
     number = 0 if asked is None else jax.tree.leaves(asked)[0].shape[len(shape)]
     double = any(leaf.dtype == np.float64 for leaf in flat)
     kernel = not (double or over_time)  # in double precision its values do not find room in the registers
-    # Gradients walk on the host's cores, as the fewest robots do: on an H200 the kernel of one is right for walks of
-    # 100 steps, but with two levels of checkpoints it has not ended in seven minutes.
-    on = paths.device_for(0 if derivatives == _GRADIENT else count, number, kernel=kernel)
+    on = paths.device_for(count, number, kernel=kernel)
     call = _Call(function, structure, tuple(batched), derivatives=derivatives)
     enable_cache()
 

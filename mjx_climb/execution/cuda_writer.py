@@ -169,6 +169,7 @@ def expression(name: str, parameters: Parameters, operands: Sequence[Number], na
 # --- the kernel
 
 THREADS = 128  # in a block
+LONG_STEP = 150  # lines of a step, of a loop in a loop, from which it is a function of its own
 NAME = "walk"
 _WARP = "0xffffffffu"  # all threads of a warp
 _NAMES = re.compile(r"\bv\d+\b")
@@ -218,6 +219,8 @@ class CudaWriter(Writer):
         self.width = 1 << (lanes - 1).bit_length()  # threads of a robot
         self._lines: list[str] = []
         self._count = 0
+        self._inside = 0  # loops
+        self._arguments: dict[str, str] = {}  # lines that read an argument's word, by the name of its number
         self.kept = 0  # rows of words that loops write, each thread its own
         self._table: list[int] = []  # words of constants that differ from lane to lane
         self._read = dict.fromkeys(READ, 0) | {"common": 2}
@@ -230,6 +233,7 @@ class CudaWriter(Writer):
         self._read[of] += 1
         value = self._value(dtype, _from_word(_word(of, str(row)), dtype))
         self._rows[value.content] = of, "", row
+        self._arguments[value.content] = self._lines[-1]
         return value
 
     def source(self, results: Sequence[Number]) -> str:
@@ -298,8 +302,9 @@ class CudaWriter(Writer):
     ) -> tuple[list[Value], list[list[Value]]]:
         carried, tables = self._variables(start), [self._table_of(numbers) for numbers in read]
         self._count += 1
-        time = f"t{self._count}"
-        self._lines += ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
+        time, begin = f"t{self._count}", len(self._lines)
+        head = ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time})"]
+        self._inside += 1
         now = [self._read_at(time, table, row[0].dtype) for row, table in zip(read, tables, strict=True)]
         made = step(list(carried), now)
         written, first = made[len(carried) :], self.kept
@@ -308,8 +313,26 @@ class CudaWriter(Writer):
             word = _word("kept", f"({row} + {len(written)} * {time})")
             self._lines.append(f"if (there) {word} = {_as_word(number)};")
         self._assign(carried, made[: len(carried)])
+        self._inside -= 1
+        if self._inside and len(self._lines) - begin > LONG_STEP:
+            self._call(time, begin, [value.content for value in carried], head)
+        else:
+            self._lines[begin:begin] = [head[0], f"{head[1]} {{"]
         rows = [range(row, self.kept, len(written)) for row in range(first, first + len(written))]
         return carried, [[self._kept(row, n.dtype) for row in each] for each, n in zip(rows, written, strict=True)]
+
+    def _call(self, time: str, begin: int, carried: Sequence[str], head: Sequence[str]) -> None:
+        """Make the last lines, the step of a loop in a loop, a function of its own.
+
+        Within a second loop NVIDIA's assembler takes hours over registers for them.
+        """
+        names = dict.fromkeys(_NAMES.findall("\n".join(self._lines[begin:])))
+        read = [self._arguments[name] for name in names if name in self._arguments]  # once more: one word for all lanes
+        by_reference = "".join(f", &{name}" for name in carried)
+        function = f"const auto step_{time} = [={by_reference}](int {time}) __attribute__((noinline)) {{"
+        self._lines[begin:begin] = [function, *read]
+        self._lines[-1] = "};"
+        self._lines += [head[0], f"{head[1]} step_{time}({time});"]
 
     def _kept(self, row: int, dtype: np.dtype) -> Value:
         """Return a number that a loop has written: it is read where it is used."""
