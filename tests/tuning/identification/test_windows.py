@@ -29,6 +29,16 @@ def logged(lost=(), kinds=("command", "position"), rate=100.0, jitter=0.0):
     return Log({name: Signal(time[of[name]], value[of[name]]) for name, value in columns.items()}, "log.csv")
 
 
+# every tenth row comes 1.8 periods after the one before
+LATE_ROWS = np.cumsum(np.where(np.arange(1000) % 10, 0.01, 0.018))
+
+
+def held(log):
+    """Return a log whose commands stay the same."""
+    signals = {n: Signal(s.time, 0 * s.value) if n.endswith("command") else s for n, s in log.signals.items()}
+    return dataclasses.replace(log, signals=signals)
+
+
 def sampled(windows):
     """Return when the samples of the windows were taken, s, and the beginning of each one's window."""
     rows, begin = windows.rows, windows.begin[windows.rows.window]
@@ -56,6 +66,8 @@ def test_no_window_runs_through_a_hole_of_the_commands(kinds):
     (logged(jitter=0.8), "jitter"),
     (logged(rate=1000.0 / 12), "another rate"),
     (Log({n: Signal(s.time.round(2), s.value) for n, s in logged(rate=75.0).signals.items()}, ""), "rounded times"),
+    (Log({n: Signal(LATE_ROWS, s.value) for n, s in logged().signals.items()}, ""), "a loop that comes late"),
+    (held(logged(HOLES, ("command",))), "goals that stay the same"),
 ])  # fmt: skip
 def test_there_is_no_hole_where_no_command_is_missing(log, why):
     assert not len(cut(log, ROBOT, STEP, 0.0).unknown), why

@@ -22,7 +22,8 @@ KINDS = (  # what is recorded; of a joint, of a foot, of the base
 )  # fmt: skip
 UNITS = ("rad", "rad/s", "N m", "N", "m", "1", "m/s", "rad/s")
 _GAP, _PERIODS = 0.1, 5  # s, and periods of the log: a longer silence is a gap
-_USUAL, _MISSED, _FEW = 0.8, 1.6, 10  # quantile of the spacing of commands, how many of it lack one, least commands
+_USUAL, _FEW = 0.8, 10  # quantile of the spacing of commands, least commands
+_MISSED, _LATE = 1.6, 3.0  # spacings that lack a command: where something else was recorded, where nothing was
 _NEAR = 0.05  # s, samples by which a rate is guessed
 
 
@@ -167,7 +168,7 @@ def cut(
         raise ConfigError(log.source, "", f"{missing}, as {first}", ", ".join(list(log.signals)[:4]))
     signals, steps = [log.signals[name] for name in names], round(LENGTH / time_step)
     length = steps * time_step
-    unknown = _unknown([each for place, each in commands.items() if place[0] in whole], log.signals.get(OFF))
+    unknown = _unknown([each for place, each in commands.items() if place[0] in whole], signals, log.signals.get(OFF))
     begin, abuts, ends = _stretches(signals, length, unknown + np.array([0.0, late]))
     # commands change when samples are taken, and a step holds one target: samples fall between steps
     begin, ends = begin - time_step / 2, ends + time_step
@@ -188,16 +189,23 @@ def cut(
     )  # fmt: skip
 
 
-def _unknown(commands: Sequence[Signal], off: Signal | None) -> Float[np.ndarray, "holes 2"]:
+def _unknown(
+    commands: Sequence[Signal], measured: Sequence[Signal], off: Signal | None
+) -> Float[np.ndarray, "holes 2"]:
     """Return from when to when commands are not known, s: before the first one, and where some are missing.
 
-    Where the torque is off, by the signal `off`, none is needed.
+    A command that is the same after a silence was held. A loop that commands and measures by turns may come late: then
+    nothing was measured in between either. Where the torque is off, by the signal `off`, no command is needed.
     """
     spans = []
-    for time in (signal.time for signal in commands if len(signal.time) >= _FEW):
+    seen = np.unique(np.concatenate([signal.time for signal in measured])) if measured else np.zeros(0)
+    for time, value in ((signal.time, signal.value) for signal in commands if len(signal.time) >= _FEW):
         spacing = np.diff(time)
         usual = float(np.quantile(spacing, _USUAL))  # a rate that the log's clock rounds has spacings of two kinds
-        for n in np.flatnonzero(spacing > _MISSED * usual).tolist():
+        for n in np.flatnonzero((spacing > _MISSED * usual) & (np.diff(value) != 0)).tolist():
+            start, end = time[n] + usual / 2, time[n + 1] - usual / 2
+            if spacing[n] < _LATE * usual and np.searchsorted(seen, start) == np.searchsorted(seen, end):
+                continue
             between = [] if off is None else off.value[(off.time > time[n]) & (off.time < time[n + 1])] > 0.5
             if not len(between) or not np.all(between):
                 spans.append((float(time[n]) + usual, float(time[n + 1])))
