@@ -1,8 +1,8 @@
 """How often intervals of `mjx-climb identify` hold the truth, on benches inside the model and outside of it.
 
-    python docs/studies/identification.py results/coverage.csv [--workers 16] [--inside 100] [--outside 100] [--short 40]
+    python docs/studies/identification.py results/coverage.csv [--workers 16] [--inside N] [--outside N] [--short N]
 
-Each log is one of a pendulum on a servo, integrated by the equations of `Bench` at 0.1 ms, 200 Hz, with noise of a
+Each log is one of a pendulum on a servo, integrated by the equations of `Bench` at 0.02 ms, 200 Hz, with noise of a
 milliradian. `short` logs have 2 to 10 s, inside the model and outside of it by turns, all others 6 s. A row is an
 interval of one parameter of one log; at the end the shares are printed with their exact binomial intervals.
 """
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import binomtest
 
-STEP, RATE, NOISE = 1e-4, 200.0, 1e-3  # s, Hz, rad
+STEP, RATE, NOISE = 2e-5, 200.0, 1e-3  # s, Hz, rad
 MASS, LENGTH, GRAVITY, STALL, FASTEST = 0.49, 0.1, 9.81, 1.2, 20.0  # kg, m, m/s^2, N m, rad/s
 SPANS = {  # even in the logarithm
     "hardware.servo.armature": (0.001, 0.006), "hardware.servo.coulomb_friction": (0.01, 0.06),
@@ -65,11 +65,11 @@ class Bench(NamedTuple):
 
 
 def goals(seconds: float, rng: np.random.Generator) -> np.ndarray:
-    """Goals (T,) rad: a chirp, then slow ramps, from an angle of their own."""
-    t = np.arange(round(seconds * RATE)) / RATE
-    half = seconds / 2
-    chirp = 0.8 * np.sin(2 * np.pi * (0.4 * t + 2.0 / seconds * t**2))
-    ramp = 1.2 * np.abs((2 * (t - half) / half * 1.5 + 0.5) % 2 - 1) - 0.6
+    """Goals (T,) rad without jumps: whole turns of a chirp, then slow ramps."""
+    t, half = np.arange(round(seconds * RATE)) / RATE, seconds / 2
+    faster = (round(1.3 * half) - 0.4 * half) / half**2
+    chirp = 0.8 * np.sin(2 * np.pi * (0.4 * t + faster * t**2))
+    ramp = 0.6 * np.abs((3 * (t - half) / half + 3) % 4 - 2) - 0.6
     return np.asarray(np.where(t < half, chirp, ramp) * rng.uniform(0.7, 1.2))
 
 
