@@ -1,16 +1,21 @@
 """The free order of limbs: one at a time, that which gains most."""
 
 import dataclasses
+from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mjx_climb as mc
 from mjx_climb.gait.footholds import Farthest
-from mjx_climb.gait.free_order import first_largest
+from mjx_climb.gait.footholds.footholds import Prospects
+from mjx_climb.gait.free_order import FreeOrder, first_largest
 from mjx_climb.ground.ground import Ground
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.physics.inverse_kinematics import limb_geometry
 from tests.gait.test_planner import NO_PUSH, SOFT, holds
+from tests.gait.test_planner_decisions import FEET, MOVES, PERIOD, PLAN, ROBOT, STEP, begun, planner_of
 
 # a limb swings for 0.2 s, and all stand for 0.1 s
 WALK = {
@@ -21,6 +26,37 @@ WALK = {
 
 def test_of_equal_ones_the_first_is_next():
     np.testing.assert_array_equal(first_largest(np.array([1.0, 3.0, 3.0, 0.0])), [False, True, False, False])
+
+
+class Known(FreeOrder):
+    """A free order in which limbs have 3, 4, none and 2 cm before them, or none."""
+
+    def prospects(self, situation, body, ways):
+        found = Prospects.none(situation.feet)
+        return found if ways is None else found._replace(farthest=jnp.array([0.03, 0.04, -jnp.inf, 0.02]))
+
+
+NEXT = {  # steps of a swing, step, what differs in the memory, whether there are holds, the limb and its wait
+    "all stand": (150.0, 500, {}, True, 1, 50.0),
+    "one has a step to go": (150.0, 499, {}, True, None, 50.0),
+    "the base is there": (250.0, 600, {}, True, 1, 0.0),
+    "the gait stands still": (150.0, 500, {"running": 0.0}, True, None, 50.0),
+    "no limb has a hold ahead": (150.0, 500, {}, False, None, 50.0),
+}
+
+
+@pytest.mark.parametrize("name", NEXT)
+def test_one_limb_is_next_once_all_stand_and_the_base_is_there(name):
+    """It waits for a quarter of the cycle less its swing; what it has swung since then is its own."""
+    swing, step, changes, ahead, limb, wait = NEXT[name]
+    plan = PLAN._replace(swing_steps=jnp.asarray(swing))
+    gait = Known(plan, STEP, False, ROBOT, limb_geometry(ROBOT), None, PERIOD, Farthest(), MOVES)
+    own = {"begun": [0.0, 10.0, 150.0, 350.0], "step": step, "span": [swing] * 4} | changes
+    situation = SimpleNamespace(feet=jnp.asarray(FEET))
+    lifts, waits, _ = gait.next_swings(begun(planner_of(), **own), None, situation, None, None, ahead or None)
+    np.testing.assert_array_equal(lifts, np.arange(4) == (-1 if limb is None else limb))
+    assert waits == wait
+    np.testing.assert_array_equal(gait.until_lift_off(None, jnp.array([-20.0, 0.0, 30.0])), [20.0, 800.0, 800.0])
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.scenario.shipped import config_path
+from tuning.gains.gains_file import by_name
 from tuning.gains.own_section import load_law
 from tuning.pages.pareto import front_table, plot_front
 from tuning.problem import spaces
@@ -119,6 +120,74 @@ def test_points_of_a_front_keep_every_limit_but_that_of_what_is_traded(given):
     theta, held = walked.theta, walked.held
     deviation, force = ((theta - problem.space.lower) / (problem.space.upper - problem.space.lower)).T
     assert held.tolist() == (force <= 0.5).tolist() and 0 < held.sum() < held.size and deviation[held].max() > 0.5
+
+
+# shares of the space of points that were walked: deviation and variation in the search, exactly, and what ended a walk
+POINTS = [
+    ((0.1, 0.9), (0.1, 0.9), ""),
+    ((0.2, 0.7), (0.2, 0.95), ""),  # not on the front with its exact walk
+    ((0.3, 0.5), (0.31, 0.5), ""),
+    ((0.35, 0.6), (0.0, 0.0), ""),  # another is better in both
+    ((0.5, 0.3), (0.5, 0.3), "tears off"),
+    ((0.55, 0.2), (0.55, 0.2), "diverges"),
+    ((0.6, 0.15), (0.6, 0.15), ""),
+    ((0.8, 0.1), (0.8, 0.1), ""),  # beyond the widest limit
+    ((0.05, 0.05), (0.05, 0.05), "breaks a limit"),
+]
+
+
+@pytest.mark.parametrize("widest, on", [(0.6, [0, 2, 6]), (0.01, [0, 2, 6, 7])])
+def test_a_front_is_what_no_other_beats_in_its_exact_walk(few, monkeypatch, widest, on):
+    """Within the widest limit where there is any; beside it the config, pd, and pd's joint gains on their own front."""
+    scenario, asked = mc.Scenario(), Pareto()
+    limits = tuple(Limit(name, 0.55, 1.0, 0.02, "") for name in ("peak_foot_force", "base_deviation"))
+    goal = Objective((Term("force_variation", 1.0, 1.0, 1.0),), limits)
+    problem = Shares(scenario, spaces.space(scenario, Search(space="isotropic")), goal)
+    span = problem.space.upper - problem.space.lower
+    shares, exact, ends = zip(*POINTS, strict=True)
+    theta, held = problem.space.lower + span * np.array(shares), np.array([end != "breaks a limit" for end in ends])
+    x, y = np.where(held, np.array(shares).T, np.inf)
+    walked = pareto.Walked(
+        theta, dict(zip(("base_deviation", "force_variation"), np.array(shares).T, strict=True)), held, x, y
+    )
+
+    def walk(of, gains=None, parameters=None, **how):
+        assert how["dtype"] is np.float64
+        own, ended = {} if gains is None else by_name(gains), np.array("")
+        if "kp" in own:
+            stiffer, damped = (np.log(own[name] / getattr(scenario.control, name)) for name in ("kp", "kd"))
+            rows = np.stack([0.5 - 0.1 * stiffer, 0.4 + 0.1 * stiffer + 0.01 * np.abs(damped)], -1)
+        elif own:
+            points = np.log(np.stack([own[name][:, 0] for name in problem.space.names], -1))
+            number = np.abs((points - problem.space.lower)[:, None] / span - shares).sum(2).argmin(1)
+            rows, ended = np.array(exact)[number], np.array(ends)[number]
+        else:
+            rows = np.array([0.7, 0.7]) + (of.control.controller == "pd")
+        found = dict.fromkeys(mc.METRICS.names, np.full(rows.shape[:-1], -1.0))
+        found |= {
+            "base_deviation": rows[..., 0],
+            "force_variation": rows[..., 1],
+            "peak_foot_force": 0.1 + rows[..., 1],
+        }
+        ended = np.broadcast_to(ended, rows.shape[:-1])
+        return found | {"diverged": ended == "diverges", "detached_limb": np.where(ended == "tears off", 2, -1)}
+
+    monkeypatch.setattr(mc, "rollout_metrics", walk)
+    data = pareto.front_dataset(problem, asked, walked, widest)
+    for name, values in zip(("base_deviation", "force_variation"), np.array(exact)[on].T, strict=True):
+        np.testing.assert_array_equal(data[name], values)
+    for place, name in enumerate(problem.space.names):
+        np.testing.assert_allclose(np.log(data[name][:, 0]), theta[on, place])
+    np.testing.assert_array_equal(data["reference_base_deviation"].sel(reference=["config", "pd"]), [0.7, 1.7])
+    np.testing.assert_array_equal(data["held"], held)
+    np.testing.assert_array_equal(data["theta"], theta)
+    np.testing.assert_array_equal(data["walked_force_variation"], np.array(shares)[:, 1])
+    # of the kp of pd's grid, 10, 45, 50 and 200, the first deviates too far and with the last the feet press too hard
+    kp = np.array([scenario.control.kp, np.sqrt(10 * 200)])
+    np.testing.assert_allclose(data["without_kp"], kp)
+    np.testing.assert_allclose(data["without_kd"], scenario.control.kd)
+    np.testing.assert_allclose(data["without_base_deviation"], 0.5 - 0.1 * np.log(kp / kp[0]))
+    np.testing.assert_allclose(data["without_force_variation"], 0.4 + 0.1 * np.log(kp / kp[0]))
 
 
 @pytest.mark.slow
