@@ -1,6 +1,7 @@
 """By ClimbLab's options the planner chooses what ClimbLab's own functions choose: limb and hold in 225 states."""
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import jax
@@ -10,7 +11,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.gait.footholds import ClimbLab
-from mjx_climb.gait.footholds.footholds import Situation
+from mjx_climb.gait.footholds.footholds import Prospects, Situation
 from mjx_climb.gait.footholds.reach import height_table, outward
 from mjx_climb.gait.free_order import FreeOrder
 from mjx_climb.ground import Holds
@@ -86,6 +87,38 @@ def test_with_climblabs_options_all_choices_are_climblabs():
     np.testing.assert_array_equal(reached[VALID > 0], REACH[VALID > 0])
     moves = limb != NONE
     np.testing.assert_allclose(base[moves, :2], STATES["base_next"][moves, :2], rtol=0, atol=2e-6)
+
+
+def test_limbs_may_swing_to_the_holds_that_climblabs_may():
+    """By the table of reach, apart from all feet, and where the base can follow: the largest step is chosen."""
+    rule, geometry = ClimbLab(), limb_geometry(ROBOT)
+    own = PLAN._replace(base_start=jnp.asarray(BASE)), STEP, False, ROBOT, geometry, None, PERIOD, rule, 4, ()
+    gait, body = FreeOrder(*own, height_table(ROBOT, geometry)), body_of(base_position=BASE, base_rotation=LEVEL)
+    ways, forward = (jnp.zeros(3), PLAN.advance), np.array([1.0, 0, 0])
+    some = np.arange(0, len(COUNT), 5)
+
+    @jax.jit
+    @jax.vmap
+    def asked(points, feet):
+        situation = Situation(feet, feet, jnp.asarray(forward), None, None, None, None, None)
+        place = jnp.broadcast_to(points[:, None], (len(points), *feet.shape))
+        return [jax.vmap(may(body, ways))(place) for may in (gait.reached, functools.partial(gait.allowed, situation))]
+
+    reached, allowed = map(np.asarray, asked(POINTS[some], FEET[some]))
+    valid = VALID[some] > 0
+    np.testing.assert_array_equal(reached[valid], REACH[some][valid])
+    step = POINTS[some][:, :, None] - FEET[some][:, None]
+    short = (step[..., :2] ** 2).sum(-1) <= 0.1**2
+    worth = np.where(allowed & valid[..., None] & short, step @ forward, -np.inf)
+    found = np.where(np.isfinite(worth.max(1)), worth.argmax(1), STATES["feet"][some])
+    of_limb = STATES["of_limb"][some]
+    np.testing.assert_array_equal(found, np.where(of_limb == NONE, STATES["feet"][some], of_limb))
+    assert (allowed & valid[..., None]).sum() < (reached & valid[..., None]).sum() / 1.5
+
+
+def test_the_limb_with_most_holds_ahead_is_next_but_for_those_in_vain():
+    found = ClimbLab().limb_worth(Prospects(jnp.zeros(4), jnp.array([3.0, 5, 5, 0]), jnp.array([0.0, 4, 1, 0])))
+    np.testing.assert_array_equal(found, [3, 1, 4, 0])
 
 
 OPTIONS = {"reach_a_stride_on": False, "reach_by_height": True, "base_must_follow": True}
