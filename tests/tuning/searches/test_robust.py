@@ -335,7 +335,6 @@ def judgement(**metrics):
     return xr.Dataset(data, {"gains": ["mine", "pd"]})
 
 
-@pytest.mark.slow
 def test_limits_are_judged_on_the_unseen_draw(scenario):
     base = judgement(force_variation=[[1.0, 2.0], [2.0, 4.0]], base_deviation=[[4e-3, 6e-3], [1e-3, 1e-3]])
     pd = {name: base[name].sel(gains="pd").values for name in base.data_vars}
