@@ -67,7 +67,7 @@ def score_of(objective: objectives.Goal, metrics: Mapping[str, Any]) -> objectiv
     }
     arrays["diverged"] = arrays["diverged"].astype(bool)
     with jax.enable_x64(True), devices.on_host():
-        score = objective.score(arrays)
+        score = jax.jit(objective.score)(arrays)
     held = ~np.isfinite(arrays["detached_at"].astype(float))
     value, descent, penalty, feasible = (np.asarray(part) for part in score)
     return objectives.Score(value, descent, penalty, feasible & held)

@@ -49,7 +49,7 @@ class Adam:
         x, slopes = choose(back, (self.best, self.there), (x, slopes))
         with jax.enable_x64(True):
             # a memory for each row, as one may begin anew
-            moves, memory = jax.vmap(self._adam.update)(slopes, self._memory)
+            moves, memory = jax.jit(jax.vmap(self._adam.update))(slopes, self._memory)
         self._memory = jax.tree.map(np.asarray, memory)
         return x, self._scale[:, None] * np.asarray(moves)
 
@@ -59,7 +59,7 @@ class Adam:
 
     def _begun(self) -> Any:
         with jax.enable_x64(True):
-            return jax.tree.map(np.asarray, jax.vmap(self._adam.init)(self.there))
+            return jax.tree.map(np.asarray, jax.jit(jax.vmap(self._adam.init))(self.there))
 
 
 def choose(rows: np.ndarray, yes: Any, no: Any) -> Any:

@@ -103,10 +103,7 @@ class Problem:
 
     def _forward(self, theta: np.ndarray, along: np.ndarray) -> tuple[Any, dict[str, Any]]:
         """Return derivatives (2, k, B) of descent and of value plus penalty, and the report."""
-        with jax.enable_x64(True):  # tangents (k, B, 6)
-            each = jnp.broadcast_to(along[:, None], (len(along), *theta.shape))
-            tangents = jax.vmap(lambda v: jax.jvp(self.space.to_gains, (theta,), (v,))[1])(each)
-            tangents = jax.tree.map(np.asarray, tangents)
+        tangents = self.space.to_tangents(theta, along)
         gains = to_gains64(self.space, theta)
         metrics, tangents = mc.rollout_jvp(self.scenario, gains, tangents, self.parameters, **self._how)
         with jax.enable_x64(np.dtype(self.dtype) == np.float64):

@@ -107,11 +107,19 @@ class Space:
     def to_gains(self, theta: Float[Array, "*batch n"] | Float[np.ndarray, "*batch n"]) -> AnyGains:
         """Return the gains of points, with their batch axes: `mc.Gains` where they are the paper's, else by name."""
         # NumPy's functions for NumPy's arrays, which JAX would compile one by one
-        xp = jnp if isinstance(theta, jax.Array) else np
-        fixed = xp.broadcast_to(xp.asarray(self.fixed, theta.dtype), (*theta.shape[:-1], self.fixed.size))
-        units = xp.asarray(self.units, theta.dtype)
-        searched = xp.where(units > 0, units * theta, xp.exp(xp.where(units > 0, 0.0, theta)))
-        values = xp.concatenate([searched, fixed], axis=-1)
+        numpy = jnp if isinstance(theta, jax.Array) else np
+        linear = self.units > 0
+        searched = numpy.where(linear, self.units * theta, numpy.exp(numpy.where(linear, 0.0, theta)))
+        fixed = numpy.broadcast_to(self.fixed, (*theta.shape[:-1], self.fixed.size))
+        return self._by_gain(numpy.concatenate([searched, fixed], axis=-1, dtype=theta.dtype))
+
+    def to_tangents(self, theta: Float[np.ndarray, "*batch n"], along: Float[np.ndarray, "k n"]) -> AnyGains:
+        """Return the derivatives of the gains of points along k directions, an axis ahead of the batch axes."""
+        slope = np.where(self.units > 0, self.units, np.exp(np.where(self.units > 0, 0.0, theta)))
+        searched = slope * np.expand_dims(along, tuple(range(1, theta.ndim)))
+        return self._by_gain(np.concatenate([searched, np.zeros((*searched.shape[:-1], self.fixed.size))], axis=-1))
+
+    def _by_gain(self, values: Array | np.ndarray) -> AnyGains:
         return as_gains({name: values[..., index] for name, index in self.index.items()})
 
     def from_gains(self, gains: AnyGains) -> np.ndarray:

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -210,7 +209,7 @@ def pd_of_each(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
     how: dict[str, Any] = {"metrics": problem.metrics, "dtype": problem.dtype, "engine": problem.engine}
     gains, walks = retuned_pd.walked_on_grid(problem.scenario, parameters=problem.parameters, **how)
     with jax.enable_x64(np.dtype(problem.dtype) == np.float64):  # for any setting of JAX
-        score = problem.objective.score({name: jnp.asarray(values) for name, values in walks.items()})
+        score = jax.jit(problem.objective.score)(walks)
     value, feasible = np.asarray(score.value), np.asarray(score.feasible)
     ranks = np.where(feasible, value, 1e3 + value + np.asarray(score.penalty))
     best = np.nan_to_num(ranks, nan=np.inf).argmin(0)
