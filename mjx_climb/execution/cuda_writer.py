@@ -315,24 +315,31 @@ class CudaWriter(Writer):
         self._assign(carried, made[: len(carried)])
         self._inside -= 1
         if self._inside and len(self._lines) - begin > LONG_STEP:
-            self._call(time, begin, [value.content for value in carried], head)
+            self._call(time, begin, carried, head)
         else:
             self._lines[begin:begin] = [head[0], f"{head[1]} {{"]
         rows = [range(row, self.kept, len(written)) for row in range(first, first + len(written))]
         return carried, [[self._kept(row, n.dtype) for row in each] for each, n in zip(rows, written, strict=True)]
 
-    def _call(self, time: str, begin: int, carried: Sequence[str], head: Sequence[str]) -> None:
+    def _call(self, time: str, begin: int, carried: Sequence[Value], head: Sequence[str]) -> None:
         """Make the last lines, the step of a loop in a loop, a function of its own.
 
-        Within a second loop NVIDIA's assembler takes hours over registers for them.
+        Within a second loop NVIDIA's assembler takes hours over registers for them. What is carried stands in arrays,
+        whose places cannot be the same to the compiler, as those of references could.
         """
         names = dict.fromkeys(_NAMES.findall("\n".join(self._lines[begin:])))
         read = [self._arguments[name] for name in names if name in self._arguments]  # once more: one word for all lanes
-        by_reference = "".join(f", &{name}" for name in carried)
-        function = f"const auto step_{time} = [={by_reference}](int {time}) __attribute__((noinline)) {{"
-        self._lines[begin:begin] = [function, *read]
+        before, after, arrays = [], [], []
+        for dtype in dict.fromkeys(value.dtype for value in carried):
+            own, array = [value.content for value in carried if value.dtype == dtype], f"{dtype}_{time}"
+            before.append(f"{typed(dtype)} {array}[{len(own)}] = {{{', '.join(own)}}};")
+            read += [f"{typed(dtype)} &{name} = {array}[{place}];" for place, name in enumerate(own)]
+            after += [f"{name} = {array}[{place}];" for place, name in enumerate(own)]
+            arrays.append(f", &{array}")
+        function = f"const auto step_{time} = [={''.join(arrays)}](int {time}) __attribute__((noinline)) {{"
+        self._lines[begin:begin] = [*before, function, *read]
         self._lines[-1] = "};"
-        self._lines += [head[0], f"{head[1]} step_{time}({time});"]
+        self._lines += [head[0], f"{head[1]} step_{time}({time});", *after]
 
     def _kept(self, row: int, dtype: np.dtype) -> Value:
         """Return a number that a loop has written: it is read where it is used."""

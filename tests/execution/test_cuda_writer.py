@@ -262,9 +262,12 @@ def test_a_walk_by_mjx_in_cuda_c(carried_out, case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("steps", [30, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("steps", [30, 300])
 def test_gradients_in_cuda_c(carried_out, steps):
-    """Loops keep what they carry, each lane its own, and read it backwards: to 1e-4 of JAX's in float64."""
+    """Loops keep what they carry, each lane its own, and read it backwards: to 1e-4 of JAX's in float64.
+
+    With two levels of checkpoints a long step is a function: NVIDIA's assembler does not end at one in two loops.
+    """
     walk, (gains, starts, targets) = motion(steps)
     robots, sums, rng = len(gains), 2, np.random.default_rng(3)
     weights = {name: rng.normal(size=(robots, sums)) for name in ("end", "work")}
@@ -278,6 +281,7 @@ def test_gradients_in_cuda_c(carried_out, steps):
         given = [np.array([robots, sums], np.int32), single[2]], columns[:2], columns[3:]
         found = carried_out({"kernel": (kernel, given, (robots, sums), both.out_avals)})["kernel"]
     assert kernel.kept > steps
+    assert kernel.text.count("noinline") == (steps == 300)
 
     def one(gain, start, weights):
         _, pull_back = jax.vjp(lambda *of: {n: walk(*of, targets)[n] for n in weights}, gain, start)
