@@ -283,6 +283,16 @@ class Servos:
         self.integral = np.where(full, self.integral, more)
         return self.driven * (self.kp * error + self.ki * self.integral - self.kd * rates)
 
+    def volts_of(self, share, rates):
+        """Return the voltage at the servos over that of the supply at rest, by V = V_0 - R_0 u (u V - kt w) / R."""
+        if not self.servo.supply_resistance:
+            return 1.0
+        volts = self.servo.supply_voltage
+        constant = volts / self.fast  # V s/rad
+        own = constant * volts / self.stall
+        outer = self.servo.supply_resistance
+        return (volts + outer * share * constant * rates / own) / (1 + outer * share**2 / own) / volts
+
     def bears(self, torque, load, rates):
         """Return what dry friction bears: M6, of which the other models are parts."""
         s = self.servo
@@ -308,7 +318,8 @@ class Servos:
         torque = np.where(np.isfinite(self.limit), limited, torque)
         if self.voltage:
             share = np.clip(late(self.asked, self.servo.delay / h) / self.stall, *(self.servo.pwm_limit * PLUS_MINUS))
-            torque = self.driven * self.stall * (share - rates / self.fast)
+            volts = self.volts_of(share, rates)
+            torque = self.driven * self.stall * (share * volts - rates / self.fast)
         torque = np.clip(torque, -self.current, self.current)
         bears = self.bears(torque, load, rates)
         self.bend = np.clip(self.bend + h * rates / self.servo.presliding, -1, 1)

@@ -176,7 +176,7 @@ def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tup
     if stages.servo_delay:
         buffer, torque = signals.delayed(buffer, torque, hardware.pace.servo)
     if stages.voltage:
-        torque = voltage_driven(torque, rates, servos)
+        torque = voltage_driven(torque, rates, servos, sags=stages.supply_resistance)
     elif stages.torque_limit:
         torque = limited(torque, rates, jnp.asarray(servos.torque_limit), jnp.asarray(servos.no_load_speed))
     if stages.current_limit:
@@ -194,14 +194,21 @@ def driven(servo: Servo, torque: Array, rates: Array, hardware: Hardware) -> tup
     return servo._replace(buffer=buffer, bristle=bristle), Drive(torque, joint_torque, armature)
 
 
-def voltage_driven(asked: Array, rate: Array, servos: Servos) -> Array:
+def voltage_driven(asked: Array, rate: Array, servos: Servos, *, sags: bool = False) -> Array:
     """Return the torque, N m, of motors on a share of the supply voltage: the torque asked for over that at stall.
 
     `kt / R V - kt^2 / R phidot`, with the stall torque `kt V / R` and the speed without load `V / kt`; no inductance.
+    A supply that sags has `V = V_0 - R_0 u i` at a share u of the voltage and a current i of the motor.
     """
     stall = jnp.asarray(servos.torque_limit)
     most = stall * servos.pwm_limit
-    return jnp.clip(asked, -most, most) - stall / servos.no_load_speed * rate
+    driving = jnp.clip(asked, -most, most)
+    if sags:
+        # R_0 / R, with R = V_0^2 / (stall torque times speed without load); no torque at standstill: it is off
+        resistance = servos.supply_resistance * stall * servos.no_load_speed / servos.supply_voltage**2
+        share = driving / jnp.where(stall > 0, stall, 1.0)
+        driving = driving * (1 + resistance * share * rate / servos.no_load_speed) / (1 + resistance * share**2)
+    return driving - stall / servos.no_load_speed * rate
 
 
 def limited(torque: Array, rate: Array, torque_limit: Array, no_load_speed: Array) -> Array:

@@ -52,6 +52,7 @@ class Stages(NamedTuple):
     integral: bool = False
     voltage: bool = False  # the servos' loops give shares of the supply voltage
     supply_voltage: bool = False
+    supply_resistance: bool = False  # it sags under load
     torque_limit: bool = False
     current_limit: bool = False
     armature: bool = False
@@ -142,6 +143,7 @@ def stages_of(
         integral=some("control.ki"),
         voltage=voltage,
         supply_voltage=finite(f"{_SERVO}.supply_voltage"),
+        supply_resistance=some(f"{_SERVO}.supply_resistance"),
         torque_limit=limited or finite(f"{_SERVO}.torque_limit"),
         current_limit=(voltage and limited) or finite(f"{_SERVO}.current_limit"),
         armature=servos and some(f"{_SERVO}.armature"),

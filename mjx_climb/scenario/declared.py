@@ -331,6 +331,11 @@ class Servos(Values):
         "V", POSITIVE_OR_INFINITE, "supply voltage",
         "measured voltage, by which torque_limit and no_load_speed scale; null: rated_voltage", default=math.inf,
     )  # fmt: skip
+    supply_resistance: Array = value(
+        "Ohm", NONNEGATIVE, "resistance of the supply",
+        "resistance between supply_voltage and servo: the voltage sags under the motor's current; 0: it does not",
+        default=0.0,
+    )  # fmt: skip
     backlash: Array = value("rad", NONNEGATIVE, "backlash", "play of the gears from end to end", default=0.0)
     delay: Array = value(
         "s", NONNEGATIVE, "delay of the servos", "from the joint loop to the motor's torque", default=0.0

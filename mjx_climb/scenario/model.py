@@ -553,6 +553,9 @@ class Servo(v.ComponentSection):
         ):
             if getattr(self, key) is None and getattr(self, other) is not None:
                 raise failure(f"a number beside {other}", key=key, got=None)
+        if self.supply_resistance and (self.drive == "torque" or self.supply_voltage is None):
+            expected = "0 but with drive: voltage and a supply_voltage"
+            raise failure(expected, key="supply_resistance", got=self.supply_resistance)
         if self.drive == "torque" and self.pwm_limit != 1:
             raise failure(
                 "1 with drive: torque, which has no share of the voltage", key="pwm_limit", got=self.pwm_limit

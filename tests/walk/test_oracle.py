@@ -64,6 +64,7 @@ WALKS = {  # changes, and what is to happen
             "hardware.servo": {
                 "drive": "voltage", "torque_limit": 0.5, "no_load_speed": 6.0, "pwm_limit": 0.8, "rate": 500.0,
                 "rated_voltage": 12.0, "supply_voltage": 10.5, "profile_velocity": 1.5, "profile_acceleration": 60.0,
+                "supply_resistance": 9.0,
                 "current_limit": 0.45, "armature": 0.002, "coulomb_friction": 0.005, "viscous_friction": 0.01,
                 "presliding": 8e-4,
                 "load_friction": 0.1, "external_load_friction": 0.05, "stribeck_friction": 0.01,

@@ -23,7 +23,10 @@ _PARTS = (  # of a servo, which a profile may have and a robot not, by the field
     ("profile_velocity", "profile_acceleration"), ("current_limit",), ("rate",),
 )  # fmt: skip
 # SI units: what a robot may have and a profile not, at a size from which it is fitted
-_MISSING = {"backlash": 0.005, "viscous_friction": 0.05, "stribeck_friction": 0.05, "load_friction": 0.1}
+_MISSING = {
+    "backlash": 0.005, "viscous_friction": 0.05, "stribeck_friction": 0.05, "load_friction": 0.1,
+    "supply_resistance": 0.2,
+}  # fmt: skip
 _MOST, _TOLERANCE = 15, 1e-3  # evaluations, relative
 _EXPLAINS = 0.8  # of the residuals' root mean square before
 
@@ -61,7 +64,10 @@ def changes(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Iterator[Chang
     for name, value in _MISSING.items():
         key = f"hardware.servo.{name}"
         if getattr(servo, name) == plain[name] and key not in fitted:
-            other = scenario.with_overrides({key: value})
+            try:
+                other = scenario.with_overrides({key: value})
+            except ConfigError:  # this servo cannot have it
+                continue
             yield Change(f"with {key} (--set {key}={value:g} --fit {key})", other, variables(other, [key], held=True))
 
 

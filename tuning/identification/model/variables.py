@@ -32,6 +32,7 @@ from mjx_climb.value_field import ValueField
 FACTOR = 1.0  # prior sd of the logarithm of what is positive: a factor of e, 7 at two sd
 _SCALES = {  # prior sd by unit, of what may be zero; the nominal value where that is larger
     "kg m^2": 0.02, "N m": 0.2, "N m s/rad": 0.2, "rad": 0.02, "s": 0.01, "N": 1.0, "1": 0.3, "N s/m": 50.0, "m": 0.01,
+    "Ohm": 0.5,
 }  # fmt: skip
 _LONGEST = 0.02  # s, bound of a delay that is fitted, where the nominal one is not near it
 _TILT = 0.1  # rad
