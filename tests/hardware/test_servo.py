@@ -221,7 +221,7 @@ def test_a_supply_voltage_moves_the_torque_speed_line_and_leaves_a_loop_of_torqu
 def test_a_supply_sags_by_the_power_that_the_motor_takes(share):
     """At the solution the power of the source is that lost in it and that of the winding."""
     stall, fastest, volts, outer, rate = 8.0, 6.0, 12.0, 0.7, -1.5
-    own = hardware(MOTOR | {"rated_voltage": volts, "supply_voltage": volts, "supply_resistance": outer, "pwm_limit": 1})
+    own = hardware(MOTOR | {"rated_voltage": volts, "supply_voltage": volts, "supply_resistance": outer})
     found = servo.voltage_driven(jnp.array(share * stall), jnp.array(rate), own.parameters.drive, sags=True)
     constant = volts / fastest  # V s/rad, N m/A
     winding = constant * volts / stall  # Ohm
@@ -367,7 +367,7 @@ REFUSED = {
     "hardware.servo.register_scale.p=0": "hardware.servo.register_scale.p: expected a finite number above 0, got 0",
     "hardware.servo.rate=300": "hardware.servo.rate: expected a rate whose period is a whole number of time steps",
     "hardware.servo.supply_voltage=12": "hardware.servo.rated_voltage: expected a number beside supply_voltage",
-    "hardware.servo.supply_resistance=0.5": "hardware.servo.supply_resistance: expected 0 but with drive: voltage and a",
+    "hardware.servo.supply_resistance=0.5": "hardware.servo.supply_resistance: expected 0 but with drive",
     "hardware.servo.profile_acceleration=9": "hardware.servo.profile_velocity: expected a number beside profile_acc",
     "hardware.servo.pwm_limit=1.5": "hardware.servo.pwm_limit: expected a number above 0, 1 at most, got 1.5",
     "hardware.servo.pwm_limit=0.5": "hardware.servo.pwm_limit: expected 1 with drive: torque",

@@ -333,8 +333,8 @@ STAGE_OF = {
     "hardware.control_period": "control_period", "hardware.command_delay": "command_delay",
     f"{_SERVO}.delay": "servo_delay", f"{_SERVO}.rate": "servo_rate", f"{_SERVO}.profile_velocity": "profile",
     f"{_SERVO}.coulomb_friction": "dry_friction", f"{_SERVO}.load_friction": "dry_friction",
-    **{f"{_SERVO}.{name}": name for name in ("supply_voltage", "supply_resistance", "torque_limit", "current_limit", "armature",
-                                             "viscous_friction", "backlash")},
+    **{f"{_SERVO}.{name}": name for name in ("supply_voltage", "supply_resistance", "torque_limit", "current_limit",
+                                             "armature", "viscous_friction", "backlash")},
     "control.ki": "integral", "gait.height": "height", "gait.sway": "sway", "gait.landing_speed": "landing_speed",
 }  # fmt: skip
 
