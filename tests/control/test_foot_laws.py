@@ -98,7 +98,7 @@ def test_a_walk_worked_out_again(kind, control_period):
     oracle.assert_is(walk, twin)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "ClimbSDK")) for n in KINDS])
+@pytest.mark.parametrize("name", KINDS)
 def test_steps_are_those_worked_out_in_numpy(name):
     """Of other forces, feet that open and stand, and bases in each step; in some no force is known.
 
@@ -175,7 +175,6 @@ def test_a_batch_moves_as_each_of_its_robots(kind):
         np.testing.assert_allclose(own, started(kind.law, one[1], one[0])[1], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
 @quick
 def test_without_forces_feet_go_back_to_where_the_gait_wants_them(kind):
     """(Landing would still act.)"""
@@ -192,7 +191,6 @@ def test_without_forces_feet_go_back_to_where_the_gait_wants_them(kind):
 # --- Load transfer alone
 
 
-@pytest.mark.slow
 def test_loads_leave_a_foot_before_it_lifts_off():
     """Of equal loads; the forces on the feet push each as far as it gives way."""
     reference, measured = scene()
@@ -203,7 +201,6 @@ def test_loads_leave_a_foot_before_it_lifts_off():
     assert shift[0] > 0 > shift[1]
 
 
-@pytest.mark.slow
 def test_a_limb_at_its_torque_limit_is_not_wound_up():
     """The offset of its foot grows no longer, that of others does; it still may shrink."""
     reference, measured = scene()
@@ -236,7 +233,6 @@ def test_internal_forces_have_no_net_wrench():
         np.testing.assert_allclose(law.stiffness * shift.ravel(), null @ own, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_climb_sdk_counts_twenty_times_a_second():
     """In 0.1 s it moves twice; a base that is too low makes it push the feet down, all of them alike."""
     reference, measured = scene()

@@ -54,8 +54,10 @@ def exact(wrench, lever, weight, pull_limit):
     return solution
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("limbs", "count"), [pytest.param(4, 10_000, marks=pytest.mark.nightly), (3, 2000), (6, 300)])
+@pytest.mark.parametrize(
+    ("limbs", "count"),
+    [pytest.param(4, 10_000, marks=pytest.mark.nightly), (3, 2000), pytest.param(6, 300, marks=pytest.mark.slow)],
+)
 def test_forces_are_those_of_the_exact_program(limbs, count):
     """The wrench to 1e-9; forces to 1e-3 of the largest, as 12 sweeps go; where no limit acts, to 1e-9."""
     wrench, lever, weight, limit = scenes(count, limbs)
@@ -103,7 +105,6 @@ def margins(wrench, lever, cost):
     return solution, best
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("limbs", "count"), [pytest.param(4, 10_000, marks=pytest.mark.nightly), (3, 2000)])
 def test_forces_of_the_largest_margin_are_those_of_the_exact_program(limbs, count):
     wrench, lever, *_ = scenes(count, limbs)

@@ -241,7 +241,6 @@ def test_the_base_stands_where_the_lines_between_opposite_feet_meet(limbs):
     np.testing.assert_allclose(found, [*meet, feet[:, 2].mean()], atol=1e-12)
 
 
-@pytest.mark.slow
 def test_the_base_moves_as_far_as_all_feet_stay_within_reach(scenario):
     """Of the shares of its way the largest, by joint angles found anew, with room left before a limb is straight."""
     robot = load_robot(scenario.robot)

@@ -44,7 +44,6 @@ def counted(scenario, changes, dtype, count):
     return np.vstack([plan.cycle_steps, plan.swing_steps, plan.swing_offset.T])
 
 
-@pytest.mark.slow
 def test_cycles_have_the_same_steps_in_both_precisions():
     """Of whole milliseconds against integers, half a step being one; of others against each other.
 
@@ -93,7 +92,6 @@ def test_windows_and_periods_have_the_same_steps_in_both_precisions(traced):
             np.testing.assert_array_equal(found, (half_steps + 1) // 2)
 
 
-@pytest.mark.slow
 def test_delays_of_whole_steps_read_the_same_samples_in_both_precisions():
     """Towards longer delays: their derivative moves weight from the sample to the next older one."""
     scenario, number = mc.Scenario(), np.arange(1, 200)

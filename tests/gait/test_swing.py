@@ -151,7 +151,6 @@ def test_swings_stay_above_uneven_ground(robots):
     assert height.max() >= 0.02 + scenario.gait.step_height
 
 
-@pytest.mark.slow
 def test_a_swing_out_of_reach_stays_the_cubic(robots):
     """A stride that only two of HubRobo's limbs can follow: the others keep what they have."""
     scenario = robots["hubrobo"].with_overrides({"gait.stride": 0.3})

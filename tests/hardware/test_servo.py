@@ -149,7 +149,6 @@ def test_a_servos_own_rate_holds_what_its_loop_asks_for(drive):
     assert np.ptp(torque) > 0.1
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("way", "velocity", "acceleration"),
     [(-0.1, 2.0, 4.0), *(pytest.param(*a, marks=pytest.mark.slow) for a in ((1.0, 0.8, 4.0), (0.5, 0.7, None)))],

@@ -82,7 +82,6 @@ def draw(samples, channels, seed=0.0):
     return np.asarray(jax.vmap(one)(jnp.arange(samples)))
 
 
-@pytest.mark.slow
 def test_noise_is_white_with_unit_variance():
     """Those of the force sensors and of the base estimate: mean zero, no correlation in time or between them."""
     values = draw(40_000, [*range(12), *range(sensors.BASE_CHANNELS, sensors.BASE_CHANNELS + 6)])
@@ -108,7 +107,6 @@ def test_noise_has_the_distribution_of_a_sum_of_eight_uniform_numbers():
         assert abs(share - bell) < 0.005
 
 
-@pytest.mark.slow
 def test_noise_is_the_same_in_any_batch_and_precision():
     seeds, channels = jnp.asarray([3.0, 0.0, 16_777_215.0]), jnp.arange(12)
     together = jax.vmap(lambda seed: sensors.normal(seed, jnp.asarray(41), channels, jnp.float32))(seeds)

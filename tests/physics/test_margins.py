@@ -141,7 +141,6 @@ def test_without_gravity_the_tsm_has_no_length():
 # --- on holds ---
 
 
-@pytest.mark.slow
 def test_margins_on_holds_of_any_normal_are_answers_of_linear_programs():
     """Of pulls that holds bear along their normals: one gripper's for the TSM, those of all for the GIA margin."""
     rng = np.random.default_rng(1)
@@ -193,7 +192,6 @@ def test_margins_do_not_depend_on_where_the_scene_is_or_the_limbs_begin():
     np.testing.assert_allclose(there, here, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_derivatives_for_every_support_pattern():
     rng = np.random.default_rng(2)
     feet, support, *rest = random_scene(rng, PATTERNS)

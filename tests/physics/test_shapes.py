@@ -94,7 +94,6 @@ def test_accelerations_are_those_of_mujoco(engine, name):
     assert relative_error(stacked(ours), mujoco_acceleration(model, given[0], given[1:])) < 1e-9
 
 
-@pytest.mark.slow
 def test_the_model_of_mjx_has_a_robots_armature_once_and_its_cargo():
     """Whatever armature the file has: that of the robot, of which a walk makes more, takes its place."""
     model = mujoco.MjModel.from_xml_string(mjcf(*SHAPES["four of three with armature"]))

@@ -60,7 +60,6 @@ def test_joint_gains_are_those_of_a_better_pd():
     assert less > 5 and 100 * (1 - after / before) == pytest.approx(less, abs=2)
 
 
-@pytest.mark.slow
 def test_long_walks_get_one_grid(monkeypatch):
     """It says how many walks it rests on."""
     monkeypatch.setattr(first_walks, "LONG", 100)

@@ -115,7 +115,6 @@ def test_hardware_is_drawn_last_and_every_walk_has_its_own_noise():
     assert np.median(rate) == pytest.approx(np.sqrt(100.0 * 500.0), rel=0.15)
 
 
-@pytest.mark.slow
 def test_all_friction_of_a_servo_is_scaled_alike():
     """That of an MX-64 is nearly all Stribeck's and the load's; what it can bear is linear in its coefficients."""
     scenario = with_hardware(mc.load_scenario(config_path("case_2.yaml")), load_hardware("mx_64"))
@@ -242,7 +241,6 @@ def test_a_search_over_large_pushes_finds_thresholds_with_which_more_walks_hold(
         assert value[0] < 0.8 * value[1], value
 
 
-@pytest.mark.slow
 def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble, pd):
     goal = objective(search.Search.make({"no_worse_than_pd": False}), pd, worst=ensemble.worst)
     rows = {name: np.stack([value, value], axis=1) for name, value in pd.items()}
