@@ -34,7 +34,7 @@ from mjx_climb.gait.base_path import check_base
 from mjx_climb.gait.first_holds import check_first_holds
 from mjx_climb.hardware.actuator import Actuator
 from mjx_climb.hardware.stages import Stages, stages_of
-from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.from_scenario import own_parameters, waiting_of
 from mjx_climb.inputs.gait_values import TIMES, gait_of, scenario_with_gait
 from mjx_climb.inputs.resolve import (
     AnyGains,
@@ -184,8 +184,11 @@ class Simulation:
         given = own_parameters(self.scenario) if parameters is None else parameters
         contact = given.contact if self.contact is None else self.contact
         drive = given.drive if self.drive is None else self.drive
+        waiting = given.waiting
+        if waiting is None and self.contact is not None:
+            waiting = waiting_of(self.scenario, self.contact)
         disturbances = given.disturbances + self.disturbances
-        return dataclasses.replace(given, contact=contact, drive=drive, disturbances=disturbances)
+        return dataclasses.replace(given, contact=contact, drive=drive, disturbances=disturbances, waiting=waiting)
 
     def _structure(self, parameters: Parameters, called: Mapping[str, str]) -> Structure:
         """Return the structure of a walk under these parameters, which decide about the stages of hardware."""

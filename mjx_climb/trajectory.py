@@ -37,6 +37,19 @@ class Trajectory(Quantities[np.ndarray]):
         return {limb: max(float(self.time[own.argmax()]) - SILENCE, 0.0) for limb, own in each if own.any()}
 
     @property
+    def falls_at(self) -> float | None:
+        """From when on, s, no grip holds until the walk's end; None where some grip holds then."""
+        held = np.flatnonzero(self.support.any(1))
+        first = held[-1] + 1 if held.size else 0
+        return float(self.time[first]) if first < len(self.time) else None
+
+    @property
+    def gap(self) -> float:
+        """The largest distance off the ground, m, at which a gripper shuts, up to the first that misses it."""
+        before = np.cumsum(self.missed.any(1)) - self.missed.any(1) < 1
+        return float(np.nanmax(self.grip_gap[before]))
+
+    @property
     def standing(self) -> dict[str, float]:
         """From when on, s, the robot stands at the walk's end, as some feet found no grip, by limb."""
         until_the_end = np.logical_and.accumulate(self.stands[::-1])[::-1]

@@ -1,19 +1,23 @@
-"""Compare the grip that snaps shut with the one that closes: force after shutting, and peak pull of pd around one pd.
+"""Compare the grip that holds at once with the one that closes, in case 1.2, by three tables beside this file.
 
-Run from the repository's root: `python docs/explanation/closing.py`. It writes `closing.csv`, which the picture of
-docs/explanation/physics.md shows, and `closing_pd.csv`, both beside itself.
+Run from the repository's root: `python docs/explanation/closing.py`. `closing.csv` has the force after shutting, which
+the picture of docs/explanation/physics.md shows; `closing_pd.csv` the peak pull of pd of 64 gains; and
+`closing_searches.csv` the least peak pull that gradients and CMA-ES find.
 """
 
 import csv
+import itertools
 import sys
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1]))
 
 import mjx_climb as mc  # noqa: E402
+import tuning  # noqa: E402
 
 CONTACTS = {
     "at once": {"contact.closing_time": 0.0, "contact.capture_distance": 0.005},
@@ -26,6 +30,10 @@ HANGS = {
 SPAN = 0.02  # s after the first gripper shuts
 KP, KD = 17.24, 0.9705  # N m/rad, N m s/rad, of pd retuned for case 1.2: docs/start/first_sweep.md
 STEPS, STEP = 8, 1.03  # gains of each kind, and the factor from one to the next
+_SERVOS = HERE.parents[1] / "configs" / "hardware" / "dynamixel_x.yaml"
+# ideal joints of a kd near 1 N m s/rad need a shorter time step
+SERVOS = {"ideal": {"time_step": 2.5e-4}, "dynamixel_x": yaml.safe_load(_SERVOS.read_text(encoding="utf-8"))}
+SEEDS, LIMIT = 3, 0.005  # searches of each kind; m, of the base's deviation
 
 
 def forces() -> list[list[object]]:
@@ -44,20 +52,30 @@ def forces() -> list[list[object]]:
 
 
 def around_pd() -> list[list[object]]:
-    """Return the peak pull of pd of 64 gains in case 1.2, by contact; print the largest change from one to the next."""
+    """Return the peak pull of pd of 64 gains, by servos and contact; print the largest change from one to the next."""
     rows: list[list[object]] = []
-    # a larger kd is too large for the time step
-    factors = STEP ** (np.arange(STEPS) - STEPS + 1)
-    gains = {"kp": KP * factors[:, None] * STEP ** (STEPS // 2), "kd": KD * factors}
-    for name, contact in CONTACTS.items():
-        scenario = mc.load_scenario("case_1_2", contact | {"control.controller": "pd"})
-        found = mc.rollout_metrics(scenario, gains, dtype=np.float64, unsteady=True)
-        pull = np.where(found["diverged"], np.nan, found["peak_pull_force"])
-        change = max(np.nanmax(np.abs(np.diff(np.log(pull), axis=axis))) for axis in (0, 1))
-        span = f"{np.nanmin(pull):.3f} to {np.nanmax(pull):.3f} N, {np.isnan(pull).sum()} diverge"
-        print(f"{name}: peak pull {span}, factor {np.exp(change):.3f} for {STEP - 1:.0%}")
+    factors = STEP ** (np.arange(STEPS) - STEPS // 2)
+    gains = {"kp": KP * factors[:, None], "kd": KD * factors}
+    for (servos, hardware), (name, contact) in itertools.product(SERVOS.items(), CONTACTS.items()):
+        scenario = mc.load_scenario("case_1_2", contact | {"control.controller": "pd"}).with_overrides(hardware)
+        pull = mc.rollout_metrics(scenario, gains, dtype=np.float64, unsteady=True)["peak_pull_force"]
+        change = max(np.abs(np.diff(np.log(pull), axis=axis)).max() for axis in (0, 1))
+        span = f"{pull.min():.3f} to {pull.max():.3f} N"
+        print(f"{servos}, {name}: peak pull {span}, factor {np.exp(change):.3f} for {STEP - 1:.0%}", flush=True)
         for (i, j), value in np.ndenumerate(pull):
-            rows.append([name, f"{gains['kp'][i, 0]:.4g}", f"{gains['kd'][j]:.4g}", f"{value:.4f}"])
+            rows.append([servos, name, f"{gains['kp'][i, 0]:.4g}", f"{gains['kd'][j]:.4g}", f"{value:.4f}"])
+    return rows
+
+
+def searches() -> list[list[object]]:
+    """Return the least peak pull that searches of the shipped law's gains find, by contact, method and seed."""
+    rows: list[list[object]] = []
+    for (name, contact), method, seed in itertools.product(CONTACTS.items(), ("gradient", "cmaes"), range(SEEDS)):
+        scenario = mc.load_scenario("case_1_2", contact)
+        how = {"space": "split", "weights": {"peak_pull_force": 1.0}, "limits": {"base_deviation": LIMIT}}
+        found = tuning.tune(scenario, method=method, seed=seed, **how)
+        rows.append([name, method, seed, f"{found.metrics['peak_pull_force']:.4f}", found.env_steps])
+        print(*rows[-1], flush=True)
     return rows
 
 
@@ -69,4 +87,6 @@ def written(name: str, header: list[str], rows: list[list[object]]) -> None:
 
 if __name__ == "__main__":
     written("closing.csv", ["contact", "time ms", "pull N", "height mm"], forces())
-    written("closing_pd.csv", ["contact", "kp N m/rad", "kd N m s/rad", "peak pull N"], around_pd())
+    header = ["servos", "contact", "kp N m/rad", "kd N m s/rad", "peak pull N"]
+    written("closing_pd.csv", header, around_pd())
+    written("closing_searches.csv", ["contact", "method", "seed", "peak pull N", "env-steps"], searches())

@@ -72,22 +72,22 @@ def _first(at: Array, happens: Array, now: Array) -> Array:
     return jnp.where(jnp.isnan(at) & happens, now, at)
 
 
-def _begun(zero: Array) -> tuple[Array, Array, Array]:
-    return zero + jnp.nan, zero + jnp.nan, zero
-
-
 def along(way: float) -> tuple[Metric, Metric]:
     """Return when the base was so far ahead, m, and how far it came, both before a grip was torn off."""
 
-    def update(running: tuple[Array, Array, Array], sample: Sample, _: Context) -> tuple[Array, Array, Array]:
-        start, arrived, far = running
+    def begun(zero: Array) -> tuple[Array, ...]:
+        return zero + jnp.nan, zero + jnp.nan, zero, zero < 0
+
+    def update(running: tuple[Array, ...], sample: Sample, _: Context) -> tuple[Array, ...]:
+        start, arrived, far, lost = running
         start = jnp.where(jnp.isnan(start), sample.base_position[0], start)
-        ahead, held = sample.base_position[0] - start, ~(sample.detached | sample.torn_off).any()
-        return start, _first(arrived, held & (ahead >= way), sample.time), jnp.where(held, ahead, far)
+        # a gripper that was torn off may grip again
+        ahead, lost = sample.base_position[0] - start, lost | sample.torn_off.any()
+        return start, _first(arrived, ~lost & (ahead >= way), sample.time), jnp.where(lost, far, ahead), lost
 
     return (
-        Metric("arrived_at", "s", "arrived at", False, _begun, update, lambda running, _: running[1]),
-        Metric("held_way", "m", "way until a grip is torn off", True, _begun, update, lambda running, _: running[2]),
+        Metric("arrived_at", "s", "arrived at", False, begun, update, lambda running, _: running[1]),
+        Metric("held_way", "m", "way until a grip is torn off", True, begun, update, lambda running, _: running[2]),
     )
 
 

@@ -15,6 +15,8 @@ Row = Mapping[str, str]
 PD = {"paper_gait": "pd, kp and kd searched", "which_law": "pd, gains and gait"}  # the rival in each table
 EQ_3, TRANSFER = "Eq. 3, virtual model", "load transfer"
 CASES = ("1_1", "1_2", "2")
+GAITS = {"closing": "waits", "at once": "goes on"}  # of the climbs with each grip
+RULES = ("nearest", "best_margin", "least_use")
 
 
 def table(name: str) -> list[Row]:
@@ -78,9 +80,9 @@ def listed(values: Sequence[float]) -> str:
     return f"{', '.join(first)} and {last}"
 
 
-def arrived(robot: str, law: str, rule: str, density: float) -> list[int]:
-    """Return how many climbs arrive, by angle."""
-    wanted = {"robot": robot, "ground": "rock", "law": law, "rule": rule}
+def arrived(robot: str, law: str, rule: str, density: float, contact: str = "closing") -> list[int]:
+    """Return how many climbs arrive, by angle, with grips that close or hold at once."""
+    wanted = {"robot": robot, "ground": "rock", "law": law, "rule": rule, "contact": contact, "gait": GAITS[contact]}
     rows = [row for row in table("climb") if wanted.items() <= row.items() and float(row["density"]) == density]
     return [int(row["arrived"]) for row in sorted(rows, key=lambda row: float(row["angle"]))]
 
@@ -90,8 +92,10 @@ def texts() -> dict[Path, list[str]]:
     transfer, eq_3 = changes(TRANSFER, "objective"), changes(EQ_3, "objective")
     servos = [row for row in eq_3 if row[0] == "dynamixel_x"]
     weightless = next(change for where, case, change, *_ in eq_3 if (where, case) == ("ideal", "2"))
-    climbs = arrived("hubrobo", "load_transfer", "best_margin", 400)
-    by_margin, by_pull = (arrived("hubrobo", "base_admittance", rule, 400)[3] for rule in ("best_margin", "least_use"))
+    closing, at_once = (
+        [[each / 2.56 for each in arrived("hubrobo", "base_admittance", rule, 400, contact)] for rule in RULES]
+        for contact in GAITS
+    )
     leads = {robot: [lead(robot, case) for case in CASES] for robot in ("dynamixel_x", "ideal")}
     parts = [part_of_ceiling("dynamixel_x", case) for case in CASES]
     return {
@@ -103,10 +107,10 @@ def texts() -> dict[Path, list[str]]:
             "others.",
             f"load transfer takes {span(leads['dynamixel_x'])} % off that of pd on Dynamixel X servos. That is "
             f"{span(parts)} % of what joint targets take off that know all in advance.",
-            f"arrives in {span([100 * each / 256 for each in climbs])} % of 256 climbs at every angle under load "
-            "transfer.",
-            f"On an overhang of 135° under base admittance it arrives in {100 * by_margin / 256:.0f} %, by holds "
-            f"chosen for the pull of the landing grip in {100 * by_pull / 256:.0f} %.",
+            f"arrives in {span([each for row in closing for each in row])} % of 256 climbs at every angle, by "
+            "whichever rule it chooses holds.",
+            f"With grips that hold at once, wherever they shut, it arrives in {span([row[3] for row in at_once])} % "
+            "on an overhang of 135°.",
         ],
         HERE / "ceiling.md": [
             f"takes {listed(leads['dynamixel_x'])} % off the objective of pd that was searched likewise, on ideal "
@@ -115,7 +119,7 @@ def texts() -> dict[Path, list[str]]:
             "all in advance",
             *_searched(),
         ],
-        HERE / "climb.md": [" | ".join(map(str, each)) for each in _climbs()],
+        HERE / "climb.md": [" | ".join(each) for each in _climbs()],
         HERE / "does_the_sensor_pay.md": [
             f"it pays: {span(real(transfer))} % of the objective in {WORDS[len(real(transfer))]} of "
             f"{WORDS[len(transfer)]} comparisons.",
@@ -139,16 +143,16 @@ def _searched() -> Iterator[str]:
                 yield f"{objective:.3f}, {change:.0f} / {force:.3g}"
 
 
-def _climbs() -> Iterator[list[int]]:
-    """Yield the climbs that arrive, by angle, of each row of the table."""
+def _climbs() -> Iterator[list[str]]:
+    """Yield the climbs that arrive, by angle, of each row of the table: with either grip."""
     for robot, law, rule in (
-        ("hubrobo", "base_admittance", "least_use"), ("hubrobo", "base_admittance", "best_margin"),
-        ("hubrobo", "base_admittance", "nearest"), ("hubrobo", "pd", "best_margin"),
-        ("hubrobo", "load_transfer", "best_margin"), ("hubrobo", "load_transfer", "least_use"),
-        ("hexapod", "base_admittance", "least_use"), ("hexapod", "base_admittance", "best_margin"),
-        ("hexapod", "base_admittance", "nearest"),
+        *(("hubrobo", "base_admittance", rule) for rule in (*RULES, "best_margin free")),
+        ("hubrobo", "pd", "best_margin"), ("hubrobo", "load_transfer", "best_margin"),
+        ("hubrobo", "load_transfer", "least_use"), *(("hexapod", "base_admittance", rule) for rule in RULES),
     ):  # fmt: skip
-        yield from (arrived(robot, law, rule, density) for density in (120, 200, 400))
+        for density in (200, 400) if rule.endswith("free") else (120, 200, 400):
+            both = zip(*(arrived(robot, law, rule, density, contact) for contact in GAITS), strict=True)
+            yield [f"{closing} / {at_once}" for closing, at_once in both]
 
 
 def _comparisons() -> Iterator[str]:

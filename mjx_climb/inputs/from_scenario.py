@@ -29,6 +29,7 @@ from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.stages import DELAYED, Stages, lacking, stages_of
 from mjx_climb.inputs.own_objects import component_of
 from mjx_climb.parameter_types import Gains, Parameters, is_tracer
+from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
@@ -92,7 +93,7 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         ),
         footholds=_footholds(scenario, source),
         recovery=_recovery(scenario),
-        waiting=_waiting(scenario),
+        waiting=waiting_of(scenario, contact),
     )
 
 
@@ -126,10 +127,10 @@ def _recovery(scenario: Scenario) -> Recovery | None:
     return _of_section(Recovery, given, margin=given.margin or 0.0)
 
 
-def _waiting(scenario: Scenario) -> Waiting | None:
-    """How a gait waits for grips, None where it does not."""
+def waiting_of(scenario: Scenario, contact: Contact) -> Waiting | None:
+    """How a gait waits for the grips of a contact, None where it does not."""
     given = scenario.gait.waiting
-    usual = scenario.ground.holds is not None or scenario.contact.kind == "uncertain"
+    usual = scenario.ground.holds is not None or contact.may_fail
     return _of_section(Waiting, given) if (usual if given.waits is None else given.waits) else None
 
 

@@ -124,7 +124,9 @@ class Waiting(v.ComponentSection):
     COMPONENT = declared.Waiting
 
     waits: bool | None = setting(
-        None, "whether the gait waits for grips; null: where the ground has holds, or with contact.kind: uncertain"
+        None,
+        "whether the gait waits for grips; null: where the ground has holds, or grips may fail, as those of "
+        "contact.kind: uncertain",
     )
 
 

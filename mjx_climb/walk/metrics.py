@@ -303,6 +303,11 @@ def _first_limb(limb: Array, happens: Array) -> Array:
     return jnp.where((limb < 0) & (one < limbs), one, limb)
 
 
+def _larger_gap(running: tuple[Array, Array], sample: Sample, _: Context) -> tuple[Array, Array]:
+    gap, missed = running
+    return jnp.where(missed, gap, jnp.maximum(gap, sample.grip_gap.max())), missed | sample.missed.any()
+
+
 METRICS = MetricTable(
     (
         peak("peak_foot_force", "N", "peak foot force", foot_forces),
@@ -375,7 +380,14 @@ SENSORS = MetricTable(
 )  # fmt: skip
 
 # of walks whose grips are looked into
-GRIPS = MetricTable((peak("grip_gap", "m", "largest gap at which a gripper shuts", lambda sample, _: sample.grip_gap),))
+GRIPS = MetricTable(
+    (
+        Metric(  # later ones may be those of a robot that falls
+            "grip_gap", "m", "largest gap at which a gripper shuts, up to the first miss", larger_is_better=False,
+            init=lambda zero: (zero, zero > 0), update=_larger_gap, finish=lambda running, _: running[0],
+        ),
+    )
+)  # fmt: skip
 
 
 def failed(metrics: Any) -> Any:

@@ -101,6 +101,18 @@ def test_a_foot_that_presses_the_ground_keeps_its_push_when_its_gripper_shuts():
     np.testing.assert_allclose(pushes[0], [0, 0, 1.0 + 0.4], atol=1e-12)
 
 
+@pytest.mark.slow
+def test_peak_pull_follows_joint_gains_smoothly():
+    """Pd of case 1.2 with kd 3 % higher: at once a foot comes down otherwise, and the peak pull more than doubles."""
+    gains, factor = {"kp": np.array([17.24, 17.24]), "kd": np.array([0.9705, 0.9705 * 1.03])}, {}
+    for time in (0.0, TIME):
+        keys = {"control.controller": "pd", "time_step": 2.5e-4, "contact.closing_time": time}
+        scenario = mc.load_scenario("case_1_2", keys | {"contact.capture_distance": 0.005})
+        one, other = mc.rollout_metrics(scenario, gains, dtype=np.float64, unsteady=True)["peak_pull_force"]
+        factor[time] = other / one
+    assert factor[0.0] > 2 and 1 / 1.02 < factor[TIME] < 1.02
+
+
 def test_tangents_of_a_walk_with_closing_grips_are_differences():
     """Of the pull by kd, through the shutting of two grippers, in double precision."""
     keys = {

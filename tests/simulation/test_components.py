@@ -60,6 +60,14 @@ def test_the_ends_of_bounds_are_within_in_either_precision(scenario):
     begun(scenario, contact=UncertainGripper(spread=np.array(1.0)))
 
 
+def test_the_gait_waits_for_grips_that_may_fail(scenario):
+    """Given in Python too, unless the scenario has it go on."""
+    goes_on = scenario.with_overrides({"gait.waiting.waits": False})
+    assert begun(scenario, contact=UncertainGripper()).parameters.waiting is not None
+    assert begun(scenario, contact=Gripper()).parameters.waiting is None
+    assert begun(goes_on, contact=UncertainGripper()).parameters.waiting is None
+
+
 def test_gains_go_beyond_the_bounds_of_searches(scenario):
     """They say where searches look."""
     (_, most) = VirtualModelAdmittance.GAINS["damping"].bounds

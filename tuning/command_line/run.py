@@ -271,6 +271,8 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
         finite = np.all([np.isfinite(values).reshape(len(values), -1).all(1) for values in rows], axis=0)
         at = trajectory.time[np.argmin(finite)] if not finite.all() else trajectory.time[-1]
         failures.append(f"diverged at {at:.3f} s")
+    if (falls := trajectory.falls_at) is not None:
+        failures.append(f"falls off: no grip holds from {falls:.3f} s on")
     if standing := trajectory.standing:
         failures.append(f"stands from {min(standing.values()):.3f} s, as {' and '.join(standing)} found no grip")
     lines = [", ".join(failures)] if failures else []
@@ -278,5 +280,5 @@ def verdict(trajectory: "mc.Trajectory", metrics: Mapping[str, Any]) -> str:
         lines.append(
             f"{missed} grips missed the ground" if failures else f"every grip held, but {missed} missed the ground"
         )
-        lines += filter(None, [gap_in_words(trajectory.scenario, float(np.nanmax(trajectory.grip_gap)), 0.0, missed)])
+        lines += filter(None, [gap_in_words(trajectory.scenario, trajectory.gap, 0.0, missed)])
     return "; ".join(lines) or "held all the way"

@@ -1,7 +1,7 @@
 """The seam of contacts: the forces between feet and ground, and the loss of a grip."""
 
 import abc
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -58,6 +58,8 @@ class Contact(Component, abc.ABC):
 
     Fields made by `parameter` are its values. `init` and `step` are written for one robot.
     """
+
+    may_fail: ClassVar[bool] = False  # whether grips may fail that are within reach: the gait waits for them
 
     def set_up(self: AnyContact, time_step: float) -> AnyContact:
         """This contact for walks of a time step, s."""

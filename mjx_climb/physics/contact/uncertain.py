@@ -5,7 +5,7 @@ times; then it stays open until its next swing.
 """
 
 import dataclasses
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import jax.numpy as jnp
 from jax import Array
@@ -35,6 +35,8 @@ class UncertainGripper(Gripper):
     The limit of a grip is the gripper's times a normal number of mean 1, drawn by seed, limb and number of the try.
     A gripper that was torn off grips again after its next swing.
     """
+
+    may_fail: ClassVar[bool] = True
 
     spread: Array = parameter("1", bounds=(0.0, 1.0), default=0.0, long_name="spread of the holding limit")
     tested_pull: Array = parameter("N", bounds=(0.0, 1e4), default=0.0, long_name="pull that tests a grip")

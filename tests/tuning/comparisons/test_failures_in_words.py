@@ -3,12 +3,13 @@
 import json
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from mjx_climb.walk.metrics import failed
+from mjx_climb.walk.metrics import GRIPS, failed
 from tuning import numbers
 from tuning.command_line.run import verdict
 from tuning.comparisons import judge
@@ -22,6 +23,32 @@ WALKS = {
     "missed_grips": np.array([0, 0, 0, 6]),
 }  # fmt: skip
 HELD = {"detached_limb": None, "diverged": False, "stands_at": None, "missed_grips": 0, "force_variation": 20.0}
+
+
+def fallen(*misses):
+    """Return the first grips of two limbs: some steps miss, and the last are 0.7 m off as the robot falls."""
+    missed = np.zeros((8, 2), bool)
+    missed[list(misses), 0] = True
+    gap = np.where(missed, 0.006, 0.001)
+    gap[-2:] = 0.7
+    support = ~missed
+    support[-3:] = False
+    return SimpleNamespace(missed=missed, grip_gap=gap, support=support, time=np.arange(8) / 10)
+
+
+def test_a_fall_is_named_and_its_gap_is_no_cause():
+    """The gap counts up to the first miss, in a walk and in a batch."""
+    walk = fallen(2, 5, 6)
+    assert mc.Trajectory.gap.fget(walk) == 0.006 and mc.Trajectory.falls_at.fget(walk) == 0.5
+    metric = GRIPS["grip_gap"]
+    running = metric.init(jnp.zeros(()))
+    for gap, missed in zip(walk.grip_gap, walk.missed, strict=True):
+        running = metric.update(running, SimpleNamespace(grip_gap=jnp.asarray(gap), missed=jnp.asarray(missed)), None)
+    assert float(metric.finish(running, None)) == pytest.approx(0.006)
+    walk.support[-1] = True
+    assert mc.Trajectory.falls_at.fget(walk) is None
+    own = SimpleNamespace(standing={}, gap=0.006, falls_at=0.5, scenario=mc.load_scenario("case_1_2"))
+    assert verdict(own, HELD).startswith("falls off: no grip holds from 0.500 s on")
 
 
 def test_standing_walks_are_lost():
@@ -62,7 +89,7 @@ def test_missed_grips_stand_beside_the_share_of_lost_walks():
 )
 def test_the_verdict_of_a_walk_says_that_it_stands(changes, standing, said, tmp_path):
     scenario = mc.load_scenario("case_1_2", {"contact.capture_distance": 0.005})
-    walk = SimpleNamespace(standing=standing, grip_gap=np.array([[0.0, 0.021]]), scenario=scenario)
+    walk = SimpleNamespace(standing=standing, gap=0.021, falls_at=None, scenario=scenario)
     assert verdict(walk, HELD | changes).startswith(said)
     (tmp_path / "metrics.json").write_text(json.dumps(HELD | changes))
     stands = "stands_at" in changes
