@@ -123,19 +123,23 @@ def test_results_that_do_not_move_have_no_gradient():
     np.testing.assert_allclose(jax.jit(gradient)(gains), 2 * gains)
 
 
-SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
-SEEDS += [pytest.param(seed, marks=pytest.mark.nightly) for seed in range(3, 100)]
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 20))]
+SEEDS += [pytest.param(seed, marks=pytest.mark.nightly) for seed in range(20, 200)]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_gradients_of_random_programs_are_xlas(seed, interpreted):
-    """Of what laws are written with, in float64 to 1e-11 of numbers near one."""
+def test_gradients_of_random_programs_are_those_of_forward_mode(seed, interpreted):
+    """Of what laws are written with, in loops of one and of two levels of checkpoints, in float64 to 1e-8."""
     names, function = program(seed)
-    rng = np.random.default_rng(seed)
+    rng, steps = np.random.default_rng(seed), 300 if seed % 4 == 3 else 30
     vectors, matrix = rng.normal(size=(ROBOTS, SIZE)), rng.normal(size=(SIZE, SIZE))
     places = np.arange(ROBOTS, dtype=np.int32)
-    summed = lambda vector, place: {"sum": (function(vector, matrix, place) * np.arange(1, SIZE + 1)).sum()}  # noqa: E731
+
+    def summed(vector, place):
+        step = lambda vector, _: (function(vector, matrix, place), None)  # noqa: E731
+        return {"sum": (lax.scan(step, vector, length=steps)[0] * np.arange(1, SIZE + 1)).sum()}
+
     by_kernel = gradients_over_robots(summed, [True, True])
     _, found = jax.jit(by_kernel)({"sum": np.ones((ROBOTS, 1))}, vectors, places)
-    expected = jax.jit(jax.vmap(jax.grad(lambda *of: summed(*of)["sum"])))(vectors, places)
-    np.testing.assert_allclose(found[:, 0], expected, rtol=1e-11, atol=1e-11, err_msg=str(names))
+    expected = jax.jit(jax.vmap(jax.jacfwd(lambda *of: summed(*of)["sum"])))(vectors, places)
+    np.testing.assert_allclose(found[:, 0], expected, rtol=1e-8, atol=1e-8 * abs(expected).max(), err_msg=str(names))
