@@ -5,14 +5,16 @@
 
 The first searches laws and gait by CMA-ES for each case and hardware, each in a process of its own: the searches of all
 seeds walk side by side, each on walks drawn with its seed, within 2 % of the means of the pd that was searched on them.
-They begin at the config's gains, at the best that are known and at pd's; their best points walk once more on other
-walks of that seed, and the best of these on 512 walks that no search saw. Each round is kept, so that a study that was
-stopped goes on. The second puts all results into one table and prints the page's.
+They begin at the config's gains, at the best that are known and at pd's, and begin anew where they stall, from the best
+or from another start; their best points walk once more on other walks of that seed, and the best of these on 512 walks
+that no search saw. Each round is kept, so that a study that was stopped goes on. The second puts all results into one
+table, the gains of each law into another, and prints the page's.
 """
 
 import argparse
 import csv
 import functools
+import itertools
 import json
 import os
 import pickle
@@ -62,19 +64,25 @@ LAWS = {
 }  # fmt: skip
 ON_ALL_FEET = 0.78  # duty at which transfers begin: at 0.75 there is no time in which loads can be handed over
 METRICS = ("objective", *searched.KEPT[:-2])  # of a row
-SPREAD, NEAR = 0.12, 0.06  # of a population, and of the first one about each start, relative to the width of the box
-FLAT, PATIENCE = 5e-4, 10  # the last of so many rounds in which no search finds better by more ends all
+# of a population, of one that begins anew, and of the first one about each start, relative to the width of the box
+SPREAD, WIDE, NEAR = 0.12, 0.25, 0.06
+FLAT, PATIENCE = 5e-4, 25  # a search begins anew that finds better by no more in so many rounds
 AHEAD = 200  # points of each search that are kept, of which the best walk once more
+JOINT = {"kp": (5.0, 200.0), "kd": (0.01, 3.0)}
+SHARES = {"pd": 0.3, "PlannedTransfer+FootOffsets": 0.7, "LoadTransfer+FootOffsets": 0.7}  # of the time; others 1
+GAINS = ("ceiling_gains", "what_a_sensor_is_worth_gains")  # tables of the best that are known
 
 
 def known(hardware, case, law):
-    """Return the best gains of a law that are known, by name: those of this hardware first."""
-    found = {}
-    with Path(__file__).with_name("ceiling_gains.csv").open() as rows:
-        for row in csv.DictReader(rows):
-            if row["case"] == case and row["law"] == ("PD" if law == "pd" else "LoadTransfer"):
-                found.setdefault(row["servos"], {})[row["gain"]] = float(row["value"])
-    return [found[name] for name in sorted(found, key=lambda name: name != hardware)]
+    """Return the gains of a law, and of the one that it is made of, that are known: those of this hardware first."""
+    names, found = {law, law.partition("+")[0]}, {}
+    names |= {"PD"} if law == "pd" else {"LoadTransfer"}
+    for file in (Path(__file__).with_name(f"{name}.csv") for name in GAINS):
+        for row in csv.DictReader(file.open()) if file.exists() else ():
+            if row["case"] == case and row["law"] in names:
+                place = row["servos"] != hardware, file.stem, row["servos"], row["law"]
+                found.setdefault(place, {})[row["gain"]] = float(row["value"])
+    return [found[place] for place in sorted(found)]
 
 
 class Walks:
@@ -84,7 +92,7 @@ class Walks:
         """Take the space from the settings of the ceiling's laws."""
         cycle, duration = scenario.gait.cycle, scenario.duration
         also = (*searched.ALSO, *(("pull_limit",) if "pull_limit" in law.GAINS else ()))
-        bound = {"gait.cycle": (cycle / 2, min(2 * cycle, duration))}
+        bound = JOINT | {"gait.cycle": (cycle / 2, min(2 * cycle, duration))}
         wanted = Search(space="isotropic", joint_gains=True, also=also, bounds=bound)
         self.scenario, self.law, self.space = scenario, law, spaces.space(scenario, wanted, law)
 
@@ -142,52 +150,46 @@ class Cell:
         return [row for row in self.rows if row["law"] == law]
 
     @functools.cached_property
-    def goals(self):
-        """The objectives of each seed, of the check of each, and of unseen walks, by pd's walks with config's gains."""
-        walks, goals = Walks(under_pd(self.scenario), shipped("PD")), []
-        for draws in (self.draws, self.checks, [self.unseen]):
-            shape = (len(draws), self.asked.points if len(draws) > 1 else self.asked.seeds)
-            pd = walks.metrics(walks.own(shape), of_draws(self.scenario, draws))
-            goals.append([searched.goal_of(study.WEIGHTS, {name: value[:, place, 0] for name, value in pd.items()})
-                          for place in range(len(draws))])  # fmt: skip
-        search, check, (judges,) = goals
-        return [*map(searched.with_room, search)], check, judges
+    def goal(self):
+        """The objective of all walks: relative to pd with the config's gains, on the unseen walks that it survives."""
+        walks = Walks(under_pd(self.scenario), shipped("PD"))
+        pd = walks.metrics(walks.own((1, self.asked.seeds)), of_draws(self.scenario, [self.unseen]))
+        there = ~pd["diverged"][:, 0, 0].astype(bool)
+        return searched.goal_of(study.WEIGHTS, {name: value[there, 0, 0] for name, value in pd.items()})
 
     def search(self, name, until):
         """Search a law from all seeds, which ends in time, and walk what was found on unseen walks."""
         began, (law_name, sensors) = time.time(), LAWS[name]
-        goals, check_goals, judges = self.goals
+        goals = [searched.with_room(self.goal)] * self.asked.seeds
         if name != "pd":
-            most = [searched.most_of(row["search"]) for row in self.found("pd")]
-            goals, check_goals = (
-                [searched.Within(goal, own) for goal, own in zip(each, most, strict=True)]
-                for each in (goals, check_goals)
-            )
+            goals = [searched.Within(goal, searched.most_of(row["search"]))
+                     for goal, row in zip(goals, self.found("pd"), strict=True)]  # fmt: skip
         scenario = under_pd(self.scenario) if name == "pd" else self.scenario.with_overrides(sensors)
         walks = Walks(scenario, shipped(law_name))
         state = State(self.asked.out / f"{self.file.stem}_{name}.pickle", walks, self.starts(name, walks), self.asked)
         parameters = of_draws(scenario, self.draws)
-        while not state.ended and (time.time() < until or not state.history):
+        while len(state.history) < self.asked.rounds and (time.time() < until or not state.history):
             theta = state.asked()
             value, penalty, _ = scored(goals, walks.metrics(walks.gains(theta), parameters))
             state.told(theta, value + penalty)
-        theta = self.checked(walks, state, check_goals, scenario)
+        theta = self.checked(walks, state, goals, scenario)
         (of_search,) = (scored(goals, walks.metrics(walks.gains(
             np.repeat(theta[:, None], self.asked.points, 1)), parameters))[2],)  # fmt: skip
         fresh = walks.metrics(walks.gains(theta[None]), of_draws(scenario, [self.unseen]))
         fresh = {metric: value[:, 0] for metric, value in fresh.items()}  # (M, S)
         with devices.on_host():
-            objective = np.asarray(judges.score(fresh).value)
+            objective = np.asarray(self.goal.score(fresh).value)
         fails = np.asarray(searched.lost(fresh))
         reads = sorted(readings(Problem(scenario, law=walks.law)))
         rows = [row for row in self.rows if row["law"] != name]
         for seed, own in enumerate(theta):
-            unseen = {metric: float(fresh[metric][:, seed].mean()) for metric in METRICS[1:]}
-            unseen |= {"objective": float(objective[:, seed].mean()), "lost": float(fails[:, seed].sum())}
+            unseen = {metric: float(np.nanmean(fresh[metric][:, seed])) for metric in METRICS[1:]}
+            unseen |= {"objective": float(np.nanmean(objective[:, seed])), "lost": float(fails[:, seed].sum())}
             gains = {gain: float(np.ravel(value)[0]) for gain, value in walks.gains(own).items()}
             rows.append({
-                "law": name, "seed": seed, "reads": reads, "rounds": len(state.history), "ended": bool(state.ended),
-                "gains": gains, "search": {metric: float(v[0]) for metric, v in of_search[seed].items()},
+                "law": name, "seed": seed, "reads": reads, "rounds": len(state.history),
+                "restarts": state.restarts[seed], "gains": gains,
+                "search": {metric: float(v[0]) for metric, v in of_search[seed].items()},
                 "unseen": unseen, "walks": np.round(objective[:, seed].astype(float), 5).tolist(),
                 "history": [round(best[seed], 5) for best in state.history], "seconds": time.time() - began,
             })  # fmt: skip
@@ -223,56 +225,59 @@ class State:
 
     def __init__(self, file, walks, starts, asked):
         """Begin, or go on where a file says."""
-        self.file, self.space, self.starts = file, walks.space, starts
-        self.points, self.rounds = asked.points, asked.rounds
-        self.optimizers, self.kept, self.history = None, [([], [])] * len(starts), []
+        self.file, self.points = file, asked.points
+        self.low, self.width = walks.space.lower, walks.space.upper - walks.space.lower
+        self.starts = [(np.array(own) - self.low) / self.width for own in starts]
+        self.optimizers, self.kept = [None] * len(starts), [([], [])] * len(starts)
+        self.restarts, self.since, self.history = [0] * len(starts), [[] for _ in starts], []
         if file.exists():
-            self.optimizers, self.kept, self.history = pickle.loads(file.read_bytes())
-
-    @property
-    def ended(self):
-        """Whether no search has found better for a while, or all rounds are spent."""
-        best = self.history
-        flat = len(best) > PATIENCE and np.all(np.subtract(best[-PATIENCE - 1], best[-1]) < FLAT)
-        return flat or len(best) >= self.rounds
+            self.optimizers, self.kept, self.restarts, self.since, self.history = pickle.loads(file.read_bytes())
 
     def asked(self):
         """Return the next points (S, P, n)."""
-        low, width = self.space.lower, self.space.upper - self.space.lower
-        if self.optimizers is not None:
-            return np.stack([low + width * cmaes.drawn(each) for each in self.optimizers])
         rng, found = np.random.default_rng(0), []
-        for own in self.starts:
-            own = np.array(own)
-            near = own[np.arange(self.points) % len(own)] + NEAR * width * rng.standard_normal((self.points, len(low)))
-            near[: len(own)] = own
-            found.append(self.space.clip(near))
-        return np.stack(found)
+        for own, optimizer in zip(self.starts, self.optimizers, strict=True):
+            near = own[np.arange(self.points) % len(own)]
+            near = near + NEAR * rng.standard_normal(near.shape)
+            near[: len(own)] = own[: self.points]
+            found.append(np.clip(near, 0, 1) if optimizer is None else cmaes.drawn(optimizer))
+        return self.low + self.width * np.stack(found)
 
     def told(self, theta, merit):
-        """Let the searches learn of points, and keep them."""
-        low, width = self.space.lower, self.space.upper - self.space.lower
+        """Let the searches learn of points, and keep them; those that stall begin anew."""
         merit = np.where(np.isfinite(merit), merit, 1e6).astype(float)
-        unit = (theta - low) / width
-        if self.optimizers is None:
-            box = np.tile([0.0, 1.0], (len(low), 1))
-            self.optimizers = [
-                CMA(mean=unit[seed, merit[seed].argmin()], sigma=SPREAD, bounds=box, seed=seed,
-                    population_size=self.points) for seed in range(len(unit))
-            ]  # fmt: skip
-        else:
-            for each, own, values in zip(self.optimizers, unit, merit, strict=True):
-                each.tell(list(zip(own, values.tolist(), strict=True)))
-        kept = []
+        unit, kept = (theta - self.low) / self.width, []
         for (points, values), own, new in zip(self.kept, theta, merit, strict=True):
             points, values = np.array([*points, *own]), np.array([*values, *new])
             first = np.argsort(values, kind="stable")[:AHEAD]
             kept.append((points[first], values[first]))
         self.kept = kept
+        for seed, (own, values) in enumerate(zip(unit, merit, strict=True)):
+            if self.optimizers[seed] is None:
+                self.begin(seed, own[values.argmin()], SPREAD)
+                continue
+            self.optimizers[seed].tell(list(zip(own, values.tolist(), strict=True)))
+            best = self.since[seed]
+            best.append(min([values.min(), *best[-1:]]))
+            if len(best) > PATIENCE and best[-PATIENCE - 1] - best[-1] < FLAT:
+                number, starts = self.restarts[seed], self.starts[seed]
+                far = (
+                    (kept[seed][0][0] - self.low) / self.width if number % 2 == 0 else starts[number // 2 % len(starts)]
+                )
+                self.restarts[seed] += 1
+                self.begin(seed, far, WIDE)
         self.history.append([float(values[0]) for _, values in kept])
-        text = pickle.dumps((self.optimizers, self.kept, self.history))
-        self.file.with_suffix(".new").write_bytes(text)
+        parts = (self.optimizers, self.kept, self.restarts, self.since, self.history)
+        self.file.with_suffix(".new").write_bytes(pickle.dumps(parts))
         self.file.with_suffix(".new").replace(self.file)
+
+    def begin(self, seed, mean, spread):
+        """Begin a search about a point of the unit box."""
+        box, number = np.tile([0.0, 1.0], (len(mean), 1)), self.restarts[seed]
+        self.since[seed] = []
+        self.optimizers[seed] = CMA(
+            mean=mean, sigma=spread, bounds=box, seed=1000 * seed + number, population_size=self.points
+        )
 
     def best(self, count):
         """Return the best points (S, count, n) and their merits."""
@@ -293,7 +298,7 @@ def walk(asked):
     end = asked.began + 60 * asked.minutes
     left = [name for name in asked.laws if name != "pd" or not cell.found("pd")]
     for place, name in enumerate(left):
-        shares, now = [0.5 if law == "pd" else 1.0 for law in left[place:]], time.time()
+        shares, now = [SHARES.get(law, 1.0) for law in left[place:]], time.time()
         cell.search(name, now + (end - now) * shares[0] / sum(shares))
     return 0
 
@@ -303,6 +308,7 @@ def summed(rows):
     lines = []
     laws = list(dict.fromkeys(row["law"] for row in rows))
     values = np.array([[row["walks"] for row in rows if row["law"] == law] for law in laws])  # (G, K, M)
+    values = values[..., np.isfinite(values).all((0, 1))]  # a walk that diverges counts as lost
     reading = ["forces" in next(row for row in rows if row["law"] == law)["reads"] for law in laws]
     means = values.mean((1, 2))
     base = min((place for place, reads in enumerate(reading) if not reads), key=lambda place: means[place])
@@ -320,16 +326,22 @@ def summed(rows):
 
 def table(asked):
     """Write all rows as one table, and print the page's."""
-    lines = []
-    for hardware in HARDWARE:
-        for case in study.CASES:
-            file = asked.out / f"{hardware}_{case}.json"
-            if file.exists():
-                lines += [{"servos": hardware, "case": case} | line for line in summed(json.loads(file.read_text()))]
+    lines, gains = [], []
+    for hardware, case in itertools.product(HARDWARE, study.CASES):
+        file = asked.out / f"{hardware}_{case}.json"
+        if file.exists():
+            rows = json.loads(file.read_text())
+            lines += [{"servos": hardware, "case": case} | line for line in summed(rows)]
+            for law in dict.fromkeys(row["law"] for row in rows):  # the best on the walks of its search
+                best = min((row for row in rows if row["law"] == law), key=lambda row: row["history"][-1])
+                gains += [(hardware, case, law, name, f"{value:.4g}") for name, value in best["gains"].items()
+                          if name not in mc.Gains.AXES]  # fmt: skip
     with asked.table.open("w", newline="") as out:
         writer = csv.DictWriter(out, list(lines[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in line.items()} for line in lines)
+    with asked.table.with_name(f"{asked.table.stem}_gains.csv").open("w", newline="") as out:
+        csv.writer(out, lineterminator="\n").writerows([("servos", "case", "law", "gain", "value"), *gains])
     print("\n".join(page_table(list(csv.DictReader(asked.table.open())))))
 
 
@@ -355,13 +367,13 @@ def main():
     parser.add_argument("--table", type=Path, help="write this file from the rows that there are, and walk nothing")
     parser.add_argument("--hardware", nargs="+", default=list(HARDWARE))
     parser.add_argument("--case", nargs="+", default=list(study.CASES))
-    parser.add_argument("--laws", nargs="+", default=list(LAWS)[:3], help=f"of {', '.join(LAWS)}; pd first")
+    parser.add_argument("--laws", nargs="+", default=list(LAWS)[:5], help=f"of {', '.join(LAWS)}; pd first")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--minutes", type=float, default=8.0, help="from `--began` on, in which searches end")
     parser.add_argument("--began", type=float, default=time.time(), help="s since 1970")
     parser.add_argument("--members", type=int, default=64, help="walks of a search")
     parser.add_argument("--points", type=int, default=40, help="of a round and seed")
-    parser.add_argument("--rounds", type=int, default=120, help="at most")
+    parser.add_argument("--rounds", type=int, default=10_000, help="at most")
     parser.add_argument("--unseen", type=int, default=512)
     parser.add_argument("--seconds", type=float, default=8.0)
     asked = parser.parse_args()
