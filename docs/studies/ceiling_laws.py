@@ -8,9 +8,10 @@ The steps of a case, each from the gains file that the one before it left, or fr
                            a law's gains, joint gains and gait by CMA-ES; after pd within its means of all metrics
     feet_pd, feet          `PlannedFeet` beside pd, beside load transfer: by gradients
     network_pd, network    the network of docs/guides/network_law.py beside pd, beside load transfer: by gradients
+    memory_pd, memory      the network with memory of learned_law.py, likewise
     blind, clairvoyant     `TimedFeet` beside pd: one plan for all walks, and a plan of each
 
-Gradients are forward on a GPU, where a tangent of each gain has threads of its own, and in reverse mode on a CPU.
+Gradients are those of an adjoint where a law has more than 24 numbers.
 """
 
 import argparse
@@ -28,6 +29,7 @@ sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "guides
 
 import ceiling as study
 from even_transfer import EvenTransfer
+from learned_law import Remembering
 from network_law import Network
 from planned_feet import PlannedFeet, TimedFeet
 
@@ -38,7 +40,7 @@ from mjx_climb.inputs.gait_values import GAIT, scenario_with_gait
 from tuning.gains import gains_file
 from tuning.methods.many_variables import Evaluated, descend
 from tuning.problem import ensemble as ensembles
-from tuning.problem import evaluation, spaces
+from tuning.problem import spaces
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Objective, Score, lost, penalty_of
@@ -53,7 +55,7 @@ ALSO = tuple(name for name in GAIT if name != "gait.stride")
 LAWS = {"pd": PD, "transfer": LoadTransfer, "even": EvenTransfer, "base": VirtualModelAdmittance,
         "end_effector": EndEffectorAdmittance, "internal": InternalForce}  # fmt: skip
 SHIPPED = {"pd": "_pd", "transfer": "_best", "even": "_best", "base": ""}  # ends of the names of gains files
-ADDED = {"feet": PlannedFeet, "network": Network, "blind": TimedFeet, "clairvoyant": TimedFeet}
+ADDED = {"feet": PlannedFeet, "network": Network, "memory": Remembering, "blind": TimedFeet, "clairvoyant": TimedFeet}
 UNSEEN, MOST, WAY, STAGES, LATE = 512, 1500, 0.02, 4, 45.0
 # the penalty of a pull begins so far below the holding limit; a mean may be so much above pd's, and its penalty begins
 # so far below
@@ -197,8 +199,6 @@ def main():
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     began = time.time()
-    if jax.default_backend() == "gpu":
-        evaluation.REVERSE_ABOVE = 10**6
     case, hardware = asked.case, asked.hardware
     scenario = study.scenario_of(hardware, case, asked.seconds)
     draw = study.DRAWS[case].model_copy(update={"members": asked.members})
@@ -212,7 +212,7 @@ def main():
         stem = asked.out / f"{hardware}_{case}_{step}"
         print(f"{stem.name}, {time.time() - began:.0f} s", flush=True)
         kind, _, of = step.partition("_")
-        of = of or {"feet": "transfer", "network": "transfer"}.get(kind, "pd")
+        of = of or dict.fromkeys(("feet", "network", "memory"), "transfer").get(kind, "pd")
         kind, of = (step, step) if step in LAWS else (kind, of)
         own = {name: read(asked.out / f"{hardware}_{case}_{name}.yaml") for name in ("pd", "transfer", of)}
         shipped = read(Path(f"configs/gains/{hardware}_case_{case}{SHIPPED.get(of, '_none')}.yaml"))
