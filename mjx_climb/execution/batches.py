@@ -32,7 +32,7 @@ from mjx_climb.execution.jax_types import Function, PyTree
 from mjx_climb.execution.one_robot import gradients_over_robots, over_robots
 from mjx_climb.execution.paths import first_possible
 
-MOST_GRADIENTS = 2**16  # walks of which one call takes gradients: each keeps some 100 kB on its way back
+MOST_GRADIENTS = 2**16  # walks of which one call takes gradients: each keeps some 200 kB on its way back
 Progress = Callable[[int, int], None]
 _Values = TypeVar("_Values", np.ndarray, Array)
 # before the name of what a derivative is of: of a result along directions, or of weighted results by a gain
@@ -131,7 +131,7 @@ def run(
                 found: dict[str, Array] = program(call._replace(path=path), *jax.tree.unflatten(tree, leaves))
                 return found
 
-        return devices.spread(of_rows, count, share, progress, on)
+        return devices.in_smaller_shares(lambda share: devices.spread(of_rows, count, share, progress, on), share)
 
     found = first_possible(by, paths.path_for(on, kernel=kernel), (call, tree))
     found = {name: value.reshape((*shape, *value.shape[1:])) for name, value in found.items()}

@@ -12,11 +12,15 @@ import os
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import TypeVar
 
 import jax
 import numpy as np
+from jax.errors import JaxRuntimeError
 from jax.experimental import multihost_utils
 from jax.sharding import SingleDeviceSharding
+
+_Result = TypeVar("_Result")
 
 # Up to so many robots: shares of so many, few enough to keep several cores busy. Two walk one by one: so the last two
 # starts of a search need no program but that of the last one.
@@ -133,6 +137,21 @@ def spread(
     if jax.process_count() > 1:
         parts = _gathered(parts, [device.process_index for device in places])
     return {name: np.concatenate([parts[n][name] for n in range(count)])[:robots] for name in parts[0]}
+
+
+def in_smaller_shares(walk: Callable[[int], _Result], share: int) -> _Result:
+    """Return `walk` of a share that finds room in the memory: half as large where it did not.
+
+    Raises:
+        JaxRuntimeError: anything else, or no room for one robot.
+    """
+    while True:
+        try:
+            return walk(share)
+        except JaxRuntimeError as error:
+            if "RESOURCE_EXHAUSTED" not in str(error) or share == 1:
+                raise
+        share = -(-share // 2)
 
 
 def usable_cores() -> int:

@@ -10,6 +10,7 @@ import threading
 import jax
 import numpy as np
 import pytest
+from jax.errors import JaxRuntimeError
 
 from mjx_climb.execution import devices
 
@@ -100,3 +101,21 @@ def test_a_share_is_no_larger_than_asked_for_and_robots_walk_in_whole_shares_aga
         walked = devices.walking_with(robots, 1000, in_regions=in_regions)
         assert walked.start == robots.start // share * share and walked.stop >= robots.stop
         assert devices.share_size(len(walked), None, in_regions=in_regions) == share
+
+
+def test_a_batch_that_does_not_fit_is_split():
+    """Until its shares find room; what else goes wrong is raised, and so is no room for one robot."""
+    tried = []
+
+    def walk(share, most=20, message="RESOURCE_EXHAUSTED: out of memory"):
+        tried.append(share)
+        if share > most:
+            raise JaxRuntimeError(message)
+        return f"{share} at once"
+
+    assert devices.in_smaller_shares(walk, 100) == "13 at once"
+    assert tried == [100, 50, 25, 13]
+    for no_room in (functools.partial(walk, most=0), functools.partial(walk, message="INTERNAL")):
+        with pytest.raises(JaxRuntimeError):
+            devices.in_smaller_shares(no_room, 100)
+    assert tried[4:] == [100, 50, 25, 13, 7, 4, 2, 1, 100]
