@@ -199,6 +199,11 @@ def test_the_reference_follows_swings_moves_and_offsets():
     np.testing.assert_array_equal(reference.foot_position[jnp.array([LH, RF])], FEET[[LH, RF]] - 1)
     np.testing.assert_allclose(reference.until_lift_off, [0, 0.65, 0, 0.45])
     np.testing.assert_allclose(reference.since_touchdown, [0, 2.35, 0, 0.75], atol=1e-9)
+    # without a time to return an offset is over a step later
+    given["recovery"] = doubles(dataclasses.replace(NEVER, return_time=0.0))
+    for since, offset in ((950.0, 0.01), (949.0, 0.0)):
+        _, _, reference = tick(given, progress._replace(offset_since=jnp.asarray(since)), 950, FEET - 1)
+        np.testing.assert_allclose(reference.base_position, [0.04 * 5 / 32, 0.08 * 5 / 32 + offset, 0.1])
 
 
 # --- recovery
@@ -251,16 +256,17 @@ def stops_by_loops(recovery, body, landing, position):
     """Return the margin of `stopping_margin` by the reference: the base is stopped half of its way on."""
     stands = np.asarray(body.support) | landing
     feet = np.where(landing[:, None], position, body.feet)[stands]
-    time, velocity = float(recovery.landing_time), np.asarray(body.velocity)
+    time, velocity = max(float(recovery.landing_time), 1e-3), np.asarray(body.velocity)
     pushed = np.asarray(body.weight) + float(body.mass) * velocity / time
     middle = np.asarray(body.center_of_mass) + velocity * time / 2
     return by_loops.tumbling_margin(feet, middle, pushed, np.asarray(body.pull)[stands])
 
 
 def test_a_landing_is_worth_the_moment_that_stops_the_robot():
-    random, recovery, found = np.random.default_rng(0), doubles(Recovery(landing_time=0.3)), []
+    random, found = np.random.default_rng(0), []
     worth = jax.jit(stopping_margin)
-    for landing in (np.arange(4) == 1, np.arange(4) == 3) * 6:
+    for landing, time in zip((np.arange(4) == 1, np.arange(4) == 3) * 6, (0.3, 0.3, 0.0) * 4, strict=True):
+        recovery = doubles(Recovery(landing_time=time))
         body = random_body(random, support=~landing)
         position = FEET + random.normal(0, 0.03, (4, 3))
         own = worth(recovery, body, jnp.asarray(landing), jnp.asarray(position))
@@ -556,6 +562,7 @@ STOPS = {  # what differs in the body and the recovery, at which step, whether t
     ),
     "shortly before a landing": ({}, {"shift": 0.01}, 350, True, False),
     "a landing too late": ({}, {"shift": 0.01}, 348, True, True),
+    "before its swing begins": ({}, {"shift": 0.01}, 190, True, False),
 }
 
 
