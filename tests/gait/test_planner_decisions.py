@@ -542,6 +542,9 @@ def test_a_base_walks_from_way_point_to_way_point_and_its_feet_beside_it():
         may = reaches(points, where + np.array([*way, 0])) & (np.arange(len(points)) < len(points) - 1)
         best = by_loops.nearest(points, may, planned)[LF]
         np.testing.assert_allclose(found.goal, only(LF, points[best], FEET + shift))
+        # the base's next move begins on its way, without the sway, and at the gait's time
+        np.testing.assert_allclose(found.base_start, where, atol=1e-12)
+        assert found.base_begun == 190
 
 
 LANDING = 50  # steps of a landing of 0.05 s, and one more

@@ -9,6 +9,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD, law_of
 from mjx_climb.execution.batch_axes import over_batch, own_axes
 from mjx_climb.gait import schedule as gait
+from mjx_climb.gait.base_path import sway_of, swayed
 from mjx_climb.gait.swing import COUNT, added_shapes
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -178,6 +179,21 @@ def test_the_base_sways_towards_the_feet_that_stand_and_feet_land_with_a_speed(s
         np.testing.assert_allclose((3 * height[2] - 4 * height[1] + height[0]) / (2 * STEP), -0.1, rtol=0.05)
     np.testing.assert_allclose(sway[1000:], sway[:1000], atol=1e-12)
     assert not sway[:, 2].any() and np.abs(np.diff(sway, axis=0)).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    "duty, lift_off", [(0.5, [0.25, 0.0, 0.5, 0.75]), (0.4, [0.1, 0.0, 0.5, 0.6]), (0.7, [0.0, 0.5, 0.0, 0.5])]
+)
+def test_the_base_sways_towards_the_feet_that_stand_in_the_middle_of_a_swing(duty, lift_off):
+    """Swings that overlap: limbs count that are on the ground then, one that lifts off at that moment does not."""
+    feet, swing = np.random.default_rng(0).normal(0, 0.2, (4, 3)), 1 - duty
+    sway = sway_of(feet, lift_off, duty, 0.3)
+    for time, point in zip(np.unique(lift_off), sway.points, strict=True):
+        since = (time + swing / 2 - np.array(lift_off)) % 1
+        stands = (since >= swing - 1e-9) & (since < 1 - 1e-9)
+        assert 0 < stands.sum() < 4
+        np.testing.assert_allclose(point, 0.3 * feet[stands].mean(0) * [1, 1, 0], atol=1e-12)
+        np.testing.assert_allclose(swayed(sway, time + swing / 2), point, atol=1e-12)
 
 
 # the base is ahead at the start, on its way from where the one hind limb has swung to where the other one will
