@@ -1,6 +1,6 @@
 """How a function of one robot is carried out for a batch: all that leans on the insides of JAX and XLA.
 
-What the rest of the program uses is named here; docs/explanation/execution.md explains the whole.
+The rest of the program uses these names; docs/explanation/execution.md explains the whole.
 """
 
 import contextlib
@@ -57,7 +57,7 @@ def check_process() -> None:
     """Refuse to compute in a process that was forked from one in which JAX had begun.
 
     Raises:
-        RuntimeError: in one line, what to do.
+        RuntimeError: one line with the remedy.
     """
     if _too_late:
         raise RuntimeError(

@@ -1,8 +1,8 @@
 """The adjoint of a program of one robot: derivatives of weighted results by all moving arguments, in reverse.
 
-A loop of many steps does not keep what its steps compute. It keeps what it carried at the begin of each stretch of
-steps, about as many stretches as a stretch has steps. On the way back each stretch is walked once more, and what was
-carried at the begin of each step is kept. Then each step is computed once more, last step first, with its own reverse
+A loop of many steps does not keep all results of its steps. It keeps the values carried into each stretch of steps,
+about as many stretches as a stretch has steps. On the way back each stretch is walked once more, and the values carried
+into each of its steps are kept. Then each step is computed once more, last step first, with its own reverse
 derivative. So n steps take the memory of two roots of n, and each step is computed three times.
 
 References:
@@ -24,7 +24,7 @@ from mjx_climb.execution.flat import carried_on, depend, evaluated, flat, with_s
 from mjx_climb.execution.jax_internals import carried_out, inner_program, scan_sizes
 from mjx_climb.execution.jax_types import Parameters, aval_of
 
-MOST_KEPT = 256  # steps of a loop that keeps what it carries at each
+MOST_KEPT = 256  # steps of a loop that keeps its carried values at each
 FEW_EQUATIONS = 1000  # in all steps of a loop that keeps all that it computes
 
 
@@ -166,7 +166,7 @@ def _stretches(length: int) -> tuple[int, int]:
 
 
 def _kept(loop: _Loop, values: Sequence[Array]) -> list[Array]:
-    """Return the results of a loop whose adjoint keeps what was carried into each step."""
+    """Return the results of a loop whose adjoint keeps the values carried into each step."""
     (constants, carry), (into, out) = loop.sizes, loop.moves()
     count = len(out)
     body = with_stable_choices(loop.body)

@@ -1,4 +1,4 @@
-"""Elements written as operations of JAX's on whole rows: what the regions of a CPU consist of.
+"""Elements written as operations of JAX's on whole rows: the contents of a CPU's regions.
 
 Sine, cosine and the angle of a vector have operations of their own in single precision, which a CPU carries out on
 whole vectors: XLA:CPU calls the C library for these, once for each robot, half of the time of a step in regions. Up to
@@ -33,7 +33,7 @@ class ArrayWriter(Writer):
     def __init__(self, lanes: int, batch: tuple[int, ...]) -> None:
         self.lanes, self.batch = lanes, batch
         self._widened: dict[tuple[int, tuple[int, ...]], tuple[Value, Array]] = {}
-        self._parts: dict[int, tuple[Value, Sequence[Number]]] = {}  # what a value was put together from
+        self._parts: dict[int, tuple[Value, Sequence[Number]]] = {}  # the parts of a value
 
     def value(self, rows: Array) -> Value:
         """Return numbers (lanes or 1, *batch or 1) as a value."""

@@ -82,7 +82,7 @@ def over_batch(
 ) -> Result:
     """Return the results of a function of one robot for all robots of a batch, batch axes in front.
 
-    What does not vary over the batch is passed as it is, so that it is computed once; of a batch of one what has
+    Values that do not vary over the batch are passed unchanged and computed once; of a batch of one what has
     batch axes counts as varying, so that it walks by the program of several.
     """
     if not shape:

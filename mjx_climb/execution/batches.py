@@ -1,4 +1,4 @@
-"""The door: a function of one robot carried out for a batch, on whatever devices there are, by the fastest path.
+"""The door: a function of one robot carried out for a batch, on all devices, by the fastest path.
 
 Three paths lead to the same results: regions (`cpu_regions`) on CPUs, one kernel (`gpu_kernel`) on GPUs, and XLA's own
 way of compiling the lifted program. Where the fast path of a device does not work there, or cannot do what a function
@@ -32,15 +32,15 @@ from mjx_climb.execution.jax_types import Function, PyTree
 from mjx_climb.execution.one_robot import gradients_over_robots, over_robots
 from mjx_climb.execution.paths import first_possible
 
-MOST_GRADIENTS = 2**16  # walks of which one call takes gradients: each keeps some 200 kB on its way back
+MOST_GRADIENTS = 2**16  # walks whose gradients one call takes: each keeps some 200 kB on its way back
 Progress = Callable[[int, int], None]
 _Values = TypeVar("_Values", np.ndarray, Array)
-# before the name of what a derivative is of: of a result along directions, or of weighted results by a gain
+# before the name of a result with a tangent, or of a gain with a gradient
 _TANGENT, _GRADIENT = "tangent of ", "gradient by "
 
 
 class _Call(NamedTuple):
-    """What is static of a program: a function of one robot, which arguments have a batch axis, and the way to go."""
+    """The static part of a program: a function of one robot, which arguments have a batch axis, and the way to go."""
 
     function: Function
     structure: Hashable
@@ -145,7 +145,7 @@ def run_one(function: Function, structure: Hashable, *arguments: PyTree) -> PyTr
     """Carry out a function of one robot on the CPU, in the precision of the arrays; see `run`.
 
     Returns:
-        What the function returns, as arrays of numpy.
+        The function's results, as arrays of numpy.
     """
     double = any(leaf.dtype == np.float64 for leaf in jax.tree.leaves(arguments))
     call = _Call(function, structure, ())
@@ -161,7 +161,7 @@ def run_one(function: Function, structure: Hashable, *arguments: PyTree) -> PyTr
 def shapes_of(
     function: Callable[..., dict[str, Array]], structure: Hashable, *arguments: PyTree
 ) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of what a function of one robot returns, in double precision.
+    """Return the shapes of a function's results for one robot, in double precision.
 
     They are kept on disk as executables are, so that a warm start does not trace for them.
 
@@ -229,7 +229,7 @@ def _identity(call: _Call, *trees: PyTree) -> str | None:
 
 @functools.lru_cache(64)
 def _of_structure(function: Function, structure: Hashable) -> Function:
-    """Return a function of one robot's arguments, the same each time: JAX knows what it has traced by it."""
+    """Return a function of one robot's arguments, the same object each time: JAX finds traced programs by it."""
     return functools.partial(function, structure)
 
 

@@ -1,7 +1,7 @@
 """The folder of compiled programs: XLA's persistent cache, executables, shapes, verdicts on the fast paths.
 
 It is in the user's cache folder, so that a second start does not wait for the compiler. `MJX_CLIMB_CACHE` moves it (a
-folder) or switches it off (`off`); a folder that the user has set in JAX itself is left. What lies there is executed,
+folder) or switches it off (`off`); a folder that the user has set in JAX itself is left. Its files are executed,
 so a folder in which another user may have put something is not used.
 
 With a cached executable a warm start neither traces nor compiles. Its name is a digest of the files that the traced
@@ -94,7 +94,7 @@ def enable_cache() -> None:
     path = cache_folder()
     if path is None or settings()["jax_compilation_cache_dir"] is not None:
         return
-    with contextlib.suppress(OSError):  # JAX says what is wrong with it
+    with contextlib.suppress(OSError):  # JAX reports its faults
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(path))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
@@ -182,14 +182,14 @@ _Result = TypeVar("_Result")
 Options = dict[str, str | int]  # of the compiler
 
 _OF_NO_EFFECT = ("cache", "log", "traceback", "profiler")  # in names of JAX's settings that change no executable
-# events that JAX records where XLA's cache gave a program, for whoever shows how long compilation took
+# events that JAX records where XLA's cache gave a program, for reports of compilation times
 _HIT, _SECONDS = "/jax/compilation_cache/cache_hits", "/jax/core/compile/backend_compile_duration"
 
 
 def cached_jit(
     function: Callable[..., _Result], identity: Callable[..., str | None], options: Options
 ) -> Callable[..., _Result]:
-    """Return `jax.jit` of a function, with executables on disk, found by what `identity` says; None: none is kept."""
+    """Return `jax.jit` of a function, with executables on disk, found by `identity`; None: none is kept."""
     jitted = jax.jit(function, static_argnums=0, compiler_options=options)
     executables: dict[Hashable, Callable[..., _Result]] = {}
     locks: dict[Hashable, threading.Lock] = {}  # shares of a batch come from several threads
@@ -262,7 +262,7 @@ def _loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
         executable: Function = serialize_executable.deserialize_and_load(
             serialized, inputs, outputs, device.client, [device]
         )
-    except Exception:  # whatever is wrong with a file, the executable can be made
+    except Exception:  # from a damaged file: the executable is made again
         return None
     monitoring.record_event(_HIT)
     monitoring.record_event_duration_secs(_SECONDS, time.perf_counter() - begin)
@@ -277,8 +277,8 @@ def _stored(
     def named(structure: Hashable, *trees: PyTree) -> PyTree:
         return function(structure, *trees)
 
-    # What XLA's cache returns cannot be serialized, as it lacks parts (jaxlib 0.10). Under a name that nothing else has
-    # the program is not found there, now or later.
+    # Programs from XLA's cache cannot be serialized, as they lack parts (jaxlib 0.10). Under a unique name the
+    # program is not found there, now or later.
     named.__name__ = f"{function.__name__}_{uuid.uuid4().hex}"
     lowered = jax.jit(named, static_argnums=0, compiler_options=options).lower(structure, *trees)
     with outside_of_xlas_cache():
@@ -308,7 +308,7 @@ def store_whole(file: Path, content: bytes) -> None:
 def write_whole(file: Path, content: bytes) -> None:
     """Write a file that other processes find whole or not at all, and that its owner alone reads.
 
-    What writers left that were killed is removed.
+    Files of killed writers are removed.
 
     Raises:
         OSError: no room, or no rights.

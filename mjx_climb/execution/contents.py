@@ -1,9 +1,9 @@
 """A digest of all that can change what a user's function, class or object returns.
 
 A function is its byte code, its constants, defaults and closure, and the globals that it names; a class its bases and
-the members of its body; another object what `copy` and `pickle` rebuild it from. What an installed package defines is
+the members of its body; another object its parts for `copy` and `pickle`. A name of an installed package is
 known by its name and the package's version. Byte code, not the text of the file: a file may have been edited since it
-was imported, and what is defined in a session, or two lambdas of one line, have no text of their own.
+was imported, and names of a session, or two lambdas of one line, have no text of their own.
 """
 
 import dis
@@ -22,7 +22,16 @@ import numpy as np
 from mjx_climb.execution.refused import Refused
 
 _PACKAGE = __name__.partition(".")[0]
-_UNSEEN = {"eval", "exec", "compile", "globals", "locals", "open", "input", "__import__"}  # read what no digest knows
+_UNSEEN = {
+    "eval",
+    "exec",
+    "compile",
+    "globals",
+    "locals",
+    "open",
+    "input",
+    "__import__",
+}  # read beyond a digest
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented))  # exact by repr
 _CODE = (
     "co_code", "co_exceptiontable", "co_argcount", "co_posonlyargcount", "co_kwonlyargcount", "co_flags", "co_names",
@@ -31,7 +40,7 @@ _CODE = (
 
 
 class Unidentifiable(Refused):
-    """A value that has no digest; in one line: where it was found, and what it is."""
+    """A value that has no digest; in one line: its place and its type."""
 
 
 def identity(value: object, name: str = "value") -> str:
@@ -42,7 +51,7 @@ def identity(value: object, name: str = "value") -> str:
         name: of the value in messages, as "objective".
 
     Raises:
-        Unidentifiable: it holds or calls what contents do not tell: a lock, a generator, an open file, `eval`.
+        Unidentifiable: it holds or calls something without contents: a lock, a generator, an open file, `eval`.
     """
     return _Digests(name).of(value)
 
@@ -98,7 +107,7 @@ class _Digests:
             return "wrapped", type(value).__qualname__, self.of(value.__wrapped__)
         try:
             parts = value.__reduce_ex__(4)
-        except Exception:  # whatever a class of the user's raises
+        except Exception:  # a class of the user's may raise anything
             raise self._refused(f"a {type(value).__module__}.{type(value).__qualname__}") from None
         if isinstance(parts, str):  # an object that its module holds under this name
             return "named", type(value).__module__, type(value).__qualname__, parts
@@ -117,7 +126,7 @@ class _Digests:
         yield self.of({name: held for name, held in vars(function).items() if name != "__wrapped__"})
         home = function.__globals__.get("__name__", "")
         yield _version(home)
-        # what a library made, as jax.vmap does, takes from its module what the version tells
+        # a library's closure, such as jax.vmap's, is told by the version
         space = {} if in_library(home) else function.__globals__
         for said in _said(function.__code__):
             yield from self._taken(said, space) if isinstance(said, _Taken) else (said,)
@@ -158,7 +167,7 @@ class _Taken(NamedTuple):
 def _said(code: types.CodeType) -> tuple[object, ...]:
     """Return byte code, the digests of its constants, the same of the functions in it, and the names that it takes.
 
-    These never change. What is behind the names may, and is looked up each time.
+    These never change. The values behind the names may, and are looked up each time.
     """
     said = [getattr(code, part) for part in _CODE]
     for constant in code.co_consts:
@@ -197,7 +206,7 @@ def _version(name: str) -> str:
 
 
 def _name_in_library(value: object) -> str:
-    """Return the full name of what a library gives under a name, empty for anything else."""
+    """Return the full name of a library's object under a name, empty for anything else."""
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
     if not isinstance(module, str) or not isinstance(name, str) or not in_library(module):
         return ""

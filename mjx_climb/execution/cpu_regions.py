@@ -2,7 +2,7 @@
 
 A function call with the attribute `xla_cpu_small_call` becomes a single kernel. In it there are no matrices, as XLA
 fuses and computes again what is broadcast: each component is a row of robots, or of the limbs of robots, as
-`element_operations` writes it (`array_writer`). What it cannot write, and loops, stand between the regions.
+`element_operations` writes it (`array_writer`). Other operations, and loops, stand between the regions.
 """
 
 import functools
@@ -44,7 +44,7 @@ A_CALL = 5  # of a region costs about as much as so many values that are stored 
 STORED_FROM = 3  # operations
 # put together by an equation within a region: XLA fuses them, and asks of each element which row it is in
 MOST_ROWS = 16
-# bytes that a region of its own puts together: XLA:CPU splits what has more over threads, in a call into invalid code
+# bytes that a region of its own puts together: XLA:CPU splits larger ones over threads, in a call into invalid code
 MOST_OF_A_CALL = 2**18
 # equations between the regions of a step: XLA:CPU works their arrays out by several threads, and two shares that do so
 # for many at once wait for each other for ever (jaxlib 0.10, MJX's 50)
@@ -61,7 +61,7 @@ def in_regions(
 
 
 def _unseen(values: Sequence[Array]) -> list[Array]:
-    """Return values of which XLA does not see that they are constant, where they are.
+    """Return values, constants among them hidden from XLA.
 
     It would put the constant in the place of a kernel's parameter, and stop the process at a parameter that nothing
     reads (jaxlib 0.10: "All or none of the slices should have an explicit index").
@@ -84,7 +84,7 @@ class _Stacks(NamedTuple):
         return made + [value for place, value in enumerate(values) if place not in within]
 
     def apart(self, arrays: Sequence[Array]) -> list[Array]:
-        """Return the values of which `stacked` made arrays by `_rows_of`."""
+        """Return the values that `stacked` made into arrays by `_rows_of`."""
         rest = iter(arrays[len(self.groups) :])
         rows: dict[int, Array] = {}
         for array, group in zip(arrays, self.groups, strict=False):
@@ -99,7 +99,7 @@ def _rows_of(values: Sequence[Array]) -> Array:
 
 
 def _carrying(stacks: _Stacks, body: core.ClosedJaxpr, constants: int, carry: int) -> core.ClosedJaxpr:
-    """Return a loop's body that carries stacks and what is behind them in place of `carry` values."""
+    """Return a loop's body that carries stacks and the numbers behind them in place of `carry` values."""
     avals = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in body.in_avals]
     common, carried, read = avals[:constants], avals[constants : constants + carry], avals[constants + carry :]
 
@@ -114,7 +114,7 @@ Varying = tuple[Array, Has]  # and which batch axes it has
 
 
 class _Program(NamedTuple):
-    """What all parts of a program share."""
+    """State shared by all parts of a program."""
 
     limbs: LimbAxes
     batch: tuple[int, ...]
@@ -283,11 +283,11 @@ def _in_kernels(function: Callable[..., list[Array]], arguments: Sequence[Array]
 
 
 def _regions(closed: core.ClosedJaxpr, most: int) -> list[core.ClosedJaxpr]:
-    """Return regions of at most so many equations, in order of execution, without what nothing depends on.
+    """Return regions of at most so many equations, in order of execution, without unused ones.
 
     Those of constants alone are in each region that reads them, see `_unseen`. So are those that take arguments apart:
-    an array is read in place at no cost. But where a region reads what a loop carries and makes what it carries next,
-    XLA would copy the whole: before such regions the first one takes apart what they read.
+    an array is read in place at no cost. But where a region reads carried values of a loop and makes the next ones,
+    XLA would copy the whole: before such regions the first one takes their operands apart.
     """
     jaxpr, results = closed.jaxpr, variables_of(closed.jaxpr.outvars)
     of_constants, moves, others, known, moved = [], [], [], set(jaxpr.constvars), set(jaxpr.invars)

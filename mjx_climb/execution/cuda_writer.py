@@ -21,7 +21,7 @@ TYPES = {
     "float32": "float",
 }  # fmt: skip
 
-# Sine and cosine by the nearest quarter turn, of which pi/2 is taken away in two parts, and the polynomials of the
+# Sine and cosine: the nearest quarter turn, pi/2, is taken away in two parts; then come the polynomials of the
 # Cephes library; arctangent by a polynomial of odd powers, fitted on 0 to 1.
 FUNCTIONS = """
 __device__ __forceinline__ float to_quarter(float x, int &quarter) {
@@ -175,9 +175,9 @@ _WARP = "0xffffffffu"  # all threads of a warp
 _NAMES = re.compile(r"\bv\d+\b")
 _MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
 
-# Arguments are words of 32 bits: `common` of all, the first of which are the numbers of robots and of directions of
-# each; `own` (rows, robots); `along` (rows, walks), of which a robot has one for each direction. Those that nothing is
-# read of are not there. `made` (rows, walks) is written; what loops write is behind it, see `_KEPT`.
+# Arguments are words of 32 bits: `common` to all, first the numbers of robots and of directions of each; `own` (rows,
+# robots); `along` (rows, walks), one walk for each direction of a robot. Arguments that nothing reads are left out.
+# `made` (rows, walks) is written; behind it are the words that loops write, see `_KEPT`.
 READ = ("common", "own", "along")
 _HEAD = """
 extern "C" __global__ void __launch_bounds__({threads})
@@ -203,7 +203,7 @@ class _Rows(NamedTuple):
     """Rows of an argument that a loop reads one after the other."""
 
     of: str
-    outer: str  # what the loops around it add
+    outer: str  # added by the loops around it
     first: int
     stride: int
 
@@ -211,7 +211,7 @@ class _Rows(NamedTuple):
 class CudaWriter(Writer):
     """Writes a function of one robot down, line by line; `source` is the whole kernel.
 
-    Lanes beyond the limbs, where their number is no power of two, do what the first one does.
+    Lanes beyond the limbs, where their number is no power of two, repeat the first one.
     """
 
     def __init__(self, lanes: int) -> None:
@@ -224,7 +224,7 @@ class CudaWriter(Writer):
         self.kept = 0  # rows of words that loops write, each thread its own
         self._table: list[int] = []  # words of constants that differ from lane to lane
         self._read = dict.fromkeys(READ, 0) | {"common": 2}
-        # by the name of an argument's word: the argument, and its row as a sum of what loops add and a place
+        # by the name of an argument's word: the argument, and its row as a sum of the loops' terms and a place
         self._rows: dict[str, tuple[str, str, int]] = {}
 
     def read(self, of: str, dtype: DTypeLike) -> Value:
@@ -324,7 +324,7 @@ class CudaWriter(Writer):
     def _call(self, time: str, begin: int, carried: Sequence[Value], head: Sequence[str]) -> None:
         """Make the last lines, the step of a loop in a loop, a function of its own.
 
-        Within a second loop NVIDIA's assembler takes hours over registers for them. What is carried stands in arrays,
+        Within a second loop NVIDIA's assembler takes hours over registers for them. Carried values stand in arrays,
         whose places cannot be the same to the compiler, as those of references could.
         """
         names = dict.fromkeys(_NAMES.findall("\n".join(self._lines[begin:])))
@@ -402,7 +402,7 @@ class CudaWriter(Writer):
 
 
 def _text(number: Number) -> str:
-    assert not isinstance(number, OfLane)  # what is written is of all lanes
+    assert not isinstance(number, OfLane)  # text is the same for all lanes
     return str(number.content) if isinstance(number, Value) else literal(number)
 
 

@@ -1,4 +1,4 @@
-"""A batch spread over whatever devices there are: CPU cores, the GPUs of one host, or of several hosts.
+"""A batch spread over all devices: CPU cores, the GPUs of one host, or of several hosts.
 
 Robots do not interact, so a batch is cut into shares, each computed by an executable of a single device. One executable
 partitioned over the devices would exchange nothing either, but XLA simplifies a partitioned program in another order,
@@ -31,7 +31,7 @@ _CPU_SHARES_IN_REGIONS = {1: 1, 8: 2, 64: 16, 128: 64, 192: 96, math.inf: 128}
 
 
 class LostProcess(RuntimeError):
-    """Another process ended while this one waited for its share; in one line, what JAX says."""
+    """Another process ended while this one waited for its share; in one line, JAX's message."""
 
 
 def begin() -> None:
@@ -50,7 +50,7 @@ def host() -> jax.Device:
 
 
 def on_host() -> contextlib.AbstractContextManager[object]:
-    """Have what is not placed elsewhere run on the CPU: single walks, and small programs."""
+    """Run on the CPU unless placed elsewhere: single walks, and small programs."""
     return contextlib.nullcontext() if jax.default_backend() == "cpu" else jax.default_device(host())
 
 
@@ -130,7 +130,7 @@ def spread(
             stack.callback(executor.shutdown, cancel_futures=True)
         walking = {threads[places[number]].submit(walk_share, number): number for number in own}
         for done, future in enumerate(as_completed(walking), 1):
-            future.result()  # what went wrong is raised at once
+            future.result()  # errors are raised at once
             if progress is not None:
                 progress(min(done * share, total), total)
     parts = {number: future.result() for future, number in walking.items()}
@@ -160,7 +160,7 @@ def usable_cores() -> int:
 
 
 def _gathered(parts: dict[int, dict[str, np.ndarray]], owners: list[int]) -> dict[int, dict[str, np.ndarray]]:
-    """Return the shares of all processes, from those of this one, each of which has at least one; `owners` of each."""
+    """Return the shares of all processes, from those of this one; each has at least one, and `owners` names it."""
     like = next(iter(parts.values()))
     table = np.zeros(len(owners), np.dtype([(name, value.dtype, value.shape) for name, value in like.items()]))
     for number, part in parts.items():

@@ -1,6 +1,6 @@
 """Operations on elements, each written once or not at all: the frames of a robot are full of zeros and ones.
 
-What XLA would leave out itself must be found here too (`SHORTCUTS`), as it stops the process at a kernel with a
+Operations that XLA would leave out must be found here too (`SHORTCUTS`): XLA stops the process at a kernel with a
 parameter that nothing reads any more.
 """
 
@@ -38,7 +38,7 @@ _IN_ANY_ORDER = frozenset({"add", "max", "min", "and", "or"})  # but for roundin
 
 
 class Operations:
-    """Operations on elements, each of which is written once: asked for again, it gives the same result."""
+    """Operations on elements. Each is written once: asked for again, it gives the same result."""
 
     def __init__(
         self, writer: Writer, limbs: LimbAxes, before: Mapping[Hashable, tuple[object, Number]] | None = None
@@ -72,7 +72,7 @@ class Operations:
         return self._of_rows(map(of_all_lanes, *(self._rows(array, axis) for array in wide)), shape, axis)
 
     def runs_over_lanes(self, array: Elements, axis: int) -> bool:
-        """Return whether the elements along an axis are what the lanes have of one value, somewhere in an array.
+        """Return whether the elements along an axis are the lanes' parts of one value, somewhere in an array.
 
         In any order: another one than theirs takes an exchange, once.
         """
@@ -112,7 +112,7 @@ class Operations:
         return np.moveaxis(as_array(itertools.chain.from_iterable(rows), (*others, self.writer.lanes)), -1, axis)
 
     def packed(self, elements: Sequence[Number] | np.ndarray) -> Shared:
-        """Return a value of which each lane has the element of its place; elements that are all one stay that."""
+        """Return a value that gives each lane the element of its place; elements that are all one stay that."""
         first = elements[0]
         if all(element is first for element in elements) and not isinstance(first, OfLane):
             return cast(Shared, first)
@@ -178,7 +178,7 @@ class Operations:
         return self._alike(primitive, parameters, *map(self.same_for_all, operands))
 
     def _alike(self, primitive: core.Primitive, parameters: Parameters, *operands: Shared) -> Shared:
-        """Return an elementwise operation that all lanes do with what they have."""
+        """Return an elementwise operation that each lane does with its own part."""
         if primitive.name in SHORTCUTS and (result := SHORTCUTS[primitive.name](*operands)) is not None:
             return cast(Shared, result)
         if all(isinstance(operand, np.generic) for operand in operands):
@@ -223,7 +223,7 @@ class Operations:
 
 
 def _in_order(elements: Sequence[Number] | np.ndarray) -> Value | None:
-    """Return the value of which elements are what the lanes have, in their order; None where they are not that."""
+    """Return the value whose lanes have these elements, in their order; None where there is none."""
     first = elements[0]
     if not isinstance(first, OfLane):
         return None
@@ -252,7 +252,7 @@ _EXACT: dict[str, Callable[..., object]] = {
 }  # fmt: skip
 
 
-# --- what need not be written
+# --- operations that need not be written
 
 Shortcut = Callable[..., Number | None]  # of the operands: the result, None where the operation must be written
 
@@ -340,7 +340,7 @@ _ENDS: dict[str, Callable[[np.dtype], tuple[object, object]]] = {
 
 
 def neutral(combine: core.Primitive, dtype: np.dtype) -> object:
-    """Return the number that an operation does nothing with: what it makes of no numbers at all."""
+    """Return the neutral number of an operation: its result for no numbers at all."""
     return _ENDS[combine.name](dtype)[0]
 
 

@@ -1,7 +1,7 @@
-"""A traced function carried out element by element: what regions and kernels consist of.
+"""A traced function carried out element by element: the contents of regions and kernels.
 
-`elements.MOVES`, and the tables below, list all that is known. What is not listed, or has parameters that nobody has
-thought of, raises `Unsupported`. A rule is a function of the operations, the equation and its operands.
+`elements.MOVES`, and the tables below, list all that is known. Any other operation, or an unknown parameter,
+raises `Unsupported`. A rule is a function of the operations, the equation and its operands.
 """
 
 import itertools
@@ -21,7 +21,7 @@ from mjx_climb.execution.jax_internals import inner_program, line_of, scan_sizes
 from mjx_climb.execution.jax_types import Parameters, aval_of
 from mjx_climb.execution.limbs import Axis
 
-MOST_ELEMENTS = 1000  # of one equation in a region: what has more is an array to XLA as well
+MOST_ELEMENTS = 1000  # of one equation in a region: a larger one stays an array to XLA
 MOST_PRODUCTS = 18**3  # of a product of matrices: of two inertias of a robot of twelve joints
 MOST_STEPS = 64  # of a loop that is written out step by step
 MOST_OF_A_TABLE = 60_000  # numbers that a loop writes
@@ -184,7 +184,7 @@ Rule = Callable[[Operations, core.JaxprEqn, list[Elements]], list[Elements]]
 def _reduction(combine: core.Primitive) -> Rule:
     def rule(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:
         [array], axes = given, list(equation.params["axes"])
-        axes.sort(key=lambda axis: (do.runs_over_lanes(given[0], axis), -axis))  # first what a lane does on its own
+        axes.sort(key=lambda axis: (do.runs_over_lanes(given[0], axis), -axis))  # first each lane on its own
         while axes:
             gone = axes.pop(0)
             if array.shape[gone] == 0:  # a table of no pushes, the third feet of two limbs
@@ -237,7 +237,7 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
     axes = [do.limbs.of(variable) for variable in body.jaxpr.invars[constants:]]
     carry_of = _Shapes(avals[:carry], axes[:carry])
     written_of = _Shapes(avals[carry:], [do.limbs.of(variable) for variable in body.jaxpr.outvars[carry:]])
-    # what a loop has written is of the lanes as it was, what an argument has is the same for all
+    # numbers that a loop has written keep their lanes, an argument's are the same for all
     own = [
         axis if axis is not None and do.runs_over_lanes(array, axis + 1) else None
         for array, axis in zip(read, axes[carry:], strict=True)

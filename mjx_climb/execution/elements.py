@@ -3,8 +3,8 @@
 An element is a number known when the kernel is written, a value that the kernel computes, or the value that one lane
 has of it. An array whose elements are all known is a plain numpy array.
 
-Lanes are the threads that share a robot: a thread for each limb. What is computed for each limb in the same way is
-computed once, by all lanes side by side.
+Lanes are the threads that share a robot: a thread for each limb. Values that are computed alike for each limb
+are computed once, by all lanes side by side.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ class Value:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OfLane:
-    """What one lane has of a value."""
+    """One lane's part of a value."""
 
     value: Value
     lane: int
@@ -55,13 +55,13 @@ class Writer(Protocol):
     lanes: int  # that share a robot, one for each limb; 1: a robot has one of its own
 
     def operation(self, primitive: core.Primitive, parameters: Parameters, operands: Sequence[Shared]) -> Value:
-        """Return an elementwise operation of JAX's; each lane does it with what it has."""
+        """Return an elementwise operation of JAX's; each lane does it with its own part."""
 
     def each_its_own(self, numbers: Sequence[Shared]) -> Value:
-        """Return a value of which each lane has the number of its place."""
+        """Return a value that gives each lane the number of its place."""
 
     def of_lanes(self, value: Value, lanes: Sequence[int]) -> Value:
-        """Return a value of which each lane has what another lane, that of its place, has of `value`."""
+        """Return a value that gives each lane another lane's part of `value`: of the lane at its place in `lanes`."""
 
     def over_lanes(self, combine: core.Primitive, value: Value) -> Value | None:
         """Return a value reduced over all lanes; None: the caller exchanges between lanes."""

@@ -3,7 +3,7 @@
 JAX takes the derivative of a maximum where a value equals it. Two kernels that each work the maximum out, and round
 differently, find no value equal: the derivative of a maximum over rows is then 0/0, of two values 0. So maxima and
 minima are made of comparisons first: one comparison chooses value and derivative. Of equal values the first is taken,
-where JAX takes the mean; what is not a number stays, as in JAX's own.
+where JAX takes the mean; not-a-numbers stay, as in JAX's own.
 """
 
 import functools
@@ -79,7 +79,7 @@ def variables_of(atoms: Sequence[Atom]) -> dict[core.Var, None]:
 
 
 def runs(jaxpr: core.Jaxpr, alike: Callable[[core.JaxprEqn], bool]) -> list[tuple[core.ClosedJaxpr, bool]]:
-    """Return equations in runs of those that are alike, each as a program of what it reads to what is read later."""
+    """Return equations in runs of those that are alike, each as a program from its operands to results read later."""
     groups = [(kind, list(group)) for kind, group in itertools.groupby(jaxpr.eqns, alike)]
     later, found = variables_of(jaxpr.outvars), []
     for kind, group in reversed(groups):
@@ -89,13 +89,13 @@ def runs(jaxpr: core.Jaxpr, alike: Callable[[core.JaxprEqn], bool]) -> list[tupl
 
 
 def region(like: core.Jaxpr, equations: list[core.JaxprEqn], later: dict[core.Var, None]) -> core.ClosedJaxpr:
-    """Return equations as a program of what they read to what is read later."""
+    """Return equations as a program from their operands to results read later."""
     made = variables_of([variable for equation in equations for variable in equation.outvars])
     read = variables_of([atom for equation in equations for atom in equation.invars])
     return new_program(like, equations, [v for v in read if v not in made], [v for v in made if v in later])
 
 
-# --- activity analysis: what depends on what, and so which batch axes a value has
+# --- activity analysis: dependences, and so the batch axes of a value
 
 Has = tuple[bool, ...]  # which batch axes a value has, behind its own
 
@@ -156,7 +156,7 @@ def _repeated(parameters: Parameters, given: Sequence[bool]) -> list[bool]:
 
 
 def by_axis(of_axis: Callable[[list[bool]], Sequence[bool]], varies: Sequence[Has], axes: int, count: int) -> list[Has]:
-    """Return which batch axes `count` values have, by what `of_axis` says of each axis alone."""
+    """Return which batch axes `count` values have, by `of_axis`, asked of each axis alone."""
     each = [of_axis([has[axis] for has in varies]) for axis in range(axes)]
     return list(zip(*each, strict=True)) if each else [()] * count
 
@@ -184,7 +184,7 @@ def tangents_of(program: core.ClosedJaxpr, moving: Sequence[bool]) -> tuple[core
 
 @functools.lru_cache(maxsize=128)
 def with_stable_choices(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
-    """Return a program without `max`, `min`, their reductions and what `simpler` knows.
+    """Return a program without `max`, `min`, their reductions and the operations of `simpler`.
 
     Functions with their own derivative stay.
     """
@@ -239,7 +239,7 @@ def _has_choices(jaxpr: core.Jaxpr) -> bool:
 
 
 def _better(compare: Callable[[Array, Array], Array], one: Array, other: Array) -> Array:
-    """Return the better of two values, element by element: the first of equal ones, and what is not a number."""
+    """Return the better of two values, element by element: the first of equal ones, and not-a-numbers."""
     one, other = jnp.broadcast_arrays(one, other)
     return lax.select(compare(one, other) | (one != one), one, other)
 

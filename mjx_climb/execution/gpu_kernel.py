@@ -36,7 +36,7 @@ _Result = TypeVar("_Result")
 
 
 class Body(NamedTuple):
-    """What is written of one robot."""
+    """The kernel's text for one robot."""
 
     program: core.ClosedJaxpr  # flat
     limbs: LimbAxes
@@ -58,7 +58,7 @@ def over_robots(function: Callable[..., _Result], batched: Sequence[bool]) -> Ca
 
     Returns:
         A function of arguments with a batch axis, of any length, where `batched` says so. All results have it. It
-        raises `Unsupported` while it is traced where the function holds what a kernel cannot do.
+        raises `Unsupported` while it is traced where the function holds an operation without a rule.
     """
 
     def mapped(*arguments: PyTree) -> _Result:
@@ -137,7 +137,7 @@ def _of_one(
     return program, jax.tree.structure(shape)
 
 
-# What is made of a program is kept: batches of other sizes have the same, and it takes seconds.
+# Texts of programs are kept: batches of other sizes have the same, and one takes seconds.
 _KEPT = 8  # programs
 
 
@@ -206,7 +206,7 @@ def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[
 # --- compilation
 
 # Multiplications and additions in one, numbers below 1e-38 as zero, and divisions and roots to two units in the last
-# place: what single precision is good for is lost in none of them.
+# place: none of them loses digits of single precision.
 OPTIONS = ("--fmad=true", "--ftz=true", "--prec-div=false", "--prec-sqrt=false", "--std=c++17")
 
 

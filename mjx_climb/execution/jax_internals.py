@@ -1,7 +1,7 @@
-"""All that this package needs of JAX and XLA and that they do not document, and what differs between JAX 0.10 and 0.11.
+"""All undocumented parts of JAX and XLA that this package needs, and differences between JAX 0.10 and 0.11.
 
 That is: names of JAX's modules that begin with an underscore, the parameters of equations, settings that are found by
-their name, and what XLA understands by a name alone. Elsewhere in this package `jax.extend` and `jax.interpreters` are
+their name, and names that XLA understands. Elsewhere in this package `jax.extend` and `jax.interpreters` are
 used, which are documented, for packages as this one. `tests/execution/test_jax_internals.py` has a test of the name of
 each function here, which fails first when JAX changes; CI runs it with the oldest JAX and with the newest one that
 `pyproject.toml` lets in.
@@ -123,7 +123,7 @@ def register_reverse_mode(
 ) -> None:
     """Give an operation its reverse mode, under `jax.checkpoint` too.
 
-    Checkpoints split a program by what is known without the tangents: the operation is split like a call, and done by
+    Checkpoints split a program into parts with and without tangents: the operation is split like a call, and done by
     JAX's own operations where the tangents are on their way back.
     """
 
@@ -184,7 +184,7 @@ def as_one_kernel(program: core.ClosedJaxpr) -> Callable[..., list[Array]]:
     carry_out: Callable[..., list[Array]] = core.jaxpr_as_fun(program)
 
     def kernel(*arguments: Array) -> list[Array]:
-        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for what is called within
+        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for calls within
             return carry_out(*arguments)
 
     def call(*arguments: Array) -> list[Array]:

@@ -1,4 +1,4 @@
-"""Types of what JAX leaves untyped."""
+"""Types that JAX leaves untyped."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias, cast

@@ -1,7 +1,7 @@
 """Which axis of each value in a program runs over the limbs: found by data flow from the arrays that `of_limbs` marks.
 
 The GPU kernel gives each limb a thread of its own, and the CPU's regions compute all limbs by one operation. Both ask
-for the axis by name. It is never guessed from a shape: a quaternion has four components, whatever the limbs.
+for the axis by name. It is never guessed from a shape: a quaternion has four components with any number of limbs.
 """
 
 import dataclasses
@@ -95,7 +95,7 @@ class LimbAxes:
         return [axis] * len(equation.outvars)
 
     def _scan(self, equation: core.JaxprEqn, given: list[Axis]) -> list[Axis]:
-        """Return the axes of what a loop carries in the end and writes: carried values get theirs from any step."""
+        """Return the axes of a loop's last carry and of its records: carried values get theirs from any step."""
         body = equation.params["jaxpr"].jaxpr
         constants, carry = scan_sizes(equation.params)
         common, carried, read = given[:constants], given[constants : constants + carry], given[constants + carry :]
@@ -147,7 +147,7 @@ def _reshaped(p: Parameters, axis: int, before: Sequence[int], after: Sequence[i
 
 
 # Where the operation's first operand with an axis of the limbs has it in the result, by parameters, axis and shapes,
-# None where it is none any more. What is not here keeps it together with the shape, if it has one result.
+# None where it is none any more. Other operations keep it together with the shape, if it has one result.
 _Move = Callable[[Parameters, int, tuple[int, ...], tuple[int, ...]], Axis]
 _MOVES: dict[str, _Move] = {
     **dict.fromkeys(

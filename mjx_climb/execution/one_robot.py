@@ -59,7 +59,7 @@ def over_robots(function: Callable[..., _Result], *, regions: bool | None = None
         regions: whether a CPU works in regions; None: where they can, and a warning says where they cannot.
 
     Raises:
-        Unsupported: when it is compiled, what regions cannot do.
+        Unsupported: when it is compiled, an operation without a rule.
     """
 
     def call(*arguments: PyTree) -> _Result:

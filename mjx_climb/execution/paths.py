@@ -3,7 +3,7 @@
 The fast paths lean on parts of JAX and XLA that promise nothing, and where these fail they stop the process. So before
 a path is first taken a process of its own takes it, and compares with XLA's plain one. The verdict is kept in the
 cache's folder until anything changes that it rests on. Where it is bad, all goes by the plain path, and a warning says
-so, as where a fast path cannot do what a function asks for.
+so, as where a fast path has no rule for an operation.
 """
 
 import contextlib
@@ -56,7 +56,7 @@ def fast_path(device: str | None = None) -> str | None:
 
 
 def path_for(device: str | None, *, kernel: bool) -> str:
-    """Return "regions", "kernel", or "plain"; `kernel` says whether a GPU's kernel can do what is asked for."""
+    """Return "regions", "kernel", or "plain"; `kernel` says whether a GPU's kernel can do it."""
     path = fast_path(device)
     if path is None or (path == "kernel" and not kernel) or not works(path):
         return "plain"
@@ -112,15 +112,15 @@ def _refused() -> set[Hashable]:
     return set()
 
 
-def first_possible(by: Callable[[str], _Result], path: str, what: Hashable) -> _Result:
-    """Return `by(path)`, or `by("plain")` where the path refuses `what`, which it is not asked again."""
-    if path != "plain" and (path, what) not in _refused():
+def first_possible(by: Callable[[str], _Result], path: str, call: Hashable) -> _Result:
+    """Return `by(path)`, or `by("plain")` where the path refuses `call`, which it is not asked again."""
+    if path != "plain" and (path, call) not in _refused():
         try:
             return by(path)
         except (NotImplementedError, JaxRuntimeError) as error:
             if "RESOURCE_EXHAUSTED" in str(error) and not isinstance(error, Unsupported):
                 raise
-            _refused().add((path, what))
+            _refused().add((path, call))
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             warnings.warn(f"{PATHS[path]} cannot do {reason}: by XLA's own way, slower", stacklevel=3)
     return by("plain")
@@ -135,7 +135,7 @@ _CRASHES = (signal.SIGILL, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.
 
 
 class Verdict(NamedTuple):
-    """Whether a path works on this machine, and what was seen."""
+    """Whether a path works on this machine, and the trial's result."""
 
     works: bool
     seen: str  # in a few words
@@ -178,7 +178,7 @@ def verdict(path: str) -> Verdict:
             told = json.loads(kept.read_text())
             return Verdict(bool(told["works"]), str(told["seen"]))
         except (OSError, ValueError, KeyError, TypeError):
-            pass  # not there, or not what was written: tried again
+            pass  # not there, or damaged: tried again
     found, lasting = _tried(path)
     if kept is not None and lasting:
         with contextlib.suppress(OSError):  # no room, no rights: tried again in the next process
@@ -205,8 +205,8 @@ def _trial(path: str) -> subprocess.Popen[str]:
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join(filter(None, packages)),
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # this process may have the GPU's memory
-        "JAX_ENABLE_COMPILATION_CACHE": "false",  # what is tried is the compiler
-        "JAX_TRACEBACK_FILTERING": "off",  # its last line is what went wrong
+        "JAX_ENABLE_COMPILATION_CACHE": "false",  # the compiler is tried
+        "JAX_TRACEBACK_FILTERING": "off",  # its last line is the error
     }
     command, pipe = [sys.executable, "-c", _TRIAL.format(path)], subprocess.PIPE
     return subprocess.Popen(
@@ -235,7 +235,7 @@ def _tried(path: str) -> tuple[Verdict, bool]:
     return Verdict(False, f"a trial failed: {said[0][:200]}"), True
 
 
-# --- what the process does: a small motion and its tangents by a fast path and by the plain one, compared
+# --- the trial: a small motion and its tangents by a fast path and by the plain one, compared
 
 SAME = "the same"
 _ROBOTS, _STEPS = 5, 3
@@ -283,7 +283,7 @@ def _by_kernel(start: np.ndarray, directions: np.ndarray) -> tuple[Array, ...]:
 
 
 def _motion(start: Array) -> Array:
-    """Return three angles and rates (6, limbs) after some steps: a sample of what a walk is made of."""
+    """Return three angles and rates (6, limbs) after some steps: a sample of a walk's operations."""
 
     def step(state: Array, _: None) -> tuple[Array, None]:
         angle, rate = state[:3], state[3:]

@@ -21,7 +21,7 @@ from mjx_climb.execution.jax_types import Parameters, aval_of
 MOST_IN_ORDER = 24  # numbers that are sorted
 MOST_CASES = 2048  # numbers that a scatter chooses, or products of a convolution
 MOST_OF_MATRICES = 216  # products of three sizes of a matrix, in rows
-IN_A_KERNEL = 18**3  # the same of what is lower or upper in a kernel, which calls no library: engine mjx's inertia
+IN_A_KERNEL = 18**3  # the same of triangular ones in a kernel, which calls no library: engine mjx's inertia
 
 Rule = Callable[..., list[Array]]
 Matrix = list[list[Array]]
@@ -96,13 +96,13 @@ def _is_real(array: Array) -> bool:
 
 
 def _is_after(a: Array, b: Array) -> Array:
-    """Return whether a number belongs behind another in rising order; what is not a number is last."""
+    """Return whether a number belongs behind another in rising order; not-a-numbers are last."""
     after: Array = ~(a <= b) & (b == b) if _is_real(a) else a > b
     return after
 
 
 def _is_less(a: Array, b: Array) -> Array:
-    """Return whether a number belongs behind another in falling order; what is not a number is first."""
+    """Return whether a number belongs behind another in falling order; not-a-numbers are first."""
     less: Array = ~(a >= b) & (a == a) if _is_real(a) else a < b
     return less
 
@@ -115,7 +115,7 @@ def _is_same(a: Array, b: Array) -> Array:
 def _in_order(
     columns: Sequence[tuple[Array, ...]], swapped: Callable[..., Array], count: int
 ) -> list[tuple[Array, ...]]:
-    """Return columns of which the first `count` are in order: neighbours change places, equal ones never."""
+    """Return columns whose first `count` are in order: neighbours change places, equal ones never."""
     found = list(columns)
     for done in range(min(count, len(found) - 1)):
         for place in range(len(found) - 1, done, -1):
@@ -150,7 +150,7 @@ def _top(p: Parameters, operand: Array) -> list[Array]:
 
 
 def _place_of(better: Callable[[Array, Array], Array]) -> Rule:
-    """Return the rule of the place of the best number, the first of equal ones, or of what is not a number."""
+    """Return the rule of the place of the best number, the first of equal ones, or of a not-a-number."""
 
     def rule(p: Parameters, operand: Array) -> list[Array]:
         [axis] = p["axes"]
@@ -179,7 +179,7 @@ def _accumulated(combine: Callable[[Array, Array], Array]) -> Rule:
 
 
 def _scattered(combine: Callable[[Array, Array], Array]) -> Rule:
-    """Return the rule of a scatter: at each place of an array a choice between what is there and each update."""
+    """Return the rule of a scatter: at each place of an array a choice between its old number and each update."""
 
     def rule(p: Parameters, operand: Array, places: Array, updates: Array) -> list[Array]:
         numbers, axes = p["dimension_numbers"], range(operand.ndim)
