@@ -28,7 +28,7 @@ from mjx_climb.ground import Holds
 from mjx_climb.physics.spatial import norm, quaternion_to_matrix
 
 Answer = Callable[[Array], Array]  # for points (limb, 3) m, (limb,) bool
-_SHARES = (0.25, 0.5, 0.75, 1.0)  # of a move of the base, of which the largest is made that the feet allow
+_SHARES = (0.25, 0.5, 0.75, 1.0)  # of a move of the base: the largest that the feet allow is made
 
 
 class ChosenFootholds(OwnSwings):
@@ -41,7 +41,7 @@ class ChosenFootholds(OwnSwings):
     way_points: tuple[tuple[float, float], ...] = ()
     # None: reach by inverse kinematics
     table: HeightTable | None = dataclasses.field(default=None, metadata={"tree": True})
-    # (3,) m/s^2, by which holds have their axes
+    # (3,) m/s^2, for the axes of holds
     gravity: Array = dataclasses.field(default_factory=lambda: jnp.zeros(3), metadata={"tree": True})
 
     def init(self) -> tuple[Swings, Reference]:

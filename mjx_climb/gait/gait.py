@@ -15,7 +15,7 @@ from mjx_climb.physics.kinematics import Surface
 
 
 class Body(NamedTuple):
-    """State of the robot as a whole, by which a gait decides; world axes."""
+    """State of the robot as a whole, for the decisions of a gait; world axes."""
 
     mass: Array  # () kg
     center_of_mass: Array  # (3,) m

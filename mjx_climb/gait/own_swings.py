@@ -115,9 +115,9 @@ class OwnSwings(Periodic):
         )
 
     def until_lift_off(self, clock: Array, elapsed: Array) -> Array:
-        """The steps until limbs that stand lift off, (limb,), of which `elapsed` have passed since their swings began.
+        """The steps until limbs that stand lift off, (limb,).
 
-        `clock` () steps is the gait's own time.
+        `clock` () steps is the gait's own time, `elapsed` (limb,) steps the time since their swings began.
         """
         since_lift_off = jnp.mod(clock - self.plan.swing_offset, self.plan.cycle_steps)
         return self.plan.cycle_steps - since_lift_off
@@ -160,7 +160,7 @@ class OwnSwings(Periodic):
     def lift_off(self, memory: Swings, now: Schedule, base_path: Array, body: Body) -> Swings:
         """The memory with new swings of limbs that lift off before the next tick; the base should be at (3,) m.
 
-        A planned foothold is no hold, whatever the limb stood on: recovery may have landed it on one.
+        A planned foothold is no hold, even where recovery landed the limb on one.
         """
         lifts, wait = self.due(memory, now)
         planned, held = self.footholds_at(memory.clock + wait), no_holds(self.holds, memory.goal)

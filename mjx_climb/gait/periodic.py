@@ -24,7 +24,7 @@ class PeriodicGait(declared.PeriodicGait, Component):
 
 
 class Periodic(Gait):
-    """The gait of a plan, whatever happens. It remembers where the base began its cycle, (3,) m, without its sway."""
+    """The gait of a plan without decisions. It remembers where the base began its cycle, (3,) m, without its sway."""
 
     plan: functions.Plan = dataclasses.field(metadata={"tree": True})
     time_step: float
@@ -54,7 +54,7 @@ class Periodic(Gait):
         return memory, functions.reference(self.plan, now, start, grip_point, self.time_step)
 
     def cycle_start(self, before: Array, now: functions.Schedule, base_position: Array) -> tuple[Array, Array]:
-        """Where the base began its cycle, (3,) m: the memory, of which `before` is the last, and for the reference."""
+        """Where the base began its cycle, (3,) m: for the memory, after `before`, and for the reference."""
         start = functions.planned_start(self.plan, now.cycle)
         if not self.from_actual:
             return before, start

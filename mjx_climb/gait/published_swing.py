@@ -77,7 +77,7 @@ def _read(file: str, frame: str) -> Swing:
         return reader(path, frame)
     except ConfigError:
         raise
-    # libraries raise what their decoders do, on files that are damaged
+    # on damaged files libraries raise any error of their decoders
     except Exception as error:
         reason = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]
         raise ConfigError(file, "gait.swing_file", "a whole file with a swing", reason) from None

@@ -1,4 +1,4 @@
-"""Recovery: when a walk is interrupted, where a limb in the air comes down, and what the base does.
+"""Recovery: a limb in the air comes down early, and the base gives way.
 
 The gait looks at the robot every planning period. Where the base is too far from its reference, a grip is near its
 limit, or the margin is small, the gait's own time stands still for a while, limbs in the air come down on the point
@@ -41,7 +41,7 @@ def recovery_of(law: Law, own: Recovery | None) -> Recovery | None:
 
 
 class Danger(NamedTuple):
-    """What thresholds are compared with."""
+    """The quantities of the thresholds."""
 
     shift: Array  # () m, of the base from its reference
     utilization: Array  # () 1, largest predicted share of a grip's limit
@@ -185,7 +185,7 @@ class RecoveringGait(Gait):
     def _landing(
         self, swings: Swings, lands: Array, steps: Array, now: Schedule, reference: Reference, body: Body
     ) -> Swings:
-        """The swings of which some limbs (limb,) come down in so many `steps` (), where the robot is stopped best."""
+        """The swings after some limbs (limb,) are sent down in `steps` () to where they stop the robot best."""
         recovery, holds, (ground, _) = self.recovery, self.gait.holds, self.gait.ground(swings, now)
         below = jnp.concatenate([reference.foot_position[:, :2], ground[:, None]], axis=1)
 

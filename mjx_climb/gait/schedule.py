@@ -23,8 +23,8 @@ class Plan(NamedTuple):
     advance: Array  # (3,) m, of base and feet in one cycle
     heights: Array  # (limb, N) m, of each limb's footholds in order; N = 0: flat ground
     step_height: Array  # () m
-    swing_path: Array  # (limb, 3, K) m, what is added to the cubics of a swing, shape by shape; K = 0: nothing
-    settling: Array  # () share of a swing, at its end, in which the foot waits over its new foothold
+    swing_path: Array  # (limb, 3, K) m, added to the cubics of a swing, shape by shape; K = 0: nothing
+    settling: Array  # () share of a swing, at its end, spent over the new foothold
     cycle_steps: Array  # () steps
     swing_steps: Array  # () steps
     swing_offset: Array  # (limb,) steps after the start of a cycle at which a limb lifts off
@@ -171,9 +171,9 @@ def unswayed(plan: Plan, now: Schedule, position: Array) -> Array:
 def foot_targets(plan: Plan, now: Schedule, grip_point: Array) -> Array:
     """Return where the feet should be, (limb, 3) m in world axes.
 
-    A shut gripper stays where it grips. A swing is the same curve whatever came before: from the cycle's planned
+    A shut gripper stays where it grips. A swing is always the same curve: from the cycle's planned
     foothold to the next, even where a sagging robot touched down short of it; up to the step height above the higher
-    of both. What is added to the cubics is zero, with zero slope, at both ends; but for a landing speed v of a swing
+    of both. The additions to the cubics are zero, with zero slope, at both ends; but for a landing speed v of a swing
     that takes T: `v T x^2 (1 - x) / 2` over its second half, x from 0 to 1.
     """
     phase = settled_phase(plan, now)

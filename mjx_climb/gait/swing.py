@@ -1,8 +1,8 @@
 """Swings of a foot: their shapes over the phase, and the swing that disturbs the base least.
 
 The shapes are written with operators alone, so that arrays of JAX and of NumPy do. The rest is NumPy, before anything
-is compiled: the momentum of the links along a nominal swing gives the reaction on the base, and Gauss-Newton what to
-add to each limb's cubic swing. The idea of a low-reaction swing is that of RAMP (Ribeiro et al., ICRA 2023); the
+is compiled: the momentum of the links along a nominal swing gives the reaction on the base, and Gauss-Newton the
+addition to each limb's cubic swing. The idea of a low-reaction swing is that of RAMP (Ribeiro et al., ICRA 2023); the
 measure and the search are our own. Samples lie at the extremes of a Chebyshev polynomial in each half of the swing,
 from which derivatives come to rounding (Trefethen, Spectral Methods in MATLAB, 2000, chapter 6); they come first, then
 batch axes, limbs, links, components.
@@ -30,7 +30,7 @@ _TRIED = 0.5 ** np.arange(8)
 _DIFFERENCE = 1e-4  # step heights, of the finite differences of the Jacobian
 # regularisation of the coefficients, relative to the reaction of the cubic swing
 _WEIGHT = 1e-3
-_WITHIN = 1e-9  # rad, or m, by which joint limits and footholds may be missed
+_WITHIN = 1e-9  # rad, or m, tolerance of joint limits and footholds
 # phases at which the height of a swing is compared with the ground
 _CHECKED = np.linspace(0.0, 1.0, 201)
 
@@ -71,8 +71,8 @@ class Reaction(NamedTuple):
     force: np.ndarray  # (S, ..., limb, 3) N
     moment: np.ndarray  # (S, ..., limb, 3) N m
     joints: np.ndarray  # (S, ..., limb, joint) rad, or m
-    missed: np.ndarray  # (S, ..., limb) m, by which the joints cannot have the foot where it is asked to be
-    length: float  # m, mean distance of the feet from the base: what a moment is divided by to count as a force
+    missed: np.ndarray  # (S, ..., limb) m, distance of the foot from its target
+    length: float  # m, mean distance of the feet from the base: moments over it count as forces
 
     @property
     def residuals(self) -> np.ndarray:
@@ -91,7 +91,7 @@ def swing_reaction(
 ) -> Reaction:
     """Return the reaction of each limb's swing on a base in its nominal motion, on flat ground.
 
-    `path` (..., limb, 3, K) is what is added to the cubic swing, as `swing_path` has it. With `turned` feet of six
+    `path` (..., limb, 3, K) is added to the cubic swing, as `swing_path` has it. With `turned` feet of six
     joints or more keep their attitudes. `near` (S, ..., limb, joint) are joint angles near those asked for, the rest
     stance where None.
     """

@@ -34,7 +34,7 @@ class Waiting(declared.Waiting, Component):
 
 
 class Waits(NamedTuple):
-    """What a gait that waits remembers."""
+    """Memory of a gait that waits."""
 
     failed: Array  # (limb,) bool: the gripper is shut, does not hold, and will not by itself
     tries: Array  # (limb,) number of landings since the foot last held

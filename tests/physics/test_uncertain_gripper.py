@@ -58,6 +58,11 @@ def test_limits_spread_by_seed_limb_and_try():
     assert len(np.unique(memory.limit)) == LIMBS
 
 
+def test_the_first_grips_bear_the_pull_of_the_test():
+    memory = gripper(spread=0.3, tested_pull=15.0)[0].init(jnp.zeros((LIMBS, 3)), jnp.zeros((LIMBS, 3, 3)))
+    assert (memory.limit >= 15).all() and (memory.limit > 15).any()
+
+
 def test_a_grip_that_fails_its_test_is_tried_again_so_many_times():
     """Each try draws anew: a limb holds from the first try on whose limit bears the pull, or gives up after three."""
     steps = 3 * int(RETRY) + 4

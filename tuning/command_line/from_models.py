@@ -81,7 +81,8 @@ def command(
             for name in typed:
                 if name not in form.places:
                     others = [_asking(key, shown) for key, other in every.items() if key and name in other.places]
-                    expected = f"none with {_asking(key, shown)}" if key else f"{' or '.join(others)} with it"
+                    unused = f"none with {_asking(key, shown)}, which does not use it"
+                    expected = unused if key else f"{' or '.join(others)} with it"
                     raise InputError(f"{_flag(name, shown[name][1])}: expected {expected}")
             for name in (name for name in form.places if form.field(name).is_required() and name not in typed):
                 shell, option = _shell(form.field(name)), f"option '{_flag(name, form.field(name))}'"

@@ -18,7 +18,7 @@ from mjx_climb.physics.kinematics import UP
 class Candidates(NamedTuple):
     """Points to choose among, by their number."""
 
-    vector: Array  # (n, 3), what makes the limbs' points
+    vector: Array  # (n, 3), the holds, or offsets from the feet
     valid: Array  # (n,) 1: one, 0: padding
     holds: tuple[Array, Array, Array] | None = None  # (n, 3) normals, (n, m, 3) and (n, m) N, limits in their axes
 
@@ -49,7 +49,7 @@ def best(
         allowed: whether points may be chosen, (limb,) bool.
         candidates: holds at points (3,) m, the same for all limbs, or ways (3,) m from the points in `otherwise`.
         otherwise: points and holds where none is allowed.
-        weight: (3,) N, by which holds have their axes.
+        weight: (3,) N, for the axes of holds.
     """
 
     def look(found_so_far: tuple[Array, Array, PyTree], one: Candidates) -> tuple[PyTree, None]:

@@ -17,7 +17,7 @@ AHEAD = 0.2  # m, within which holds ahead of a limb are counted, as in ClimbLab
 
 
 class Situation(NamedTuple):
-    """What a choice may depend on; world axes."""
+    """The situation of a choice; world axes."""
 
     feet: Array  # (limb, 3) m, where limbs stand, or will stand when their swings are over
     planned: Array  # (limb, 3) m, where the periodic gait has their next footholds
@@ -38,7 +38,7 @@ class Candidate(NamedTuple):
 
 
 class Prospects(NamedTuple):
-    """What limbs have before them."""
+    """The holds before each limb, in numbers."""
 
     farthest: Array  # (limb,) m, way to the farthest hold that may be chosen; -inf: there is none
     near: Array  # (limb,) number of holds in reach ahead within `AHEAD`
@@ -55,7 +55,7 @@ class Footholds(Component, abc.ABC):
     """Base of the rules: a class that inherits from it becomes a frozen dataclass and a pytree.
 
     Fields made by `parameter` are its values. `score` is written for one robot and one point; the gait calls it for
-    each point in turn. Derivatives pass with the choice frozen. What limbs reach is the same for all rules, by options.
+    each point in turn. Derivatives pass with the choice frozen. Reach is the same for all rules, by options.
     """
 
     reach_a_stride_on: bool = option(True, "a hold must be in reach from the base a stride further on, too")

@@ -59,6 +59,6 @@ def hold_axes(normal: Array, weight: Array) -> Array:
 
 
 def of_some(some: Array, new: Tree, old: Tree) -> Tree:
-    """Return trees of arrays with the limbs in front, of which those of some limbs (limb,) are new."""
+    """Return trees of arrays with the limbs in front: new for some limbs (limb,), old for the others."""
     each: Tree = jax.tree.map(lambda a, b: jnp.where(some.reshape(-1, *[1] * (b.ndim - 1)), a, b), new, old)
     return each

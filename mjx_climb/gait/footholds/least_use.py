@@ -1,7 +1,7 @@
 """The point at which the grip that lands uses least of its pull, near the planned foothold.
 
-Grips on overhangs are torn off in the step in which they shut: the base has sagged, the gripper shuts off the rock, and
-the contact pulls at once (docs/studies/climb.md).
+On overhangs the base sags and the gripper shuts off the rock; a contact that holds at once tears the grip off in that
+step (docs/studies/climb.md).
 """
 
 import jax.numpy as jnp

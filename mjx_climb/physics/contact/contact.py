@@ -102,7 +102,7 @@ class Contact(Component, abc.ABC):
         return 0.0
 
     def springs(self) -> Springs | None:
-        """The springs that hold a foot, by which the time step is checked; None: not known, and left out there."""
+        """The springs that hold a foot, for the check of the time step; None: not known, and left out there."""
         return None
 
     def unbreakable(self: AnyContact) -> AnyContact:

@@ -28,21 +28,21 @@ def _compiled(default: Any) -> Any:
 
 
 class Reach(NamedTuple):
-    """What grippers with a capture distance remember."""
+    """Memory of grippers with a capture distance."""
 
     shut: Array  # (limb,) bool: commanded shut at the last step
     missed: Array  # (limb,) bool: shut out of reach, and open since
 
 
 class Attitude(NamedTuple):
-    """What grips that transmit moments remember."""
+    """Memory of grips that transmit moments."""
 
     rotation: Array  # (limb, 3, 3), of the foot when its gripper last shut
     held: Array  # (limb,) bool: the gripper held at the last step
 
 
 class GripperMemory(NamedTuple):
-    """What the contacts remember from step to step."""
+    """Memory of the contacts from step to step."""
 
     grip_point: Array  # (limb, 3) m, world
     touching: Array  # (limb,) bool: the ground acted on the foot at the last step
@@ -53,7 +53,7 @@ class GripperMemory(NamedTuple):
 
 
 class Closing(NamedTuple):
-    """What grippers that take time to close remember."""
+    """Memory of grippers that take time to close."""
 
     held: Array  # (limb,) bool: the gripper held at the last step
     pressed: Array  # (limb,) bool: the ground acted on the foot when the gripper shut
@@ -61,12 +61,12 @@ class Closing(NamedTuple):
 
 
 class SpringGrip(declared.SpringGrip, Contact):
-    """A gripper that holds its foot to the grip point both ways; what tears it off is a subclass's.
+    """A gripper that holds its foot to the grip point both ways; a subclass says when it is torn off.
 
     The grip point is below the foot, on the ground, where the gripper shuts or the foot first touches. With a finite
     capture distance a gripper that shuts further off the ground holds nothing and stays open until its next swing, and
     the ground only pushes a foot whose gripper is open, along its normal. A grip with a rotational stiffness also keeps
-    its foot from turning, by the sine of the angle from the attitude in which it shut (the gradient of a potential of
+    its foot from turning, by the sine of the angle since it shut (the gradient of a potential of
     1 - cos) and by the rate; it lets go by its force alone.
 
     With a closing time a gripper that shuts off the ground holds its foot where it is, without force. The grip point is
@@ -74,7 +74,7 @@ class SpringGrip(declared.SpringGrip, Contact):
     force, and the damper comes in alike.
     """
 
-    # what a walk is compiled for, by the values of its robots
+    # structure of the walk, by the values of its robots
     limited_reach: bool = _compiled(False)  # some gripper has a capture distance
     rotational: bool = _compiled(False)  # grips transmit moments
     closes: bool = _compiled(False)  # some gripper takes time to close
@@ -108,7 +108,7 @@ class SpringGrip(declared.SpringGrip, Contact):
     def step(
         self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array
     ) -> tuple[PyTree, Grip]:
-        """The memory after a step, and the contacts in it, none of which is torn off."""
+        """The memory after a step, and the contacts in it; no grip is torn off."""
         off, below = clearance(feet, ground)
         support, missed, caught = closed & ~memory.detached, jnp.zeros_like(closed), jnp.zeros_like(closed)
         reach, attitude = memory.reach, memory.attitude
@@ -150,7 +150,7 @@ class SpringGrip(declared.SpringGrip, Contact):
         return after, grip
 
     def used(self, memory: PyTree, grip: Grip, utilization: Array) -> tuple[PyTree, Grip]:
-        """Memory and contacts in which grips use shares (limb,) of their limits, and those above 1 are torn off."""
+        """Memory and contacts with the shares (limb,) of their limits that grips use; those above 1 are torn off."""
         grip = grip._replace(utilization=jnp.where(grip.support, utilization, 0.0))
         return self.tear_off(memory, grip, grip.utilization > 1) if self.breaks else (memory, grip)
 
@@ -171,7 +171,7 @@ class SpringGrip(declared.SpringGrip, Contact):
     def _closed(
         self, closing: Closing, grip_point: Array, feet: Feet, ground: Array, support: Array, fresh: Array
     ) -> tuple[Array, Closing]:
-        """The grip points (limb, 3) m of grippers that close a little further in a step, and what they remember."""
+        """The grip points (limb, 3) m of grippers after a step of closing, and their memory."""
         shuts, slow = support & ~closing.held, jnp.asarray(self.closing_time) > 0
         share = jnp.where(slow, -jnp.expm1(-self.time_step / jnp.where(slow, self.closing_time, 1.0)), 1.0)
         gap, below = clearance(feet._replace(position=grip_point), ground)

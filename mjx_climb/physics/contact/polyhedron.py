@@ -21,7 +21,7 @@ _TINY = 1e-9  # m, of a foot below the base, which has no direction outwards
 
 
 class PolyhedralMemory(NamedTuple):
-    """What polyhedral grips remember beside what grippers do."""
+    """Memory of polyhedral grips beside that of grippers."""
 
     gripper: GripperMemory
     outward: Array  # (limb, 3) 1, direction in the ground from the base to the foot, when the gripper shut
@@ -34,7 +34,7 @@ class PolyhedralGripper(SpringGrip):
         "1", shape=(None, 3), bounds=FINITE, default=np.array([[0.0, 0.0, -1.0]]), long_name="rows of A"
     )
     limits: Array = parameter("N", shape=(None,), bounds=UNLIMITED, default=np.array([15.0]), long_name="b")
-    only_pulled: bool = False  # a foot that is pushed holds whatever its force, as in ClimbLab's rule
+    only_pulled: bool = False  # a pushed foot holds at any force, as in ClimbLab's rule
 
     def init(self, grip_point: Array, rotation: Array) -> PolyhedralMemory:
         """The memory of grippers that are shut around their middle and rest."""
@@ -98,7 +98,7 @@ def _outward(lever: Array, surface: Surface | None) -> Array:
 
 
 def magnet(pull: float, friction: float, sides: int = 8) -> dict[str, np.ndarray]:
-    """Normals and limits of a magnet: shear up to `friction` times what presses it to the ground, `pull` N at rest."""
+    """Normals and limits of a magnet: shear up to `friction` times the force on the ground, `pull` N at rest."""
     angles = 2 * np.pi * np.arange(sides) / sides
     # an inscribed pyramid: never a force that the cone does not hold
     level = np.column_stack([np.cos(angles), np.sin(angles)]) / np.cos(np.pi / sides)

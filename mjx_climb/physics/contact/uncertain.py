@@ -18,7 +18,7 @@ from mjx_climb.physics.noise import normal
 
 
 class UncertainMemory(NamedTuple):
-    """What grippers that may fail remember beside what grippers do."""
+    """Memory of grippers that may fail beside that of grippers."""
 
     gripper: GripperMemory
     shut: Array  # (limb,) bool: commanded shut at the last step
@@ -30,7 +30,7 @@ class UncertainMemory(NamedTuple):
 
 
 class UncertainGripper(Gripper):
-    """Grippers as `Gripper`, each grip of which has a limit of its own and is tested by a pull when it shuts.
+    """Grippers as `Gripper`; each grip has a limit of its own and is tested by a pull when it shuts.
 
     The limit of a grip is the gripper's times a normal number of mean 1, drawn by seed, limb and number of the try.
     A gripper that was torn off grips again after its next swing.
@@ -49,7 +49,7 @@ class UncertainGripper(Gripper):
         """The memory of grippers that are shut, have passed their test and rest."""
         none = jnp.zeros_like(grip_point[:, 0])
         shut = jnp.ones(len(grip_point), bool)
-        limit = self._drawn(none)
+        limit = jnp.maximum(self._drawn(none), self.tested_pull)
         return UncertainMemory(super().init(grip_point, rotation), shut, limit, ~shut, none, none, none)
 
     def step(
@@ -82,7 +82,7 @@ class UncertainGripper(Gripper):
         return memory._replace(gripper=gripper), grip
 
     def unbreakable(self) -> Self:
-        """Grippers that never let go, all of which pass their tests."""
+        """Grippers that never let go and pass all tests."""
         return dataclasses.replace(self, breaks=False, tested_pull=jnp.zeros_like(self.tested_pull))
 
     def _drawn(self, draws: Array) -> Array:
