@@ -572,7 +572,10 @@ STOPS = {  # what differs in the body and the recovery, at which step, whether t
 @pytest.mark.parametrize("with_holds", [False, True])
 @pytest.mark.parametrize("name", STOPS)
 def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name, with_holds):
-    """LF swings from step 200 to 400; the base is 0.02 m beside its reference and moves on."""
+    """LF swings from step 200 to 400; the base is 0.02 m beside its reference and moves on.
+
+    The gait has stood still for 30 steps before.
+    """
     own, values, step, stops, lands = STOPS[name]
     if "limits" in own and not with_holds:
         stops = lands = False
@@ -584,8 +587,8 @@ def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name
         given |= {"rule": LIGHT, "holds": rock(random, FEET + ADVANCE)}
     goal = only(LF, FEET + ADVANCE + [0, 0, 0.01], FEET)
     before = begun(
-        planner_of(**given), begun=[200.0, -1600, -1200, -1000], goal=goal, step=step - 20.0, clock=step - 20.0,
-        force=np.tile([0, 0, 5.0], (4, 1)), offset=[0.0, 0.004, 0.0], offset_since=step - 100.0,
+        planner_of(**given), begun=[200.0, -1600, -1200, -1000], goal=goal, step=step - 20.0, clock=step - 50.0,
+        force=np.tile([0, 0, 5.0], (4, 1)), offset=[0.0, 0.004, 0.0], offset_since=step - 130.0,
     )  # fmt: skip
     force = np.tile([0, 0, 5.0], (4, 1))
     if own:
@@ -610,7 +613,7 @@ def test_danger_stops_the_gait_and_brings_the_foot_down_where_it_bears_best(name
     np.testing.assert_array_equal(found.force, force)
     expected = np.array([0, offset, 0]) + 0.25 * shift if stops else before.offset
     np.testing.assert_allclose(found.offset, expected, atol=1e-12)
-    assert found.offset_since == (step if stops else step - 100)
+    assert found.offset_since == (step - 30 if stops else step - 130)
     if not lands:
         if step > 0:
             assert_swings(found, before, None)

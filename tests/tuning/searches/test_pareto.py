@@ -61,6 +61,21 @@ def test_knee_is_furthest_from_the_line_between_the_ends():
     assert knee(np.array([1.0]), np.array([1.0])) == 0
 
 
+def test_the_rival_without_a_sensor_is_pds_best_that_costs_no_more():
+    """Of a metric that is better the larger it is, too."""
+    for against, sign in (("base_deviation", 1.0), ("min_tsm", -1.0)):
+        x, y = sign * np.array([1.0, 2.0, 3.0]), np.array([5.0, 2.0, 1.0])
+        data = {against: ("front", sign * np.array([0.5, 2.0, 2.5])), "force_variation": ("front", [9.0, 3.0, 1.0])}
+        data |= {
+            f"without_{against}": ("without", x),
+            "without_force_variation": ("without", y),
+            "n": ("without", [*"abc"]),
+        }
+        front = xr.Dataset(data, attrs={"against": against, "better": "force_variation"})
+        found = [without_sensor(front, place) for place in range(3)]
+        assert found[0] is None and [str(each["n"].values) for each in found[1:]] == ["b", "b"]
+
+
 class Shares(Problem):
     """Metrics that are shares of the space; the margin is the larger the more the force varies."""
 

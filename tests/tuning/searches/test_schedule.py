@@ -276,6 +276,21 @@ def test_what_a_force_sensor_is_worth_over_the_points(ours, theirs, expected):
     assert expected in of_schedule(xr.Dataset({"value": ("gravity", ours), "retuned_value": ("gravity", theirs)}))
 
 
+def test_gains_between_operating_points_are_linear_in_log_gravity_and_cargo():
+    """Logarithms are, of gains above 0 at all points; beyond the ends the gains stay."""
+    stiffness, damping = np.array([[100.0, 400.0], [900.0, 2500.0]]), np.array([[0.0, 2.0], [4.0, 10.0]])
+    each = {"stiffness": stiffness, "damping": damping, "inertia": 1 + damping}
+    data = {name: (("gravity", "cargo", "six"), np.tile(values[..., None], 6)) for name, values in each.items()}
+    table = xr.Dataset(data, {"gravity": [0.01, 1.0], "cargo": [0.0, 2.0]}, {"gains": " ".join(each)})
+    for (gravity, cargo), (k, d) in {
+        (0.01, 0.0): (100.0, 0.0), (1.0, 2.0): (2500.0, 10.0), (0.1, 0.0): (300.0, 2.0), (1.0, 1.0): (1500.0, 7.0),
+        (0.1, 1.0): (np.sqrt(200 * 1500), 4.0), (5.0, 3.0): (2500.0, 10.0), (1e-3, -1.0): (100.0, 0.0),
+    }.items():  # fmt: skip
+        found = lookup(table, gravity, cargo)
+        np.testing.assert_allclose(found.stiffness, k, rtol=1e-12)
+        np.testing.assert_allclose(found.damping, d, atol=1e-12)
+
+
 @pytest.mark.nightly
 def test_lookup(table):
     for g, level in enumerate(table["gravity"].values):
