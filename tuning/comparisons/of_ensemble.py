@@ -13,7 +13,7 @@ from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.comparisons import verdicts
 from tuning.comparisons.side_by_side import VARIATION, planned, retuned
-from tuning.comparisons.worth import BesidePd, Worth, between, over_walks
+from tuning.comparisons.worth import BesidePd, Ends, Worth, between, over_walks
 from tuning.gains.gains_file import Whole
 from tuning.problem.objectives import Objective
 from tuning.results.tuned import Robust
@@ -83,14 +83,15 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     worth, over = None, None
     if rival is not None:
         means = judging.plain(summed, shown(problem.metrics))
-        without, of_rival = retuned_pd.NAME, retuned_pd.rival_of(rival, step)
+        without, of_rival, searched = retuned_pd.NAME, retuned_pd.rival_of(rival, step), rival
         beside = None if plan is None else BesidePd(float(scores.sel(gains=without)), of_rival)
         if plan is not None and scores.sel(gains=retuned_pd.PLANNED) < scores.sel(gains=without):
-            without, of_rival = retuned_pd.PLANNED, retuned_pd.rival_of(plan, step)
+            without, of_rival, searched = retuned_pd.PLANNED, retuned_pd.rival_of(plan, step), plan
         both = {name: means[name]["mean"] for name in ("robust", without)}
         values = [{"objective": float(scores.sel(gains=n)), VARIATION: mean[VARIATION]} for n, mean in both.items()]
         over = over_walks(walks, "robust", goal, without)
-        worth = between(both.values(), values, of_rival, problem, over=over, pd=beside)
+        ends = Ends(found.ends, searched.ends)
+        worth = between(both.values(), values, of_rival, problem, over=over, pd=beside, ends=ends)
     most = broken.max("limit") if broken.size else xr.zeros_like(scores)
     reached = {
         name: verdicts.Walked(float(scores.sel(gains=name)), bool(most.sel(gains=name) <= most.sel(gains="robust")))

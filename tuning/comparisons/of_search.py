@@ -25,7 +25,7 @@ from tuning.comparisons.side_by_side import (
     planned,
     retuned,
 )
-from tuning.comparisons.worth import BesidePd, Worth, between
+from tuning.comparisons.worth import BesidePd, Ends, Worth, between
 from tuning.gains.gains_file import replaced
 from tuning.methods import method_of
 from tuning.numbers import failed
@@ -151,9 +151,11 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         if step is not None:
             there = scores_of(problem.objective, mc.metrics(leveled, problem.metrics))
             apart = AtOneStep(step, there["objective"] / scored[1]["objective"] - 1)
-        worth = between(both, scored, retuned_pd.rival_of(rival), problem, level=apart)
-        if plan is not None:
-            worth = _beside_plan(both, scored, (rival, plan), metrics[retuned_pd.PLANNED], problem, apart)
+        if plan is None:
+            ends = Ends(found.ends, rival.ends)
+            worth = between(both, scored, retuned_pd.rival_of(rival), problem, level=apart, ends=ends)
+        else:
+            worth = _beside_plan(found, both, scored, (rival, plan), metrics[retuned_pd.PLANNED], apart)
         gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
     order = [name for name in ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, "config", "pd") if name in walks]
     rows = {name: (gains[name], metrics[name]) for name in order}
@@ -168,16 +170,17 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
 
 
 def _beside_plan(
-    both: tuple[Values, Values], scored: list[dict[str, float]], rivals: tuple[Tuned, Tuned], by_plan: Values,
-    problem: Problem, apart: AtOneStep | None,
+    found: Tuned, both: tuple[Values, Values], scored: list[dict[str, float]], rivals: tuple[Tuned, Tuned],
+    by_plan: Values, apart: AtOneStep | None,
 ) -> Worth:  # fmt: skip
     """Return the worth of a force sensor beside the better of pd retuned and load transfer by plan."""
     ours, pd = scored
+    problem, ends = found.problem, [Ends(found.ends, each.ends) for each in rivals]
     planned, (retuned, plan) = scores_of(problem.objective, by_plan), (retuned_pd.rival_of(each) for each in rivals)
     beside = BesidePd(pd["objective"], retuned)
     if not planned["objective"] < pd["objective"]:
-        return between(both, scored, retuned, problem, level=apart, pd=beside)
-    return between((both[0], by_plan), (ours, planned), plan, problem, pd=beside)
+        return between(both, scored, retuned, problem, level=apart, pd=beside, ends=ends[0])
+    return between((both[0], by_plan), (ours, planned), plan, problem, pd=beside, ends=ends[1])
 
 
 def with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.optimize import brentq
-from scipy.special import betaincinv, polygamma, stdtr, stdtrit
+from scipy.special import betaincinv, fdtrc, stdtr, stdtrit
 
 from mjx_climb.files import dataset
 from tuning.comparisons import judge as judging
@@ -29,6 +28,7 @@ FEWEST_SEEDS = 3  # searches that tell how far they scatter
 LOST_MOST = 0.05  # share of walks by which a better law may lose more than the baseline, at the end of its interval
 POWER_QUANTILE = 0.8416  # of the normal distribution at 80 %
 _MARGIN = 16  # walks beyond twice the worst, of which hardly a resample draws too few
+_UNLIKE = 0.1  # chance, below which the luck of gains is seen to be larger than that of the others
 _ROUNDING = 1e-12  # of a value: what is no further from another is equal
 _AT_ONCE = 4_000_000  # numbers of walks, of some resamples
 
@@ -95,14 +95,13 @@ def intervals(
     """Return the intervals of some statistics, which hold for all of them and all gains at once.
 
     Each is of gains that are searched once more, on new walks. The same walks are drawn for all gains and all their
-    seeds. The luck of a search is drawn apart from them, from the normal distribution with the variance among seeds
-    (see `_Luck`), and so are the variances that as many seeds and walks would show (the parametric bootstrap of
-    Krishnamoorthy, Lu and Mathew, "A parametric bootstrap approach for ANOVA with unequal variances", 2007).
-    Deviations, in standard errors, become probabilities by Student's distribution (degrees of freedom by Welch and
-    Satterthwaite); the least probability among all rows has a quantile, which all intervals have in common ("max-t";
-    Romano and Wolf, "Exact and approximate stepdown methods for multiple hypothesis testing", 2005, section 4). Metrics
-    are drawn apart, for which intervals are the widest. No interval is narrower than the change that walks too rare to
-    be seen could make (`_unseen`).
+    seeds. The luck of a search is drawn apart from them, from the normal distribution with the variance among seeds,
+    and so are the variances that as many seeds and walks would show, judged as the given ones are (`_Luck`; the
+    parametric bootstrap of Krishnamoorthy, Lu and Mathew, "A parametric bootstrap approach for ANOVA with unequal
+    variances", 2007). Deviations, in standard errors, become probabilities by Student's distribution (degrees of
+    freedom by Welch and Satterthwaite); the least probability among all rows has a quantile, which all intervals have
+    in common ("max-t"; Romano and Wolf, "Exact and approximate stepdown methods for multiple hypothesis testing", 2005,
+    section 4). No interval is narrower than the change that walks too rare to be seen could make (`_unseen`).
 
     Arguments:
         statistics: by any key, of G gains and K seeds.
@@ -125,24 +124,29 @@ def intervals(
 
     each = every(np.ones((1, walks)))[0]
     value, difference = each.mean(-1), differences(np.ones((1, walks)))[0]
-    deviations = np.concatenate([differences(counts) for counts in resamples(walks, count, seed)]) - difference
     shared = np.arange(each.shape[1]) == baseline if searches is None else np.equal(searches, searches[baseline])
     luck = _Luck.of(each, baseline, shared)
+    moved = luck.apart(np.concatenate([every(counts) for counts in resamples(walks, count, seed)]) - each)
     # as many walks are drawn as there are, of which one is known by the others
-    by_walks = deviations.var(axis=0) * walks / max(walks - 1, 1)
-    by_luck = luck.of_differences(luck.variances)
+    again = walks / max(walks - 1, 1)
+    by_walks, among = luck.differences(moved).var(axis=0) * again, _of_mean(moved).mean(axis=0) * again
+    variances = luck.pooled(_of_mean(luck.apart(each)))
+    own = np.maximum(variances.value - among, 0.0)  # seeds scatter by their walks too
+    by_luck = luck.of_differences(own)
     of_walks = np.array([[max(walks * shares.get(key, 1.0), 2) - 1] for key in statistics])
-    freedom = _freedom(by_walks, of_walks, luck)
+    parts = by_walks**2 / of_walks + luck.of_sums(variances)
+    freedom = np.where(parts > 0, (by_walks + by_luck) ** 2 / np.where(parts > 0, parts, 1.0), np.inf)
     there = by_walks + by_luck > (_ROUNDING * np.abs(value).max(axis=1, keepdims=True)) ** 2
     rng = np.random.default_rng((seed, 1))
-    others, theirs = luck.drawn(rng, count)
-    theirs = theirs + by_walks * rng.chisquare(of_walks, deviations.shape) / of_walks
-    size = (deviations + others) / np.sqrt(np.where(there, theirs, 1.0))
-    # the same for both signs
-    chance = 2 * stdtr(freedom, -np.abs(size))
-    level = np.quantile(chance[:, there].min(axis=1, initial=1.0), 1 - LEVEL)
-    multiple, unseen = -stdtrit(freedom, level / 2), _unseen(differences, difference, walks)
-    half = np.maximum(multiple * np.sqrt(by_walks + by_luck), np.where(there, unseen, 0.0))
+    walked = by_walks * rng.chisquare(of_walks, (len(moved), *by_walks.shape)) / of_walks
+    alone = _multiple(luck.differences(moved), walked, np.where(there, of_walks, np.inf), there)
+    moved += np.sqrt(own * each.shape[-1])[..., None] * luck.drawn(rng, moved.shape)
+    theirs = walked + luck.of_differences(np.maximum(luck.pooled(_of_mean(moved)).value - among, 0.0))
+    multiple = _multiple(luck.differences(moved), theirs, freedom, there)
+    unseen = _unseen(differences, difference, walks)
+    # where no luck is seen there may be some, so that intervals are no narrower than those of the walks alone
+    half = np.maximum(multiple * np.sqrt(by_walks + by_luck), alone * np.sqrt(by_walks))
+    half = np.maximum(half, np.where(there, unseen, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         allowed = (difference / (multiple + POWER_QUANTILE)) ** 2
         more_walks, more_seeds = (
@@ -153,6 +157,22 @@ def intervals(
         more_walks = np.maximum(more_walks, walks * unseen / np.abs(difference))
     rows = (value, difference, difference - half, difference + half, more_walks, more_seeds)
     return {key: Interval(*(row[place] for row in rows)) for place, key in enumerate(statistics)}
+
+
+def _multiple(deviations: np.ndarray, variances: np.ndarray, freedom: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Return the multiples (P, G) of standard errors that hold all deviations (R, P, G) at once at `LEVEL`.
+
+    Arguments:
+        deviations: that other draws would show.
+        variances: that these would show, (R, P, G).
+        freedom: of each row, (P, G).
+        there: which rows deviate.
+    """
+    size = deviations / np.sqrt(np.where(there & (variances > 0), variances, 1.0))
+    # the same for both signs
+    chance = 2 * stdtr(freedom, -np.abs(size))
+    level = np.quantile(chance[:, there].min(axis=1, initial=1.0), 1 - LEVEL, method="weibull")
+    return np.asarray(-stdtrit(freedom, level / 2))
 
 
 def _unseen(differences: Statistic, difference: np.ndarray, walks: int) -> np.ndarray:
@@ -166,89 +186,115 @@ def _unseen(differences: Statistic, difference: np.ndarray, walks: int) -> np.nd
     return np.asarray(np.abs(moved).max(axis=(0, 2))[:, None])
 
 
+class _Variances(NamedTuple):
+    """Variances (..., P, G) of means over the seeds, by what all gains show together."""
+
+    value: np.ndarray
+    freedom: np.ndarray  # (..., P, G)
+    lent: np.ndarray  # (..., P, G) bool: one variance of all these gains, relative to their values
+
+
 class _Luck(NamedTuple):
     """How far P statistics of G gains scatter, averaged over K seeds, by the luck of their searches.
 
-    Among a few seeds some gains scatter little by chance. None counts for less than the mean of all gains in that
-    statistic, than its gains do over all statistics, or than the middle of all variances, each relative to the value.
-    Where variances differ among the gains by more than so few seeds explain, each has fewer degrees of freedom
-    (moderated as by Smyth, "Linear models and empirical Bayes methods for assessing differential expression in
-    microarray experiments", 2004, section 6.2).
+    Gains scatter alike, relative to their values, unless they are seen not to: then one variance of all, with the
+    freedom of all, is known far better than that of each (the pooling of Smyth, "Linear models and empirical Bayes
+    methods for assessing differential expression in microarray experiments", 2004, by a test in place of a prior).
+    Gains that scatter by far more, over all statistics together, keep a variance of their own. As statistics share
+    their luck, they count for that test as so many independent ones as their correlations leave.
     """
 
-    variances: np.ndarray  # (P, G) of the means over the seeds; of gains that share the baseline's, of the difference
-    freedom: np.ndarray  # (G,) of each variance
     shared: np.ndarray  # (G,) bool, those that have the results of the baseline's searches
     baseline: int
+    square: np.ndarray  # (P, G) of the values
+    lends: np.ndarray  # (P, G) bool: searched for itself, and its searches differ; a grid has no luck
+    freedom: float  # of the variance of one of the gains
+    residuals: np.ndarray  # (P, G K) of the seeds, of length 1: their products are the correlations of statistics
 
     @classmethod
     def of(cls, each: np.ndarray, baseline: int, shared: np.ndarray) -> "_Luck":
         """Return the luck that the values (P, G, K) of each seed show."""
-        seeds, place = each.shape[-1], np.arange(each.shape[1])
-        if seeds == 1:
-            return cls(np.zeros(each.shape[:-1]), np.full(len(place), np.inf), shared, baseline)
-        own = ~shared | (place == baseline)
-        paired = np.where(own[:, None], each, each - each[:, [baseline]])
-        variances = paired.var(axis=-1, ddof=1) / seeds
-        square = each.mean(-1) ** 2
-        # of gains that were searched for themselves; a grid has no luck
-        relative = np.where(own & (variances > 0) & (square > 0), variances / np.where(square > 0, square, 1.0), np.nan)
-        found = cls(variances, np.full(len(place), seeds - 1.0), shared, baseline)
-        return found if np.isnan(relative).all() else found._pooled(relative, square)
+        square, own = each.mean(-1) ** 2, ~shared | (np.arange(each.shape[1]) == baseline)
+        variances = _of_mean(each)
+        lends = own & (variances > _ROUNDING**2 * square)
+        there = np.where(lends, variances, 1.0)
+        residuals = np.where(lends[..., None], (each - each.mean(-1, keepdims=True)) / np.sqrt(there)[..., None], 0.0)
+        residuals = residuals.reshape(len(each), -1)
+        length = np.linalg.norm(residuals, axis=1, keepdims=True)
+        freedom = max(each.shape[-1] - 1.0, 1.0)
+        return cls(shared, baseline, square, lends, freedom, residuals / np.where(length > 0, length, 1.0))
 
-    def _pooled(self, relative: np.ndarray, square: np.ndarray) -> "_Luck":
-        """Return it with the variances that gains lend each other, from those relative to the squares, (P, G)."""
-        kept = np.isfinite(relative)
-        there = kept.sum(1, keepdims=True)
-        mean = np.where(kept, relative, 0.0).sum(1, keepdims=True) / np.maximum(there, 1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.where(kept, relative / mean, 0.0)
-        of_gains = ratios.sum(0) / np.maximum(kept.sum(0), 1) * mean
-        least = np.maximum(np.maximum(mean, of_gains), np.nanmedian(relative))
-        variances = np.where(kept, np.maximum(relative, least) * square, self.variances)
-        freedom = np.where(kept.any(0), self._moderated(relative, kept), self.freedom)
-        return self._replace(variances=variances, freedom=freedom)
+    @property
+    def independent(self) -> float:
+        """As how many independent statistics all of them count, by their correlations less those of chance."""
+        freedom = self.freedom * self.lends.any(0).sum()
+        squares = (self.residuals @ self.residuals.T) ** 2
+        chance = np.clip((squares * freedom - 1) / max(freedom - 1, 1.0), 0.0, 1.0)
+        count = self.lends.any(1).sum()
+        others = chance.sum() - np.trace(chance)
+        return float(count**2 / (count + others)) if count else 1.0
 
-    def _moderated(self, relative: np.ndarray, kept: np.ndarray) -> float:
-        """Return the degrees of freedom of a variance, those of its prior included, at most all of a statistic's."""
-        own = float(self.freedom[self.baseline])
-        most = own * float(kept.sum(1).max())
-        logs = np.where(kept, np.log(np.where(kept, relative, 1.0)), 0.0)
-        there = kept.sum(1, keepdims=True)
-        apart = np.where(kept, logs - logs.sum(1, keepdims=True) / np.maximum(there, 1), 0.0)
-        pairs = np.maximum(there - 1, 0).sum()
-        if pairs == 0:
-            return own
-        more = (apart**2).sum() / pairs - polygamma(1, own / 2)
-        if more <= 0:
-            return most
-        # the trigamma function falls from infinity to 0
-        prior = 2 * brentq(lambda at: polygamma(1, at) - more, 1e-8, 1e8)
-        # a prior that knows less than the seeds themselves counts as none: laws are too different to lend
-        return float(min(most, own + (prior if prior > own else 0.0)))
+    def pooled(self, variances: np.ndarray) -> _Variances:
+        """Return variances (..., P, G) by what all gains show; those that are seen to scatter more keep their own."""
+        relative = np.where(self.lends, variances / np.where(self.lends, self.square, 1.0), 0.0)
+        mean = _mean(relative, self.lends, -1)
+        scale = _mean(relative / np.where(mean > 0, mean, 1.0), self.lends, -2)  # (..., 1, G)
+        gains, of_scale = self.lends.any(0), self.freedom * self.independent
+        others = max(gains.sum() - 1, 1)
+        rest = (scale.sum(-1, keepdims=True) - scale) / others
+        chance = fdtrc(of_scale, of_scale * others, scale / np.where(rest > 0, rest, 1.0))
+        lent = self.lends & ((chance >= _UNLIKE) | (rest <= 0))
+        alike = _mean(relative, lent, -1)
+        # a statistic in which searches end alike by chance
+        if self.lends.any():
+            alike = np.maximum(alike, np.median(alike[..., self.lends.any(1), :], axis=-2, keepdims=True))
+        own = np.maximum(np.maximum(relative, scale * mean), alike)
+        value = np.where(self.lends, np.where(lent, alike, own) * self.square, variances)
+        return _Variances(value, self.freedom * np.where(lent, lent.sum(-1, keepdims=True), 1.0), lent)
+
+    def apart(self, values: np.ndarray) -> np.ndarray:
+        """Return values (..., G, K), those of gains with the baseline's searches less the baseline's."""
+        mine = self.shared & (np.arange(len(self.shared)) != self.baseline)
+        return np.where(mine[:, None], values - values[..., [self.baseline], :], values)
+
+    def differences(self, apart: np.ndarray) -> np.ndarray:
+        """Return the differences (..., G) from the baseline of means over the seeds, of values as `apart` has them."""
+        means = apart.mean(-1)
+        found = np.where(self.shared, means, means - means[..., [self.baseline]])
+        found[..., self.baseline] = 0.0
+        return np.asarray(found)
 
     def of_differences(self, variances: np.ndarray) -> np.ndarray:
         """Return the variances (..., G) of the differences from the baseline."""
-        base = variances[..., [self.baseline]]
-        both = np.where(self.shared, variances, variances + base)
+        both = np.where(self.shared, variances, variances + variances[..., [self.baseline]])
         both[..., self.baseline] = 0.0
-        return both
+        return np.asarray(both)
 
-    def drawn(self, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return differences that other seeds would give, and the variances that these would show, (R, P, G) each."""
-        shape = (count, *self.variances.shape)
-        means = np.sqrt(self.variances) * rng.normal(size=shape)
-        differences = np.where(self.shared, means, means - means[..., [self.baseline]])
-        differences[..., self.baseline] = 0.0
-        spread = rng.chisquare(self.freedom, shape) / self.freedom if np.isfinite(self.freedom).all() else 1.0
-        return differences, self.of_differences(self.variances * spread)
+    def of_sums(self, variances: _Variances) -> np.ndarray:
+        """Return the squares of the variances of the differences over their freedom: Satterthwaite's sums."""
+        value, freedom, lent = variances
+        together = lent & lent[..., [self.baseline]] & ~self.shared
+        whole = (value + value[..., [self.baseline]]) ** 2 / freedom
+        return np.asarray(np.where(together, whole, self.of_differences(value**2 / freedom)))
+
+    def drawn(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+        """Return normal numbers (R, P, G, K) of variance 1, correlated among statistics as the residuals are."""
+        alone = 1 / (1 + self.freedom * self.lends.any(0).sum())
+        common = np.tensordot(self.residuals, rng.normal(size=(shape[0], self.residuals.shape[1], *shape[2:])), (1, 1))
+        there = np.where(self.lends.any(1), 1 - alone, 0.0)[:, None, None]
+        return np.asarray(np.sqrt(there) * np.moveaxis(common, 0, 1) + np.sqrt(1 - there) * rng.normal(size=shape))
 
 
-def _freedom(by_walks: np.ndarray, of_walks: np.ndarray, luck: _Luck) -> np.ndarray:
-    """Return the degrees of freedom of the sum of both variances, (P, G), by Welch and Satterthwaite."""
-    parts = by_walks**2 / of_walks + luck.of_differences(luck.variances**2 / luck.freedom)
-    total = by_walks + luck.of_differences(luck.variances)
-    return np.where(parts > 0, total**2 / np.where(parts > 0, parts, 1.0), np.inf)
+def _of_mean(values: np.ndarray) -> np.ndarray:
+    """Return the variances of the means over the last axis, by the scatter along it; 0 of single values."""
+    count = values.shape[-1]
+    return np.asarray(values.var(axis=-1, ddof=1) / count if count > 1 else np.zeros(values.shape[:-1]))
+
+
+def _mean(values: np.ndarray, kept: np.ndarray, axis: int) -> np.ndarray:
+    """Return the mean along an axis over values that are kept; 0 where none is."""
+    total = np.where(kept, values, 0.0).sum(axis, keepdims=True)
+    return np.asarray(total / np.maximum(kept.sum(axis, keepdims=True), 1))
 
 
 def lost(failed: np.ndarray, baseline: int) -> Interval:

@@ -28,7 +28,7 @@ from tuning.results.result import Result
 
 AGREEMENT = "agreement_of_seeds"  # in words
 CHECKED = "check"  # the phase in which the best points walk through a draw of their own
-SEEDS = "seeds"  # how many searches, where it is the best of several
+ENDS = "ends_of_seeds"  # objective of each search, where it is the best of several
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,9 +99,14 @@ class Tuned(Result):
         return bool(self.data.attrs["interrupted"])
 
     @property
+    def ends(self) -> list[float]:
+        """The objective at which the search of each seed ended, infinite where it breaks a limit."""
+        return [float(end) for end in np.ravel(self.data.attrs.get(ENDS, self.value))]
+
+    @property
     def seeds(self) -> int:
         """From how many seeds it was searched."""
-        return int(self.data.attrs.get(SEEDS, 1))
+        return int(self.data.attrs.get("seeds", len(self.ends)))  # an earlier file has their number alone
 
     @property
     def converged(self) -> bool:
@@ -191,7 +196,11 @@ def of_seeds(searches: Sequence[Tuned]) -> Tuned:
         said += f", their gains at most a factor of {apart.max():.3g} apart ({name})"
     if outside := sum(not own.feasible for own in searches):
         said += f"; {outside} of them break a limit"
-    attrs = {AGREEMENT: said, SEEDS: len(searches), "search": asked.to_yaml()}
+    attrs = {
+        AGREEMENT: said,
+        ENDS: [own.value if own.feasible else np.inf for own in searches],
+        "search": asked.to_yaml(),
+    }
     data = best.data.assign_attrs(attrs, interrupted=int(searches[-1].interrupted))
     return dataclasses.replace(best, data=data, search=asked)
 

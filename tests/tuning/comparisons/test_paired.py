@@ -179,6 +179,30 @@ def test_seeds_cover_what_other_seeds_give():
     assert sum(inside) >= scipy.stats.binom.ppf(0.005, 200, 0.95)
 
 
+def test_seeds_that_differ_by_their_walks_alone_count_once():
+    """Eight searches of two laws without luck: the error is that of 8 times 400 walks, not of these and of seeds."""
+    values = np.random.default_rng(3).normal(size=(2, 8, 400))
+    found = of_seeds(values, searches=[0, 1])
+    half = (found.high - found.low)[0] / 2 / np.sqrt(2 / values[0].size)
+    assert 1.96 < half < 2.4
+
+
+def test_statistics_that_share_their_luck_cost_little():
+    """Six copies of a statistic say no more than one, and make little less sure."""
+    values = 10 + np.random.default_rng(3).normal(size=(5, 3, 1)) * np.ones(128)
+    mean, how = lambda counts: paired.worst_mean(values, counts), {"walks": 128, "baseline": 0, "count": 2000}
+    one, six = paired.intervals({0: mean}, **how)[0], paired.intervals(dict.fromkeys(range(6), mean), **how)[0]
+    np.testing.assert_allclose(six.high - six.low, one.high - one.low, rtol=0.2)
+
+
+def test_gains_without_luck_say_nothing_about_that_of_others():
+    """pd that was not searched ends alike from all seeds."""
+    values = 10 + np.random.default_rng(4).normal(size=(6, 3, 1)) + 1e-3 * np.random.default_rng(5).normal(size=128)
+    values[5] = 10.0 + 1e-3 * np.random.default_rng(6).normal(size=128)
+    with_pd, without = of_seeds(values, searches=range(6)), of_seeds(values[:5], searches=range(5))
+    assert (with_pd.high - with_pd.low)[0] > 0.95 * (without.high - without.low)[0]
+
+
 def test_where_luck_is_what_hides_a_difference_seeds_would_tell():
     values = seeded(np.random.default_rng(8), 3, 0.5)
     found = of_seeds(values)
