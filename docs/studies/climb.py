@@ -40,10 +40,20 @@ DENSITIES = {"rock": (120.0, 200.0, 400.0), "rails": (0.1, 0.05, 0.02, 0.01)}
 WIDTH = {"hubrobo": 0.5, "hexapod": 0.6}  # m, of the rock
 BETWEEN = {"hubrobo": 0.28, "hexapod": 0.2866}  # m, from rail to rail
 Row = tuple[str, str, str, str, str, str]  # robot, ground, law, rule, contact, gait
-CONTACTS: dict[str, dict[str, object]] = {
+CONTACTS: dict[str, dict[str, object]] = {  # changes of the config's
     "closing": {},
     "at once": {"contact.closing_time": 0.0, "contact.capture_distance": None},
-    "failing": {"contact.kind": "uncertain", "contact.tested_pull": 12.0, "contact.spread": 0.3, "contact.tries": 2.0},
+    # another kind of contact begins with values of its own
+    "failing": {
+        "contact": {
+            "kind": "uncertain",
+            "capture_distance": 0.005,
+            "closing_time": 0.1,
+            "tested_pull": 12.0,
+            "spread": 0.3,
+            "tries": 2.0,
+        },
+    },
 }
 GAITS = {"waits": True, "goes on": False}
 SPARE = {"closing": 1.15, "at once": 1.15, "failing": 1.6}  # times of the gait
