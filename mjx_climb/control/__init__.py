@@ -1,4 +1,4 @@
-"""Control laws behind one seam: what is measured and planned goes in, targets of base and feet come out."""
+"""Control laws behind one seam: measurement and reference go in, targets of base and feet come out."""
 
 import functools
 import math

@@ -56,8 +56,8 @@ class MeasuredPoseAdmittance(SixAxes):
     """Eq. 3 with dx and its rate measured: one step of the virtual mass from where the base is.
 
     `a = (w - D dxd - K dx) / M`, target `x_b + h dxd + h^2 a`; dx is the base's offset from its reference, dxd the
-    base's own velocity. Rotations are twice the vector part of the quaternion. h is the `horizon`: what the gains do
-    depends on it.
+    base's own velocity. Rotations are twice the vector part of the quaternion. h is the `horizon`: the effect of the
+    gains depends on it.
     """
 
     horizon: float | None = None  # s; None: the law's own period
@@ -88,7 +88,7 @@ class MeasuredPoseAdmittance(SixAxes):
         return horizon, shifted(reference, target, turn)
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
-        """Return where searches look, which is what the length of a step makes of the gains.
+        """Return where searches look, in proportion to the length of a step.
 
         One step takes the shares h D / M of the rate and h^2 K / M of the offset out of the target; the base is held
         only by shares of the order of one.

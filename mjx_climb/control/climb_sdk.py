@@ -10,9 +10,10 @@ Extreme Terrain Exploration*, ICRA 2024. Twenty times a second:
 F is measured, F* wanted, R takes the rigid part, dp and dtheta are the base's error. The wrench is that of the measured
 forces, as in the source: no mass is known to the law.
 
-Left out is what needs the robot's kinematics or another gripper: limits of joint torque and the body's own search for a
-place (here the gait says where it goes), limits along the ground (these grippers hold in any direction), pushes while a
-gripper engages. Its bound on joint targets, 0.1 rad from the measured angle, is one on the feet here, 0.1 rad of 0.2 m.
+Parts that need the robot's kinematics or another gripper are left out: limits of joint torque and the body's own search
+for a place (here the gait says where it goes), limits along the ground (these grippers hold in any direction), pushes
+while a gripper engages. Its bound on joint targets, 0.1 rad from the measured angle, is one on the feet here, 0.1 rad
+of 0.2 m.
 """
 
 from typing import NamedTuple
@@ -75,7 +76,7 @@ class ClimbSDK(Law):
 def of_largest_margin(share: Sharing, bears: Array, cost: Array) -> Array:
     """Return the forces (limb, 3) N with the largest least normal force among feet that bear, less `cost / 2 |F|^2`.
 
-    Its dual has a share of one for each foot; of two feet, what one gives to the other is found exactly, pair by pair.
+    Its dual has a share of one for each foot; shares handed between two feet are found exactly, pair by pair.
     """
     limbs, counts = len(bears), jnp.where(bears, 1.0, 0.0)
     part = counts / jnp.maximum(counts.sum(), 1.0)

@@ -1,4 +1,4 @@
-"""A control law that is the sum of two: each sees the same measurement, and what they command adds up.
+"""A control law that is the sum of two: each sees the same measurement, and their commands add up.
 
 ```python
 law = combined(VirtualModelAdmittance(damping=1e2), EndEffectorAdmittance(damping=1e3))
@@ -55,7 +55,7 @@ copyreg.pickle(Made, lambda kind: kind.MADE_BY or kind.__qualname__)
 class Sum(Law, metaclass=Made):
     """The sum of two laws, made by `combined`: `x = x_ref + dx_1 + dx_2` of base and feet, `q = q_1 q_ref^* q_2`.
 
-    dx is what a law commands less the reference; of rotations of the base, the second follows the first.
+    dx is a law's command less the reference; of rotations of the base, the second follows the first.
     """
 
     PARTS: ClassVar[tuple[Part, ...]] = ()
@@ -65,7 +65,7 @@ class Sum(Law, metaclass=Made):
         return tuple(part.of(self).init(start) for part in self.PARTS)
 
     def step(self, state: PyTree, measured: Measurement, reference: Reference) -> tuple[tuple[PyTree, ...], Command]:
-        """Let both take their step, and add up what they command."""
+        """Let both take their step, and add up their commands."""
         steps = [part.of(self).step(own, measured, reference) for part, own in zip(self.PARTS, state, strict=True)]
         (one, first), (other, second) = steps
         back = quaternion_conjugate(reference.base_orientation)

@@ -1,4 +1,4 @@
-"""What laws share that move single feet: offsets from where the gait wants them; a law of nothing but offsets."""
+"""Common parts of laws that move single feet: offsets from the gait's footholds; a law of nothing but offsets."""
 
 from typing import ClassVar, NamedTuple
 

@@ -56,7 +56,7 @@ def rigid_part(lever: Array, displacement: Array, weight: Array) -> Array:
 class Sharing(NamedTuple):
     """The forces of least `sum |F|^2 / weight` that make up a wrench, and how they change."""
 
-    dual: Array  # (6, 1 + limb): F = weight G^T dual, of the wrench, and of what pushes on the feet add to it
+    dual: Array  # (6, 1 + limb): F = weight G^T dual, of the wrench, and by each push on a foot
     vertical: Array  # (limb,) N, along the ground's normal
     change: Array  # (limb, limb): of the vertical forces, by pushes on the feet that leave the wrench as it is
     lever: Array  # (limb, 3) m
@@ -83,7 +83,7 @@ def distributed(wrench: Array, lever: Array, weight: Array, pull_limit: Array) -
 
     They minimise `sum |F|^2 / weight` with `sum G F` as the wrench, where a foot's pull on the ground, `-F_z`, is
     softly kept below `pull_limit` N. A foot of weight 0 bears nothing. (A quadratic program: its dual in the limits on
-    pulls is solved by projected Gauss-Seidel, which keeps the wrench whatever it has reached.)
+    pulls is solved by projected Gauss-Seidel, which keeps the wrench in each iteration.)
 
     Arguments:
         wrench: about the point where the levers begin, in any axes with z along the ground's normal.

@@ -1,7 +1,7 @@
-"""Internal-force relaxation: the feet give way to what they bear against each other, and to nothing else.
+"""Internal-force relaxation: the feet give way to the forces against each other, and to nothing else.
 
-`F_int = F - W G^T (G W G^T)^-1 G F` has no net wrench: what the base weighs is not its affair, and no gain of it lets
-the base sag. Each foot that stands is moved by `D dx' + K dx = F_int`. A virtual mass is left out: it would add a lag
+`F_int = F - W G^T (G W G^T)^-1 G F` has no net wrench: it leaves out the base's weight, and no gain lets the base
+sag. Each foot that stands is moved by `D dx' + K dx = F_int`. A virtual mass is left out: it would add a lag
 and nothing else, since the closed chain of limbs is stiff against internal forces.
 """
 

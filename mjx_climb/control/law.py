@@ -1,4 +1,4 @@
-"""What a control law is: an object whose fields are its gains, with a state at the start and one step.
+"""The base of control laws: a law is an object whose fields are its gains, with a state at the start and one step.
 
 ```python
 class Damped(mjx_climb.Law):
@@ -32,7 +32,7 @@ LONG = 1e3  # s, the times of a reference whose limbs are not said to swing
 
 
 class Measurement(NamedTuple):
-    """What the robot's sensors measure, and the base pose that it estimates from them; world axes."""
+    """Readings of the robot's sensors, and the base pose that it estimates from them; world axes."""
 
     base_position: Array  # (3,) m, of the base's centre of mass
     base_orientation: Array  # (4,) wxyz, base to world
@@ -60,7 +60,7 @@ SENSORS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 class Reference(NamedTuple):
-    """What the gait asks for; world axes."""
+    """The gait's targets; world axes."""
 
     base_position: Array  # (3,) m, of the base's centre of mass
     base_orientation: Array  # (4,) wxyz, base to world: the axes of the reference
@@ -93,7 +93,7 @@ class Command(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What a law knows before its first step."""
+    """Knowledge of a law before its first step."""
 
     period: float | Array  # () s, from one step of the law to the next
     reference: Reference  # at the start
@@ -172,11 +172,11 @@ class Law(Component, abc.ABC):
 
     @abc.abstractmethod
     def init(self, start: Start) -> PyTree:
-        """Return the state at the start: a pytree. What depends on the gains alone belongs into it."""
+        """Return the state at the start: a pytree. Values that depend on the gains alone belong into it."""
 
     @abc.abstractmethod
     def step(self, state: PyTree, measured: Measurement, reference: Reference) -> tuple[PyTree, Command]:
-        """Return the state after a step, of the same structure and shapes, and what the robot is to do."""
+        """Return the state after a step, of the same structure and shapes, and the robot's command."""
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where searches look, by gain and by `gain.rotation`, for steps of `period` s."""
@@ -186,7 +186,7 @@ class Law(Component, abc.ABC):
 
 
 class PD(Law):
-    """The baseline: it commands the gait's own reference, whatever the forces. It has no gains and no state."""
+    """The baseline: it commands the gait's own reference under any forces. It has no gains and no state."""
 
     def init(self, start: Start) -> tuple[()]:
         """Return no state."""
@@ -198,7 +198,7 @@ class PD(Law):
 
 
 class Beginning(NamedTuple):
-    """What is known of a law before its first step."""
+    """Facts about a law before its first step."""
 
     state: PyTree
     reads: frozenset[str]  # names of `SENSORS` on which its step depends
@@ -256,9 +256,9 @@ def beginning(law: Law, start: Start) -> Beginning:
 
 
 def constants(law: Law, begun: PyTree, measured: Measurement, reference: Reference) -> list[bool | Array]:
-    """Return which leaves of a state stay as `init` made them, whatever is measured: what it makes of the gains alone.
+    """Return which leaves of a state stay as `init` made them under any measurement: they follow from the gains alone.
 
-    By what depends on what, not by how a step is written: a leaf that follows from no measurement, no reference and no
+    By dependence of values, not by how a step is written: a leaf that follows from no measurement, no reference and no
     leaf that changes, and that a step leaves at its value, never changes.
 
     Arguments:
@@ -290,7 +290,7 @@ def constants(law: Law, begun: PyTree, measured: Measurement, reference: Referen
     for place in changing:
         new, old = after[place], leaves[place]
         stays[place] = ((new == old) | (old != old)).all()
-    for _ in changing:  # what follows from a leaf that changes may change later
+    for _ in changing:  # a value that follows from a leaf that changes may change later
         stays = [
             functools.reduce(operator.and_, (stays[source] for source in sources.get(place, ())), own)
             for place, own in enumerate(stays)

@@ -1,4 +1,4 @@
-"""Load transfer: what a foot bears is handed over to the others before it lifts off, and back after it has landed.
+"""Load transfer: the load of a foot is handed over to the others before it lifts off, and back after it has landed.
 
 Shifts of the base change the wrench on the base, not how the closed chain of limbs shares it. So here each foot gives
 way on its own, `D dx' = F - F_wanted - leak D dx`, where the wanted forces share the measured wrench anew among the
@@ -6,8 +6,8 @@ feet that stand, with weights that fall before a lift-off and rise after a touch
 which a spring does not overcome, holds nothing back for long. Three feet are statically determined along the ground's
 normal: there must be a while on all feet (a duty above 1 - 1 / limbs) in which loads can be handed over.
 
-The law knows no joint limits and no reach. What it winds up where targets are out of reach is bounded by `max_offset`
-and leaks away; of servos at their `torque_limit` it gets the reports, and lets the offset of such a limb only shrink.
+The law knows no joint limits and no reach. Offsets towards targets out of reach are bounded by `max_offset`
+and leak away; of servos at their `torque_limit` it gets the reports, and lets the offset of such a limb only shrink.
 """
 
 import math

@@ -27,8 +27,8 @@ PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as th
 class Phased(Law, metaclass=Made):
     """A law some of whose gains have a value for each phase, made by `phased`; see `limb_shares`.
 
-    What the law's `init` makes of its gains, as the motion of a virtual mass in one period, is made of the values of
-    each phase, and ramped as they are.
+    Values that the law's `init` makes of its gains, as the motion of a virtual mass in one period, are made for each
+    phase, and ramped as the gains are.
     """
 
     phase_time: Array = gain(
@@ -65,7 +65,7 @@ class Phased(Law, metaclass=Made):
         values = (self._values(phase) for phase in PHASES)
         law = self._law(jax.tree.map(now, *values))
         leaves, tree = jax.tree.flatten(states[-1])
-        # what `init` made of the gains; the states of the other phases are as it returned them
+        # values that `init` made of the gains; the states of the other phases are as it returned them
         made = constants(self._law(self._values(PHASES[0])), states[0], measured, reference)
         kept = [stays if _is_real(leaf) else False for stays, leaf in zip(made, leaves, strict=True)]
         by_phase = zip(*map(jax.tree.leaves, states), strict=True)
@@ -147,7 +147,7 @@ def phased(law: Law, gains: Sequence[str], *, phase_time: ArrayLike = 0.2, phase
         phase_ramp: s, from the values of one phase to those of the next.
 
     Raises:
-        ValueError: a name that the law does not have, or gains some of which act on limbs and some on the base.
+        ValueError: a name that the law does not have, or gains that act partly on limbs, partly on the base.
     """
     of: Any = type(law), tuple(gains)
     kind = _phased(*of)

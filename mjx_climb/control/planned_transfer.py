@@ -20,7 +20,7 @@ _OPEN = 1e-6  # share of a foot that does not stand
 
 
 class Plan(NamedTuple):
-    """What a robot knows of its loads without a sensor, and the offsets of its feet."""
+    """The robot's weight and compliance, and the offsets of its feet."""
 
     offsets: Offsets
     weight: Array  # (3,) N, world axes, of the robot

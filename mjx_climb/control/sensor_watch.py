@@ -1,4 +1,4 @@
-"""Which force sensors are believed, and what a robot does without one: no law gets forces, and its joints are stiff.
+"""Which force sensors are believed; without one no law gets forces, and the joints are stiff.
 
 The load of a foot without a sensor cannot be inferred from the others. So a law that reads forces gets none at all once
 the sensor of a foot that stands is dead, and its shifts fade as its gains have it. Gains that were searched with forces
@@ -25,7 +25,7 @@ class SensorWatch(NamedTuple):
     heard: Array  # (limb, 3) N, world axes: the last reading of a foot's sensor since it stands, 0 without one
     # (limb,) s, from -SILENCE, as a sensor reads something; 0: it has not read anything yet; beyond it is not believed
     doubt: Array
-    kp_rise: Array  # () 1, how far kp has risen to what is safe
+    kp_rise: Array  # () 1, how far kp has risen to the safe value
 
     @property
     def lost(self) -> Array:
@@ -44,7 +44,7 @@ def watched(
 ) -> tuple[SensorWatch, Array, Array]:
     """Return the watch a period later, in s, forces (limb, 3) N to believe, and whether they can be, () bool.
 
-    A sensor reads nothing where it says exactly 0, or what is no number. Its last reading since the foot stands then
+    A sensor reads nothing where it says exactly 0, or no number. Its last reading since the foot stands then
     takes the place, 0 where there is none: a sensor with a resolution reads 0 of a foot that bears next to nothing.
     Once a foot that stands among others that bear something has read nothing for `SILENCE`, its sensor is dead, also
     in later stances, until it reads something. The same holds at the start, until its first reading.

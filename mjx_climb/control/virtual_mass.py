@@ -59,7 +59,7 @@ class Transition(NamedTuple):
 
 
 class EulerSteps(NamedTuple):
-    """What semi-implicit Euler needs of a virtual mass."""
+    """Constants of a virtual mass for semi-implicit Euler."""
 
     inertia: Array
     damping: Array
@@ -68,7 +68,7 @@ class EulerSteps(NamedTuple):
 
 
 class VirtualMass(NamedTuple):
-    """Where a virtual mass is, and what moves it, which stays the same."""
+    """State of a virtual mass, and its constants."""
 
     displacement: Array  # (..., 3) or (6,) m, rad
     rate: Array  # the same, per second

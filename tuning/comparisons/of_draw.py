@@ -19,7 +19,7 @@ class DrawComparison(NamedTuple):
 
     summed: xr.Dataset  # see `tuning.comparisons.judge.summary`
     table: xr.Dataset  # differences from pd, retuned where it walked, see `tuning.comparisons.paired.compared`
-    sensor: str  # what a force sensor is worth, in words; empty where no gains read forces
+    sensor: str  # worth of a force sensor in words; empty where no gains read forces
 
 
 def compare(found: Judged, stage: Stage = silent) -> DrawComparison:

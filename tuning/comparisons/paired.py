@@ -27,9 +27,9 @@ FEWEST_WORST = 10  # walks among the worst, likewise
 FEWEST_SEEDS = 3  # searches that tell how far they scatter
 LOST_MOST = 0.05  # share of walks by which a better law may lose more than the baseline, at the end of its interval
 POWER_QUANTILE = 0.8416  # of the normal distribution at 80 %
-_MARGIN = 16  # walks beyond twice the worst, of which hardly a resample draws too few
+_MARGIN = 16  # walks beyond twice the worst: hardly a resample draws too few of these
 _UNLIKE = 0.1  # chance, below which the luck of gains is seen to be larger than that of the others
-_ROUNDING = 1e-12  # of a value: what is no further from another is equal
+_ROUNDING = 1e-12  # of a value: closer ones are equal
 _AT_ONCE = 4_000_000  # numbers of walks, of some resamples
 
 # statistics (R, G, K) of G gains from K seeds, by how often each of M walks was drawn in R resamples (R, M)
@@ -70,7 +70,7 @@ def resamples(walks: int, count: int = RESAMPLES, seed: int = 0) -> Iterator[np.
     rng, even = np.random.default_rng(seed), np.full(walks, 1 / walks)
     most = max(1, _AT_ONCE // walks)
     for begin in range(0, count, most):
-        # as floats, of which BLAS makes sums
+        # as floats, which BLAS adds up
         yield rng.multinomial(walks, even, size=min(most, count - begin)).astype(float)
 
 
@@ -81,7 +81,7 @@ class Interval(NamedTuple):
     difference: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    # of which the interval would leave 0 out in 80 % of draws, if the difference is as found; infinite where no
+    # with so many the interval would leave 0 out in 80 % of draws, if the difference is as found; infinite where no
     # number of walks, or of seeds, would alone
     walks_needed: np.ndarray
     seeds_needed: np.ndarray
@@ -127,7 +127,7 @@ def intervals(
     shared = np.arange(each.shape[1]) == baseline if searches is None else np.equal(searches, searches[baseline])
     luck = _Luck.of(each, baseline, shared)
     moved = luck.apart(np.concatenate([every(counts) for counts in resamples(walks, count, seed)]) - each)
-    # as many walks are drawn as there are, of which one is known by the others
+    # as many walks are drawn as there are, and one is known by the others
     again = walks / max(walks - 1, 1)
     by_walks, among = luck.differences(moved).var(axis=0) * again, _of_mean(moved).mean(axis=0) * again
     variances = luck.pooled(_of_mean(luck.apart(each)))
@@ -187,7 +187,7 @@ def _unseen(differences: Statistic, difference: np.ndarray, walks: int) -> np.nd
 
 
 class _Variances(NamedTuple):
-    """Variances (..., P, G) of means over the seeds, by what all gains show together."""
+    """Variances (..., P, G) of means over the seeds, estimated for all gains together."""
 
     value: np.ndarray
     freedom: np.ndarray  # (..., P, G)
@@ -235,7 +235,7 @@ class _Luck(NamedTuple):
         return float(count**2 / (count + others)) if count else 1.0
 
     def pooled(self, variances: np.ndarray) -> _Variances:
-        """Return variances (..., P, G) by what all gains show; those that are seen to scatter more keep their own."""
+        """Return variances (..., P, G) estimated for all gains together; gains that scatter by more keep their own."""
         relative = np.where(self.lends, variances / np.where(self.lends, self.square, 1.0), 0.0)
         mean = _mean(relative, self.lends, -1)
         scale = _mean(relative / np.where(mean > 0, mean, 1.0), self.lends, -2)  # (..., 1, G)
@@ -332,7 +332,7 @@ def lost(failed: np.ndarray, baseline: int) -> Interval:
 
 
 def without_interval(walks: int, worst: Worst | None, *, tails: bool = True, seeds: int | None = None) -> list[str]:
-    """Return in a line which differences can have no interval, and what would give one; none where all have.
+    """Return in a line which differences can have no interval, and the number that would give one; none where all have.
 
     `tails`: whether the worst walks of each metric are compared too; `seeds`: searches of each law, None where gains
     are compared that no search is asked about.
@@ -370,7 +370,7 @@ def compared(
         walks: metrics over (`gains`, `member`), or (`gains`, `seed`, `member`) of gains that were searched as often.
         metrics: names of those that are compared.
         baseline: the gains that all are compared with.
-        goal: what was searched for.
+        goal: of the searches.
         shared: names of gains that have the results of the baseline's searches.
         count: how many resamples.
         seed: of the draws.
@@ -478,7 +478,7 @@ def differences(table: xr.Dataset) -> list[dict[str, Any]]:
 
 
 class Verdict(NamedTuple):
-    """What a comparison of laws says."""
+    """The verdict of a comparison of laws."""
 
     best: str | None  # the law, None where none is better than the baseline
     in_words: str  # one sentence
@@ -488,15 +488,15 @@ def verdict(
     table: xr.Dataset, laws: Sequence[str], sensor: str, hardware: Sequence[str],
     outside: Collection[str] = (), unsettled: Collection[str] = (), joint: Mapping[str, float] | None = None,
 ) -> Verdict:  # fmt: skip
-    """Return which law is better than the baseline, what a force sensor is worth, and what hardware would be.
+    """Return which law is better than the baseline, and the worth of a force sensor and of better hardware.
 
     Arguments:
         table: see `compared`.
         laws: names of those that were tuned beside the baseline.
-        sensor: what a force sensor is worth, in words, see `sensor_in_words`.
+        sensor: the worth of a force sensor in words, see `sensor_in_words`.
         hardware: names of the baseline's walks with better hardware.
-        outside: those, of the laws and the baseline, of which a search found no gains that keep its limits.
-        unsettled: those of which a search had not converged when it ended.
+        outside: laws (or the baseline) with a search that found no gains within its limits.
+        unsettled: those with a search that had not converged when it ended.
         joint: the gains of the baseline.
     """
     base = verdicts.in_words(table.attrs["baseline"], joint)
@@ -627,9 +627,9 @@ def sensor_in_words(
     Arguments:
         table: see `compared`; its baseline is the best law that reads no forces.
         name: of the best law that does.
-        whole: the metric's mean of pd, of which all worths are parts.
+        whole: the metric's mean of pd; all worths are relative to it.
         joint: gains of pd retuned.
-        what: where the forces come from.
+        what: the source of the forces, in words.
         metric: by which laws are compared.
     """
     base, own = verdicts.in_words(table.attrs["baseline"], joint), _gain(table, name, metric)

@@ -15,7 +15,7 @@ from tuning.searches.retuned_pd import NAME
 OWN_SEARCH = "pd with its own kp and kd searched"
 _NAMES = {"pd": "pd as the config has it", "config": "the config's gains", "paper": "the paper's gains",
           "gains file": "the gains file"}  # fmt: skip
-_EQUAL = 5e-4  # relative; what is closer has the same first three digits
+_EQUAL = 5e-4  # relative; closer values have the same first three digits
 
 
 class Walked(NamedTuple):

@@ -1,4 +1,4 @@
-"""What a force sensor is worth: gains that were found against pd with joint gains of its own, in words."""
+"""The worth of a force sensor in words: gains that were found against pd with joint gains of its own."""
 
 import itertools
 import math
@@ -26,7 +26,7 @@ class OverWalks(NamedTuple):
     walks: int
     low: float
     high: float
-    needed: float  # walks that would tell it from 0, if it is what was found
+    needed: float  # walks that would tell it from 0, if it is as found
 
 
 def over_walks(walks: xr.Dataset, name: str, goal: Objective, rival: str = NAME) -> OverWalks:
@@ -59,14 +59,14 @@ class Ends(NamedTuple):
 class BesidePd(NamedTuple):
     """pd retuned, where another law without a force sensor was searched too."""
 
-    value: float  # of what the gains were found for
+    value: float  # of the goal
     rival: Rival
 
 
 class Worth(NamedTuple):
-    """What a force sensor changes: of gains found against pd retuned."""
+    """The worth of a force sensor: of gains found against pd retuned."""
 
-    changes: dict[str, float]  # relative, of what the gains were found for: -0.1 is a tenth less
+    changes: dict[str, float]  # relative, by goal: -0.1 is a tenth less
     in_words: str
 
     @property
@@ -94,14 +94,14 @@ def worth_of(
     There is a verdict only where other searches and other walks would not turn it round.
 
     Arguments:
-        values: first what the gains were found for, then what else is to be said of them.
+        values: first of the goal, then of other metrics.
         without: the same of the best law without a force sensor, which is `rival`.
         larger: whether more of the first value is better, not less.
         place: where the gains were searched, if that is not all there is.
-        others: what else is worse, and what is better, in words.
+        others: metrics that are worse, and those that are better, in words.
         over: how far the change of the first value is known, of several walks.
         level: the change of the first value at one time step, where `without` has a step of its own.
-        what: what pd retuned lacks, in words.
+        what: parts that pd retuned lacks, in words.
         pd: pd retuned; None where no other law without a force sensor was searched, so that there is no verdict.
         ends: of the searches; None of grids, which another search does not change.
     """
@@ -165,7 +165,7 @@ def between(
 
 
 def of_front(found: Front) -> str:
-    """Return in a sentence what a force sensor is worth at the knee of a front."""
+    """Return the worth of a force sensor at the knee of a front in a sentence."""
     metrics, without = found.problem.metrics, without_sensor(found.data, found.knee, found.problem.metrics)
     better, against = (metrics.in_words(name) for name in (found.asked.better, found.asked.against))
     if without is None:
@@ -179,7 +179,7 @@ def of_front(found: Front) -> str:
 
 
 def of_schedule(table: xr.Dataset) -> str:
-    """Return in a sentence what a force sensor is worth: the gains against pd with joint gains for each point."""
+    """Return the worth of a force sensor in a sentence: the gains against pd with joint gains for each point."""
     ratio = (table["value"] / table["retuned_value"]).values
     known = ratio[np.isfinite(ratio)]
     if not known.size:

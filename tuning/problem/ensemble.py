@@ -196,7 +196,7 @@ class Ensemble(_Section):
 class Use(enum.IntEnum):
     """The use of the walks of an ensemble: each has draws of its own."""
 
-    TEST = 1  # of what a search found
+    TEST = 1  # of the result of a search
     EVALUATION = 2  # of gains by `mjx-climb evaluate`
     CHECK = 3  # of the best points of a search, before it ends
 
