@@ -6,6 +6,8 @@ prints the pieces of text that each page must have, and which it lacks; `tests/p
 """
 
 import csv
+import itertools
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -118,6 +120,7 @@ def texts() -> dict[Path, list[str]]:
             f"On the gaits found on `dynamixel_x` that is {listed(parts)} % of what joint targets take off that know "
             "all in advance",
             *_searched(),
+            *_plans(),
         ],
         HERE / "climb.md": [" | ".join(each) for each in _climbs()],
         HERE / "does_the_sensor_pay.md": [
@@ -125,10 +128,93 @@ def texts() -> dict[Path, list[str]]:
             f"{WORDS[len(transfer)]} comparisons.",
             *_comparisons(),
         ],
+        HERE / "which_law.md": [*_laws()],
+        HERE / "worse_hardware.md": [*_worse()],
+        HERE / "robust_gains.md": [*_robust()],
+        HERE.parent / "explanation" / "statistics.md": [claims()],
     }  # fmt: skip
 
 
 WORDS = {7: "seven", 10: "ten"}
+OF_EACH = (("1.1", "dynamixel_x"), ("1.2", "dynamixel_x"), ("2", "dynamixel_x"), ("1.1", "mx_64"))  # columns
+METRICS = ("objective", "V N", "F N", "COT", "peak torque N m")
+
+
+def _laws() -> Iterator[str]:
+    """Yield the rows of the table of laws: changes from searched pd, ~ where the interval holds 0."""
+    rows = {(row["servos"], row["case"], row["law"], row["metric"]): row
+            for row in table("which_law") if row["of 512 walks"] == "mean"}  # fmt: skip
+    for law in ("Eq. 3, virtual model", "Eq. 2, feet", "internal force", "Climb-SDK", "load transfer",
+                "load transfer, kd by phase", "Eq. 3 + load transfer", "pd on half the friction"):  # fmt: skip
+        cells = [", ".join(_change(rows, servos, case, law, metric) for metric in METRICS) for case, servos in OF_EACH]
+        yield f"{law} | {' | '.join(cells)} |"
+
+
+def _change(rows: Mapping[tuple[str, ...], Row], servos: str, case: str, law: str, metric: str) -> str:
+    own, pd = (rows[servos, case, name, metric] for name in (law, PD["which_law"]))
+    low, high = (float(own[f"95 % {end}: difference from pd %"]) for end in ("low", "high"))
+    return f"{100 * (float(own['value']) / float(pd['value']) - 1):+.0f}" if low > 0 or high < 0 else "~"
+
+
+def _worse() -> Iterator[str]:
+    """Yield the cells of the table of worse hardware: V of pd, and of load transfer beside it, by setting."""
+    settings = {"force 2 ms": "all forces 2 ms late", "30 ms": "all forces 30 ms late",
+                "1 kHz": "law and targets at 1 kHz", "50 Hz": "law and targets at 50 Hz",
+                "friction / 2": "half the friction", "x 2": "twice the friction", "noise 0.5 N": "0.5 N of noise",
+                "LF dead": "sensor of LF dead from 3 s on", "bias 1 N": "1 N of bias on all sensors"}  # fmt: skip
+    found = {(row["case"], row["law"]): row for row in table("worse_hardware") if row["metric"] == "V N"
+             and (row["law"] == "pd") == row["values"].startswith("change")}  # fmt: skip
+    for column, words in settings.items():
+        cells = [
+            ", ".join(re.sub("~.*", "~", found[case, law][column]) for law in ("pd", "load transfer"))
+            for case in ("1.1", "1.2", "2")
+        ]
+        yield f"{words} | {' | '.join(cells)} |"
+
+
+def _robust() -> Iterator[str]:
+    """Yield the rows of the table of robust gains: mean and worst of V, P, COT and base deviation over the seeds."""
+    rows = table("robust_gains")
+    for case, gains in itertools.product(("1.1", "1.2", "2"), ("robust", "nominal", "paper's")):
+        cells = []
+        for metric in ("V N", "P N", "COT", "dev mm"):
+            own = [row for row in rows if (row["case"], row["gains"], row["metric"]) == (case, gains, metric)]
+            means = (sum(float(row[column]) for row in own) / len(own) for column in ("mean", "worst 5 %"))
+            cells.append(" / ".join(_three(mean) for mean in means))
+        yield f"| {' | '.join(cells)} |"
+
+
+def _three(value: float) -> str:
+    """Return three digits of a value, zeros too."""
+    return f"{value:#.3g}".rstrip(".").replace("e+0", "e")
+
+
+def _plans() -> Iterator[str]:
+    """Yield the cells of the ceiling's first table: objective, V / F."""
+    names = {"ensemble": ("clairvoyant", "causal 2 ms", "blind", "load_transfer", "retuned_pd"),
+             "unseen": ("blind", "load_transfer", "retuned_pd")}  # fmt: skip
+    for kind, name, case in ((kind, name, case) for kind, each in names.items() for name in each for case in CASES):
+        place = f"dynamixel_x_{case}_{kind}"
+        cell = f"{ceiling(place, name):.3f}"
+        if kind == "ensemble":
+            force, peak = (ceiling(place, name, column) for column in ("force_variation_N", "peak_foot_force_N"))
+            cell += f", {force:.0f} / {peak:.3g} N"
+        yield cell
+
+
+def claims() -> str:
+    """Return the sentence of the page of statistics on false claims and power."""
+    rows = table("false_claims")
+    false = [row for row in rows if row["question"] == "any false claim"]
+    power = {row["comparisons_of"].partition(" seeds")[0]: row["percent"] for row in rows
+             if row["question"] != "any false claim" and "128 walks" in row["comparisons_of"]}  # fmt: skip
+    *seeds, last = [f"{float(percent):.0f} % with {seeds}" for seeds, percent in power.items()]
+    most = max(float(row["percent"]) for row in false)
+    return (
+        f"Of {int(false[0]['of']):,} made-up comparisons of equal laws for each of {len(false)} kinds of luck, at most "
+        f"{most} % have a false claim. A law 10 % better, at 3 % of luck and 128 walks, is found in "
+        f"{', '.join(seeds)} and {last} seeds"
+    )
 
 
 def _searched() -> Iterator[str]:
