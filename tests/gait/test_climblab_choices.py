@@ -12,7 +12,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.gait.footholds import ClimbLab
 from mjx_climb.gait.footholds.footholds import Prospects, Situation
-from mjx_climb.gait.footholds.reach import height_table, outward
+from mjx_climb.gait.footholds.reach import height_table, outward, ranges, within_ranges
 from mjx_climb.gait.free_order import FreeOrder
 from mjx_climb.ground import Holds
 from mjx_climb.physics.inverse_kinematics import limb_geometry
@@ -154,6 +154,28 @@ def test_the_table_of_reach_has_climblabs_rows():
     for found, (out, up) in zip(each, (near.T, far[lowest:].T), strict=True):
         want = out[abs(up - height[:, None]).argmin(1)]
         np.testing.assert_allclose(found, np.tile(want[:, None], 4), rtol=0, atol=1e-9)
+
+
+def test_a_limb_reaches_no_nearer_and_no_farther_than_its_rows_and_turns_within_its_yaw_limits():
+    """Places around the first joint, at a height where the nearest row is farther out than the axis."""
+    table = height_table(ROBOT, limb_geometry(ROBOT))
+    hip, axes = np.asarray(table.hip_position), np.asarray(table.hip_rotation)
+
+    def at(out, turn, height=0.1):
+        way = np.stack([out * np.cos(turn), out * np.sin(turn), np.full(4, height)], -1)
+        return jnp.asarray(hip + np.einsum("lij,lj->li", axes, way))
+
+    middle = (table.lower + table.upper) / 2
+    limits = jax.jit(lambda point: ranges(table, point))(at(0.1 * np.ones(4), middle))
+    near, far = map(np.asarray, limits)
+    assert (near > 0.02).all() and (far > near + 0.02).all()
+    inside, (lower, upper) = (near + far) / 2, (np.asarray(table.lower), np.asarray(table.upper))
+    for out, turn, may in (
+        (near - 1e-4, middle, False), (near + 1e-4, middle, True), (far - 1e-4, middle, True),
+        (far + 1e-4, middle, False), (inside, lower + 1e-4, True), (inside, lower - 1e-4, False),
+        (inside, upper - 1e-4, True), (inside, upper + 1e-4, False),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(within_ranges(table, limits, at(out, turn)), may, err_msg=f"{out} {turn}")
 
 
 def test_limbs_without_a_table_are_refused():
