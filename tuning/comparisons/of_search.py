@@ -155,7 +155,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             ends = Ends(found.ends, rival.ends)
             worth = between(both, scored, retuned_pd.rival_of(rival), problem, level=apart, ends=ends)
         else:
-            worth = _beside_plan(found, both, scored, (rival, plan), metrics[retuned_pd.PLANNED], apart)
+            worth = beside_plan(found, both, scored, (rival, plan), metrics[retuned_pd.PLANNED], apart)
         gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
     order = [name for name in ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, "config", "pd") if name in walks]
     rows = {name: (gains[name], metrics[name]) for name in order}
@@ -169,7 +169,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
     return TuneComparison(walks, rows, over, hardware, checked, worth, said, apart)
 
 
-def _beside_plan(
+def beside_plan(
     found: Tuned, both: tuple[Values, Values], scored: list[dict[str, float]], rivals: tuple[Tuned, Tuned],
     by_plan: Values, apart: AtOneStep | None,
 ) -> Worth:  # fmt: skip

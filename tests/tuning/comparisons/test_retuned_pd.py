@@ -9,11 +9,12 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import FootOffsets, LoadTransfer, PlannedTransfer, Recovering
 from mjx_climb.inputs.time_step import short_enough
-from tuning.comparisons import side_by_side
+from tuning.comparisons import of_search, side_by_side
 from tuning.comparisons.worth import BesidePd, Ends, OverWalks, between, worth_of
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
+from tuning.problem.objectives import Objective, Term
 from tuning.problem.search import Search
 from tuning.searches import retuned_pd, tune
 
@@ -194,6 +195,32 @@ UNKNOWN = "it cannot be told what the force sensor is worth, since"
 def test_one_search_makes_no_verdict_and_several_that_agree_do(ours, theirs, said):
     """As equal laws would make one in 35 of: all of four searches end below all of four others."""
     assert worth_of(OURS, THEIRS, RIVAL, pd=BESIDE, ends=Ends(ours, theirs)).in_words.startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("planned", "lost", "said"),
+    [
+        (35.0, False, "the force sensor pays: 14.3 % less objective and 14.3 % less force variation than Planned"
+                      "Transfer with kp 17, kd 1, which needs none; 25.0 % less objective than pd with kp 17, kd 1"),
+        (41.0, False, "the force sensor pays: 25.0 % less objective and 25.0 % less force variation than pd with"),
+        (35.0, True, "the force sensor pays: 25.0 % less objective and 25.0 % less force variation than pd with"),
+    ],
+)  # fmt: skip
+def test_the_rival_is_the_better_of_pd_and_the_plan(planned, lost, said, monkeypatch):
+    """One that loses a gripper is none; the ends of the searches are those of the rival."""
+    metrics = dict.fromkeys(mc.METRICS.names, 1.0) | {"diverged": False, "detached_limb": None, "stands_at": None}
+    both = tuple(metrics | {"force_variation": value} for value in (30.0, 40.0))
+    problem = Problem(CASE, objective=Objective((Term("force_variation", 1.0, 100.0, 100.0),), ()))
+    scored = [{"objective": each["force_variation"] / 100, "force_variation": each["force_variation"]} for each in both]
+    by_plan = metrics | {"force_variation": planned, "detached_limb": "LF" if lost else None}
+    monkeypatch.setattr(retuned_pd, "rival_of", lambda found: found.rival)
+    found = types.SimpleNamespace(problem=problem, ends=[0.3] * 4)
+    rivals = [types.SimpleNamespace(rival=RIVAL._replace(name=name), ends=[end] * 4)
+              for name, end in (("pd", 0.4), ("PlannedTransfer", 0.35))]  # fmt: skip
+    assert of_search.beside_plan(found, both, scored, rivals, by_plan, None).in_words.startswith(said)
+    rivals[0 if lost or planned > 40 else 1].ends[2] = 0.2
+    told = of_search.beside_plan(found, both, scored, rivals, by_plan, None).in_words
+    assert "the 4 searches of each do not all agree" in told
 
 
 @pytest.mark.parametrize(

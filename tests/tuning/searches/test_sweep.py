@@ -41,6 +41,30 @@ def kept(scenario, out, axes=AXES, batch_size=SIZE, **walks):
     return Rows(grid, out).there
 
 
+def walks_of_gains(scenario, gains, parameters, **_):
+    """Return metrics that tell stiffness, damping, and the grip's stiffness of each walk."""
+    contact = np.broadcast_to(np.asarray(parameters.contact.stiffness, float), len(next(iter(gains.values()))))
+    each = {name: np.asarray(gains[name], float)[:, 0] if name in gains else 0 * contact for name in AXES}
+    found = dict.fromkeys(mc.METRICS.names, 0 * contact)
+    return found | {"travel": each["stiffness"], "cost_of_transport": each["damping"], "min_tsm": contact}
+
+
+@pytest.mark.parametrize(
+    "axes", [AXES, dict(reversed(AXES.items())), {"damping": [1e2, 1e3], "contact.stiffness": [1e4, 2e4, 3e4]}]
+)
+def test_each_cell_has_the_walk_with_its_values(scenario, axes, monkeypatch):
+    """Whatever stands first, in batches of which the last one is half full; rows are named by their values."""
+    monkeypatch.setattr(mc, "rollout_histories", walks_of_gains)
+    data, first, second = sweep(scenario, axes, batch_size=SIZE).data, *axes
+    metric = {"stiffness": "travel", "damping": "cost_of_transport", "contact.stiffness": "min_tsm"}
+    assert data["travel"].dims == (first, second)
+    for name in axes:
+        for value in axes[name]:
+            assert (data[metric[name]].sel({name: value}) == value).all()
+    grid = sweeps.grid_of(Problem(scenario), axes)
+    assert grid.name(1) == f"{first} {axes[first][0]:.4g} {second} {axes[second][1]:.4g}"
+
+
 @pytest.mark.slow
 def test_every_cell_is_the_walk_with_its_gains(scenario, whole):
     assert whole["peak_foot_force"].dims == ("stiffness", "damping")
