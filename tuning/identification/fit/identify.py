@@ -37,6 +37,7 @@ _MOST, _PASSES = 100, 4  # evaluations of a search, and passes with the noise es
 _UNHEARD = 30.0  # times their noise, where starts are compared
 _LOUD = 0.1  # of what a signal moves by, its noise there
 _GUESSED = "the log has base or foot forces: base free, all grippers shut (--base held: on a stand)"
+_DIVERGES = "the model diverges at the values that it begins with (--set others)"
 _OTHERS = 4  # starts, where all those that were asked for diverge
 _SPREAD = 0.7  # sd of the starts, of the prior's
 _REFUTED = 0.1  # of the residuals' variance of a signal, unmodelled: beyond it other profiles are tried
@@ -132,27 +133,32 @@ def _gripped(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Var
 
 def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted, Problem]:
     """Where the search ends from the best of the starts, with the noise that is left, and what was fitted."""
-    model, prior, guess = problem.model, problem.prior, problem.model.guess.ravel()
+    model, prior, pieces = problem.model, problem.prior, problem.model.in_pieces
     samples = _samples(problem)
     # far from the optimum residuals are none of the noise's size: its own would have most of them count by size alone
     louder = np.maximum(problem.noise, _LOUD * samples.moved)
     # torques jump as commands do: no slope leads from one side of a jump to the other
     louder = np.where(model.windows.kind == KINDS.index("effort"), _UNHEARD * louder, louder)
-    trial = dataclasses.replace(problem, noise=louder)
+    trial = Problem(pieces, louder)
     ends: list[Fitted] = []
     for point in _starts(model, prior, starts + _OTHERS):
         if len(ends) == starts:  # where some diverge, as a limb without armature that falls, others begin
             break
         text = f"start {len(ends) + 1} of {starts}"
-        if (end := searches.search(trial, np.r_[point, guess], _MOST, text, _COARSE)) is not None:
+        if (end := searches.search(trial, np.r_[point, pieces.guess.ravel()], _MOST, text, _COARSE)) is not None:
             ends.append(end)
     if not ends:
-        raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
+        raise ConfigError(reason=_DIVERGES)
     best, costs = min(ends, key=lambda end: end.cost), tuple(end.cost for end in ends)
+    if pieces is not model:
+        whole, point = dataclasses.replace(problem, noise=louder), np.r_[best.x, model.guess.ravel()]
+        if (end := searches.search(whole, point, _MOST, "the whole log", _COARSE)) is None:
+            raise ConfigError(reason=_DIVERGES)
+        best = end
     noise = noise_of(best.residuals, best.rate, samples, Noise(problem.noise, 0.0))
     problem = dataclasses.replace(problem, noise=noise.signals, clock=noise.clock, rate=best.rate)
     if (settled := _settled(problem, best, searches, _PASSES)) is None:
-        raise ConfigError(reason="the model diverges at the values that it begins with (--set others)")
+        raise ConfigError(reason=_DIVERGES)
     while settled is not None:
         found, problem = settled
         if not (untold := inference.untold(problem, found)).any():

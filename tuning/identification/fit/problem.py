@@ -77,7 +77,7 @@ class Problem:
         since = (rows.step + rows.share) * windows.time_step
         new, ahead = windows.begins_stretch[rows.window], windows.held_out[rows.window]
         # behind a hole nothing says where the robot is but the first of what is held out
-        first = new & (since < SHORTEST)
+        first = new & (since < SHORTEST) & bool(self.model.guess.size)
         # what was recorded late has its beginning before the stretch
         kinds = [number for number, kind in enumerate(windows.kind) if kind]
         early = new & (since < (self.model.LEADS or np.where(np.isin(rows.signal, kinds), -LATENESS[2], 0.0)))
@@ -106,7 +106,7 @@ class Problem:
         guess = self.model.guess
         sd = np.broadcast_to(self.model.guess_sd, guess.shape).ravel()
         end = np.full(guess.shape, np.inf)
-        if "bristle" in (names := self.model.memory):
+        if guess.size and "bristle" in (names := self.model.memory):
             end[..., 2 + names.index("bristle")] = 1.0
         states = (guess.ravel(), sd, -end.ravel(), end.ravel())
         return Prior(*(np.concatenate(each) for each in zip(self.prior, states, strict=True)))

@@ -176,7 +176,7 @@ class GrippedModel(Fit):
         span = slice(0, steps + 1) if early else slice(steps, None)
         sent, rates = jax.tree.map(lambda value: value[:, span], self.sent(which, self.delay(x), steps))
         given = Given(sent, rates, self.points, self.stood)
-        (of_x, late), (moving, turned) = self.tangents(0, 0), state
+        (of_x, late), (moving, turned) = self.tangents(), state
         point = Point(np.broadcast_to(x, (count, len(x))), moving, np.zeros(count))
         along = Point(np.broadcast_to(of_x, (count, *of_x.shape)), turned, np.broadcast_to(late, (count, len(late))))
         own, of_sent = jax.tree.map(lambda value: value.ndim - 1, (point, (sent, rates)))

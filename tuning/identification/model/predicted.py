@@ -198,6 +198,11 @@ class Fit:
         """The variables by tangent."""
         return [[n] for n, v in enumerate(self.variables) if v.key not in self.LATE]
 
+    @property
+    def in_pieces(self) -> "Fit":
+        """A model of the same log whose cost has few local minima, from which the search begins."""
+        return self
+
     def moves(self, variable: Variable, limb: int) -> bool:
         """Whether a variable moves what is recorded of a limb."""
         return True
@@ -240,9 +245,14 @@ class Fit:
                 yield firsts + n, *joined
             kept = records
 
-    def tangents(self, joints: int, size: int) -> tuple[np.ndarray, np.ndarray]:
-        """Directions of x (k, n) and of the delay (k,) along the lanes, then none along a joint's state."""
-        count = len(self.lanes) + joints * size
+    @property
+    def states(self) -> int:
+        """How many numbers of a limb's state are fitted at the beginning of a stretch."""
+        return 0
+
+    def tangents(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions of x (k, n) and of the delay (k,) along the lanes, then none along a limb's state."""
+        count = len(self.lanes) + self.states
         x, late = np.zeros((count, len(self.variables))), np.zeros(count)
         for n, lane in enumerate(self.lanes):
             x[n, lane] = 1.0
@@ -284,6 +294,17 @@ class Model(Fit):
         robot = self.structure.robot
         return len(robot.limbs), robot.joints, 2 + len(self.memory)
 
+    @property
+    def states(self) -> int:
+        """How many numbers of a limb's state are fitted at the beginning of a stretch."""
+        return self.sizes[1] * self.sizes[2]
+
+    @property
+    def in_pieces(self) -> Fit:
+        """The model of the same log in which each window begins as the log has it."""
+        windows = dataclasses.replace(self.windows, abuts=np.zeros_like(self.windows.abuts))
+        return Pieces(windows, self.variables, self.structure, self.parameters)
+
     @functools.cached_property
     def memory(self) -> tuple[str, ...]:
         """What the servos remember, by the names of MEMORY."""
@@ -291,7 +312,12 @@ class Model(Fit):
 
     @property
     def guess(self) -> Float[np.ndarray, "stretch limb joint S"]:
-        """First guesses of the states that stretches begin with: a bristle is bent by the motion."""
+        """First guesses of the states that stretches begin with, as far as they are fitted."""
+        return self.logged
+
+    @property
+    def logged(self) -> Float[np.ndarray, "stretch limb joint S"]:
+        """The states that stretches begin with by the log alone: a bristle is bent by the motion."""
         known = self.windows.start[~self.windows.abuts]
         guesses = {"bristle": 0.9 * np.tanh(known[..., 1] / 0.05), "loop.goal": known[..., 0]}
         own = [guesses.get(name, np.zeros(known.shape[:-1])) for name in self.memory]
@@ -328,9 +354,9 @@ class Model(Fit):
         sent, _ = self.sent(firsts, self.delay(x), before)
         given = Before(sent.targets[:, :before], jax.tree.map(lambda value: value[:, before], sent))
         limbs, joints, size = self.sizes
-        of_x, late = self.tangents(joints, size)
+        of_x, late = self.tangents()
         turned = np.zeros((1, len(late), limbs, joints, size))
-        for n in range(joints * size):
+        for n in range(self.states):
             turned[0, len(self.lanes) + n, :, n // size, n % size] = 1.0
         point = Point(np.broadcast_to(x, (count, len(x))), start, np.zeros(count))
         axes = (Point(1, 3, 0), jax.tree.map(lambda value: np.ndim(value) - 1, given))
@@ -344,7 +370,7 @@ class Model(Fit):
         """Results of `simulate` for windows, and their tangents."""
         del early  # a stretch begins where the log does
         given, count = Given(*self.sent(which, self.delay(x))), len(which)
-        of_x, late = self.tangents(self.sizes[1], self.sizes[2])
+        of_x, late = self.tangents()
         moving, turned = state
         point = Point(np.broadcast_to(x, (count, len(x))), moving, np.zeros(count))
         own: Any = jax.tree.map(lambda value: np.ndim(value) - 1, (point, given))
@@ -362,6 +388,21 @@ class Model(Fit):
         values, tangents = execution.run(function, self.structure, robots, batch_size=at_once)
         own = ({name: value[:count] for name, value in each.items()} for each in (values, tangents))
         return next(own), next(own)
+
+
+class Pieces(Model):
+    """The model of a log in which no state is fitted: each stretch begins with the first guess of its angles and rates.
+
+    A joint that sticks or slips by a hair then ends where it does for one window alone, not for the rest of the log.
+    """
+
+    states = 0
+    guess = Fit.guess
+    guess_sd = Fit.guess_sd
+
+    def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
+        """The states in which stretches begin, whose first windows are given, and their tangents (stretch, k, ...)."""
+        return super().begun(x, self.logged, firsts)
 
 
 def with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Collection[str]) -> list[Variable]:

@@ -265,17 +265,17 @@ def _start(log: Log, robot: Robot, begin: np.ndarray) -> np.ndarray:
         position = log.signals.get(f"{joint}.position", log.signals.get(f"{joint}.command"))
         velocity = log.signals.get(f"{joint}.velocity")
         if position is not None:
-            start[:, n, j] = [_line(position, moment) for moment in begin]
+            start[:, n, j] = [_near(position, moment) for moment in begin]
         if velocity is not None:
             start[:, n, j, 1] = np.interp(begin, velocity.time, velocity.value)
     return start
 
 
-def _line(signal: Signal, moment: float) -> tuple[float, float]:
-    """Return value and rate of a signal at a moment, by a line through the samples near it."""
+def _near(signal: Signal, moment: float) -> tuple[float, float]:
+    """Return value and rate of a signal at a moment, by a parabola through the samples near it."""
     near = np.abs(signal.time - moment) <= max(_NEAR, 2 * float(np.median(np.diff(signal.time))))
     time, value = signal.time[near] - moment, signal.value[near]
     if len(time) < 3:
         return float(np.interp(moment, signal.time, signal.value)), 0.0
-    rate, at = np.polyfit(time, value, 1)
+    *_, rate, at = np.polyfit(time, value, 2 if len(time) > 5 else 1)
     return float(at), float(rate)
