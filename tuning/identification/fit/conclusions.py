@@ -1,4 +1,4 @@
-"""What a fit says: estimates with their intervals, how it predicts what was held out, and warnings."""
+"""The findings of a fit: estimates with their intervals, the error of the held-out part, warnings."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
@@ -30,13 +30,13 @@ def identified(
     warnings: Sequence[str],
     hint: str,
 ) -> Identified:
-    """Return the result, with what is to be said of the fit behind the warnings so far.
+    """The result, with the remarks on the fit behind the warnings so far.
 
     Arguments:
         scenario: with the nominal values.
         log: that was fitted.
-        chosen: what was asked for.
-        fit: where the search ended, what was fitted, and the tests of its residuals.
+        chosen: the variables that were asked for.
+        fit: the end of the search, its problem, and the tests of its residuals.
         warnings: so far.
         hint: which change of the profile explains the residuals, "" for none.
     """
@@ -98,7 +98,7 @@ def _remark(variable: Variable, x: float, sd: float, *, held: bool) -> str:
 
 
 def _predicted(problem: Problem, found: Fitted) -> dict[str, Any]:
-    """Return how what was held out is predicted: errors (rms) over the noise, of all and of each signal."""
+    """Errors (rms) of the held-out part over the noise, of all signals and of each."""
     held, windows = problem.predicted, problem.model.windows
     if not held.any():
         return {}
@@ -119,7 +119,7 @@ def _moved(model: Fit) -> np.ndarray:
 
 
 def _of_windows(model: Fit) -> Iterator[str]:
-    """Yield what of a log is not fitted."""
+    """Yield the parts of a log that are not fitted."""
     windows = model.windows
     if count := len(windows.unknown):
         seconds = float(np.diff(windows.unknown).sum())
@@ -132,7 +132,7 @@ def _of_windows(model: Fit) -> Iterator[str]:
 
 
 def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
-    """Yield what is to be said of P gains by time and of torque off."""
+    """Yield the remarks on P gains by time and on torque off."""
     if (schedule := model.schedule) is None:
         return
     kp = float(np.asarray(model.parameters.joint_loop.kp))
@@ -151,9 +151,9 @@ def _of_schedule(model: Fit, chosen: Collection[str]) -> Iterator[str]:
 
 
 def _of_log_step(model: Fit, found: Fitted, beside: Mapping[str, Estimate]) -> Iterator[str]:
-    """Yield what a simulator's time step may have made of the values, where velocities come late as its would.
+    """Yield the doubt by a simulator's time step, where velocities come as late as its would.
 
-    One of first order has velocities of half a step before its angles: what damps a joint then acts as late.
+    One of first order has velocities of half a step before its angles: damping then acts late.
     """
     late = beside.get("log.velocity.delay")
     if late is None or late.low is None or late.high is None or not late.seen:

@@ -35,7 +35,7 @@ STARTS = 4
 _COARSE = 1e-4  # relative tolerance, with which the starts are compared
 _MOST, _PASSES = 100, 4  # evaluations of a search, and passes with the noise estimated anew
 _UNHEARD = 30.0  # times their noise, where starts are compared
-_LOUD = 0.1  # of what a signal moves by, its noise there
+_LOUD = 0.1  # of a signal's standard deviation, its noise there
 _GUESSED = "the log has base or foot forces: base free, all grippers shut (--base held: on a stand)"
 _DIVERGES = "the model diverges at the values that it begins with (--set others)"
 _OTHERS = 4  # starts, where all those that were asked for diverge
@@ -57,7 +57,7 @@ def identify(
     progress: Progress | None = None,
     out: str | os.PathLike[str] | None = None,
 ) -> Identified:
-    """Fit parameters of a scenario to what a robot recorded with its base held, or free on all shut grippers.
+    """Fit parameters of a scenario to a robot's log, its base held, or free on all shut grippers.
 
     Arguments:
         scenario: nominal values, robot and time step.
@@ -68,11 +68,11 @@ def identify(
         signals: of a file, where each signal stands in it.
         changes: by key, fields of `tuning.identification.model.variables.Variable` in place of its own, as
             `{"control.kp": {"frozen": True}}`.
-        mass: that hung on each foot while the log was made, kg; it is no part of what is identified.
+        mass: that hung on each foot while the log was made, kg; it is no part of the robot.
         held_out: share of the log, at its end, that is predicted and not fitted.
         starts: points from which the search begins, the nominal one among them.
         progress: called with evaluations done, at most to do, and a line.
-        out: a folder in which every search that ended is kept: what was interrupted goes on there, with the same
+        out: a folder in which every search that ended is kept: an interrupted fit goes on there, with the same
             arguments.
 
     Raises:
@@ -132,7 +132,7 @@ def _gripped(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Var
 
 
 def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted, Problem]:
-    """Where the search ends from the best of the starts, with the noise that is left, and what was fitted."""
+    """The end of the search from the best of the starts, and the problem with the noise that is left."""
     model, prior, pieces = problem.model, problem.prior, problem.model.in_pieces
     samples = _samples(problem)
     # far from the optimum residuals are none of the noise's size: its own would have most of them count by size alone
@@ -183,7 +183,7 @@ def _starts(model: Fit, prior: Prior, count: int) -> np.ndarray:
 
 
 def _settled(problem: Problem, found: Fitted, searches: Searches, passes: int) -> tuple[Fitted, Problem] | None:
-    """Where searches end from a point, the noise estimated anew after each until it settles, and what was fitted.
+    """The end of searches from a point, the noise estimated anew after each until it settles, and the last problem.
 
     None where the model diverges at the point.
     """

@@ -1,7 +1,8 @@
-"""What a fit is worth: intervals, what the log does not tell, and whether the residuals are those of a right model.
+"""The worth of a fit: intervals, parameters that the log does not tell, and tests of the residuals.
 
-Intervals are those of the posterior: the information of the samples, with starts eliminated, beside the prior. What the
-samples say is divided by the square of a widening, the prior is not: no log makes it worse. It has two parts.
+Intervals are those of the posterior: the information of the samples, with starts eliminated, beside the prior. The
+information of the samples is divided by the square of a widening, the prior is not: no log makes it worse. The
+widening has two parts.
 
 - The gradients of blocks, a limb in a window, may scatter more than those of independent noise. Their scatter is that
   of few blocks, so that it counts by Student's quantile.
@@ -9,7 +10,7 @@ samples say is divided by the square of a widening, the prior is not: no log mak
   correlation counts as noise. How much of it counts grows from nothing at the limits of the test, so that a false alarm
   costs little.
 
-What was held out may be predicted worse than the noise; intervals are wider by as much. A variable that the samples do
+The held-out part may be predicted worse than the noise; intervals are wider by as much. A variable that the samples do
 not tell is held at its nominal value: its posterior is its prior, and the others' intervals have that doubt in them.
 The delay of commands is no better known than the log's clock.
 
@@ -33,7 +34,7 @@ from tuning.identification.model.predicted import DELAY
 from tuning.identification.model.variables import Variable
 
 Z = 1.959964  # of 95 %
-SEEN = 0.5  # of the prior's sd: what samples tell no better is not told
+SEEN = 0.5  # of the prior's sd: a wider posterior counts as not told
 _FEWEST = 8  # blocks, whose scatter is one
 _LOUD = 0.35  # share of a direction that names a variable
 _FALSE_ALARM = 1e-3  # of the test of all signals together
@@ -41,7 +42,7 @@ _LAGS, _MATTERS = 20, 0.1  # samples, and a correlation below which it is none t
 _CLOCK = 0.1  # of a time step, to which the time of a command is known
 _CLIP = 4.0  # of the noise: outliers say nothing of correlation
 _UNEXPLAINED = 0.5  # of a signal's standard deviation, that of its residuals: beyond it the fit explains little
-_HELPS = {  # what tells a key apart, by a part of its name
+_HELPS = {  # motions and weights that tell a key apart, by a part of its name
     "load_friction": "another weight", "control.k": "another P gain", "armature": "faster motions",
     "mass": "faster motions", "viscous": "long fast strokes", "no_load_speed": "long fast strokes",
     "torque_limit": "a motion at the limit", "friction": "slow reversals", "backlash": "slow reversals",
@@ -51,14 +52,14 @@ _ROUNDING, _LEAST = 1e-10, 1e-300  # of the largest information along a directio
 
 
 class Posterior(NamedTuple):
-    """What is known of the variables, in coordinates; those that are held have their priors."""
+    """The posterior of the variables, in coordinates; held ones have their priors."""
 
     covariance: Float[np.ndarray, "P P"]  # widened
-    fisher: Float[np.ndarray, "P P"]  # covariance of what is not held if noise were white and the model right
+    fisher: Float[np.ndarray, "P P"]  # covariance of the free variables if noise were white and the model right
     information: Float[np.ndarray, "P P"]  # of the samples alone
-    widening: Float[np.ndarray, " P"]  # factor on sd, 1 of what is held
+    widening: Float[np.ndarray, " P"]  # factor on sd, 1 of held ones
     unseen: tuple[str, ...]  # directions, in words
-    combined: tuple[str, ...]  # combinations of what was not seen that were, in words
+    combined: tuple[str, ...]  # told combinations of variables that are not told, in words
 
 
 class Whiteness(NamedTuple):
@@ -74,7 +75,7 @@ class Whiteness(NamedTuple):
 
     @property
     def in_words(self) -> str:
-        """What is wrong, in a line."""
+        """The fault of the model, in a line."""
         lag = int(np.argmax(np.abs(self.correlation))) + 1
         return (
             f"the model is wrong: residuals of {self.signal} are correlated, {self.correlation[lag - 1]:+.2f} "
@@ -105,7 +106,7 @@ def posterior(problem: Problem, found: Fitted, tests: Sequence[Whiteness], ahead
         problem: as it was fitted.
         found: where the search ended.
         tests: of its residuals.
-        ahead: error of what was held out over the noise: intervals are wider by what it is above 1.
+        ahead: error of the held-out part over the noise; intervals are wider by its excess over 1.
     """
     variables, sd, free = problem.model.variables, problem.prior.sd, np.flatnonzero(problem.free)
     held, information = np.flatnonzero(~problem.free), found.information
@@ -118,7 +119,7 @@ def posterior(problem: Problem, found: Fitted, tests: Sequence[Whiteness], ahead
     )
     of_samples = np.maximum(1 / own**2 - 1 / sd[free] ** 2, 0.0)
     widened = 1 / np.sqrt(1 / sd[free] ** 2 + of_samples / square)
-    along_held = -fisher @ information[np.ix_(free, held)]  # how they move with what is held
+    along_held = -fisher @ information[np.ix_(free, held)]  # how they move with the held ones
     covariance, whole = np.diag(sd**2), np.zeros((len(sd), len(sd)))
     whole[np.ix_(free, free)] = fisher
     covariance[np.ix_(free, held)] = along_held * sd[held] ** 2
@@ -136,9 +137,9 @@ def _scatter(problem: Problem, found: Fitted, moved: np.ndarray, expected: np.nd
     """Return the scatter of the gradients of blocks over that of independent noise (k,), 1 or more.
 
     Arguments:
-        problem: what was fitted.
+        problem: as it was fitted.
         found: the fit.
-        moved: (rows, k) what a unit of each row moves the estimates by.
+        moved: (rows, k) change of the estimates by a unit of each row.
         expected: (k,) squares of the estimates' deviations by the noise of the samples alone.
     """
     rows, windows = problem.rows, problem.model.windows
@@ -200,9 +201,9 @@ def _of_clock(problem: Problem, found: Fitted, sd: np.ndarray) -> np.ndarray:
 
 
 def covariance_of(information: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Return the covariance (P, P) of variables of which a prior knows each to `sd`, in what unit they are.
+    """The covariance (P, P) of variables with priors of standard deviations `sd`, in any units.
 
-    What rounding leaves of a direction is no information: of that the prior alone is known.
+    A direction within rounding of zero has no information but its prior's.
     """
     scale = np.sqrt(np.diag(information).clip(0.0) + 1 / sd**2)
     of_prior = 1 / (scale * sd) ** 2
@@ -214,7 +215,7 @@ def covariance_of(information: np.ndarray, sd: np.ndarray) -> np.ndarray:
 def _directions(
     variables: Sequence[Variable], information: np.ndarray, sd: np.ndarray, x: np.ndarray
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return in words the directions that the log does not tell, and what it tells of the same variables together."""
+    """In words the directions that the log does not tell, and the combinations of their variables that it tells."""
     values, vectors = np.linalg.eigh(information * np.outer(sd, sd))
     blind = np.maximum(values, 0.0) + 1 < 1 / SEEN**2
     lines, involved = [], np.zeros(len(variables), bool)
@@ -282,8 +283,8 @@ def _sums(values: Float[np.ndarray, " samples"], lags: int) -> Float[np.ndarray,
 def unmodelled(correlation: float, statistic: float) -> float:
     """Return the share of the residuals' variance that the model lacks, 0 up to the limits of the test.
 
-    Noise is not correlated, so that what is correlated makes up as much of the residuals as their correlation says. It
-    is shrunk by what chance, and a correlation too small to matter, would have (the non-negative garrote).
+    Noise is not correlated, so that the correlation bounds the unmodelled share. It is shrunk by the correlation that
+    chance would give, and by one too small to matter (the non-negative garrote).
 
     Arguments:
         correlation: the largest, 0 to 1.

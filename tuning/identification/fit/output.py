@@ -1,4 +1,4 @@
-"""What `identify` leaves in its folder: values, sections that other commands read, a posterior ensemble, a page."""
+"""The folder of `identify`: values, sections that other commands read, a posterior ensemble, a page."""
 
 import dataclasses
 import functools
@@ -58,7 +58,7 @@ def _files(found: Identified, place: Path, asked: str) -> Files:
 
 
 def identified_scenario(found: Identified, scenario: mc.Scenario, folder: Path) -> mc.Scenario:
-    """Return the scenario with what was identified; a robot that was is written into the folder."""
+    """The scenario with the identified values; an identified robot is written into the folder."""
     scenario = scenario.with_overrides(found.overrides())
     robot, nominal = found.robot(), found.model.structure.robot
     asked = any(key.startswith("robot.") for key in found.estimates)

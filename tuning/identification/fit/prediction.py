@@ -1,4 +1,4 @@
-"""What a model predicts of the samples of a log, between the steps of its simulation, with derivatives."""
+"""The samples of a log as a model predicts them, between the steps of its simulation, with derivatives."""
 
 import itertools
 from typing import NamedTuple
@@ -14,11 +14,11 @@ DIVERGED = 1e20  # SI units: squares of larger values and derivatives tell nothi
 
 
 class Predicted(NamedTuple):
-    """What was predicted at a point of N variables and states."""
+    """The prediction at a point of N variables and states."""
 
     value: Float[np.ndarray, " rows"]
     along: Float[np.ndarray, "rows N"]
-    rate: Float[np.ndarray, " rows"]  # SI units per s: what a sample changes by, taken a second later
+    rate: Float[np.ndarray, " rows"]  # SI units per s: change of a sample by the time that it is taken at
 
     @property
     def finite(self) -> bool:

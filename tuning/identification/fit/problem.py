@@ -1,4 +1,4 @@
-"""What a fit minimises: samples over their noise under Huber's loss, and priors, by single shooting.
+"""The problem of a fit: samples over their noise under Huber's loss, and priors, by single shooting.
 
 A stretch of a log without gaps is simulated from its beginning to its end: the states that stretches begin with are
 fitted beside the variables. Samples of one time stamp are whitened together where time stamps err, see
@@ -32,7 +32,7 @@ class Evaluated(NamedTuple):
 
     residuals: Float[np.ndarray, " rows"]  # log less model, SI units
     scaled: Float[np.ndarray, " rows"]  # over their noise, whitened
-    along: Float[np.ndarray, "rows N"]  # derivatives of what is predicted, whitened alike
+    along: Float[np.ndarray, "rows N"]  # derivatives of the prediction, whitened alike
     rate: Float[np.ndarray, " rows"]  # SI units per s
 
 
@@ -45,7 +45,7 @@ class Fitted(NamedTuple):
     clock: float  # s, standard deviation of a time stamp's error
     residuals: Float[np.ndarray, " rows"]  # log less model, SI units
     scaled: Float[np.ndarray, " rows"]  # over their noise, whitened
-    along: Float[np.ndarray, "rows P"]  # derivatives of what is predicted, whitened, states eliminated
+    along: Float[np.ndarray, "rows P"]  # derivatives of the prediction, whitened, states eliminated
     information: Float[np.ndarray, "P P"]  # of the samples, states eliminated
     rate: Float[np.ndarray, " rows"]  # SI units per s
     cost: float  # with priors
@@ -76,9 +76,9 @@ class Problem:
         windows, rows = self.model.windows, self.model.windows.rows
         since = (rows.step + rows.share) * windows.time_step
         new, ahead = windows.begins_stretch[rows.window], windows.held_out[rows.window]
-        # behind a hole nothing says where the robot is but the first of what is held out
+        # behind a hole the first held-out samples alone say where the robot is
         first = new & (since < SHORTEST) & bool(self.model.guess.size)
-        # what was recorded late has its beginning before the stretch
+        # samples that were recorded late begin before the stretch
         kinds = [number for number, kind in enumerate(windows.kind) if kind]
         early = new & (since < (self.model.LEADS or np.where(np.isin(rows.signal, kinds), -LATENESS[2], 0.0)))
         vars(self).update(fitted=(~ahead | first) & ~early, predicted=ahead & ~first & ~early)

@@ -1,4 +1,4 @@
-"""What the profile of the hardware may have that the robot has not, or lack: likely single changes, each fitted.
+"""Likely single changes of the hardware's profile, each fitted: parts that it has too many, or lacks.
 
 Each is tried with the noise that the fit had, and the rest of the profile as it is.
 """
@@ -22,7 +22,7 @@ _PARTS = (  # of a servo, which a profile may have and a robot not, by the field
     ("load_friction", "external_load_friction", "quadratic_load_friction", "quadratic_external_load_friction"),
     ("profile_velocity", "profile_acceleration"), ("current_limit",), ("rate",),
 )  # fmt: skip
-# SI units: what a robot may have and a profile not, at a size from which it is fitted
+# SI units: parts that a profile may lack, at the size from which each is fitted
 _MISSING = {
     "backlash": 0.005, "viscous_friction": 0.05, "stribeck_friction": 0.05, "load_friction": 0.1,
     "supply_resistance": 0.2,
@@ -36,18 +36,18 @@ class Change(NamedTuple):
 
     words: str
     scenario: mc.Scenario
-    beside: tuple[Variable, ...]  # what is fitted with it
+    beside: tuple[Variable, ...]  # variables that are fitted with it
 
 
 class Tried(NamedTuple):
-    """What a change leaves of the residuals."""
+    """The residuals that a change leaves."""
 
     words: str
     left: float  # root mean square over that without the change
 
 
 def changes(scenario: mc.Scenario, chosen: Sequence[Variable]) -> Iterator[Change]:
-    """Yield the likely single changes of a scenario's servos, but for what is fitted."""
+    """Yield the likely single changes of a scenario's servos, but for the fitted ones."""
     servo, fitted = scenario.hardware.servo, {v.key for v in chosen}
     plain = {name: field.default for name, field in Servo.model_fields.items()}
     for part in _PARTS:
@@ -80,7 +80,7 @@ def tried(
         problem: as it was fitted, with its noise.
         found: its fit.
         scenario: whose servos are changed.
-        chosen: what was asked for.
+        chosen: the variables that were asked for.
         searches: of the fit.
     """
     windows, mass = problem.model.windows, problem.model.structure.mass

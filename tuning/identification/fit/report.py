@@ -1,4 +1,4 @@
-"""What a page says of a fit: tables of parameters and residuals, and pictures of the residuals."""
+"""The page of a fit: tables of parameters and residuals, and pictures of the residuals."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -47,7 +47,7 @@ def _rows(estimates: Mapping[str, Estimate]) -> list[list[str]]:
 
 
 def residual_table(found: Identified) -> page.Table:
-    """Return of each signal, joint by joint, the noise, the residuals over it, fitted and held out, and what is odd."""
+    """Return of each signal, joint by joint, the noise, the residuals over it, fitted and held out, and doubts."""
     windows, fitted = found.model.windows, found.problem.fitted
     scaled = found.fitted.scaled
     ahead, wrong = found.held_out.get("signals", {}), {test.signal: test for test in suspicious(found.tests)}
@@ -145,7 +145,7 @@ def plot_correlation(found: Identified) -> Figure:
 def plot_prediction(found: Identified) -> Figure:
     """Return log and model, before and after the fit, where the signal with the largest error over its noise is worst.
 
-    Two seconds are shown, and below what the model misses of the log, in units of the noise.
+    Two seconds are shown, and below the residuals in units of the noise.
     """
     rows, windows, time = found.problem.rows, found.model.windows, _times(found)
     scaled = np.abs(found.fitted.scaled)

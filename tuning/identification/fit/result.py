@@ -1,4 +1,4 @@
-"""The result of `identify`: what is known of each key, and the scenario and the robot with it."""
+"""The result of `identify`: the estimate of each key, and the scenario and the robot with it."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ from tuning.identification.readers.log import Log
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """What is known of one key, SI units."""
+    """The estimate of one key, SI units."""
 
     value: float  # where the search ended; the nominal one where the log does not tell it
     low: float  # 95 % interval
@@ -39,10 +39,10 @@ class Identified:
     scenario: mc.Scenario
     log: Log
     estimates: Mapping[str, Estimate]  # by key
-    beside: Mapping[str, Estimate]  # nuisances: delays of what was recorded, presliding
+    beside: Mapping[str, Estimate]  # nuisances: delays of recorded signals, presliding
     held_out: Mapping[str, Any]
     warnings: tuple[str, ...]
-    combined: tuple[str, ...]  # combinations that were seen, of what was not
+    combined: tuple[str, ...]  # told combinations of keys that are not told
     model: Fit
     problem: Problem
     fitted: Fitted
@@ -98,7 +98,7 @@ class Identified:
         return any(v.change is not None and v.key in self.known for v in self.model.variables)
 
     def robot(self) -> Robot:
-        """Return the robot with what was identified of it, constants of NumPy."""
+        """The robot with its identified values, constants of NumPy."""
         return self._applied()[1]
 
     def _applied(self) -> tuple[Parameters, Robot]:

@@ -19,7 +19,7 @@ class Searches:
     """The searches of a fit, one by one: shown, and those that ended kept in a folder. The fit is deterministic."""
 
     def __init__(self, parts: Parts, progress: Progress | None = None):
-        """Take the folder, and what is called with evaluations done, at most to do, and a line."""
+        """Take the folder, and a function of evaluations done, at most to do, and a line."""
         self._parts, self._progress, self._number, self._done = parts, progress, 0, 0
 
     def search(
@@ -78,14 +78,14 @@ class _Objective:
     """Residuals of the samples and the priors as SciPy takes them: half the sum of their squares is the cost."""
 
     def __init__(self, problem: Problem, point: np.ndarray, tell: Callable[[float], None]):
-        """Take a point (N,), of which what is held stays, and what is called with the cost of each point."""
+        """Take a point (N,), whose held variables stay, and a function of the cost of each point."""
         self._problem, self._prior, self._tell = problem, problem.whole_prior, tell
         self.point = np.clip(point, self._prior.lower, self._prior.upper)
         self.moves = np.concatenate([problem.free, np.full(len(point) - len(problem.free), True)])
         self._last: _Last | None = None
 
     def whole(self, moving: np.ndarray) -> np.ndarray:
-        """The point with other values of what moves."""
+        """The point with other values of the moving variables."""
         point: np.ndarray = self.point.copy()
         point[self.moves] = moving
         return point

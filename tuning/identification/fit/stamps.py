@@ -1,7 +1,7 @@
 """The noise of a log: of each signal, and of the time stamps.
 
-A time stamp may miss the moment at which its samples were taken. What was sampled at one stamp then is off together,
-each sample by its rate times the stamp's error: noise that grows with the motion and is common to the joints. The
+A time stamp may miss the moment at which its samples were taken. The samples of one stamp are then off together,
+each by its rate times the stamp's error: noise that grows with the motion and is common to the joints. The
 errors are taken to be normal and independent from stamp to stamp. Samples of a stamp then have the covariance
 `1 + a a^T` in units of their noise, by which they are whitened. The errors' standard deviation is that of the largest
 marginal likelihood, at most half the spacing of the stamps, and none where the log shows none. Errors that go on from
@@ -24,7 +24,7 @@ _ROUNDS = 20  # of weights, and of noise and stamps by turns
 _SHOWN = 5.4  # gain in log likelihood of errors that are there: by chance once in two thousand logs (chi^2, one-sided)
 _LEAST = 1e-6  # s, of a clock's error
 _GOES_ON = 0.3  # correlation of neighbouring stamps' errors, from which they are the model's
-_QUIET = 1e-5  # of what a signal moves by, its least noise
+_QUIET = 1e-5  # of a signal's standard deviation, its least noise
 
 
 class Noise(NamedTuple):
@@ -69,7 +69,7 @@ def change(before: Noise, after: Noise) -> float:
 
 
 def noise_of(residuals: np.ndarray, rate: np.ndarray, samples: Samples, before: Noise) -> Noise:
-    """Return the noise as residuals have it, outliers winsorised; a signal of few samples keeps what it had.
+    """Return the noise as residuals have it, outliers winsorised; a signal of few samples keeps its own.
 
     Arguments:
         residuals: (rows,), SI units.
@@ -101,7 +101,7 @@ class _Stamped(NamedTuple):
     """The likeliest errors of stamps."""
 
     error: Float[np.ndarray, " stamps"]  # s
-    weight: Float[np.ndarray, " rows"]  # Huber's, over the square of the noise; 0 of what is not fitted
+    weight: Float[np.ndarray, " rows"]  # Huber's, over the square of the noise; 0 of rows that are not fitted
     stiffness: Float[np.ndarray, " stamps"]  # s^-2, curvature of the cost along each error
     known: Float[np.ndarray, " stamps"]  # s^-2, by the samples alone
 

@@ -1,1 +1,1 @@
-"""What a log would have recorded of a robot: held, gripped, or walked again."""
+"""Models of a robot's log: held, gripped, or walked again."""

@@ -21,7 +21,7 @@ from tuning.identification.readers.log import COMMANDS
 
 
 class Commands(NamedTuple):
-    """What the robot is told, at each time step."""
+    """The commands of each time step."""
 
     sent: stands.Sent  # (steps, ...) of a held base as it reaches the servos, else targets alone, as they are sent
     rates: stands.Sent  # of these over time
@@ -29,7 +29,7 @@ class Commands(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What the robot does at each time step."""
+    """The motion of each time step."""
 
     angles: AnyArray  # (steps, limb, joint) rad
     rates: AnyArray  # (steps, limb, joint) rad/s
@@ -92,7 +92,7 @@ def swaying(scenario: mc.Scenario, duration: float) -> mc.Scenario:
 
 @functools.cache
 def standing(scenario: mc.Scenario, stages: Stages) -> Simulate:
-    """Return the motion of the scenario's own robot, of `swaying`, whatever robot is given."""
+    """Return the motion of the scenario's own robot, of `swaying`; the given robot is ignored."""
     simulation = mc.Simulation(scenario)
 
     def one_step(state: mc.simulation.SimulationState, target: Array) -> tuple[Any, Carried]:

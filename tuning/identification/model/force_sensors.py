@@ -1,4 +1,4 @@
-"""What a log has of the force on a foot: a share of it, an offset, and a share of another axis."""
+"""The force on a foot as logged: a share of it, an offset, and a share of another axis."""
 
 from collections.abc import Sequence
 

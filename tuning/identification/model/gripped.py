@@ -1,7 +1,8 @@
-"""What a log of a gripped robot would have recorded, its base free: window after window, with exact derivatives.
+"""The predicted log of a gripped robot, its base free: window after window, with exact derivatives.
 
-Grips and servos damp what a robot of shut grippers begins with, so that no state is fitted: it stands under the log's
-commands for a window's length before the log begins, and goes on from window to window. Where its grips are is fitted.
+Grips and servos damp the initial motion of a robot of shut grippers, so that no state is fitted: it stands under the
+log's commands for a window's length before the log begins, and goes on from window to window. The places of its grips
+are fitted.
 """
 
 import dataclasses
@@ -58,10 +59,10 @@ _AXES = "xyz"
 
 
 class Given(NamedTuple):
-    """What the log says of a window."""
+    """The log of a window."""
 
     sent: stands.Sent  # (steps + 1, ...)
-    rates: stands.Sent  # of what is sent, over time
+    rates: stands.Sent  # of `sent`, over time
     points: Any  # (limb, 3) m, where grips are seen
     stood: State  # in which the robot was when it gripped
 
@@ -188,7 +189,7 @@ class GrippedModel(Fit):
 
 
 def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Sequence[Variable]) -> GrippedModel:
-    """Return the model of a gripped robot's log, with what no such log is free of beside what is asked for."""
+    """The model of a gripped robot's log, with the nuisances beside the chosen variables."""
     robot, own = load_robot(scenario.robot), own_parameters(scenario)
     every = gripped_with_nuisances(scenario, chosen, windows.kinds)
     every += [Variable(f"log.{limb}.grip.{a}", "m", 0.0, *_GRIP, beside=True) for limb in robot.limbs for a in _AXES]
@@ -200,7 +201,7 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
     angles = windows.start[~windows.abuts, :, :, 0]
     position, orientation = _posed(log, robot, windows.begin[0])
     feet = position + limb_frames(robot, np.asarray(quaternion_to_matrix(orientation), float), angles[0]).foot
-    # a foot hangs below its grip by what it carries
+    # a foot hangs below its grip by its load
     weight = float(robot.total_mass) * np.asarray(own.gravity) / len(robot.limbs)
     states = [_state(*_registered(robot, each, feet), each) for each in angles]
     points = feet - weight / float(own.contact.springs().stiffness)
@@ -211,7 +212,7 @@ def check_parts(own: Parameters, *, held: bool) -> None:
     """Refuse parts that the model of a log does not have, its base held or free.
 
     Raises:
-        ConfigError: a disturbance, since the log has what acted on the robot; a drive that feels the load or whose
+        ConfigError: a disturbance, since the log has the pushes; a drive that feels the load or whose
             memory is no real numbers, with the base held any but servos; a contact without springs.
     """
     for place, each in own.components.items():
@@ -230,7 +231,7 @@ def check_parts(own: Parameters, *, held: bool) -> None:
 
 
 def gripped_with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Collection[str]) -> list[Variable]:
-    """Return variables, and beside them what no log of a gripped robot is free of, but for where its grips are."""
+    """Variables, and beside them the nuisances of a gripped robot's log, but for the places of its grips."""
     found = [v for v in with_nuisances(scenario, chosen, kinds) if v.key != LEAD]
     if len(kinds) > 1:
         late = [LATE_FORCE] if "force" in kinds and FORCE_DELAY not in {v.key for v in chosen} else []

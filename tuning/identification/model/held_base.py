@@ -1,6 +1,6 @@
 """A robot on a stand: its base is held, its limbs move in the air by their servos, each limb a robot of its own.
 
-A step evaluates torques at the beginning and takes what damps them, the servo's kd and the viscous friction, at the
+A step evaluates torques at the beginning and takes the damping, the servo's kd and the viscous friction, at the
 mean of the rates before and after: rates stand half a step before angles, as in leapfrog, so that angles, and rates as
 `Recorded` has them, are right to second order in the time step. Centrifugal forces take the rates half a step on. A
 walk's own step is right to first order.
@@ -40,16 +40,16 @@ _SWEEPS = 4  # of Gauss-Seidel, over the joints of a limb
 
 
 class Stand(NamedTuple):
-    """What stays the same from step to step."""
+    """Constants of all steps."""
 
     robot: Robot
     hardware: Hardware
     lead: Any = 0.0  # () s, by which dry friction comes before the rate
-    commanded: str = COMMANDS[0]  # what is sent, of COMMANDS
+    commanded: str = COMMANDS[0]  # kind of the commands, of COMMANDS
 
 
 class Moving(NamedTuple):
-    """What goes from one step to the next."""
+    """The state between two steps."""
 
     state: State
     servo: Any  # `mjx_climb.hardware.servo.Servo`, or the memory of another drive
@@ -57,7 +57,7 @@ class Moving(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """What reaches the servos in a step, or its rate over time."""
+    """The commands that reach the servos in a step, or their rates over time."""
 
     targets: AnyArray  # (limb, joint) rad; of other commands rad/s, N m, or the share of the supply voltage
     share: AnyArray | None = None  # () 1, of the P gain, 0 with the torque off; None: the P gain is the parameters'
@@ -65,7 +65,7 @@ class Sent(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What is there to record at the beginning of a step."""
+    """The records at the beginning of a step."""
 
     position: Array  # (limb, joint) rad
     velocity: Array  # (limb, joint) rad/s
@@ -88,7 +88,7 @@ def begun(hardware: Hardware, angles: Array) -> Any:
 
 
 def advance(stand: Stand, moving: Moving, targets: Array) -> tuple[Moving, Recorded]:
-    """Return the robot one time step later, and what is recorded of it; joint targets are (limb, joint) rad.
+    """The robot one time step later, and its records; joint targets are (limb, joint) rad.
 
     The targets are those that reach the servos, see `targets_of`: a delay of commands is the caller's.
     """
@@ -183,7 +183,7 @@ class _Rubbing(NamedTuple):
 def _rubbed(stand: Stand, robot: Robot, moving: Moving, on: _Rubbing) -> tuple[Robot, Array]:
     """Return the robot and the torque on its joints, less dry friction; its part per acceleration is armature.
 
-    What sticks is decided with the limbs' mobility while the base is held.
+    Sticking is decided with the limbs' mobility while the base is held.
     """
     parameters, step = stand.hardware.parameters, stand.hardware.time_step
     passed = jnp.abs(moving.change) / 2  # a friction that turns round within the step: its mean over the step

@@ -4,10 +4,10 @@ A step is that of `tuning.identification.model.held_base`: velocities, the base'
 positions (leapfrog), and the loads of a step take them half a step on. Motion and forces are right to second order in
 the step.
 
-What a grip damps takes the foot's velocity half a step on by `AHEAD` of the change in this step, and the rest of the
+A grip's damping takes the foot's velocity half a step on by `AHEAD` of the change in this step, and the rest of the
 change in the step before: at a frequency w the former is too small by (w h)^2 / 8, the latter too large by 3 (w h)^2 /
 8, and together they are right to third order. The change in this step, Jacobian times accelerations, is felt as a point
-mass at the foot would be, less its weight and what it takes to follow the foot at constant rates.
+mass at the foot would be, less its weight and its inertia at constant rates.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ AHEAD = 0.75  # of the change of a foot's velocity that its damping takes from t
 
 
 class Gripped(NamedTuple):
-    """What stays the same from step to step."""
+    """Constants of all steps."""
 
     robot: Robot
     hardware: Hardware
@@ -43,15 +43,15 @@ class Gripped(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """What goes from one step to the next."""
+    """The state between two steps."""
 
     limbs: stands.Moving
     base_change: Array  # (6,) m/s, rad/s, of the base's velocities in the step before
-    filtered: Array  # (limb, 3) N, what the force sensors' filters hold
+    filtered: Array  # (limb, 3) N, memory of the force sensors' filters
 
 
 class Recorded(NamedTuple):
-    """What is there to record at the beginning of a step."""
+    """The records at the beginning of a step."""
 
     position: Array  # (limb, joint) rad
     velocity: Array  # (limb, joint) rad/s
@@ -90,7 +90,7 @@ def begin(hardware: Hardware, state: State) -> Moving:
 
 
 def advance(gripped: Gripped, moving: Moving, targets: Array) -> tuple[Moving, Recorded]:
-    """Return the robot one time step later, and what is recorded of it; joint targets are (limb, joint) rad.
+    """The robot one time step later, and its records; joint targets are (limb, joint) rad.
 
     The targets are those that reach the servos, see `stand.targets_of`: a delay of commands is the caller's.
     """

@@ -1,4 +1,4 @@
-"""What a window of a log would have recorded, for a point of the fit, with exact derivatives: the base held."""
+"""The predicted records of a window, for a point of the fit, with exact derivatives: the base held."""
 
 import dataclasses
 import functools
@@ -34,30 +34,30 @@ SERVO_DELAY = "hardware.servo.delay"
 LATE = {
     "log.velocity.delay": ("velocity",),
     "log.effort.delay": ("effort",),
-}  # of what is recorded, behind the positions
+}  # of recorded kinds, behind the positions
 LEAD = "log.friction.lead"  # of dry friction, see `tuning.identification.model.held_base`
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
 _LEADS = (0.0, 0.005, 0.03)  # s, mean and sd of the prior, and the upper bound
 _BENDS = 3.0  # prior sd of the logarithm of presliding: gears bend by mrad, a simulator's friction may not at all
 _STATE = (0.2, 3.0)  # prior sd of a start from its guess: rad, rad/s
-LATENESS = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter what they record
+LATENESS = (0.0, 0.005, -0.02, 0.1)  # s, mean and sd of the prior, and bounds: drivers filter their records
 
 
 class Structure(NamedTuple):
-    """What a compiled window depends on; hashable."""
+    """The static part of a compiled window; hashable."""
 
     robot: Robot
     places: tuple[Place, ...]
     stages: Stages
     time_step: float
     steps: int
-    kinds: tuple[str, ...]  # what is recorded
+    kinds: tuple[str, ...]  # of the records
     mass: float = 0.0  # kg, that hangs on each foot
     commanded: str = COMMANDS[0]  # kind of the commands
 
 
 class Point(NamedTuple):
-    """Where the fit is, and what it may move along."""
+    """A point of the fit."""
 
     x: Any  # (n,) coordinates of the variables
     start: Any  # as each window begins: `held_base.Moving`, or `held_feet.Moving` with the base free
@@ -65,14 +65,14 @@ class Point(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What the log says of a window."""
+    """The log of a window."""
 
     sent: stands.Sent  # (steps + 1, ...)
-    rates: stands.Sent  # of what is sent, over time
+    rates: stands.Sent  # of `sent`, over time
 
 
 class Before(NamedTuple):
-    """What the log says of the time before a stretch."""
+    """The log before a stretch."""
 
     targets: Any  # (B, limb, joint) rad
     sent: stands.Sent  # in the first step
@@ -99,11 +99,11 @@ def with_memory(servo: Servo, own: Mapping[str, AnyArray]) -> Servo:
 
 
 def moving_at(structure: Structure, point: Point, before: Before, parameters: Parameters) -> stands.Moving:
-    """The robot at a start (limb, joint, S): angle, rate, what each servo remembers."""
+    """The robot at a start (limb, joint, S): angle, rate, memory of the servo."""
     stand = _stand(structure, point, parameters)
     angles, rates = (point.start[..., n] for n in (0, 1))
     moving = stands.begin(stand, angles, rates)
-    if structure.stages.servo_delay:  # what is on its way to the motors: of a joint that came at the same rate
+    if structure.stages.servo_delay:  # torques on their way to the motors: of a joint that came at the same rate
         moving = _filled(stands.with_gains(stand, before.sent), moving, before.targets)
     own = {name: point.start[..., 2 + n] for n, name in enumerate(memory(moving.servo))}
     return moving._replace(servo=with_memory(moving.servo, own))
@@ -168,7 +168,7 @@ def _filled(stand: stands.Stand, moving: stands.Moving, before: Array) -> stands
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """What is fitted to the windows of a log."""
+    """A model of the windows of a log."""
 
     windows: Windows
     variables: tuple[Variable, ...]
@@ -180,7 +180,7 @@ class Fit:
 
     @property
     def memory(self) -> tuple[str, ...]:
-        """What servos remember where a stretch begins, by the names of MEMORY, as far as it is fitted."""
+        """The fitted memory of servos where a stretch begins, by the names of MEMORY."""
         return ()
 
     @property
@@ -204,7 +204,7 @@ class Fit:
         return self
 
     def moves(self, variable: Variable, limb: int) -> bool:
-        """Whether a variable moves what is recorded of a limb."""
+        """Whether a variable moves the records of a limb."""
         return True
 
     def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
@@ -216,7 +216,7 @@ class Fit:
         raise NotImplementedError
 
     def evaluate(self, x: np.ndarray, start: np.ndarray) -> Iterator[tuple[np.ndarray, dict[str, Any], dict[str, Any]]]:
-        """Yield windows that run at the same time, what they and those before would have recorded, and the tangents.
+        """Yield windows that run at the same time, the records of these and of those before, and the tangents.
 
         Arguments:
             x: (n,).
@@ -307,7 +307,7 @@ class Model(Fit):
 
     @functools.cached_property
     def memory(self) -> tuple[str, ...]:
-        """What the servos remember, by the names of MEMORY."""
+        """The servos' memory, by the names of MEMORY."""
         return tuple(memory(begin(jnp.zeros((1, 1)), self.structure.stages)))
 
     @property
@@ -345,7 +345,7 @@ class Model(Fit):
         return lanes
 
     def moves(self, variable: Variable, limb: int) -> bool:
-        """Whether a variable moves what is recorded of a limb."""
+        """Whether a variable moves the records of a limb."""
         return variable.limb in (None, limb)
 
     def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
@@ -406,14 +406,14 @@ class Pieces(Model):
 
 
 def with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], kinds: Collection[str]) -> list[Variable]:
-    """Return variables, and beside them what no log is free of, which would bend them if it were held.
+    """Variables, and beside them the nuisances of a log, which would bend them if they were held.
 
     These are delays of recorded velocities, efforts and commands, and how far dry friction gives before it slips. A
     time of a log is known to a part of a time step, so that a delay may come out as much below zero.
 
     Arguments:
         scenario: whose stages count.
-        chosen: what is asked for.
+        chosen: the variables that are asked for.
         kinds: those of KINDS that are recorded.
     """
     least, keys = -scenario.time_step / 4, {v.key for v in chosen}

@@ -1,4 +1,4 @@
-"""A log's commands sent to the simulated robot: what it does beside what the real one did, and how far they differ."""
+"""A log's commands sent to the simulated robot: its motion beside the real one's, and how far they differ."""
 
 import dataclasses
 import math
@@ -38,7 +38,7 @@ class Error(NamedTuple):
     rms: float
     largest: float
     at: float  # s, where it is largest
-    moved: float  # standard deviation of what was logged
+    moved: float  # standard deviation of the log
     samples: int
 
 
@@ -51,7 +51,7 @@ class Replay:
     base: Base
     walk: mc.Trajectory
     errors: Mapping[str, Error]  # by signal
-    warnings: tuple[str, ...]  # what the comparison rests on, a line each
+    warnings: tuple[str, ...]  # on the comparison, a line each
 
     def logged(self) -> mc.Trajectory:
         """Return the log as a walk, to be shown: quantities that were not logged are as simulated."""
@@ -180,7 +180,7 @@ def _targets(log: Log, robot: Robot, scenario: mc.Scenario, on_a_stand: bool) ->
 
 
 def _with_pushes(scenario: mc.Scenario, log: Log) -> tuple[mc.Scenario, list[str]]:
-    """Return the scenario with the pushes that were logged in place of its own, and what is to be said of that."""
+    """Return the scenario with the pushes that were logged in place of its own, and remarks on that."""
     named = {name: log.signals[name] for name in log.signals if name.startswith(("base.force.", "base.moment."))}
     if not named:
         own = scenario.disturbance.pushes
@@ -207,7 +207,7 @@ def _with_pushes(scenario: mc.Scenario, log: Log) -> tuple[mc.Scenario, list[str
 
 
 def _of_a_walk(walk: mc.Trajectory, log: Log, robot: Robot) -> Iterator[str]:
-    """Yield what a walk's comparison rests on."""
+    """Yield the assumptions of a walk's comparison."""
     begins = {
         joint: abs(signal.value[0] - walk.joint_angles[(0, *place)])
         for joint, place in joints_of(robot).items()

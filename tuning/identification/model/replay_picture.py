@@ -20,7 +20,7 @@ _MOST = 4000  # points of a line
 def plot_replay(replay: Replay) -> Figure:
     """Draw joint angles as they were commanded, logged and simulated, and foot forces where they were logged.
 
-    Below each joint stands what the simulation misses of the log, and its root mean square over the panel.
+    Below each joint stands log less simulation, and its root mean square over the panel.
     """
     robot, signals, walk = replay.walk.robot, replay.log.signals, replay.walk
     forces = any(f"{limb}.force.{axis}" in signals for limb in robot.limbs for axis in "xyz")

@@ -1,4 +1,4 @@
-"""What a log says of its servos over time: their P gain, and whether their torque is off. Data of a fit, not fitted."""
+"""The servos' P gain and torque off over time, as logged: data of a fit, not fitted."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -1,6 +1,6 @@
-"""What is fitted: keys of a scenario and of its robot, each with nominal value, prior, bounds and coordinate.
+"""The variables of a fit: keys of a scenario and of its robot, each with nominal value, prior, bounds and coordinate.
 
-A fit moves in coordinates: the logarithm of what is positive, the value itself of what may be zero or negative. An
+A fit moves in coordinates: the logarithm of positive values, the value itself of others. An
 inertia moves in log-Cholesky coordinates of the body's mass distribution: with mass m, centre c and an upper
 triangular A (diagonal exp(d)), `A A^T` is the second moment about the centre over m, so that every point is a body that
 can exist (Rucker and Wensing, Smooth Parameterization of Rigid-Body Inertia, 2022).
@@ -29,8 +29,8 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.value_field import ValueField
 
-FACTOR = 1.0  # prior sd of the logarithm of what is positive: a factor of e, 7 at two sd
-_SCALES = {  # prior sd by unit, of what may be zero; the nominal value where that is larger
+FACTOR = 1.0  # prior sd of a logarithm: a factor of e, 7 at two sd
+_SCALES = {  # prior sd by unit, of values that may be zero; the nominal value where that is larger
     "kg m^2": 0.02, "N m": 0.2, "N m s/rad": 0.2, "rad": 0.02, "s": 0.01, "N": 1.0, "1": 0.3, "N s/m": 50.0, "m": 0.01,
     "Ohm": 0.5,
 }  # fmt: skip
@@ -41,7 +41,7 @@ _CENTER = ("center.x", "center.y", "center.z")
 _INERTIA = ("xx", "yy", "zz", "xy", "xz", "yz")
 _PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of these in A and in the inertia
 _AS_DELAY = "as a delay: fit hardware.command_delay"
-_BY_STEPS = {  # keys without a derivative, and what they act as on a log
+_BY_STEPS = {  # keys without a derivative, and their effect on a log
     "hardware.control_period": _AS_DELAY,
     "hardware.servo.rate": _AS_DELAY,
     "hardware.force_sensor.resolution": "as noise",
@@ -68,12 +68,12 @@ class Variable:
     log: bool = False  # the coordinate is the logarithm
     frozen: bool = False  # held at the nominal value
     limb: int | None = None  # the one limb that it moves, where there is one
-    beside: bool = False  # not asked for: what is not told of it alone is not said
+    beside: bool = False  # not asked for: no line says that it is not told
     change: Change | None = None  # of a variable of the user's own; the nominal value changes nothing
 
     @property
     def place(self) -> "Place":
-        """What a compiled fit depends on of it."""
+        """The static part of it in a compiled fit."""
         return Place(self.key, self.log, self.change)
 
     @property
@@ -95,7 +95,7 @@ class Variable:
 
 
 class Place(NamedTuple):
-    """What a compiled fit depends on of a variable."""
+    """The static part of a variable in a compiled fit."""
 
     key: str
     log: bool
@@ -196,7 +196,7 @@ def _all(scenario: mc.Scenario) -> Iterator[Variable]:
 
 
 def _of_sensor(place: str, limb: int) -> Iterator[Variable]:
-    """Yield what the log has of the force on a foot: share of it, offset, and share of another axis."""
+    """Yield the errors of a logged force on a foot: share of it, offset, and share of another axis."""
     yield Variable(f"{place}.gain", "1", 1.0, 1.0, 0.2, 0.1, 10.0, limb=limb)
     for axis in "xyz":
         yield Variable(f"{place}.zero.{axis}", "N", 0.0, 0.0, 2.0, -math.inf, math.inf, limb=limb)
@@ -259,7 +259,7 @@ def _at(robot: Robot, place: tuple[str, ...]) -> tuple[int, int]:
 
 
 def _cholesky(body: _Body) -> np.ndarray:
-    """Return the upper triangular A of a body, (3, 3) m, of which `A A^T` is the second moment over the mass."""
+    """Return the upper triangular A of a body, (3, 3) m: `A A^T` is the second moment over the mass."""
     moment = (0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia) / body.mass
     least = 1e-9 * np.trace(moment)  # a flat or thin body: as thick as rounding
     lower = np.asarray(np.linalg.cholesky(moment[::-1, ::-1] + least * np.eye(3)))
@@ -336,7 +336,7 @@ def _robot_at(values: Mapping[str, Array], robot: Robot) -> Robot:
 
 
 def _parted(key: str) -> tuple[tuple[str, ...], str]:
-    """Return which body a key of the robot is of, as `_body` takes it, and what of it."""
+    """The body of a robot's key, as `_body` takes it, and the name of its value."""
     _, *place, name = key.split(".", 2 if key.startswith("robot.base.") else 3)
     return tuple(place), name
 

@@ -1,4 +1,4 @@
-"""A log cut into windows of equal length, and its samples as rows of what each window recorded."""
+"""A log cut into windows of equal length, and its samples as rows by window."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -15,8 +15,8 @@ from tuning.identification.readers.doubts import several
 from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of
 
 LENGTH = 1.0  # s, of a window
-SHORTEST = 0.2  # s, of what is left at the end of a stretch
-KINDS = (  # what is recorded; of a joint, of a foot, of the base
+SHORTEST = 0.2  # s, of the last window of a stretch
+KINDS = (  # of records: of a joint, of a foot, of the base
     "position", "velocity", "effort", "force", "base_position", "base_orientation", "base_linear_velocity",
     "base_angular_velocity",
 )  # fmt: skip
@@ -56,13 +56,13 @@ class Windows:
     commands: Mapping[tuple[int, int], Signal]  # by limb and joint
     commanded: str  # kind of the commands, of COMMANDS
     resting: Float[np.ndarray, "limb joint"]  # rad, targets of joints without commands; 0 of other commands
-    gains: Mapping[str, Signal]  # what the log says of P gains and torque off
+    gains: Mapping[str, Signal]  # P gains and torque off, as logged
     unknown: Float[np.ndarray, "holes 2"]  # s, from when to when commands are missing
     constant: tuple[str, ...]  # signals that never change: they say nothing of their noise, and are not predicted
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What is recorded, in the order of KINDS."""
+        """Kinds of the records, in the order of KINDS."""
         return tuple(KINDS[k] for k in sorted(set(self.kind)))
 
     @property
@@ -127,7 +127,7 @@ def cut(
     log: Log, robot: Robot, time_step: float, held_out: float, beside: Mapping[str, tuple[int, int, int]] | None = None,
     late: float = 0.0,
 ) -> Windows:  # fmt: skip
-    """Return the windows of a log, joints and what stands beside them; the last share `held_out` is not fitted.
+    """The windows of a log, joints and further signals; the last share `held_out` is not fitted.
 
     No window runs through a hole of the commands: the next one begins when the first command behind it has arrived.
 

@@ -1,1 +1,1 @@
-"""Motions to record a log of: what they tell, and how sure."""
+"""Motions to record a log of, and the information of such logs."""

@@ -1,4 +1,4 @@
-"""What to command so that a log tells the parameters that are asked for: candidates, the robot's limits, the choice.
+"""Commands whose log tells the chosen parameters: candidates, the robot's limits, the choice.
 
 Every candidate is carried out by the nominal model and scaled, segment by segment, until all limits hold. Of these the
 one is taken whose log has the most Fisher information (D-optimal); the plain chirp, within the same limits, stands
@@ -53,7 +53,7 @@ class Motion(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A motion, and what its log would tell."""
+    """A motion, and the information of its log."""
 
     motion: Motion
     information: Information
@@ -61,7 +61,7 @@ class Candidate(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Excited:
-    """What to command, and what is known of it before anyone turns the robot on."""
+    """Commands, and their forecast before anyone turns the robot on."""
 
     scenario: mc.Scenario
     asked: Settings
@@ -71,7 +71,7 @@ class Excited:
     plain: Candidate
     candidates: tuple[Candidate, ...]
     carried: Carried  # by the nominal model, at the commands
-    chosen: tuple[Variable, ...]  # what the log is to tell
+    chosen: tuple[Variable, ...]  # variables that the log is to tell
 
     @property
     def time(self) -> np.ndarray:
@@ -230,7 +230,7 @@ def _commands(rig: Rig, targets: Iterable[np.ndarray], segments: Iterable[Sequen
 
 
 def within_limits(rig: Rig, made: dict[str, list[Segment]]) -> tuple[list[Motion], list[Carried]]:
-    """Return the motions scaled so far that every limit holds with its margin, and what the model makes of them.
+    """Return the motions scaled so far that every limit holds with its margin, and their simulations.
 
     Raises:
         ConfigError: a limit that does not hold however small the motion, in one line.
@@ -269,9 +269,9 @@ def _used(rig: Rig, segment: Segment, targets: np.ndarray, carried: Carried) -> 
 
 
 def informations(rig: Rig, found: Sequence[Motion]) -> list[Information]:
-    """Return the information of each motion's log, at its rate and noise, about what it is to tell.
+    """Return the information of each motion's log, at its rate and noise, about the chosen variables.
 
-    What `identify` fits beside it is eliminated.
+    The nuisances of `identify` are eliminated.
     """
     step, rate = rig.scenario.time_step, rig.asked.rate or 1 / rig.period
     count = int((len(found[0].targets) * rig.hold - 1) * step * rate) + 1

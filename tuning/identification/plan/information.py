@@ -1,7 +1,7 @@
-"""What a log will tell of parameters: Fisher information, expected standard deviations, and what cannot be told apart.
+"""Forecast of a log: Fisher information, expected standard deviations, and directions that it does not tell.
 
 Parameters are counted in units of their own scale, so that a standard deviation is relative to the value. Each has a
-prior of 100 %: it changes nothing of what a log tells well, and gives an answer where it tells nothing.
+prior of 100 %: it changes nothing that a log tells well, and gives an answer where it tells nothing.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ class Information:
         return [name for name, value in zip(self.names, known, strict=True) if value < 1 / SEEN]
 
     def weak(self) -> list[tuple[float, dict[str, float]]]:
-        """Return directions that the log does not tell: their relative standard deviation, and what they are made of.
+        """Return directions that the log does not tell: their relative standard deviation, and their variables.
 
         Along a direction its parameters, none of them silent, change together, each by its share of its own value.
         """
@@ -52,7 +52,7 @@ class Information:
         if not kept:
             return []
         _, values, vectors = np.linalg.svd(self.root[:, kept])
-        alone = np.linalg.norm(self.root[:, kept], axis=0)  # what the log would see of each, were the others known
+        alone = np.linalg.norm(self.root[:, kept], axis=0)  # information about each, were the others known
         found = []
         for value, vector in zip(values, vectors, strict=True):
             if value < 1 / SEEN:
@@ -63,7 +63,7 @@ class Information:
         return found
 
     def unseen(self) -> str:
-        """Return in one sentence what the log will not be able to tell apart."""
+        """In one sentence the parameters that the log will not tell apart."""
         said = [f"it will not tell apart {_listed(list(parts))} ({_combination(parts)})" for _, parts in self.weak()]
         if self.silent:
             said.append(f"it will say next to nothing of {_listed(self.silent)}")

@@ -1,7 +1,7 @@
 """Families of motions that excite a robot's parameters: how far each axis is from its centre over time.
 
 An axis is a joint, or a translation or rotation of the base. How far it may go at a frequency f is
-`min(room, speed / (2 pi f), acceleration / (2 pi f)^2)`; the limits of the whole robot scale what is made here.
+`min(room, speed / (2 pi f), acceleration / (2 pi f)^2)`; the limits of the whole robot scale these motions.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What an excitation leaves in its folder: commands as CSV and as a trajectory for ROS 2, a picture, a page, JSON."""
+"""The folder of an excitation: commands as CSV and as a trajectory for ROS 2, a picture, a page, JSON."""
 
 import functools
 import json
@@ -83,7 +83,7 @@ def trajectory(found: Excited) -> str:
         f"# The first point is the posture in which the log begins, {APPROACH:g} s after the start.",
         *(["# It ends where the torque is to be switched off: a trajectory cannot do that."] if off.any() else []),
         "header: {stamp: {sec: 0, nanosec: 0}, frame_id: ''}",
-        # JSON quotes what YAML would read as a number
+        # JSON quotes texts that YAML would read as numbers
         f"joint_names: {json.dumps([*driven], ensure_ascii=False)}",
         "points:",
     ]
@@ -119,7 +119,7 @@ def summary(found: Excited) -> dict[str, Any]:
 
 
 def table(found: Excited) -> Table:
-    """Return the forecast of what a log tells, beside the plain chirp's."""
+    """The forecast of a log's information, beside the plain chirp's."""
     rows = []
     for variable, *both in zip(
         found.chosen, found.best.information.deviations, found.plain.information.deviations, strict=True
@@ -134,7 +134,7 @@ def table(found: Excited) -> Table:
 
 
 def limits(found: Excited) -> Table:
-    """Return the stretches of the motion and what limits each."""
+    """The stretches of the motion, each with its limit."""
     rows = [
         [part.name, f"{part.start * found.period:.2f}", f"{part.stop * found.period:.2f}",
          f"{part.kp:g}" if part.kp else "off", binds]

@@ -57,12 +57,12 @@ class Rig:
     own: mc.Scenario  # as it was given
     scenario: mc.Scenario  # as it is simulated
     asked: Excitation
-    robot: Robot  # with what hangs on its feet
+    robot: Robot  # with the masses on its feet
     parameters: Parameters
     stages: Stages
     hold: int  # time steps between two commands
-    chosen: tuple[Variable, ...]  # what the log is to tell
-    beside: tuple[Variable, ...] = ()  # what `identify` fits beside it
+    chosen: tuple[Variable, ...]  # variables that the log is to tell
+    beside: tuple[Variable, ...] = ()  # nuisances of `identify`
 
     @property
     def period(self) -> float:
@@ -211,7 +211,7 @@ class Rig:
             share = np.abs(angles - middle) / way
             shares["joint limit"] = np.maximum(shares.get("joint limit", 0.0), share.max(0)[None])
         torque, no_load = np.asarray(carried.torque), self._hardware.drive.no_load_speed
-        line = np.clip(1 - np.sign(torque) * rates / no_load, 0.02, 1.0)  # what the motor has left at its speed
+        line = np.clip(1 - np.sign(torque) * rates / no_load, 0.02, 1.0)  # share that the motor has left at its speed
         shares["torque"] = np.abs(torque) / (self.torque_limit * line)
         found = {}
         for name, share in shares.items():

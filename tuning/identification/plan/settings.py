@@ -1,4 +1,4 @@
-"""The settings of an excitation: what a log is to tell, and how the robot may move for it.
+"""The settings of an excitation: the keys that a log is to tell, and the limits of the motion.
 
 Nothing heavy is imported here, so that the command line starts at once.
 """
@@ -13,12 +13,12 @@ from tuning.problem.settings import NonNegative, Positive, Settings, setting
 
 FIT = ("hardware.servo.armature", "hardware.servo.coulomb_friction", "hardware.servo.viscous_friction",
        "hardware.command_delay")  # fmt: skip
-ENCODER = 2 * math.pi / 4096 / math.sqrt(12)  # rad, standard deviation of what an encoder of 4096 counts rounds off
+ENCODER = 2 * math.pi / 4096 / math.sqrt(12)  # rad, rounding of an encoder of 4096 counts
 Family = Literal["chirp", "multisine", "steps", "reversals"]
 
 
 class Excitation(Settings):
-    """What is to be told, and how the robot may move for it."""
+    """Keys that a log is to tell, and the limits of its motion."""
 
     fit: tuple[str, ...] = setting(
         FIT,

@@ -1,4 +1,4 @@
-"""Logs of a robot: read, cleaned, and what seems odd about them."""
+"""Logs of a robot: read, cleaned, doubted."""
 
 import dataclasses
 import difflib
@@ -91,7 +91,7 @@ def _recorded(recording: Recording, robot: Robot) -> tuple[Recording, str]:
 
 
 def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
-    """Return the columns that have the names of signals, and what seems to be one that is misspelt."""
+    """The columns that have the names of signals, and a line on each that seems misspelt."""
     table, known = recording.tables.get(""), list(names(robot))
     if table is None or not set(known) & set(table.fields):
         return Signals(), ()

@@ -1,4 +1,4 @@
-"""What seems wrong with a log: each suspicion in one line, with what it rests on and how to say otherwise.
+"""Suspicions about a log, each in one line with its evidence and the setting that answers it.
 
 Nothing is corrected here: the user does, in `signals.yaml`.
 """
@@ -149,7 +149,7 @@ def _without_sign(recorded: Read, signals: Signals) -> Iterator[tuple[str, str]]
 
 
 def _beyond_torque(read: Read, robot: Robot, known: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield which efforts no drive has, but for those of which the fault is known."""
+    """Yield the efforts that no drive has, but for those with a known fault."""
     for joint, place in joints_of(robot).items():
         if (name := f"{joint}.effort") not in read or name in known:
             continue
@@ -209,7 +209,7 @@ def _rates(read: Read, joints: Iterable[str]) -> Iterator[str]:
 
 
 def _stuck(read: Read, robot: Robot) -> Iterator[str]:
-    """Yield which measured signals stay the same while what they depend on moves."""
+    """Yield the measured signals that stay the same while their cause moves."""
 
     def moved(joint: str, *kinds: str) -> float:
         there = [read[name].value for kind in kinds if (name := f"{joint}.{kind}") in read]
@@ -236,7 +236,7 @@ def _stuck(read: Read, robot: Robot) -> Iterator[str]:
 
 
 def _against_commands(read: Read, joints: Iterable[str]) -> Iterator[str]:
-    """Yield what comes of setting positions beside commands: axes, swapped limbs, and the clocks."""
+    """Yield the doubts by positions beside commands: axes, swapped limbs, clocks."""
     both = [joint for joint in joints if f"{joint}.position" in read and f"{joint}.command" in read]
     moved = [joint for joint in both if np.ptp(read[f"{joint}.command"].value) > MOVES]
     moved = [joint for joint in moved if np.ptp(read[f"{joint}.position"].value) >= STILL]

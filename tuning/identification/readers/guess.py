@@ -1,6 +1,6 @@
 """Where the signals of a log stand, guessed from the names of topics, fields and columns.
 
-What is guessed is shown: `Signals.to_yaml` is a file to save and correct.
+The guess is shown: `Signals.to_yaml` is a file to save and correct.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ _MEANING = {
     "velocity": "velocity velocities vel rate rates speed speeds qd dq",
     "effort": "effort efforts torque torques tau",
     "position": "position positions pos angle angles q",
-    # what is fed forward is sent beside a target and is none itself
+    # a feed-forward is sent beside a target and is none itself
     "": "error errors output acceleration accelerations temperature voltage current covariance limit min max gain "
     "ff feedforward kp ki kd ddq qdd mode lost reserve",
 }
@@ -53,7 +53,7 @@ _APART = 5.0  # s between the clocks of header and recording: not the same clock
 
 @dataclasses.dataclass(frozen=True)
 class _Place:
-    """A column and what its name says; what it does not say is None."""
+    """A column and the meaning of its name; None where it has none."""
 
     source: Source
     words: tuple[str, ...]
@@ -70,7 +70,7 @@ class _Place:
 
 
 def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
-    """Return where the signals of a recording seem to stand, and what is doubtful about that, a line each."""
+    """Return where the signals of a recording seem to stand, and the doubts about that, a line each."""
     time, unit, notes = clock_of(recording)
     ordered = sorted(recording.tables.values(), key=lambda table: "transforms" in next(iter(table.fields), ""))
     places = [place for table in ordered for place in _places(table, robot, time)]
@@ -95,7 +95,7 @@ def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]
 
 
 def clock_of(recording: Recording) -> tuple[str, TimeUnit, list[str]]:
-    """Return where times stand, their unit, and what is doubtful about that."""
+    """Where times stand, their unit, and the doubts about that."""
     table = recording.tables.get("")
     if table is None:
         stamped = [each.times for each in recording.tables.values() if "header" in each.times]
@@ -123,7 +123,7 @@ def _increases(time: np.ndarray) -> bool:
 
 
 def _places(table: Table, robot: Robot, time: str) -> Iterator[_Place]:
-    """Yield what the names of a table's columns say."""
+    """Yield the meanings of a table's columns by their names."""
     in_file = {
         words: (robot.limbs[n], robot.joint_names[j])
         for name, (n, j) in robot.places_in_file().items()
@@ -201,7 +201,7 @@ def _quantity(said: Sequence[str], words: Sequence[str]) -> str:
 
 
 def _named(places: Sequence[_Place]) -> Iterator[tuple[str, _Place]]:
-    """Yield what names say outright: of joints, foot forces, supports and the base."""
+    """Yield the plain meanings of names: of joints, foot forces, supports and the base."""
     for place in places:
         words, limb = place.words, place.limb
         axis = words[-1]
@@ -224,7 +224,7 @@ def _numbered(
 ) -> Iterator[tuple[str, _Place]]:
     """Yield the joints that have numbers: within a limb that is named, or limb after limb in the file's order.
 
-    Columns that are alike but for their numbers, and of which some have the names of joints, are read by names alone;
+    Columns that are alike but for their numbers, some with the names of joints, are read by names alone;
     so are those of a topic of `with_names`, in which the names of joints stand as words.
     """
     groups: dict[tuple[str | None, str, str], dict[int, _Place]] = {}

@@ -1,9 +1,9 @@
-"""What a robot recorded: signals in SI units, each at its own times.
+"""A robot's record: signals in SI units, each at its own times.
 
 Names: `LF.coxa.command` and `.position` in rad, `.velocity` rad/s, `.effort` N m (limb and joint as `mjx-climb robot`
 prints them); in place of a command of the angle `.velocity_command` rad/s, `.effort_command` N m, or `.pwm_command`,
 the share of the supply voltage; `LF.force.x` N, world axes; `LF.support` 1; `base.position.x` m,
-`base.orientation.w` 1; `base.force.x` N and `base.moment.x` N m, world axes, what pushes the base from outside;
+`base.orientation.w` 1; `base.force.x` N and `base.moment.x` N m, world axes, pushes on the base from outside;
 `control.kp` N m/rad and `torque_off` 1, of all servos.
 """
 
@@ -19,7 +19,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.signals import Signals
 
 KP, OFF = "control.kp", "torque_off"  # P gain that the servos were given; 1 where their torque is off
-COMMANDS = ("command", "velocity_command", "effort_command", "pwm_command")  # of which a log has one kind
+COMMANDS = ("command", "velocity_command", "effort_command", "pwm_command")  # a log has one kind
 JOINT = (*COMMANDS, "position", "velocity", "effort")
 UNITS = {
     "command": "rad", "velocity_command": "rad/s", "effort_command": "N m", "pwm_command": "1", "position": "rad",
@@ -34,7 +34,7 @@ BASE = {
 
 @dataclasses.dataclass(frozen=True)
 class Signal:
-    """One recorded number over time; times increase, what was not recorded is not there."""
+    """One recorded number over time; times increase, missing samples are not there."""
 
     time: Float[np.ndarray, " samples"]  # s, from the log's first sample
     value: Float[np.ndarray, " samples"]  # SI units
@@ -46,7 +46,7 @@ class Log:
 
     signals: Mapping[str, Signal]
     source: str  # the file, as the user named it
-    warnings: tuple[str, ...] = ()  # what was found odd on reading, a line each
+    warnings: tuple[str, ...] = ()  # doubts on reading, a line each
     guessed: Signals | None = None  # where each signal was taken from, if the file's own names did not say
 
     @property

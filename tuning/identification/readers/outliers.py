@@ -22,7 +22,7 @@ Which = Bool[np.ndarray, " samples"]
 def without_outliers(
     read: Mapping[str, Signal], robot: Robot, signals: Signals
 ) -> tuple[dict[str, Signal], tuple[str, ...]]:
-    """Return signals, without outliers if `signals` drop them, and what is suspected of them, a line each."""
+    """Signals, without outliers if `signals` drop them, and the suspicions about them, a line each."""
     if signals.outliers == "keep":
         return dict(read), ()
     zero = {name: source.factor * (0.0 - source.zero) for name, source in signals.signals.items()}

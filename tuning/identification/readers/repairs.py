@@ -1,4 +1,4 @@
-"""What is changed of a log before it is used, each change said in one line: signals of drivers that do not measure
+"""Changes of a log before it is used, each said in one line: signals of drivers that do not measure
 them are left out, and angles that jump by whole turns are made continuous.
 """
 
@@ -16,12 +16,12 @@ TURN = 2 * np.pi
 NOTHING = 1e-100  # SI units: no sensor measures less, but for 0
 _LEFT = 1.0  # rad, that an angle may move by beside its jump, or be behind its command
 _MOSTLY, _BEYOND = 0.9, 0.1  # quantile of samples; rad, noise of an angle that is cut at whole turns
-_STALE = 5  # usual lengths of a run of equal samples: what stays the same for longer is at rest
+_STALE = 5  # usual lengths of a run of equal samples: longer ones are of a robot at rest
 _STEPS = 2.5  # of an encoder's smallest: by less it moves within a sample, or within two
 _SENT = ("command", ".support", KP, OFF)  # these stay the same without being stale
 _MEASURED = ("position", "velocity", "effort")
 
-Repaired = tuple[dict[str, Signal], tuple[str, ...]]  # signals, and what was changed of them
+Repaired = tuple[dict[str, Signal], tuple[str, ...]]  # signals, and their changes in words
 
 
 def increasing(signal: Signal) -> Signal:
@@ -31,7 +31,7 @@ def increasing(signal: Signal) -> Signal:
 
 
 def cleaned(raw: Mapping[str, tuple[Signal, str]], signals: Signals) -> tuple[dict[str, Signal], tuple[str, ...]]:
-    """Return signals with increasing times and without stale repeats, and what was left out."""
+    """Return signals with increasing times and without stale repeats, and the samples left out in words."""
     said: dict[str, list[str]] = {}
     clean = {}
     for name, (signal, _) in raw.items():
@@ -76,13 +76,13 @@ def _stale(values: np.ndarray) -> np.ndarray:
     onwards = (moved > _STEPS * step).any(1)
     resting = (runs > _STALE * np.median(runs)) | ~np.r_[onwards, onwards[-1]]
     resting[0] |= runs[0] > 2 * np.median(runs)
-    if np.median(runs) < 2:  # else a driver repeats what it read
+    if np.median(runs) < 2:  # else a driver repeats its readings
         resting[1:-1] |= (way[:-1] * way[1:] <= 0).all(1)
     return np.asarray(~changed & ~np.repeat(resting, runs))
 
 
 def without_unmeasured(read: Mapping[str, Signal], robot: Robot) -> Repaired:
-    """Return signals without those that are 0 all along though their joint moves, and what was left out."""
+    """Return signals without those that are 0 all along though their joint moves, and the signals left out in words."""
     left_out = [name for name in _measured_of_moving(read, robot) if np.abs(read[name].value).max() < NOTHING]
     words = "0 all along while the joint moves, not measured: left out"
     return (

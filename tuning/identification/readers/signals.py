@@ -1,4 +1,4 @@
-"""`signals.yaml`: where in a log each signal stands, and what stands there."""
+"""`signals.yaml`: the place of each signal in a log, its unit and sign."""
 
 import math
 from typing import Annotated, Any, Literal, Self
@@ -100,7 +100,7 @@ class Signals(Settings):
     signals: dict[str, Source] = setting({}, "where each signal stands, by its name")
 
     def to_yaml(self) -> str:
-        """Return the settings as YAML without what is as by default, a line a signal; loading it gives equal ones."""
+        """The settings as YAML without defaults, a line a signal; loading it gives equal ones."""
         import yaml
 
         data: dict[str, Any] = self.model_dump(mode="json", exclude_defaults=True)

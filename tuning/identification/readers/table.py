@@ -1,4 +1,4 @@
-"""What a file holds before it is known what is what: columns of numbers over time, by topic and field."""
+"""A file before its columns have a meaning: columns of numbers over time, by topic and field."""
 
 import dataclasses
 from collections.abc import Mapping, Set
@@ -30,4 +30,4 @@ class Recording:
 
     tables: Mapping[str, Table]  # by topic
     source: str  # the file, as the user named it
-    warnings: tuple[str, ...] = ()  # what could not be read, a line each
+    warnings: tuple[str, ...] = ()  # on columns that could not be read, a line each

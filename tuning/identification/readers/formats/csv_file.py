@@ -152,7 +152,7 @@ def _is_list(cell: str) -> bool:
 
 
 def _unpacked(place: str, cells: Sequence[str], lines: Sequence[int]) -> tuple[list[list[str]], ConfigError | None]:
-    """Return the columns of a list's entries, "" for none, and what is wrong with lists of several lengths."""
+    """Return the columns of a list's entries, "" for none, and the fault of lists of several lengths."""
     found = [_entries(cell) if cell.lower() not in _MISSING else [] for cell in cells]
     width = max(map(len, found))
     if width > _MOST:

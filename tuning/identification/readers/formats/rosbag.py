@@ -32,7 +32,7 @@ def read(path: Path) -> Recording:
     except (AnyReaderError, ReaderError, OSError) as error:
         reason = str(getattr(error, "strerror", None) or error).rstrip(".")
         raise ConfigError(str(path), "", expected, f"'{reason}'{_cure(reason, path)}") from None
-    except Exception as error:  # of a damaged file rosbags raises what its decoders do
+    except Exception as error:  # of a damaged file rosbags raises its decoders' errors
         reason = f"{type(error).__name__}: {error}"
         raise ConfigError(str(path), "", f"{expected} that is whole", f"{reason}{_cure(reason, path)}") from None
 
