@@ -1,9 +1,10 @@
 """How often intervals of `mjx-climb identify` hold the truth, on benches inside the model and outside of it.
 
     python docs/studies/identification.py results/coverage.csv [--workers 16] [--inside N] [--outside N] [--short N]
+        [--time-step 0.001]
 
 Each log is one of a pendulum on a servo, integrated by the equations of `Bench` at 0.02 ms, 200 Hz, with noise of a
-milliradian. `short` logs have 2 to 10 s, inside the model and outside of it by turns, all others 6 s. A row is an
+milliradian; `--time-step` is the fit's. `short` logs have 2 to 10 s, inside the model and outside of it by turns, all others 6 s. A row is an
 interval of one parameter of one log; at the end the shares are printed with their exact binomial intervals.
 """
 
@@ -47,6 +48,7 @@ class Job(NamedTuple):
     group: str  # inside, outside, short
     number: int
     seconds: float
+    time_step: float  # s, of the fit
 
 
 class Bench(NamedTuple):
@@ -135,7 +137,12 @@ def rows_of(job: Job) -> list[tuple[Any, ...]]:
         )
         robot = {"file": str(file), "limbs": {"rod": {"joints": ["swing"]}}}
         servo = {"drive": "voltage", "torque_limit": STALL, "no_load_speed": FASTEST}
-        values = {"gravity": [0.0, 0.0, -GRAVITY], "control.kd": 0.0, "hardware.servo": servo}
+        values = {
+            "gravity": [0.0, 0.0, -GRAVITY],
+            "control.kd": 0.0,
+            "hardware.servo": servo,
+            "time_step": job.time_step,
+        }
         scenario = mc.Scenario().with_overrides({"robot": robot, **values}).with_overrides(NOMINAL)
         found = tuning.identify(scenario, log, list(SPANS), starts=1)
     wrong, ahead = bool(suspicious(found.tests)), found.held_out.get("error_over_noise", math.nan)
@@ -147,14 +154,14 @@ def rows_of(job: Job) -> list[tuple[Any, ...]]:
     ]  # fmt: skip
 
 
-def jobs(inside: int, outside: int, short: int) -> list[Job]:
+def jobs(inside: int, outside: int, short: int, time_step: float) -> list[Job]:
     """All logs."""
     kinds = list(OUTSIDE)
-    found = [Job("inside", "inside", n, 6.0) for n in range(inside)]
-    found += [Job(kinds[n % len(kinds)], "outside", n, 6.0) for n in range(outside)]
+    found = [Job("inside", "inside", n, 6.0, time_step) for n in range(inside)]
+    found += [Job(kinds[n % len(kinds)], "outside", n, 6.0, time_step) for n in range(outside)]
     lengths = (2.0, 3.0, 5.0, 7.0, 10.0)
     of_short = ("inside", kinds[0], "inside", kinds[2], "inside", kinds[3], "inside", kinds[4])
-    return found + [Job(of_short[n % 8], "short", n, lengths[n % 5]) for n in range(short)]
+    return found + [Job(of_short[n % 8], "short", n, lengths[n % 5], time_step) for n in range(short)]
 
 
 def share(name: str, held: np.ndarray) -> str:
@@ -169,13 +176,15 @@ def main() -> None:
     asked.add_argument("out")
     for name, default in (("workers", 2), ("inside", 100), ("outside", 100), ("short", 40)):
         asked.add_argument(f"--{name}", type=int, default=default)
+    asked.add_argument("--time-step", type=float, default=0.001)
     options = asked.parse_args()
     rows: list[tuple[Any, ...]] = []
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(options.workers, context) as pool, Path(options.out).open("w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)
-        running = [pool.submit(rows_of, job) for job in jobs(options.inside, options.outside, options.short)]
+        counts = (options.inside, options.outside, options.short, options.time_step)
+        running = [pool.submit(rows_of, job) for job in jobs(*counts)]
         for each in as_completed(running):
             rows += each.result()
             table.writerows([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in each.result())
