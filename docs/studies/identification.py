@@ -4,8 +4,9 @@
         [--time-step 0.001]
 
 Each log is one of a pendulum on a servo, integrated by the equations of `Bench` at 0.02 ms, 200 Hz, with noise of a
-milliradian; `--time-step` is the fit's. `short` logs have 2 to 10 s, inside the model and outside of it by turns, all others 6 s. A row is an
-interval of one parameter of one log; at the end the shares are printed with their exact binomial intervals.
+milliradian; `--time-step` is the fit's. `short` logs have 2 to 10 s, inside the model and outside of it by turns, all
+others 6 s. A row is an interval of one parameter of one log; at the end the shares are printed with their exact
+binomial intervals.
 """
 
 import argparse
