@@ -24,8 +24,14 @@ XL330 = tuple(f"xl330_p{p}_{motion}" for p in (100, 200, 400) for motion in MOTI
 STS3250 = tuple(f"sts3250_p32_{motion}" for motion in MOTIONS if motion != "lift_and_drop")
 PENDULUMS = {"xl330": (0.49, 0.1), "sts3250": (1.13, 0.12)}  # kg, m
 SERVO = {
-    "xl330": {"hardware.servo.registers": {"p": 400}, "hardware.servo.supply_voltage": 7.4},
-    "sts3250": {},
+    "xl330": {
+        "hardware.servo.registers": {"p": 400}, "hardware.servo.supply_voltage": 7.4,
+        "hardware.servo.supply_resistance": 0.2,
+    },
+    # where the search begins: the motor of the data sheet, the rest by guess
+    "sts3250": {"control.kp": 50.0, "control.kd": 1.0, **{f"hardware.servo.{key}": value for key, value in {
+        "torque_limit": 4.903, "no_load_speed": 7.87, "armature": 0.005, "coulomb_friction": 0.1,
+        "external_load_friction": 0.1}.items()}},
 }  # fmt: skip
 KEYS = {
     "xl330": [f"hardware.servo.{key}" for key in (
