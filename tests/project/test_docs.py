@@ -188,7 +188,7 @@ def test_commands_of_the_readme_read_files_that_are_there_or_were_written_before
         ("does a GPU pay", "docs/guides/machines.md", "**A GPU pays from some thousand robots on**"),
         ("what is a gait's duty", "docs/explanation/gait.md", "(the share of the cycle that a limb is gripped)"),
         ("what do I load into ros2_control", "docs/guides/ros2_control.md", "**Load two files**"),
-        ("how sure is does not pay", "docs/explanation/statistics.md", "no verdict on less than 3 %"),
+        ("how sure is does not pay", "docs/explanation/statistics.md", "A verdict takes `--seeds 4` or more"),
     ],
 )
 def test_a_new_user_finds_an_answer_one_click_from_the_front_page(question, page, answer):
