@@ -394,6 +394,15 @@ class Springy(Bare):
         return Springs(self.stiff, np.asarray(20.0))
 
 
+class Damped(Springy):
+    """Its springs have dampers of their own."""
+
+    damped: object = mc.parameter("N s/m", bounds=(0.0, np.inf))
+
+    def springs(self):
+        return Springs(self.stiff, self.damped)
+
+
 @pytest.mark.filterwarnings("ignore:Bare has no method springs")
 def test_a_contact_and_an_actuator_of_ones_own_are_checked_by_their_own_springs():
     scenario = mc.Scenario()
@@ -406,6 +415,11 @@ def test_a_contact_and_an_actuator_of_ones_own_are_checked_by_their_own_springs(
     check_time_step(stiff, parameters=dataclasses.replace(own_parameters(stiff), **soft))
     for changes, said in (
         ({"contact": Springy(np.array([9e3, 1e6]))}, "with Springy of 1e+06 N/m and 20 N s/m, control.kp"),
+        # the softer one of two is damped too much
+        (
+            {"contact": Damped(np.array([9e3, 1e4]), np.array([5e3, 20.0]))},
+            "with Damped of 9000 N/m and 5000 N s/m, control.kp",
+        ),
         (
             {"contact": Gripper(stiffness=np.array([9e3, 1e6]))},
             "with contact.stiffness 1e+06, contact.damping 20, control.kp",

@@ -166,6 +166,16 @@ def test_without_a_folder_the_parameters_are_printed(export):
     assert written["load_transfer"]["period"] == 1 / 250 and written["given"] == {"kd": 1.66, "gait.duty": 0.8}
 
 
+@pytest.mark.parametrize(
+    ("given", "walked", "safe_kp"), [({"safe_kp": SAFE_KP}, None, SAFE_KP), ({}, None, 50.0), ({}, 70.0, 70.0)]
+)
+def test_the_joint_gain_without_a_sensor_is_given_or_of_the_config_that_was_walked(given, walked, safe_kp):
+    scenario = walked and mc.load_scenario("case_1_2", {"control.safe_kp": walked})
+    found = load_transfer.texts(LAW, PERIOD, scenario, given)
+    assert yaml.safe_load(found["load_transfer.yaml"])["load_transfer"]["safe_kp"] == safe_kp
+    assert f"gains.safe_kp = {safe_kp!r};" in found["load_transfer_gains.hpp"]
+
+
 def test_the_gait_of_the_file_is_walked_and_written(export):
     """At the config's speed of travel: half the cycle, half the stride."""
     _, out, _, checked = export("--config", "case_1_2", gait={"duty": 0.8, "cycle": 2.0})
