@@ -188,8 +188,8 @@ def test_room_to_joint_limits_counts_for_a_stance_up_to_a_share_of_their_range(s
     """Beyond it the worth is the smallest singular value alone; it falls to nothing towards the limits."""
     text = climbers.mjcf(4, 3)
     stance, found = Stance(0.12, np.array([[0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.2, -0.2]])), []
-    for wide in ((0.7, 0.7), (1.0, 1.0), (2.0, 2.0), (2.0, 0.7)):
-        limits = lambda at, wide=wide: f'range="{wide[0] * float(at[1])} {wide[1] * float(at[2])}"'  # noqa: E731
+    for wide in (0.7, 1.0, 2.0):
+        limits = lambda at, wide=wide: f'range="{wide * float(at[1])} {wide * float(at[2])}"'  # noqa: E731
         file = saved(re.sub(r'range="(\S+) (\S+)"', limits, text))
         section = propose(file).sections["robot"]
         standing = Standing(section, stance.footholds)
@@ -202,6 +202,9 @@ def test_room_to_joint_limits_counts_for_a_stance_up_to_a_share_of_their_range(s
         assert standing.worth(stance) == pytest.approx(least * min(share / 0.15, 1.0))
         found.append(share)
     assert min(found) < 0.15 < max(found)
+    for low, high in ((0.05, 1.0), (1.0, 0.05)):
+        standing.robot = dataclasses.replace(robot, joint_lower=angles - low, joint_upper=angles + high)
+        assert standing.worth(stance) == pytest.approx(least * 0.05 / 1.05 / 0.15)
 
 
 @pytest.mark.slow
