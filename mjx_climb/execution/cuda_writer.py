@@ -4,7 +4,9 @@ Divisions and square roots are good to two units in the last place, as `gpu_kern
 arctangent are written out here: CUDA's own carry code for arguments beyond 1e5, longer than all the rest of a walk.
 """
 
+import itertools
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -169,10 +171,13 @@ def expression(name: str, parameters: Parameters, operands: Sequence[Number], na
 # --- the kernel
 
 THREADS = 128  # in a block
+BLOCKS = 2  # of a kernel with functions, at once: else NVIDIA's assembler gives one of many numbers few registers
 LONG_STEP = 150  # lines of a step, of a loop in a loop, from which it is a function of its own
 NAME = "walk"
 _WARP = "0xffffffffu"  # all threads of a warp
 _NAMES = re.compile(r"\bv\d+\b")
+_ALL_NAMES = re.compile(r"\b[vc]\d+\b")
+_NEXT = re.compile(r"const .* next_(c\d+) = (.*);")
 _MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
 
 # Arguments are words of 32 bits: `common` to all, first the numbers of robots and of directions of each; `own` (rows,
@@ -180,7 +185,7 @@ _MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
 # `made` (rows, walks) is written; behind it are the words that loops write, see `_KEPT`.
 READ = ("common", "own", "along")
 _HEAD = """
-extern "C" __global__ void __launch_bounds__({threads})
+extern "C" __global__ void __launch_bounds__({threads}{blocks})
 {name}({arguments}, int *__restrict__ made) {{
 const int robots = common[0], directions = common[1], walks = robots * directions;
 const int thread = blockIdx.x * {threads} + threadIdx.x, lane = thread % {width};
@@ -220,6 +225,7 @@ class CudaWriter(Writer):
         self._lines: list[str] = []
         self._count = 0
         self._inside = 0  # loops
+        self._functions = False  # whether there are any
         self._arguments: dict[str, str] = {}  # lines that read an argument's word, by the name of its number
         self.kept = 0  # rows of words that loops write, each thread its own
         self._table: list[int] = []  # words of constants that differ from lane to lane
@@ -251,7 +257,8 @@ class CudaWriter(Writer):
         size = len(self._table)
         constants = f"__constant__ int constants[{size}] = {{{', '.join(map(str, self._table))}}};\n" if size else ""
         arguments = ", ".join(f"const int *__restrict__ {of}" for of in READ if self._read[of])
-        head = _HEAD.format(threads=THREADS, name=NAME, width=self.width, arguments=arguments)
+        blocks = f", {BLOCKS}" * self._functions
+        head = _HEAD.format(threads=THREADS, blocks=blocks, name=NAME, width=self.width, arguments=arguments)
         table = _TABLE.format(size=size) if size else ""
         kept = _KEPT.format(results=len(results), width=self.width) if self.kept else ""
         return "\n".join([FUNCTIONS + constants + head + table + kept, *lines[::-1], "}\n"])
@@ -303,7 +310,6 @@ class CudaWriter(Writer):
         carried, tables = self._variables(start), [self._table_of(numbers) for numbers in read]
         self._count += 1
         time, begin = f"t{self._count}", len(self._lines)
-        head = ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time})"]
         self._inside += 1
         now = [self._read_at(time, table, row[0].dtype) for row, table in zip(read, tables, strict=True)]
         made = step(list(carried), now)
@@ -314,32 +320,33 @@ class CudaWriter(Writer):
             self._lines.append(f"if (there) {word} = {_as_word(number)};")
         self._assign(carried, made[: len(carried)])
         self._inside -= 1
+        self._lines[begin:begin] = ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
         if self._inside and len(self._lines) - begin > LONG_STEP:
-            self._call(time, begin, carried, head)
-        else:
-            self._lines[begin:begin] = [head[0], f"{head[1]} {{"]
+            self._lines[begin:] = self._as_function(time, self._lines[begin:], carried)
         rows = [range(row, self.kept, len(written)) for row in range(first, first + len(written))]
         return carried, [[self._kept(row, n.dtype) for row in each] for each, n in zip(rows, written, strict=True)]
 
-    def _call(self, time: str, begin: int, carried: Sequence[Value], head: Sequence[str]) -> None:
-        """Make the last lines, the step of a loop in a loop, a function of its own.
+    def _as_function(self, time: str, lines: list[str], carried: Sequence[Value]) -> list[str]:
+        """Return a loop in a loop as a function of its own, and its call.
 
-        Within a second loop NVIDIA's assembler takes hours over registers for them. Carried values stand in arrays,
-        whose places cannot be the same to the compiler, as those of references could.
+        NVIDIA's assembler takes hours over registers for two loops. Values pass through arrays; numbers that the loop
+        only adds to stay there.
         """
-        names = dict.fromkeys(_NAMES.findall("\n".join(self._lines[begin:])))
+        self._functions = True
+        names = dict.fromkeys(_NAMES.findall("\n".join(lines)))
         read = [self._arguments[name] for name in names if name in self._arguments]  # once more: one word for all lanes
-        before, after, arrays = [], [], []
+        lines, sums = _with_sums_early(lines, [value.content for value in carried])
+        before, begun, ended, after, arrays = [], [], [], [], ""
         for dtype in dict.fromkeys(value.dtype for value in carried):
             own, array = [value.content for value in carried if value.dtype == dtype], f"{dtype}_{time}"
             before.append(f"{typed(dtype)} {array}[{len(own)}] = {{{', '.join(own)}}};")
-            read += [f"{typed(dtype)} &{name} = {array}[{place}];" for place, name in enumerate(own)]
-            after += [f"{name} = {array}[{place}];" for place, name in enumerate(own)]
-            arrays.append(f", &{array}")
-        function = f"const auto step_{time} = [={''.join(arrays)}](int {time}) __attribute__((noinline)) {{"
-        self._lines[begin:begin] = [*before, function, *read]
-        self._lines[-1] = "};"
-        self._lines += [head[0], f"{head[1]} step_{time}({time});", *after]
+            for place, name in enumerate(own):
+                begun.append(f"{typed(dtype)} {'&' * (name in sums)}{name} = {array}[{place}];")
+                ended += [f"{array}[{place}] = {name};"] * (name not in sums)
+                after.append(f"{name} = {array}[{place}];")
+            arrays += f", &{array}"
+        function = f"const auto loop_{time} = [={arrays}]() __attribute__((noinline)) {{"
+        return [*before, function, *begun, *lines[:2], *read, *lines[2:], *ended, "};", f"loop_{time}();", *after]
 
     def _kept(self, row: int, dtype: np.dtype) -> Value:
         """Return a number that a loop has written: it is read where it is used."""
@@ -399,6 +406,28 @@ class CudaWriter(Writer):
         self._count += 1
         self._lines.append(f"const {typed(dtype)} v{self._count} = {text};")
         return Value(f"v{self._count}", np.dtype(dtype))
+
+
+def _with_sums_early(lines: list[str], carried: Sequence[str]) -> tuple[list[str], set[str]]:
+    """Return a loop with each sum that its steps only add to as soon as the term is known, and the names of these."""
+    uses, made, depth = Counter(_ALL_NAMES.findall("\n".join(lines))), dict[str, int](), 0
+    for place, line in enumerate(lines):
+        depth += line.endswith("{") - line.startswith("}")
+        if depth == 1 and (found := _MADE.match(line)):
+            made[found[1]] = place
+    added, gone, sums = dict[int, list[str]](), set[int](), set[str]()
+    ends = {end[1]: (place, end[2]) for place, line in enumerate(lines) if (end := _NEXT.match(line))}
+    for name in carried:
+        end, total = ends[name]
+        terms = lines[made[total]].rstrip(";").split(" ")[4:] if total in made else []
+        other = [term for term in terms if term not in (name, "+")]
+        if len(terms) != 3 or len(other) != 1 or other[0] not in made or (uses[name], uses[total]) != (2, 2):
+            continue
+        added.setdefault(made[other[0]], []).append(f"{name} += {other[0]};")
+        gone |= {made[total], end, lines.index(f"{name} = next_{name};")}
+        sums.add(name)
+    kept = [[*([line] * (place not in gone)), *added.get(place, ())] for place, line in enumerate(lines)]
+    return list(itertools.chain.from_iterable(kept)), sums
 
 
 def _text(number: Number) -> str:

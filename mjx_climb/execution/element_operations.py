@@ -246,7 +246,7 @@ def computed_now(
 
 
 _EXACT: dict[str, Callable[..., object]] = {
-    "add": np.add, "and": np.bitwise_and, "eq": np.equal, "ge": np.greater_equal, "gt": np.greater,
+    "add": np.add, "add_any": np.add, "and": np.bitwise_and, "eq": np.equal, "ge": np.greater_equal, "gt": np.greater,
     "le": np.less_equal, "lt": np.less, "max": np.maximum, "min": np.minimum, "mul": np.multiply, "ne": np.not_equal,
     "neg": np.negative, "not": np.bitwise_not, "or": np.bitwise_or, "sub": np.subtract,
 }  # fmt: skip
@@ -331,6 +331,7 @@ def _choice(which: Number, *cases: Number) -> Number | None:
 # of an operation on numbers of a type: the neutral and the absorbing number
 _ENDS: dict[str, Callable[[np.dtype], tuple[object, object]]] = {
     "add": lambda dtype: (0, None),
+    "add_any": lambda dtype: (0, None),
     "mul": lambda dtype: (1, 0),
     "and": lambda dtype: (~np.zeros((), dtype), 0),
     "or": lambda dtype: (0, ~np.zeros((), dtype)),
@@ -345,7 +346,7 @@ def neutral(combine: core.Primitive, dtype: np.dtype) -> object:
 
 
 SHORTCUTS: dict[str, Shortcut] = {
-    **{name: _with(ends, itself=name not in ("add", "mul")) for name, ends in _ENDS.items()},
+    **{name: _with(ends, itself=name not in ("add", "add_any", "mul")) for name, ends in _ENDS.items()},
     "sub": _difference,
     "xor": _difference,
     "rem": _remainder,

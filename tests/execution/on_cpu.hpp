@@ -12,7 +12,7 @@
 #define __global__
 #define __constant__ static
 #define __shared__ static
-#define __launch_bounds__(n)
+#define __launch_bounds__(...)
 
 struct Place { unsigned x; };
 static thread_local Place threadIdx;
