@@ -56,7 +56,7 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
     walked, pd, step, joint = problem, {}, None, dict[str, float]()
     if rival is not None:  # as short a time step as it needs, for all that are compared
         pd, joint = {retuned_pd.NAME: rival.gains}, retuned_pd.joint_of(rival)
-        shortest = retuned_pd.time_step_for(found.scenario, joint)
+        shortest = retuned_pd.shared_step(found.scenario, [each for each in (rival, plan) if each is not None])
         step = None if shortest == found.scenario.time_step else shortest
         walked = dataclasses.replace(problem, scenario=found.scenario.with_overrides({"time_step": shortest}))
     rivals: dict[str, AnyGains | Whole] = {

@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -164,6 +164,11 @@ def time_step_for(scenario: mc.Scenario, joint: Mapping[str, float], halvings: i
             break
         step = shorter.time_step
     return step
+
+
+def shared_step(scenario: mc.Scenario, searches: Iterable[Tuned]) -> float:
+    """Return a time step, s, that the joint gains of all results of `search` can follow."""
+    return min(time_step_for(scenario, joint_of(each)) for each in searches)
 
 
 def walker(scenario: mc.Scenario, joint: Mapping[str, float]) -> mc.Scenario:

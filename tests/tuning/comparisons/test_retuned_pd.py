@@ -234,6 +234,13 @@ def test_what_a_recovery_saves_is_not_put_down_to_the_sensor_alone(law, what):
     assert between(both, (ours, {"force_variation": 40.0}), RIVAL, problem, pd=BESIDE).in_words.startswith(f"{what}:")
 
 
+def test_rivals_share_a_time_step_that_the_joint_gains_of_each_can_follow():
+    """pd with the config's kd walks at the config's step; the plan's kd of 1 would diverge there."""
+    pd, plan = (types.SimpleNamespace(gains={"kp": 17.0, "kd": kd}) for kd in (0.2, 1.0))
+    assert retuned_pd.shared_step(CASE, [pd]) == CASE.time_step
+    assert retuned_pd.shared_step(CASE, [pd, plan]) == 5e-4
+
+
 @pytest.mark.parametrize(("kd", "expected"), [(0.2, None), (1.0, 5e-4)])
 def test_what_is_compared_with_pd_walks_at_the_time_step_that_it_needs_too(kd, expected):
     found = side_by_side.beside_retuned(CASE, {"kp": 17.0, "kd": kd}, (CASE, None))
