@@ -164,7 +164,7 @@ def ceiling(
         "engine": engine,
         "dtype": np.dtype(asked.precision).type,
     }
-    draws = _draws(scenario, ensemble, asked.test_members, how)
+    draws = draws_of(scenario, ensemble, asked.test_members, how)
     found, wanted = _contestants(scenario, laws or {}, asked, draws)
     goal = _widened(wanted, asked, [each.metrics for each in found.values()], scenario.gait.stride)
 
@@ -191,7 +191,7 @@ def ceiling(
 # --- who takes part
 
 
-def _draws(scenario: mc.Scenario, ensemble: Ensemble | None, fresh: int, how: Mapping[str, Any]) -> Draws:
+def draws_of(scenario: mc.Scenario, ensemble: Ensemble | None, fresh: int, how: Mapping[str, Any]) -> Draws:
     """Return all walks: of the ensemble and of a fresh draw of it, or the scenario's own."""
     drawn = [(1, own_parameters(scenario))]
     if ensemble is not None:

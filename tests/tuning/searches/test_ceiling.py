@@ -12,6 +12,7 @@ import tuning
 from mjx_climb.disturbances import Push
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
+from tuning.problem import ensemble as ensembles
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Cargo, Ensemble
 from tuning.problem.plans import RATE, SWING, Scored
@@ -20,6 +21,22 @@ from tuning.searches import ceiling as search
 SHORT = {"duration": 0.1, "disturbance.cargo.start": 0.02}
 LAWS = {"mine": {"kp": 60.0, "kd": 0.3}, "retuned_pd": {"kp": 55.0, "kd": 0.25}}
 BRIEF = Ceiling(knots=(0.05, 0.025), iterations=8, delays=(0.005, 0.02), random=1, test_members=3)
+
+
+def test_plans_walk_through_the_members_of_the_draw_and_then_through_fresh_ones():
+    """Values that no member shares have a row for each; without an ensemble there is the scenario's own walk."""
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT)
+    own = Ensemble(members=3, pushes=None, cargo=Cargo(mass=(0.5, 1.0), start=(0.03, 0.05)), gravity=None)
+    draws = search.draws_of(scenario, own, 2, {})
+    assert (draws.members, draws.fresh) == (3, 2)
+    both = [ensembles.draw(scenario, each) for each in (own, ensembles.fresh(own.model_copy(update={"members": 2})))]
+    for path in ("disturbance.cargo.mass", "contact.stiffness", "mass_scale"):
+        rows = np.concatenate([np.asarray(each.at(path))[:, 0] for each in both])
+        assert len(np.unique(rows)) == 5
+        np.testing.assert_array_equal(draws.parameters.at(path), rows, err_msg=path)
+    assert np.shape(draws.parameters.gravity) == (5, 3) and np.ptp(draws.parameters.gravity, axis=0).max() == 0
+    alone = search.draws_of(scenario, None, 2, {})
+    assert (alone.members, alone.fresh) == (1, 0) and np.shape(alone.parameters.at("contact.stiffness")) == (1,)
 
 
 @pytest.mark.nightly
