@@ -2,9 +2,10 @@
 
     JAX_ENABLE_X64=1 python -m docs.studies.climblab_planner results/climblab_planner.csv
 
-Choices are those of the 225 states of `tests/reference/climblab_nonperiodic.npz`. Walks go 0.5 m ahead in a free order
-by ClimbLab's rule: on 8 grids of holds every 6 cm, which begin anywhere within a pitch, and on 16 grounds with 400
-random holds a square metre. A walk arrives if the base is there before a grip is torn off.
+Choices are those of the 225 states of `tests/reference/climblab_nonperiodic.npz`. Walks go 0.5 m towards a goal 5 m
+ahead, as ClimbLab's do, in a free order by ClimbLab's rule: on 8 grids of holds every 6 cm, which begin anywhere within
+a pitch, and on 16 grounds with 400 random holds a square metre. A walk arrives if the base is there before a grip is
+torn off.
 """
 
 import argparse
@@ -28,8 +29,8 @@ WAY, PITCH, GRIDS, GROUNDS = 0.5, 0.06, 8, 16  # m, m, walks, walks
 CLIMBLAB = {"reach_a_stride_on": False, "reach_by_height": True, "base_must_follow": True}
 KEYS = {
     "duration": 40.0, "time_step": 1e-3, "gravity": [0.0, 0.0, -1.62], "gait.cycle": 2.0, "gait.stride": 0.1,
-    "gait.order": "free", "gait.footholds": "climblab", "gait.planning_period": 0.1, "control.controller": "pd",
-    "control.kp": 20.0, "control.kd": 0.1, "contact.holding_limit": None,
+    "gait.order": "free", "gait.footholds": "climblab", "gait.way_points": [[5.0, 0.0]], "gait.planning_period": 0.1,
+    "control.controller": "pd", "control.kp": 20.0, "control.kd": 0.1, "contact.holding_limit": None,
     "ground.holds.rock": {"density": 400.0, "corner": [-0.4, -0.4], "size": [1.5, 0.8]}, "ground.holds.limit": None,
     "ground.holds.spread": 0.0, "ground.holds.count": 480,
 }  # fmt: skip
