@@ -29,6 +29,8 @@ def test_the_best_of_several_seeds_is_taken_and_their_agreement_said():
     each = search(0, 0.75, (1e3, 0.8)), search(1, 0.7, (2e3, 0.9)), search(2, 0.6, (9e2, 0.8), penalty=1.0)
     best = tuned.of_seeds(each)
     assert (best.value, best.seeds, each[0].seeds) == (0.7, 3, 1)
+    # a search that breaks a limit has found nothing
+    assert best.ends == [0.75, 0.7, np.inf] and each[0].ends == [0.75]
     assert best.data.attrs[tuned.AGREEMENT] == (
         "3 seeds end at objectives of 0.6000 to 0.7500, the best is of seed 1, their gains at most a factor of 2.22 "
         "apart (stiffness); 1 of them break a limit"
