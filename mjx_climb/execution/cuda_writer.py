@@ -413,10 +413,10 @@ def _with_sums_early(lines: list[str], carried: Sequence[str]) -> tuple[list[str
     uses, made, depth = Counter(_ALL_NAMES.findall("\n".join(lines))), dict[str, int](), 0
     for place, line in enumerate(lines):
         depth += line.endswith("{") - line.startswith("}")
-        if depth == 1 and (found := _MADE.match(line)):
-            made[found[1]] = place
+        if depth == 1 and (value := _MADE.match(line)):
+            made[value[1]] = place
     added, gone, sums = dict[int, list[str]](), set[int](), set[str]()
-    ends = {end[1]: (place, end[2]) for place, line in enumerate(lines) if (end := _NEXT.match(line))}
+    ends = {found[1]: (place, found[2]) for place, line in enumerate(lines) if (found := _NEXT.match(line))}
     for name in carried:
         end, total = ends[name]
         terms = lines[made[total]].rstrip(";").split(" ")[4:] if total in made else []

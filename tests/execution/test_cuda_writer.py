@@ -282,6 +282,7 @@ def test_gradients_in_cuda_c(carried_out, steps):
         found = carried_out({"kernel": (kernel, given, (robots, sums), both.out_avals)})["kernel"]
     assert kernel.kept > steps
     assert kernel.text.count("noinline") == (steps == 300)
+    assert " += v" in kernel.text or steps < 300  # a sum that the loop only adds to
 
     def one(gain, start, weights):
         _, pull_back = jax.vjp(lambda *of: {n: walk(*of, targets)[n] for n in weights}, gain, start)
@@ -289,6 +290,14 @@ def test_gradients_in_cuda_c(carried_out, steps):
 
     for mine, jaxs in zip(found[-2:], jax.jit(jax.vmap(one))(gains, starts, weights), strict=True):
         np.testing.assert_allclose(mine, jaxs, rtol=1e-3, atol=1e-4 * abs(jaxs).max())
+
+
+def test_derivatives_add_no_zeros():
+    """The derivative of a slice is 0 elsewhere, and those of three slices are added."""
+    with jax.enable_x64(False):
+        gradient = jax.make_jaxpr(jax.grad(lambda v: jnp.sin(v[0]) * v[1] + v[2]))(np.ones(3, "f4"))
+        text = written(body_of(gradient), (1,)).text
+    assert "0.0f" not in text[text.index("extern") :]
 
 
 def of_one(carried_out, function, given, moving=0):
