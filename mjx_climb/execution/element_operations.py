@@ -86,9 +86,7 @@ class Operations:
 
     def of_lane(self, value: Shared, lane: int) -> Number:
         """Return a lane's number, the same object each time."""
-        if isinstance(value, np.generic):
-            return value
-        return cast(OfLane, self._once(("of lane", id(value), lane), value, lambda: OfLane(value, lane)))
+        return value if isinstance(value, np.generic) else value.parts.setdefault(lane, OfLane(value, lane))
 
     def taken_apart(self, values: Iterable[Shared], shape: Sequence[int], axis: Axis) -> Elements:
         """Return values as the elements of an array: each is one, or with `axis` those of all lanes along it."""

@@ -24,7 +24,7 @@ from mjx_climb.execution.limbs import Axis
 MOST_ELEMENTS = 1000  # of one equation in a region: a larger one stays an array to XLA
 MOST_PRODUCTS = 18**3  # of a product of matrices: of two inertias of a robot of twelve joints
 MOST_STEPS = 64  # of a loop that is written out step by step
-MOST_OF_A_TABLE = 60_000  # numbers that a loop writes
+MOST_OF_A_TABLE = 200_000  # numbers that a loop writes
 MOST_WRITTEN_OUT = 1000  # equations of all steps of a loop that reads something at each
 MOST_OF_BRANCHES = 100  # equations of a condition all of whose branches are computed
 MOST_CHOICES = 64  # places of a table at which an operation may read or write

@@ -30,6 +30,7 @@ class Value:
 
     content: Any  # of the writer that made it
     dtype: np.dtype
+    parts: dict[int, "OfLane"] = dataclasses.field(default_factory=dict, repr=False)  # those asked for, by lane
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
