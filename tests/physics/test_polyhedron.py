@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 
 import mjx_climb as mc
 from mjx_climb.physics.contact.polyhedron import PolyhedralGripper, in_grip, magnet, microspines, scalar
-from mjx_climb.physics.kinematics import Feet
+from mjx_climb.physics.kinematics import Feet, Surface
 
 KINDS = {"magnet": magnet(20.0, 0.4), "microspines": microspines(0.8, 15.0), "scalar": scalar(15.0, 6, 12)}
 
@@ -40,6 +40,26 @@ def test_a_force_in_the_axes_of_a_grip():
     outward = jnp.array([[0.0, 1.0], [-1.0, 0.0]])
     force = jnp.array([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]])
     np.testing.assert_allclose(in_grip(force, outward), [[2.0, -1.0, 3.0], [-1.0, -2.0, 3.0]])
+
+
+@pytest.mark.parametrize("way", [*np.eye(3), *-np.eye(3), np.array([0.6, 0.8, 0.0])], ids=str)
+def test_outwards_lies_in_the_surface_also_straight_above_the_ground_or_before_a_wall(way):
+    """The lever less its part along the normal; where it has no other, any direction in the surface."""
+    grip, normal, aside = (
+        PolyhedralGripper(**microspines(1.0, 50.0)),
+        np.tile(way, (4, 1)),
+        np.cross(way, [0.3, 0.5, 0.7]),
+    )
+    lever = np.array([0.2 * way, -0.1 * way, 0.2 * way + 0.1 * aside, -0.1 * aside])
+    start, shut = jnp.zeros((4, 3)), jnp.ones(4, bool)
+    memory, surface = grip.init(start, jnp.broadcast_to(jnp.eye(3), (4, 3, 3))), Surface(start, jnp.asarray(normal))
+    for closed, off in ((~shut, 0.1), (shut, 0.0)):
+        feet = Feet(start + off * normal, 0 * start, jnp.asarray(lever), surface)
+        memory, _ = grip.step(memory, feet, None, closed, jnp.zeros(4))
+    outward = np.asarray(memory.outward)
+    np.testing.assert_allclose(np.linalg.norm(outward, axis=1), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(outward @ way, 0.0, atol=1e-9)
+    np.testing.assert_allclose(outward[2:], np.outer([1, -1], aside / np.linalg.norm(aside)), atol=1e-9)
 
 
 def test_the_axes_of_a_grip_are_those_of_the_step_in_which_it_shut():
