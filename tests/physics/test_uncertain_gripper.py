@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.physics.contact.uncertain import UncertainGripper
@@ -61,6 +62,16 @@ def test_limits_spread_by_seed_limb_and_try():
 def test_the_first_grips_bear_the_pull_of_the_test():
     memory = gripper(spread=0.3, tested_pull=15.0)[0].init(jnp.zeros((LIMBS, 3)), jnp.zeros((LIMBS, 3, 3)))
     assert (memory.limit >= 15).all() and (memory.limit > 15).any()
+
+
+@pytest.mark.parametrize("tries", [1, 3])
+def test_a_grip_that_never_passes_is_tried_so_often_and_then_missed(tries):
+    last = (tries - 1) * int(RETRY + 1) + 1
+    contact = gripper(tested_pull=1e3, tries=float(tries))[0]
+    memory, grips = walked(contact, [OPEN] + [SHUT] * (last + 8), np.zeros(last + 9))
+    np.testing.assert_array_equal(memory.draws, tries)
+    missed = np.array([grip.missed for grip in grips])
+    assert missed[last].all() and not missed[:last].any() and not any(grip.support.any() for grip in grips[1:])
 
 
 def test_a_grip_that_fails_its_test_is_tried_again_so_many_times():

@@ -1,8 +1,15 @@
 """Adam for the rows of a batch: which rows go back to their best point, and how far they step from there."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
+import mjx_climb as mc
 from tuning.methods.adam import Adam
+from tuning.methods.gradient import SINGLE, Leg, by_adam
+from tuning.problem import spaces
+from tuning.problem.evaluation import Evaluation
+from tuning.problem.search import Search
 
 NOBODY = np.zeros(2, bool)
 
@@ -41,3 +48,21 @@ def test_a_row_that_is_lost_goes_back_at_once_with_an_empty_memory():
     # the second step of a memory whose first slope was 0, at full length
     _, steps = adam.step(there, np.array([0.5, 0.5]), slopes, NOBODY)
     np.testing.assert_allclose(steps[1], -(0.1 / (1 - 0.9**2)) / np.sqrt(0.03 / (1 - 0.97**2)))
+
+
+def test_a_step_over_a_cliff_is_taken_back():
+    """Where the value is ten times the best one's above it, 10 at least; slopes are 1, so that points go down."""
+    space = spaces.space(mc.Scenario(), Search(space="isotropic"))
+    middle = np.tile((space.lower + space.upper) / 2, (3, 1))
+    leg = Leg(middle, np.eye(space.size), 4, SINGLE, np.ones(3))
+
+    def found(*value):
+        value, ones = np.array(value), np.ones((3, space.size))
+        return Evaluation(value, value, 0 * value, value < np.inf, ones, ones, {})
+
+    for third, back in (((1090.0, 10.9, 9.0), False), ((1110.0, 11.1, 11.0), True)):
+        moves = by_adam(SimpleNamespace(problem=SimpleNamespace(space=space)), leg, np.random.default_rng(0))
+        first, second = next(moves), moves.send(found(100.0, 1.0, 0.1))
+        assert (second.theta < first.theta).all()
+        last = moves.send(found(*third))
+        assert ((last.theta > second.theta) == back).all()
