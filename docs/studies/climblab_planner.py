@@ -2,10 +2,10 @@
 
     JAX_ENABLE_X64=1 python -m docs.studies.climblab_planner results/climblab_planner.csv
 
-Choices are those of the 225 states of `tests/reference/climblab_nonperiodic.npz`. Walks go 0.5 m towards a goal 5 m
-ahead, as ClimbLab's do, in a free order by ClimbLab's rule: on 8 grids of holds every 6 cm, which begin anywhere within
-a pitch, and on 16 grounds with 400 random holds a square metre. A walk arrives if the base is there before a grip is
-torn off.
+Choices are those of the 225 states of `tests/reference/climblab_nonperiodic.npz`. Walks go 0.5 m ahead in a free order
+by ClimbLab's rule: on 8 grids of holds every 6 cm, which begin anywhere within a pitch, and on 16 grounds with 400
+random holds a square metre. A walk arrives if the base is there before a grip is torn off. They have a heading; by
+ClimbLab's options others head for a goal 5 m ahead, as ClimbLab's do.
 """
 
 import argparse
@@ -25,12 +25,13 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from tests.gait.test_climblab_choices import STATES, planned
 
 WAY, PITCH, GRIDS, GROUNDS = 0.5, 0.06, 8, 16  # m, m, walks, walks
+GOAL = (5.0, 0.0)  # m
 # ClimbLab's values of the options
 CLIMBLAB = {"reach_a_stride_on": False, "reach_by_height": True, "base_must_follow": True}
 KEYS = {
     "duration": 40.0, "time_step": 1e-3, "gravity": [0.0, 0.0, -1.62], "gait.cycle": 2.0, "gait.stride": 0.1,
-    "gait.order": "free", "gait.footholds": "climblab", "gait.way_points": [[5.0, 0.0]], "gait.planning_period": 0.1,
-    "control.controller": "pd", "control.kp": 20.0, "control.kd": 0.1, "contact.holding_limit": None,
+    "gait.order": "free", "gait.footholds": "climblab", "gait.planning_period": 0.1, "control.controller": "pd",
+    "control.kp": 20.0, "control.kd": 0.1, "contact.holding_limit": None,
     "ground.holds.rock": {"density": 400.0, "corner": [-0.4, -0.4], "size": [1.5, 0.8]}, "ground.holds.limit": None,
     "ground.holds.spread": 0.0, "ground.holds.count": 480,
 }  # fmt: skip
@@ -66,12 +67,14 @@ def main() -> None:
     out = parser.parse_args().out
     scenario = mc.load_scenario("configs/climb_rock.yaml").with_overrides(KEYS)
     rows = []
-    for own in itertools.product(*([value, not value] for value in CLIMBLAB.values())):
+    each = [(False, own) for own in itertools.product(*([value, not value] for value in CLIMBLAB.values()))]
+    for goal, own in (*each, (True, tuple(CLIMBLAB.values()))):
         options: dict[str, Any] = dict(zip(CLIMBLAB, own, strict=True))
         limb, hold, of_limb, *_ = planned(ClimbLab(**options))
         stays = np.where(STATES["of_limb"] < 0, STATES["feet"], STATES["of_limb"])
-        there = arrived(scenario, ClimbLab(**options))
-        row = {name: str(value).lower() for name, value in options.items()}
+        heads = scenario.with_overrides({"gait.way_points": [GOAL]}) if goal else scenario
+        there = arrived(heads, ClimbLab(**options))
+        row = {name: str(value).lower() for name, value in {"goal": goal, **options}.items()}
         row["limb and hold %"] = f"{100 * ((limb == STATES['limb']) & (hold == STATES['hold'])).mean():.1f}"
         row["hold of each limb %"] = f"{100 * (of_limb == stays).mean():.1f}"
         row |= {"grids": f"{there[:GRIDS].sum()} of {GRIDS}", "random grounds": f"{there[GRIDS:].sum()} of {GROUNDS}"}

@@ -121,6 +121,40 @@ def test_the_limb_with_most_holds_ahead_is_next_but_for_those_in_vain():
     np.testing.assert_array_equal(found, [3, 1, 4, 0])
 
 
+def crossed(way_points):
+    """Return how far the base comes in 40 decisions on 8 grids of 6 cm, each of which is carried out as planned, m."""
+    x, y = np.meshgrid(np.arange(-0.4, 1.1, 0.06), np.arange(-0.4, 0.4, 0.06), indexing="ij")
+    grid = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    geometry, plan = limb_geometry(ROBOT), PLAN._replace(base_start=jnp.asarray(BASE))
+    table, up = height_table(ROBOT, geometry), np.broadcast_to([0.0, 0.0, 1.0], grid.shape)
+    none = np.zeros((len(grid), 0, 3)), np.zeros((len(grid), 0))
+
+    @jax.jit
+    @jax.vmap
+    def walk(begin):
+        holds = Holds(*map(jnp.asarray, (grid + begin, up, *none, np.ones(len(grid)))))
+        gait = FreeOrder(plan, STEP, False, ROBOT, geometry, holds, PERIOD, ClimbLab(), 4, way_points, table)
+        memory, _ = gait.init()
+
+        def decision(carry, _):
+            feet, base = carry
+            before = memory._replace(goal=feet, base_goal=base)
+            body = body_of(base_position=base, base_rotation=LEVEL)._replace(feet=feet, grip_point=feet)
+            found = gait.lift_off(before, gait.schedule(before, jnp.asarray(0)), base, body)
+            return (found.goal, found.base_goal), None
+
+        (_, base), _ = jax.lax.scan(decision, (memory.goal, jnp.asarray(BASE)), None, length=40)
+        return base[0]
+
+    return np.asarray(walk(0.06 * np.random.default_rng(0).random((8, 3)) * [1, 1, 0]))
+
+
+@pytest.mark.nightly
+def test_towards_a_goal_it_crosses_grids():
+    """ClimbLab's planner heads for a goal; with a heading a limb may go to and fro between holds beside each other."""
+    assert (crossed(((5.0, 0.0),)) > 0.5).all() and (crossed(()) < 0.5).any()
+
+
 OPTIONS = {"reach_a_stride_on": False, "reach_by_height": True, "base_must_follow": True}
 
 
