@@ -46,6 +46,52 @@ def short(**changes):
     )
 
 
+def walking(monkeypatch, metrics):
+    """Have walks with metrics by kp and kd (N,) each, and what is asked of them."""
+
+    def walk(scenario, gains, parameters, **how):
+        kp, kd = (np.asarray(parameters.at(f"control.{name}"), float) for name in ("kp", "kd"))
+        found = dict.fromkeys([*mc.METRICS.names, "missed_grips", "unheld_gap", *first_walks.GAP], 0.0)
+        found |= {"detached_limb": -1.0} | metrics(kp, kd, how)
+        return {name: np.broadcast_to(value, kp.shape) for name, value in found.items()}
+
+    monkeypatch.setattr(first_walks, "rollout_metrics", walk)
+
+
+@pytest.mark.parametrize("bad", [{"base_deviation": 0.03}, {"missed_grips": 1}, {"diverged": True}, {}], ids=str)
+def test_joint_gains_are_of_those_that_reach_the_ground_and_keep_the_base(bad, monkeypatch):
+    """The force varies least at kp 80, where the base strays more than a tenth of its height, or a grip is missed."""
+
+    def metrics(kp, kd, _):
+        there = (kp > 60) & (kp < 120)
+        both = {"base_deviation": 0.001, "missed_grips": 0, "diverged": False}
+        found = {name: np.where(there, bad.get(name, value), value) for name, value in both.items()}
+        return found | {"force_variation": 10 + np.log(kp / 80) ** 2 + np.log(kd / 0.2) ** 2}
+
+    walking(monkeypatch, metrics)
+    found, how = with_joint_gains(short(**{"control.kp": 40.0, "control.kd": 0.2}))
+    assert (60 < found.control.kp < 120) == (not bad) and found.control.kp > 40 and found.control.kd == 0.2
+    assert how.endswith("% less than with kp 40 and kd 0.2, HubRobo's in proportion")
+
+
+@pytest.mark.parametrize(
+    ("metrics", "holds", "said"),
+    [
+        ({"peak_pull_force": 3.21}, True, "holds there too: the largest pull is 3.21 N"),
+        ({"base_deviation": 0.2}, False, "its base strays 0.2 m there, with grips that never let go too"),
+        ({"diverged": True}, False, "diverges there, with grips that never let go too"),
+        ({"peak_pull_force": 3.21, "peak_utilization": 1.6}, False, "RH lets go there; contact.holding_limit=3.3 "),
+        ({"missed_grips": 2.0, "peak_utilization": 1.6}, False, "it does not reach the ground there"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_walk_on_a_ceiling_holds_strays_or_lets_go(metrics, holds, said, monkeypatch):
+    """The base may hang half as far as the feet are from it; a grip lets go where those that hold use too much."""
+    walking(monkeypatch, lambda kp, kd, how: metrics | ({} if how["smooth"] else {"detached_limb": 2.0}))
+    found, how = on_ceiling(short(**{"contact.holding_limit": 2.0}))
+    assert found == holds and said in how
+
+
 @pytest.mark.slow
 def test_joint_gains_are_those_of_a_better_pd():
     """Walked by pd itself they give as much less force variation as is said, and the scenario is else as it was."""
