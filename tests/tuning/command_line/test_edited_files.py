@@ -34,12 +34,13 @@ GAINS = {"inertia": 1.0, "damping": 100.0, "stiffness": 2000.0}
 LOG = ["--log", "{folder}/log.csv", "--base", "held"]
 COMMANDS = {
     "run": ["run", "{config}", "--json"],
-    "sweep": ["sweep", "{config}", "--stiffness", "1000,2000", "--damping", "100", "--json", "--out", "{out}"],
+    "sweep": ["sweep", "{config}", "--stiffness", "1000:2000:2", "--damping", "100:200:2", "--json", "--out", "{out}"],
     "tune": ["tune", "{config}", "--iterations", "2", "--starts", "1", "--json", "--out", "{out}"],
     "margins": ["evaluate", "{config}", "--gains", "{gains}", "--margins", "--json", "--out", "{out}"],
     "ceiling": ["evaluate", "{config}", "--gains", "{gains}", "--ceiling", "--knots", "0.1", "--iterations", "2",
                 "--json", "--out", "{out}"],
-    "excite": ["excite", "{config}", "--fit", "hardware.servo.armature", "--json", "--out", "{out}"],
+    "excite": ["excite", "{config}", "--fit", "hardware.servo.armature", "--duration", "2", "--candidates",
+               "1", "--json", "--out", "{out}"],
     "identify": ["identify", "{config}", *LOG, "--fit", "hardware.servo.armature", "--starts", "1", "--json"],
     "replay": ["replay", "{config}", *LOG, "--json"],
 }  # fmt: skip
