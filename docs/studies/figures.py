@@ -10,6 +10,7 @@ import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 HERE = Path(__file__).parent
 README = HERE.parents[1] / "README.md"
@@ -102,7 +103,8 @@ def texts() -> dict[Path, list[str]]:
     parts = [part_of_ceiling("dynamixel_x", case) for case in CASES]
     return {
         README: [
-            f"Under load transfer: {span(real(transfer))} % off the objective of pd with its own gains tuned, in "
+            headline(),
+            f"Load transfer takes {span(real(transfer))} % off the objective of pd with its own gains tuned, in "
             f"{len(real(transfer))} of {len(transfer)} comparisons.",
             f"Under Eq. 3 on an ideal robot, {-weightless:.0f} % in microgravity; on Dynamixel X servos "
             f"{max(real(servos)):.1f} % in {len(real(servos))} of {len(servos)}, and nothing that can be told in the "
@@ -124,9 +126,11 @@ def texts() -> dict[Path, list[str]]:
         ],
         HERE / "climb.md": [" | ".join(each) for each in _climbs()],
         HERE / "does_the_sensor_pay.md": [
-            f"it pays: {span(real(transfer))} % of the objective in {WORDS[len(real(transfer))]} of "
-            f"{WORDS[len(transfer)]} comparisons.",
+            f"load transfer has {span(real(transfer))} % less objective in {WORDS[len(real(transfer))]} of "
+            f"{WORDS[len(transfer)]} comparisons",
             *_comparisons(),
+            headline(),
+            *(row.replace("*", "") for row in worth_rows(table("what_a_sensor_is_worth"))),
         ],
         HERE / "which_law.md": [*_laws()],
         HERE / "worse_hardware.md": [*_worse()],
@@ -200,6 +204,59 @@ def _plans() -> Iterator[str]:
             force, peak = (ceiling(place, name, column) for column in ("force_variation_N", "peak_foot_force_N"))
             cell += f", {force:.0f} / {peak:.3g} N"
         yield cell
+
+
+class Worth(NamedTuple):
+    """The worth of a force sensor in a case, relative to pd's objective, per cent."""
+
+    servos: str
+    case: str
+    best: tuple[Row, Row, Row]  # pd, the best law without forces, the best with
+    size: float
+    low: float
+    high: float
+
+    @property
+    def told(self) -> bool:
+        """Whether the interval leaves 0 out."""
+        return self.low > 0 or self.high < 0
+
+
+def worths(rows: Sequence[Row]) -> Iterator[Worth]:
+    """Yield the worth of a sensor in each case of a table of `what_a_sensor_is_worth.py`."""
+    for servos, case in dict.fromkeys((row["servos"], row["case"]) for row in rows):
+        own = [row for row in rows if (row["servos"], row["case"]) == (servos, case)]
+        pd = next(row for row in own if row["law"] == "pd")
+        groups = ([row for row in own if ("forces" in row["reads"]) == reads] for reads in (False, True))
+        without, best = (min(each, key=lambda row: float(row["objective"])) for each in groups)
+        ends = (-100 * float(best[name]) / float(pd["objective"]) for name in ("difference", "high", "low"))
+        yield Worth(servos, case, (pd, without, best), *ends)
+
+
+def worth_rows(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield the table's rows of the worth of a sensor: objectives; lost walks of 512; the worth with its interval."""
+    for each in worths(rows):
+        pd, *others = (f"{float(row['objective']):.3f}; {float(row['lost']):.1f}" for row in each.best)
+        cells = [f"{row['law']} {cell}" for row, cell in zip(each.best[1:], others, strict=True)]
+        size = f"{each.size:.1f} ({each.low:.1f} to {each.high:.1f})"
+        size = f"**{size}**" if each.told else f"~ ({each.low:.1f} to {each.high:.1f})"
+        yield f"| {each.servos}, {each.case.replace('_', '.')} | {pd} | {' | '.join(cells)} | {size} |"
+
+
+def headline() -> str:
+    """Return in a sentence where a force sensor is worth something beside the best law without one."""
+    found = list(worths(table("what_a_sensor_is_worth")))
+    told = {servos: [each.size for each in found if each.told and each.servos == servos] for servos in WEIGHED}
+    said = " and ".join(f"{span(sizes)} % on {WEIGHED[servos]}" for servos, sizes in told.items())
+    rest = len(found) - sum(map(len, told.values()))
+    return (
+        "Beside the best law without one, which hands loads over by plan, a force sensor is worth, of pd's objective, "
+        f"{said} under weight, and on ideal robots and in microgravity, {rest} of {len(found)} comparisons, nothing "
+        "that can be told."
+    )
+
+
+WEIGHED = {"dynamixel_x": "Dynamixel X servos", "mx_64": "MX-64 servos"}
 
 
 def claims() -> str:

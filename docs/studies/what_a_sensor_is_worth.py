@@ -31,6 +31,7 @@ sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "guides
 
 import ceiling as study
 import ceiling_laws as searched
+import figures
 
 import mjx_climb as mc
 from mjx_climb.control import shipped
@@ -63,6 +64,7 @@ LAWS = {
     ),
 }  # fmt: skip
 ON_ALL_FEET = 0.78  # duty at which transfers begin: at 0.75 there is no time in which loads can be handed over
+RAN_OFF = 1.0  # m, base deviation: a mean with a walk that ran off says nothing
 METRICS = ("objective", *searched.KEPT[:-2])  # of a row
 # of a population, of one that begins anew, and of the first one about each start, relative to the width of the box
 SPREAD, WIDE, NEAR = 0.12, 0.25, 0.06
@@ -317,6 +319,8 @@ def summed(rows):
         own = [row for row in rows if row["law"] == law]
         line = {"law": law, "reads": " ".join(own[0]["reads"]).replace("base pose", "base_pose"), "seeds": len(own)}
         line |= {name: np.mean([row["unseen"][name] for row in own]) for name in METRICS}
+        if line["base_deviation"] > RAN_OFF:
+            line |= dict.fromkeys(METRICS[1:], "")
         line |= {"lost": np.mean([row["unseen"]["lost"] for row in own]), "rounds": own[0]["rounds"]}
         line["still"] = np.mean([row["history"][-PATIENCE // 2 :][0] - row["history"][-1] for row in own])
         line |= {"beside": laws[base], "difference": found.difference[place]}
@@ -342,22 +346,7 @@ def table(asked):
         writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in line.items()} for line in lines)
     with asked.table.with_name(f"{asked.table.stem}_gains.csv").open("w", newline="") as out:
         csv.writer(out, lineterminator="\n").writerows([("servos", "case", "law", "gain", "value"), *gains])
-    print("\n".join(page_table(list(csv.DictReader(asked.table.open())))))
-
-
-def page_table(rows):
-    """Return the lines of the page's table, from rows of the CSV."""
-    lines = ["| | pd | best without forces | best with | worth of the sensor, of pd |", "|---|---|---|---|---|"]
-    for servos, case in dict.fromkeys((row["servos"], row["case"]) for row in rows):
-        own = [row for row in rows if (row["servos"], row["case"]) == (servos, case)]
-        groups = [[row for row in own if ("forces" in row["reads"]) == reads] for reads in (False, True)]
-        pd = next(row for row in own if row["law"] == "pd")
-        without, best = (min(each, key=lambda row: float(row["objective"]), default=pd) for each in groups)
-        worth, low, high = (-100 * float(best[name]) / float(pd["objective"]) for name in ("difference", "high", "low"))
-        cells = [f"{row['law']} {float(row['objective']):.3f}; {float(row['lost']):.1f}" for row in (pd, without, best)]
-        lines.append(f"| {servos}, {case.replace('_', '.')} | {' | '.join(cells)} | "
-                     f"{worth:.1f} % ({low:.1f} to {high:.1f}) |")  # fmt: skip
-    return lines
+    print(*figures.worth_rows(list(csv.DictReader(asked.table.open()))), sep="\n")
 
 
 def main():
