@@ -251,8 +251,8 @@ def headline() -> str:
     rest = len(found) - sum(map(len, told.values()))
     return (
         "Beside the best law without one, which hands loads over by plan, a force sensor is worth, of pd's objective, "
-        f"{said} under weight, and on ideal robots and in microgravity, {rest} of {len(found)} comparisons, nothing "
-        "that can be told."
+        f"{said} under weight. On ideal robots and in microgravity, {rest} of {len(found)} comparisons, it is worth "
+        "nothing that can be told."
     )
 
 
