@@ -13,8 +13,8 @@ from pathlib import Path
 import yaml
 
 FOUND, LAW = Path(__file__).with_name("ceiling_gains.csv"), "LoadTransfer"
-# of load transfer on `dynamixel_x`; on unseen walks of ensemble_dynamixel_x.yaml those of case 1.2 lose 23 of 128, and those
-# of case 2 have larger forces than earlier ones, which stay
+# of load transfer on `dynamixel_x`; on unseen walks of ensemble_dynamixel_x.yaml those of case 1.2 lose 23 of 128, and
+# those of case 2 have larger forces than earlier ones, which stay
 SHIPPED = {("dynamixel_x", "1_1")}
 WALKS = {"1_1": 64}
 
