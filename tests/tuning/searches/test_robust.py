@@ -19,7 +19,7 @@ from tuning.comparisons import compare, judge
 from tuning.methods import Request
 from tuning.problem import ensemble as ensembles
 from tuning.problem import search, spaces
-from tuning.problem.ensemble import Ensemble, Posterior, Worst, draw, worst_mean
+from tuning.problem.ensemble import Ensemble, Worst, draw, worst_mean
 from tuning.problem.evaluation import Problem, pd_of
 from tuning.problem.objectives import Limit, Objective, Term, objective
 from tuning.results import tuned
@@ -212,7 +212,7 @@ def test_mean_and_worst_count_by_their_weights():
 def test_walks_that_lose_a_gripper_count_by_their_number_and_break_no_limit():
     """Of four walks pd loses three, these gains two; the limit binds in those that hold alone."""
     terms = (Term("lost", 1.0, 0.75, 0.75, worst=1.0),)
-    limits = (Limit("base_deviation", 0.01, 0.01, 0.0, ""),)
+    limits = (Limit("base_deviation", 0.01, 0.01, 0.02, ""),)
     goal = Objective(terms, limits, worst=Worst(share=0.25, weight=0.5))
     metrics = {"peak_utilization": [[0.93], [1.03], [0.2], [6.0]], "base_deviation": [[0.0], [1.0], [0.0], [1.0]]}
     rows = {name: np.array(values) for name, values in metrics.items()} | {"diverged": np.zeros((4, 1), bool)}
@@ -323,20 +323,6 @@ def test_a_draw_says_in_how_many_walks_a_law_did_without_a_sensor(scenario):
     ]
     arrays["sensor_lost_limb"][:] = -1
     assert judge.lost_in_words(draw.dataset(arrays)) == []
-
-
-def test_what_identify_left_is_drawn_in_its_coordinates_and_within_its_bounds():
-    """Logarithms of some, cut at the bounds of the values; two angles turn gravity, about x and y."""
-    own = {"keys": ("contact.stiffness", "contact.damping", "gravity.tilt_y"), "log": (True, False, False)}
-    own |= {"mean": (7.0, 20.0, 0.3), "covariance": np.diag([0.25, 4.0, 0.0]).tolist()}
-    left = Posterior.make(own | {"lower": (1000.0, -np.inf, -1.0), "upper": (np.inf, 21.0, 1.0)})
-    found = left.draw(np.random.default_rng(0), 4000, np.array([0.0, 0.0, -10.0]))
-    stiffness, damping = found["contact.stiffness"], found["contact.damping"]
-    assert stiffness.shape == damping.shape == (4000, 1) and stiffness.min() == 1000 and damping.max() == 21
-    assert np.median(stiffness) == pytest.approx(np.exp(7.0), rel=0.03)
-    assert np.quantile(stiffness, 0.8413) == pytest.approx(np.exp(7.5), rel=0.05)
-    assert np.quantile(damping, 0.1587) == pytest.approx(18.0, rel=0.01)
-    np.testing.assert_allclose(found["gravity"], np.tile([-10 * np.sin(0.3), 0, -10 * np.cos(0.3)], (4000, 1, 1)))
 
 
 def judgement(**metrics):
