@@ -54,6 +54,7 @@ class Swings(NamedTuple):
     left: Array | None = None  # (limb, 3) 1, normals of the ground where the last swings began
     reached: Array | None = None  # () number of way points that the base has reached; None: there are none
     waits: Any = None  # `gait.waiting.Waits` of a gait that waits for grips
+    interruptions: Any = None  # `gait.recovery.Interruptions` of a gait that is interrupted
 
 
 def clock_at(swings: Swings, step: Array) -> Array:

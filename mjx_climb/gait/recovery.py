@@ -16,15 +16,14 @@ from jax import Array
 
 from mjx_climb.component import Component
 from mjx_climb.control import Law, Reference
+from mjx_climb.gait.around import AroundGait
 from mjx_climb.gait.footholds.choice import Candidates, best
 from mjx_climb.gait.footholds.held import upright
 from mjx_climb.gait.footholds.reach import within_reach
-from mjx_climb.gait.gait import Body, Gait
-from mjx_climb.gait.own_swings import OwnSwings, Swings, at_tick, clock_at, with_swings
+from mjx_climb.gait.gait import Body
+from mjx_climb.gait.own_swings import Swings, at_tick, clock_at, with_swings
 from mjx_climb.gait.schedule import Schedule
 from mjx_climb.gait.swing import rest_to_rest
-from mjx_climb.physics.contact.contact import Grip
-from mjx_climb.physics.kinematics import Surface
 from mjx_climb.physics.margins import gia_margin, support_axes, tumbling_moment
 from mjx_climb.physics.spatial import norm
 from mjx_climb.scenario import declared
@@ -93,100 +92,79 @@ def stopping_margin(recovery: Recovery, body: Body, landing: Array, position: Ar
 
 
 class Interruptions(NamedTuple):
-    """Memory of a gait that is interrupted; times in steps."""
+    """What a gait that is interrupted remembers; times in steps."""
 
-    swings: Swings
     resumes: Array  # () step at which the gait's own time goes on
     offset: Array  # (3,) m, of the base reference from its path
     offset_since: Array  # () the gait's time since which it shrinks
     force: Array  # (limb, 3) N, on the feet at the last tick
-    interruptions: Array  # () number of interruptions
+    number: Array  # () of interruptions
 
 
-class RecoveringGait(Gait):
+class RecoveringGait(AroundGait):
     """A gait that is interrupted where the robot is in danger."""
 
-    gait: OwnSwings = dataclasses.field(metadata={"tree": True})
     recovery: Recovery = dataclasses.field(metadata={"tree": True})
 
-    def init(self) -> tuple[Interruptions, Reference]:
+    def init(self) -> tuple[Swings, Reference]:
         """The memory of a robot that has not been interrupted."""
-        swings, reference = self.gait.init()
+        swings, reference = super().init()
         zero, nowhere = jnp.zeros_like(swings.clock), jnp.zeros_like(reference.base_position)
-        return Interruptions(swings, zero, nowhere, zero, jnp.zeros_like(swings.goal), zero), reference
-
-    def schedule(self, memory: Interruptions, step: Array) -> Schedule:
-        """The phases of the limbs in their own swings."""
-        return self.gait.schedule(memory.swings, step)
-
-    def ground(self, memory: Interruptions, now: Schedule) -> tuple[Array, Surface | None]:
-        """The ground below the feet."""
-        return self.gait.ground(memory.swings, now)
-
-    def share_of_limits(self, memory: Interruptions, now: Schedule, foot_force: Array) -> Array | None:
-        """The shares of the holds' limits."""
-        return self.gait.share_of_limits(memory.swings, now, foot_force)
-
-    def pulls(self, memory: Interruptions, now: Schedule, surface: Surface | None, holding_force: Array) -> Array:
-        """The pulls that margins may count on."""
-        return self.gait.pulls(memory.swings, now, surface, holding_force)
-
-    def after_contacts(self, memory: Interruptions, now: Schedule, step: Array, grip: Grip) -> Interruptions:
-        """The memory of a gait that may wait for grips."""
-        return memory._replace(swings=self.gait.after_contacts(memory.swings, now, step, grip))
-
-    def stands(self, memory: Interruptions, grip: Grip) -> Array:
-        """The limbs that found no grip."""
-        return self.gait.stands(memory.swings, grip)
+        none = Interruptions(zero, nowhere, zero, jnp.zeros_like(swings.goal), zero)
+        return swings._replace(interruptions=none), reference
 
     def reference(
-        self, memory: Interruptions, now: Schedule, step: Array, base_position: Array, grip_point: Array
-    ) -> tuple[Interruptions, Reference]:
+        self, memory: Swings, now: Schedule, step: Array, base_position: Array, grip_point: Array
+    ) -> tuple[Swings, Reference]:
         """The memory after a step, and the reference at it, off its path after an interruption."""
-        swings, found = self.gait.reference(memory.swings, now, step, base_position, grip_point)
-        found = found._replace(base_position=found.base_position + self._offset(memory, step))
-        return memory._replace(swings=swings), found
+        memory, found = super().reference(memory, now, step, base_position, grip_point)
+        return memory, found._replace(base_position=found.base_position + self._offset(memory, step))
 
-    def _offset(self, memory: Interruptions, step: Array) -> Array:
+    def _offset(self, memory: Swings, step: Array) -> Array:
         """How far the base reference is from its path, (3,) m."""
-        steps = jnp.maximum(self.recovery.return_time / self.gait.time_step, 1.0)
-        phase = jnp.clip((clock_at(memory.swings, step) - memory.offset_since) / steps, 0.0, 1.0)
-        return memory.offset * (1 - rest_to_rest(phase))
+        steps, own = jnp.maximum(self.recovery.return_time / self.time_step, 1.0), memory.interruptions
+        phase = jnp.clip((clock_at(memory, step) - own.offset_since) / steps, 0.0, 1.0)
+        offset: Array = own.offset * (1 - rest_to_rest(phase))
+        return offset
 
-    def look_ahead(
-        self, memory: Interruptions, now: Schedule, step: Array, reference: Reference, body: Body
-    ) -> Interruptions:
+    def look_ahead(self, memory: Swings, now: Schedule, step: Array, reference: Reference, body: Body) -> Swings:
         """The memory with an interruption, where a threshold is passed, and with the swings of a gait that goes on."""
-        recovery, time_step, offset = self.recovery, self.gait.time_step, self._offset(memory, step)
-        swings = at_tick(memory.swings, step)
-        at, rate = swings.step, (body.foot_force - memory.force) / (self.gait.period * time_step)
+        recovery, time_step, offset, own = (
+            self.recovery,
+            self.time_step,
+            self._offset(memory, step),
+            memory.interruptions,
+        )
+        swings = at_tick(memory, step)
+        at, rate = swings.step, (body.foot_force - own.force) / (self.period * time_step)
         shift = body.base_position - reference.base_position
         near = danger(recovery, body, rate, shift)
-        share = self.gait.share_of_limits(swings, now, body.foot_force + recovery.lead_time * rate)
+        share = self.share_of_limits(swings, now, body.foot_force + recovery.lead_time * rate)
         if share is not None:
             used = jnp.where(body.support, share, 0.0).max()
             near = near._replace(utilization=jnp.maximum(near.utilization, used))
-        stops, stood_still = interrupts(recovery, near) & (at > 0), memory.resumes > at
+        stops, stood_still = interrupts(recovery, near) & (at > 0), own.resumes > at
         landing_steps = jnp.ceil(recovery.landing_time / time_step) + 1
         lands = ~now.closed & stops & (swings.span - (at - swings.begun) > landing_steps)
         swings = self._landing(swings, lands, landing_steps, now, reference, body)
-        resumes = jnp.where(stops, at + landing_steps + jnp.ceil(recovery.rest_time / time_step), memory.resumes)
+        resumes = jnp.where(stops, at + landing_steps + jnp.ceil(recovery.rest_time / time_step), own.resumes)
         swings = swings._replace(running=jnp.where(resumes > at, 0.0, 1.0).astype(swings.clock.dtype))
-        return Interruptions(
-            swings=self.gait.lift_off(swings, now, reference.base_position - offset, body),
+        interrupted = Interruptions(
             resumes=resumes,
-            offset=jnp.where(stops, offset + recovery.take_over * shift, memory.offset),
+            offset=jnp.where(stops, offset + recovery.take_over * shift, own.offset),
             # an offset begins to shrink when the gait goes on
-            offset_since=jnp.where(stops, swings.clock, memory.offset_since),
+            offset_since=jnp.where(stops, swings.clock, own.offset_since),
             force=body.foot_force,
-            interruptions=memory.interruptions + jnp.where(stops & ~stood_still, 1.0, 0.0),
+            number=own.number + jnp.where(stops & ~stood_still, 1.0, 0.0),
         )
+        swings = self.lift_off(swings, now, reference.base_position - offset, body)
+        return swings._replace(interruptions=interrupted)
 
     def _landing(
         self, swings: Swings, lands: Array, steps: Array, now: Schedule, reference: Reference, body: Body
     ) -> Swings:
         """The swings after some limbs (limb,) are sent down in `steps` () to where they stop the robot best."""
-        recovery, holds, (ground, _) = self.recovery, self.gait.holds, self.gait.ground(swings, now)
+        recovery, holds, (ground, _) = self.recovery, self.holds, self.ground(swings, now)
         below = jnp.concatenate([reference.foot_position[:, :2], ground[:, None]], axis=1)
 
         def score(position: Array, one: Candidates) -> Array:
@@ -199,7 +177,7 @@ class RecoveringGait(Gait):
         def allowed(position: Array) -> Array:
             ahead = body.base_position + recovery.landing_time * body.velocity
             target = (position - ahead) @ body.base_rotation
-            return jnp.asarray(within_reach(self.gait.robot, self.gait.geometry, target))
+            return jnp.asarray(within_reach(self.robot, self.geometry, target))
 
         if holds is None:
             ways = ways_beside(below.dtype) * recovery.reach

@@ -14,12 +14,13 @@ from jax import Array
 
 from mjx_climb.component import Component
 from mjx_climb.control import Reference
+from mjx_climb.gait.around import AroundGait
 from mjx_climb.gait.footholds.choice import Candidates, best
 from mjx_climb.gait.footholds.footholds import SAME
 from mjx_climb.gait.footholds.held import Held, of_some
 from mjx_climb.gait.footholds.reach import within_reach
 from mjx_climb.gait.gait import Body
-from mjx_climb.gait.own_swings import OwnSwings, Swings
+from mjx_climb.gait.own_swings import Swings
 from mjx_climb.gait.schedule import Schedule, settled_phase
 from mjx_climb.gait.swing import rest_to_rest
 from mjx_climb.physics.contact.contact import Grip
@@ -43,38 +44,29 @@ class Waits(NamedTuple):
     stands: Array  # (limb,) bool: it has tried all that it may
 
 
-class WaitingGait(OwnSwings):
+class WaitingGait(AroundGait):
     """A gait around another one, whose swings it lets begin where all other feet hold."""
 
-    gait: OwnSwings = dataclasses.field(metadata={"tree": True})
     waiting: Waiting = dataclasses.field(metadata={"tree": True})
 
     def init(self) -> tuple[Swings, Reference]:
         """The memory of a robot whose feet all hold."""
-        memory, reference = self.gait.init()
+        memory, reference = super().init()
         none, nowhere = jnp.zeros_like(memory.span), jnp.zeros_like(memory.goal)
         return memory._replace(waits=Waits(none > 0, none, memory.goal, nowhere, none > 0)), reference
-
-    def until_lift_off(self, clock: Array, elapsed: Array) -> Array:
-        """The steps until limbs that stand lift off, if all feet hold."""
-        return self.gait.until_lift_off(clock, elapsed)
-
-    def base_path(self, memory: Swings, now: Schedule, step: Array, start: Array) -> Array:
-        """Where the base should be, (3,) m."""
-        return self.gait.base_path(memory, now, step, start)
 
     def reference(
         self, memory: Swings, now: Schedule, step: Array, base_position: Array, grip_point: Array
     ) -> tuple[Swings, Reference]:
         """The reference of the gait, with feet that try again sent beside their footholds."""
-        memory, found = self.gait.reference(memory, now, step, base_position, grip_point)
+        memory, found = super().reference(memory, now, step, base_position, grip_point)
         beside = rest_to_rest(settled_phase(self.plan, now))[:, None] * memory.waits.aim
         return memory, found._replace(foot_position=found.foot_position + beside)
 
     def lift_off(self, memory: Swings, now: Schedule, base_path: Array, body: Body) -> Swings:
         """The memory with new swings: those of the gait where all feet hold, and of feet that try again."""
         holds = jnp.where(now.closed, body.support, memory.waits.tries == 0).all()
-        swings = self.gait.lift_off(memory._replace(running=memory.running * holds), now, base_path, body)
+        swings = super().lift_off(memory._replace(running=memory.running * holds), now, base_path, body)
         return self._tried_again(swings._replace(running=memory.running), now, body)
 
     def after_contacts(self, memory: Swings, now: Schedule, step: Array, grip: Grip) -> Swings:

@@ -135,8 +135,8 @@ def _gait_of(
     chosen = rule, moves, structure.way_points, table, gravity
     found = OwnSwings(*of_limbs) if rule is None else kind(*of_limbs, *chosen)
     if (waiting := setup.parameters.waiting) is not None:
-        found = WaitingGait(*of_limbs, found, waiting)
-    return found if recovery is None else RecoveringGait(found, recovery)
+        found = WaitingGait.of(found, waiting)
+    return found if recovery is None else RecoveringGait.of(found, recovery)
 
 
 def _in_precision(tree: Tree, dtype: jnp.dtype) -> Tree:
