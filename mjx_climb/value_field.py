@@ -30,13 +30,12 @@ class ValueField(NamedTuple):
     in_steps: bool = False  # a time that is counted in whole time steps
     limits: tuple[float, float] | None = None  # that a value must lie in; None: those of a search do not bind
     whole: bool = False  # a whole number
-    meaning: str = ""  # in full, for the keys of a config; "; null: ..." at its end gives the meaning of null
+    note: str = ""  # behind the long name, for the keys of a config; "null: ..." gives the meaning of null
 
     @property
     def description(self) -> str:
-        """The meaning with the unit, as a config's keys have it."""
-        meaning, semicolon, rest = (self.meaning or self.long_name).partition(";")
-        return f"{meaning}, {self.unit}{semicolon}{rest}"
+        """The long name with the unit and the note, as a config's keys have it."""
+        return f"{self.long_name}, {self.unit}{self.note and f'; {self.note}'}"
 
     @property
     def lengths(self) -> tuple[int, ...]:
@@ -58,7 +57,6 @@ def parameter(
     long_name: str = "",
     in_steps: bool = False,
     whole: bool = False,
-    meaning: str = "",
 ) -> Any:
     """Return the field of a contact, an actuator or a disturbance that is one of its values.
 
@@ -67,18 +65,17 @@ def parameter(
         shape: of one robot's value, None for any length; a value may have batch axes in front, or be a scalar.
         bounds: the lowest and the highest value that there may be.
         default: the value of a component that is made without one.
-        long_name: for axes and tables; the field's own name where empty.
+        long_name: for axes and tables; the field's own name where empty. Behind a semicolon a note for the keys of a
+            config, as "; null: none".
         in_steps: a time that a walk rounds to whole time steps, in double precision.
         whole: whole numbers alone.
-        meaning: in full, for the keys of a config; the long name where empty.
 
     Raises:
         ValueError: bounds that are not in order.
     """
-    field = ValueField(
-        unit, tuple(shape), bounds, None, long_name, in_steps=in_steps, limits=bounds, whole=whole, meaning=meaning
-    )
-    return value_field(field, default)
+    name, _, note = long_name.partition("; ")
+    how: dict[str, Any] = {"in_steps": in_steps, "limits": bounds, "whole": whole, "note": note}
+    return value_field(ValueField(unit, tuple(shape), bounds, None, name, **how), default)
 
 
 def value_field(field: ValueField, default: object) -> Any:
