@@ -187,7 +187,12 @@ class _Known:
                 except jax.errors.ConcretizationTypeError:
                     own = own_parameters(scenario).values
                     found[path], self.traced[path] = own.get(path, np.zeros(())), False
-        self.parameters = parameters.replace(found)
+        self.parameters = parameters.replace_alone(found)
+
+
+def known_parameters(scenario: Scenario, parameters: Parameters) -> Parameters:
+    """Return parameters with the scenario's values in place of those that JAX traces."""
+    return _Known(scenario, parameters).parameters
 
 
 def compiled_for(scenario: Scenario, parameters: Parameters, called: Mapping[str, str] | None = None) -> Parameters:

@@ -13,22 +13,21 @@ of feet or joints; where it does not, these are left out, and a refusal says so.
 import functools
 import math
 import warnings
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from mjx_climb.execution.batch_axes import is_traced
 from mjx_climb.gait.base_path import planned_feet
 from mjx_climb.gait.footholds.reach import within_reach
-from mjx_climb.hardware.actuator import Actuator, JointSpring
+from mjx_climb.hardware.actuator import JointSpring
 from mjx_climb.hardware.servo import RELAXATION, Servos
-from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.from_scenario import known_parameters, own_parameters
 from mjx_climb.inputs.gait_values import GAIT
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.parameter_types import Parameters
-from mjx_climb.physics.contact.contact import Contact, Springs
+from mjx_climb.physics.contact.contact import Springs
 from mjx_climb.physics.contact.gripper import SpringGrip
 from mjx_climb.physics.inverse_kinematics import limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
@@ -37,14 +36,9 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import PASSIVE, Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
-from mjx_climb.scenario.model import Gait, Scenario, Servo
+from mjx_climb.scenario.model import Gait, Scenario
 
 _ROUNDING = 1e-7  # a free motion is twice the eigenvalue 1: rounding parts the two by its square root, 1e-8
-# values that shorten the time step as they grow: stiffness and damping are linear in each
-_STIFFENING = (
-    "control.kp", "control.kd", "contact.stiffness", "contact.damping", "contact.rotational_stiffness",
-    "contact.rotational_damping", "hardware.servo.viscous_friction",
-)  # fmt: skip
 # a walk sags and overshoots: it may ring 1 % short of the limit of its planned postures
 _LONGER = 1.01  # time steps
 _BESIDE = 1e-3  # of a swing, from its ends
@@ -53,32 +47,44 @@ _FARTHEST, _SHARES = 3.0, 512  # of a foot's way outwards; the largest share wit
 _STEPS = sorted((digit * 10.0**-power for power in range(1, 8) for digit in (1, 2, 2.5, 5)), reverse=True)
 
 
-class Own(NamedTuple):
-    """Springs of a contact and of an actuator, and a gait, in place of the config's, as numbers; None: there is none.
+class Held(NamedTuple):
+    """How feet and joints are held, of one robot or with the axes of a batch; springs that are not known are none."""
 
-    Springs that are not known have no stiffness.
+    contact: Springs
+    joint: JointSpring  # of the joint loop, and of the back EMF under a voltage
+    armature: Any = 0.0  # kg m^2
+    viscous: Any = 0.0  # N m s/rad
+    bristle: Any = 0.0  # N m/rad, of dry friction that does not slip
+    per_friction: Any = 0.0  # 1/rad, the same of 1 N m of the robot's own dry friction
+
+
+# which of these numbers shorten the time step as they grow: the others, inertias, lengthen it
+_STIFFENING = np.array(jax.tree.leaves(Held(Springs(1, 1, 1, 1), JointSpring(1, 1, 0), 0, 1, 1, 1)), bool)
+
+
+class System(NamedTuple):
+    """A robot with its gait, by whose postures it moves, and how it is held; hashable."""
+
+    robot: Robot
+    gait: Gait
+    chooses: bool  # whether limbs may land on any hold within reach
+    held: Held
+
+
+def growth(scenario: Scenario, time_step: float | None = None, parameters: Parameters | None = None) -> float:
+    """Growth of a small disturbance in one step, at worst: 1 or less where the step is short enough.
+
+    `parameters` of one robot replace the scenario's.
     """
-
-    contact: Springs | None = None
-    drive: JointSpring | None = None
-    gait: Gait | None = None
-    chooses: bool = False  # whether limbs may land on any hold within reach, beside the config's rule
-
-
-_CONFIG = Own()
-
-
-def growth(scenario: Scenario, time_step: float | None = None, own: Own = _CONFIG) -> float:
-    """Growth of a small disturbance in one step, at worst: 1 or less where the step is short enough."""
-    h = _LONGER * (scenario.time_step if time_step is None else time_step)
-    return _growth(scenario, load_robot(scenario.robot), h, own)
+    system, *_ = _systems(scenario, own_parameters(scenario) if parameters is None else parameters)
+    return _growth(system, scenario.time_step if time_step is None else time_step)
 
 
 @functools.lru_cache(maxsize=256)
-def _growth(scenario: Scenario, robot: Robot, h: float, own: Own) -> float:
-    worst = 0.0
+def _growth(system: System, time_step: float) -> float:
+    worst, h = 0.0, _LONGER * time_step
     with np.errstate(over="ignore", invalid="ignore"):
-        for mass, stiffness, damping in _systems(scenario, robot, h, own):
+        for mass, stiffness, damping in _matrices_of(system, h):
             mobility, one = np.linalg.inv(mass), np.eye(len(mass))
             k, d = h * mobility @ stiffness, h * mobility @ damping
             # v+ = v - h M^-1 (K x + D v), x+ = x + h v+, of x and h v
@@ -89,28 +95,32 @@ def _growth(scenario: Scenario, robot: Robot, h: float, own: Own) -> float:
     return float(worst)
 
 
-def short_enough(scenario: Scenario, own: Own = _CONFIG) -> bool:
+def short_enough(scenario: Scenario) -> bool:
     """Return whether contacts and joints can follow the scenario's time step."""
-    return growth(scenario, None, own) <= 1 + _ROUNDING
+    return growth(scenario) <= 1 + _ROUNDING
 
 
-def largest_time_step(scenario: Scenario, source: str = "scenario", own: Own = _CONFIG) -> float:
+def largest_time_step(scenario: Scenario, source: str = "scenario") -> float:
     """Return the largest round time step, s, that is short enough and divides duration and gait cycle.
 
     Raises:
         ConfigError: there is none above 0.1 microseconds.
     """
+    system, *_ = _systems(scenario, own_parameters(scenario, source))
+    return _largest(scenario, source, system)
+
+
+def _largest(scenario: Scenario, source: str, system: System) -> float:
     spans = [scenario.duration, scenario.gait.cycle]
     spans += [scenario.hardware.control_period] if scenario.hardware.control_period else []
     spans += [1 / rate] if (rate := scenario.value("hardware.servo.rate")) else []
     for step in _STEPS:
         whole = all(math.isclose(span / step, round(span / step), rel_tol=1e-9) and round(span / step) >= 1
                     for span in spans)  # fmt: skip
-        if whole and growth(scenario, step, own) <= 1 + _ROUNDING:
+        if whole and _growth(system, step) <= 1 + _ROUNDING:
             return step
-    raise ConfigError(
-        source, "time_step", "contacts and joint gains that some step of 0.1 us or more can follow", "none"
-    )
+    expected = "contacts and joint gains that some step of 0.1 us or more can follow"
+    raise ConfigError(source, "time_step", expected, "none")
 
 
 def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Parameters | None = None) -> None:
@@ -123,26 +133,21 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
     Raises:
         ConfigError: in one line, the time step that would do.
     """
-    if parameters is None and scenario.kinds:
-        parameters = own_parameters(scenario, source)
-    if parameters is not None:
-        _warn_of_unknown_springs(parameters, scenario.time_step)
-    largest, *each = [_CONFIG] if parameters is None else _own_springs(parameters, scenario)
-    unstable = _unstable(scenario, parameters, largest)
-    if unstable is not None and each:  # no robot of the batch may have all the largest values
-        found = (_unstable(scenario, parameters, own) for own in each)
-        unstable = next((one for one in found if one is not None), None)
-    if unstable is None:
-        return
-    scenario, own = unstable
-    feet, joints = _words(scenario, own, parameters)
-    raise ConfigError(
-        source,
-        "time_step",
-        f"one short enough for {load_robot(scenario.robot).name} with {feet}{joints}",
-        f"{scenario.time_step:g} (a disturbance grows {growth(scenario, None, own):.3g}-fold a step): "
-        f"{largest_time_step(scenario, source, own):g} would do",
-    )
+    with jax.ensure_compile_time_eval():  # under `jit` too: values that are known
+        walked = own_parameters(scenario, source) if parameters is None else known_parameters(scenario, parameters)
+        if parameters is not None or scenario.kinds:
+            _warn_of_unknown_springs(walked, scenario.time_step)
+        system, rows, places = _systems(scenario, walked)
+        if (number := _first_unstable(system, rows, scenario.time_step)) is None:
+            return
+        system = _with(system, rows[number])
+        got = f"{scenario.time_step:g} (a disturbance grows {_growth(system, scenario.time_step):.3g}-fold a step)"
+        raise ConfigError(
+            source,
+            "time_step",
+            f"one short enough for {load_robot(scenario.robot).name} with {_words(system, walked, places[number])}",
+            f"{got}: {_largest(scenario, source, system):g} would do",
+        )
 
 
 def _warn_of_unknown_springs(parameters: Parameters, time_step: float) -> None:
@@ -155,161 +160,134 @@ def _warn_of_unknown_springs(parameters: Parameters, time_step: float) -> None:
         warnings.warn(f"{lacks}: the time step of {time_step:g} s is not checked for its stiffness", stacklevel=4)
 
 
-def _unstable(scenario: Scenario, parameters: Parameters | None, own: Own) -> tuple[Scenario, Own] | None:
-    """Return the scenario and springs of a robot that the time step is too long for, None where there is none."""
-    scenario = scenario if parameters is None else _stiffest(scenario, parameters, own)
-    return None if short_enough(scenario, own) else (scenario, own)
-
-
-def _own_springs(parameters: Parameters, scenario: Scenario) -> list[Own]:
-    """Return the springs of contact and actuator: the largest values of a batch first, then those of each robot."""
-    gait, h = _shared_gait(parameters, scenario.gait), scenario.time_step
-    contact = None if isinstance(parameters.contact, SpringGrip) else parameters.contact.springs() or Springs(0.0, 0.0)
-    drive = None if isinstance(parameters.drive, Servos) else parameters.drive.spring(h) or JointSpring(0.0, 0.0)
+def _systems(scenario: Scenario, parameters: Parameters) -> tuple[System, np.ndarray, np.ndarray]:
+    """Return the first robot of a batch, the numbers by which others are held, a row each, and their places in it."""
+    leaves, tree = jax.tree.flatten(_held(parameters, scenario.time_step))
+    values = np.stack(np.broadcast_arrays(*(np.asarray(leaf, float) for leaf in leaves)), -1).reshape(-1, len(leaves))
+    rows, places = np.unique(values, axis=0, return_index=True)
     chooses = parameters.ground.holds is not None and not (parameters.footholds is parameters.recovery is None)
-    leaves, tree = jax.tree.flatten((contact, drive))
-    if not leaves:
-        return [Own(gait=gait, chooses=chooses)]
-    values = [np.zeros(()) if is_traced(leaf) else np.asarray(leaf, float) for leaf in leaves]
-    rows = np.unique(np.stack(np.broadcast_arrays(*values), -1).reshape(-1, len(values)), axis=0)
-    rows = rows if len(rows) == 1 else np.vstack([rows.max(0), rows])
-    each = (jax.tree.unflatten(tree, row.tolist()) for row in rows)
-    return [Own(contact, drive, gait, chooses) for contact, drive in each]
+    held: Held = jax.tree.unflatten(tree, rows[0].tolist())
+    return System(load_robot(scenario.robot), _shared_gait(parameters, scenario.gait), chooses, held), rows, places
+
+
+def _with(system: System, row: np.ndarray) -> System:
+    """Return the robot that is held by a row of numbers."""
+    return system._replace(held=jax.tree.unflatten(jax.tree.structure(system.held), row.tolist()))
+
+
+def _held(parameters: Parameters, time_step: float) -> Held:
+    contact, drive, loop = parameters.contact.springs() or Springs(0.0, 0.0), parameters.drive, parameters.joint_loop
+    if not isinstance(drive, Servos):
+        return Held(contact, drive.spring(time_step) or JointSpring(0.0, 0.0))
+    richer: Any = 1.0
+    if drive.drive == "voltage":
+        known = np.isfinite(drive.supply_voltage) & np.isfinite(drive.rated_voltage)
+        supply, rated = (np.where(known, volts, 1.0) for volts in (drive.supply_voltage, drive.rated_voltage))
+        richer = supply / rated
+    dry = np.asarray(drive.coulomb_friction) + drive.stribeck_friction
+    kp, kd = (richer * np.asarray(gain) for gain in (loop.kp, loop.kd))
+    joint = JointSpring(kp, kd + _back_emf(drive))
+    return Held(
+        contact, joint, drive.armature, drive.viscous_friction, dry / drive.presliding, 1 / np.asarray(drive.presliding)
+    )
+
+
+def _back_emf(drive: Servos) -> Any:
+    """The damping of the motors' back EMF, N m s/rad."""
+    return np.asarray(drive.torque_limit) / drive.no_load_speed if drive.drive == "voltage" else 0.0
 
 
 def _shared_gait(parameters: Parameters, own: Gait) -> Gait:
     """Return the gait with the values that all robots have in place of its own."""
-    values = parameters.values
-    given = {path.removeprefix("gait."): values[path] for path in GAIT}
-    known = {key: np.unique(np.asarray(value, float)) for key, value in given.items() if not is_traced(value)}
+    known = {path.removeprefix("gait."): np.unique(np.asarray(parameters.at(path), float)) for path in GAIT}
     return own.model_copy(update={key: float(values[0]) for key, values in known.items() if len(values) == 1})
 
 
-def _words(scenario: Scenario, own: Own, parameters: Parameters | None) -> tuple[str, str]:
-    """Return the descriptions of the springs of feet and joints, for a refusal."""
-    control, friction = scenario.control, scenario.value("hardware.servo.coulomb_friction", 0.0)
-    emf = _of_loop(scenario)[1] - control.kd
-    driven = f", a back EMF of {emf:.3g} N m s/rad" if emf else ""
-    sticking = f", hardware.servo.coulomb_friction {friction:g}" if friction else ""
-    joints = f"{sticking}{driven}, control.kp {control.kp:g} and control.kd {control.kd:g}"
-    if parameters is not None and own.contact is not None:
-        feet = _of_own(parameters.contact, own.contact, "N/m", "N s/m")
-    else:
-        contact = _springs(scenario)
-        feet = f"contact.stiffness {contact.stiffness:g}, contact.damping {contact.damping:g}"
-    if parameters is not None and own.drive is not None:
-        joints = f" and {_of_own(parameters.drive, own.drive, 'N m/rad', 'N m s/rad')}"
-    stretched = ", limbs stretched to the farthest footholds that may be chosen" if _chooses(scenario, own) else ""
-    return feet, joints + stretched
+def _words(system: System, parameters: Parameters, place: int) -> str:
+    """Return how the feet and joints of one of the robots are held, for a refusal."""
+    leaves = jax.tree.leaves(_held(parameters, 1.0))
+    shape = np.broadcast_shapes(*map(np.shape, leaves))
+
+    def value(path: str) -> float:
+        return float(np.broadcast_to(np.asarray(parameters.at(path), float), shape).ravel()[place])
+
+    def of_own(component: object, spring: Springs | JointSpring, of_angle: str, of_rate: str) -> str:
+        name = type(component).__name__
+        if not any(spring):
+            return f"{name}, whose springs are not known"
+        return f"{name} of {spring.stiffness:g} {of_angle} and {spring.damping:g} {of_rate}"
+
+    feet = of_own(parameters.contact, system.held.contact, "N/m", "N s/m")
+    if isinstance(parameters.contact, SpringGrip):
+        feet = f"contact.stiffness {value('contact.stiffness'):g}, contact.damping {value('contact.damping'):g}"
+    joints = f" and {of_own(parameters.drive, system.held.joint, 'N m/rad', 'N m s/rad')}"
+    if isinstance(parameters.drive, Servos):
+        friction, kp, kd = map(value, ("hardware.servo.coulomb_friction", "control.kp", "control.kd"))
+        emf = float(np.broadcast_to(_back_emf(parameters.drive), shape).ravel()[place])
+        joints = f", hardware.servo.coulomb_friction {friction:g}" if friction else ""
+        joints += f", a back EMF of {emf:.3g} N m s/rad" if emf else ""
+        joints += f", control.kp {kp:g} and control.kd {kd:g}"
+    stretched = ", limbs stretched to the farthest footholds that may be chosen" if system.chooses else ""
+    return feet + joints + stretched
 
 
-def _of_own(component: Contact | Actuator | None, spring: Springs | JointSpring, of_angle: str, of_rate: str) -> str:
-    name = type(component).__name__
-    if not any(spring):
-        return f"{name}, whose springs are not known"
-    return f"{name} of {spring.stiffness:g} {of_angle} and {spring.damping:g} {of_rate}"
+def _first_unstable(system: System, rows: np.ndarray, time_step: float) -> int | None:
+    """Return the number of the first row that the time step is too long for, None where there is none.
 
-
-def _stiffest(scenario: Scenario, parameters: Parameters, springs: Own) -> Scenario:
-    """Return the scenario of a robot that the time step is too long for, of the stiffest where there is none.
-
-    Where the step is short enough for the largest value of each parameter it is for all robots: a disturbance does not
+    Where the step is short enough for the stiffest value of each number it is for all robots: a disturbance does not
     grow while 4 M - 2 h D - h^2 K is positive definite, all three being symmetric.
     """
-    values = parameters.values
-    known = {n: np.asarray(values[n], float) for n in _STIFFENING if n in values and not is_traced(values[n])}
-    own = {path: scenario.value(path, math.nan) for path in known}
-    largest = {name: float(values.max()) for name, values in known.items()}
 
-    def of(values: Mapping[str, float]) -> Scenario:
-        others = {n: value for n, value in values.items() if not math.isclose(value, own[n], rel_tol=1e-6)}
-        return scenario.with_overrides(others) if others else scenario
+    def unstable(row: np.ndarray) -> bool:
+        return _growth(_with(system, row), time_step) > 1 + _ROUNDING
 
-    stiffest = of(largest)
-    if all(values.size == 1 for values in known.values()) or short_enough(stiffest, springs):
-        return stiffest
-    rows = np.unique(np.stack(np.broadcast_arrays(*known.values()), -1).reshape(-1, len(known)), axis=0)
-    least, change = _definite(stiffest, springs), []
-    for name, most in largest.items():
-        half = of(largest | {name: most / 2}) if most else stiffest
-        change.append((least - _definite(half, springs)) / (most / 2 if most else 1.0))
+    def definite(row: np.ndarray) -> np.ndarray:
+        """Return 4 M - 2 h D - h^2 K of each posture, linear in the numbers of a row."""
+        h = _LONGER * time_step
+        return np.stack([4 * m - 2 * h * d - h * h * k for m, k, d in _matrices_of(_with(system, row), h, True)])
+
+    if not unstable(np.where(_STIFFENING, rows.max(0), rows.min(0))):
+        return None
+    if len(rows) == 1:
+        return 0
+    none = definite(np.zeros(rows.shape[1]))
+    change = np.stack([definite(unit) - none for unit in np.eye(rows.shape[1])])
     for start in range(0, len(rows), _AT_ONCE):
-        some = rows[start : start + _AT_ONCE]
-        definite = least + np.tensordot(some - [*largest.values()], np.stack(change), 1)
-        for row in some[(np.linalg.eigvalsh(definite)[..., 0] < 0).any(1)]:
-            if not short_enough(found := of(dict(zip(known, row.tolist(), strict=True))), springs):
-                return found
-    return of(dict(zip(known, rows[0].tolist(), strict=True)))
+        each = none + np.tensordot(rows[start : start + _AT_ONCE], change, 1)
+        for number in start + np.flatnonzero((np.linalg.eigvalsh(each)[..., 0] < 0).any(1)):
+            if unstable(rows[number]):
+                return int(number)
+    return None
 
 
-def _definite(scenario: Scenario, own: Own) -> np.ndarray:
-    """Return 4 M - 2 h D - h^2 K of each posture, (S, 18, 18)."""
-    h = _LONGER * scenario.time_step
-    return np.stack(
-        [4 * m - 2 * h * d - h * h * k for m, k, d in _systems(scenario, load_robot(scenario.robot), h, own)]
-    )
+def _matrices_of(system: System, h: float, whole: bool = False) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield mass, stiffness and damping matrix (18, 18) at each posture, by steps of `h`.
 
-
-def _systems(
-    scenario: Scenario, robot: Robot, h: float, own: Own
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield mass, stiffness and damping matrix (18, 18) at each posture, by steps of `h`."""
-    model = robot.model
-    servo = _servo(scenario) if own.drive is None else Servo()
+    They are those of joints that slip and, where there is dry friction or `whole` asks for all, of joints that stick.
+    """
+    robot, gait, chooses, held = system
+    model, (contact, loop) = robot.model, held[:2]
     joint = np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
     driven, spring = np.ones(model.nv), np.zeros(model.nv)
     driven[6:], spring[6:] = model.jnt_group[1:] != PASSIVE, model.jnt_stiffness[1:]
-    dry, viscous = servo.coulomb_friction + servo.stribeck_friction + model.dof_frictionloss, servo.viscous_friction
-    loop = JointSpring(*_of_loop(scenario)) if own.drive is None else own.drive
-    if own.drive is not None:
-        dry = 0 * dry
-    springs = _springs(scenario) if own.contact is None else own.contact
-    postures = _planned(robot, own.gait or scenario.gait)
-    if _chooses(scenario, own):
+    sticks = held.bristle + held.per_friction * model.dof_frictionloss
+    postures = _planned(robot, gait)
+    if chooses:
         postures = [*postures, (np.ones(model.nsite, bool), _stretched(robot))]
     for grips, (mass, *jacobians) in postures:
         places, turns = (jacobian[grips].reshape(-1, model.nv) for jacobian in jacobians)
-        held = springs.stiffness * places.T @ places + springs.rotational_stiffness * turns.T @ turns
-        resisted = springs.damping * places.T @ places
-        if springs.rotational_stiffness:
-            resisted += springs.rotational_damping * turns.T @ turns
-        for bristle in (0 * dry, dry / servo.presliding) if dry.any() else (0 * dry,):  # slipping, sticking
+        stiff = contact.stiffness * places.T @ places + contact.rotational_stiffness * turns.T @ turns
+        resisted = contact.damping * places.T @ places
+        if contact.rotational_stiffness or whole:
+            resisted += contact.rotational_damping * turns.T @ turns
+        for bristle in (0 * sticks, sticks) if whole or sticks.any() else (0 * sticks,):
             damping = bristle * (RELAXATION + h)
-            of_rates = loop.damping * driven + viscous + model.dof_damping + damping
+            of_rates = loop.damping * driven + held.viscous + model.dof_damping + damping
             yield (
-                mass + np.diag((servo.armature + loop.armature * driven + h * damping) * joint),
-                np.diag((loop.stiffness * driven + spring + bristle) * joint) + held,
+                mass + np.diag((held.armature + loop.armature * driven + h * damping) * joint),
+                np.diag((loop.stiffness * driven + spring + bristle) * joint) + stiff,
                 np.diag(of_rates * joint) + resisted,
             )
-
-
-def _chooses(scenario: Scenario, own: Own) -> bool:
-    """Return whether limbs may land on any hold within reach."""
-    return own.chooses or (scenario.gait.footholds != "planned" and scenario.ground.holds is not None)
-
-
-def _springs(scenario: Scenario) -> Springs:
-    """The springs of a config's contact; one without such a key has none there."""
-    return Springs(*(scenario.value(f"contact.{name}", 0.0) for name in Springs._fields))
-
-
-def _servo(scenario: Scenario) -> Servo:
-    """The servos of a config; a kind of its own has their defaults where it names no value."""
-    servo = scenario.hardware.servo
-    if isinstance(servo, Servo):
-        return servo
-    return Servo(**{key: value for key, value in servo.items() if key in Servo.model_fields and key != "kind"})
-
-
-def _of_loop(scenario: Scenario) -> tuple[float, float]:
-    """Return stiffness, N m/rad, and damping, N m s/rad, of the joint loop and of the back EMF under a voltage."""
-    control, servo = scenario.control, _servo(scenario)
-    if servo.drive == "torque" or servo.torque_limit is None or servo.no_load_speed is None:
-        return control.kp, control.kd
-    richer = 1.0
-    if servo.supply_voltage is not None and servo.rated_voltage is not None:
-        richer = servo.supply_voltage / servo.rated_voltage
-    return richer * control.kp, richer * control.kd + servo.torque_limit / servo.no_load_speed
 
 
 @functools.lru_cache(maxsize=64)

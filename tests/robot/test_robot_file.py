@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb import ground
-from mjx_climb.gait.footholds import Nearest
+from mjx_climb.gait.footholds.nearest import Nearest
 from mjx_climb.gait.recovery import Recovery
 from mjx_climb.hardware.actuator import JointLoop, JointSpring
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.time_step import Own, check_time_step, growth, largest_time_step
+from mjx_climb.inputs.time_step import check_time_step, growth, largest_time_step
 from mjx_climb.physics.contact.contact import Springs
 from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
@@ -403,14 +403,33 @@ class Damped(Springy):
         return Springs(self.stiff, self.damped)
 
 
+class Sprung(mc.Actuator):
+    """It says by which springs it holds."""
+
+    stiff: object = mc.parameter("N m/rad", bounds=(0.0, np.inf))
+    damped: object = mc.parameter("N m s/rad", bounds=(0.0, np.inf))
+    heavy: object = mc.parameter("kg m^2", bounds=(0.0, np.inf), default=0.0)
+
+    def spring(self, period):
+        return JointSpring(self.stiff, self.damped, self.heavy)
+
+    def init(self, angles):
+        return ()
+
+    def step(self, memory, targets, gains, joints, period):
+        raise AssertionError("nobody walks")
+
+
 @pytest.mark.filterwarnings("ignore:Bare has no method springs")
 def test_a_contact_and_an_actuator_of_ones_own_are_checked_by_their_own_springs():
     scenario = mc.Scenario()
     contact, control, own = scenario.contact, scenario.control, own_parameters(scenario)
     stiff = scenario.with_overrides({"contact.stiffness": 1e6, "control.kp": 2e3, "control.kd": 30.0})
-    alike = Own(Springs(contact.stiffness, contact.damping), JointSpring(control.kp, control.kd))
-    assert growth(scenario, None, alike) == growth(scenario)
-    assert growth(scenario, None, Own(drive=JointSpring(2e3, 30.0, 0.03))) < growth(stiff)
+    alike = {"contact": Springy(contact.stiffness), "drive": Sprung(control.kp, control.kd)}
+    assert growth(scenario, None, dataclasses.replace(own, **alike)) == growth(scenario)
+    assert growth(scenario, None, dataclasses.replace(own, drive=Sprung(2e3, 30.0, 0.03))) < growth(stiff)
+    heavier = {"hardware.servo.armature": np.array([0.02, 0.03])}
+    check_time_step(scenario, parameters=own.replace({"control.kp": 2e3, "control.kd": 30.0} | heavier))
     soft = {"contact": Gripper(), "drive": VelocityCommanded(velocity_gain=np.array([1.0, 5.0]))}
     check_time_step(stiff, parameters=dataclasses.replace(own_parameters(stiff), **soft))
     for changes, said in (
