@@ -20,9 +20,9 @@ from mjx_climb.execution.elements import MOVES, Elements, Shared, Unsupported, V
 from mjx_climb.execution.jax_internals import inner_program, line_of, scan_sizes
 from mjx_climb.execution.jax_types import Parameters, aval_of
 from mjx_climb.execution.limbs import Axis
+from mjx_climb.execution.simpler import MOST_PRODUCTS
 
 MOST_ELEMENTS = 1000  # of one equation in a region: a larger one stays an array to XLA
-MOST_PRODUCTS = 18**3  # of a product of matrices: of two inertias of a robot of twelve joints
 MOST_STEPS = 64  # of a loop that is written out step by step
 MOST_OF_A_TABLE = 200_000  # numbers that a loop writes
 MOST_WRITTEN_OUT = 1000  # equations of all steps of a loop that reads something at each

@@ -21,7 +21,7 @@ from mjx_climb.execution.jax_types import Parameters, aval_of
 MOST_IN_ORDER = 24  # numbers that are sorted
 MOST_CASES = 2048  # numbers that a scatter chooses, or products of a convolution
 MOST_OF_MATRICES = 216  # products of three sizes of a matrix, in rows
-IN_A_KERNEL = 18**3  # the same of triangular ones in a kernel, which calls no library: engine mjx's inertia
+MOST_PRODUCTS = 18**3  # the same in a kernel, which calls no library: of two inertias of a robot of twelve joints
 
 Rule = Callable[..., list[Array]]
 Matrix = list[list[Array]]
@@ -74,7 +74,7 @@ def _is_small(equation: core.JaxprEqn, in_kernel: bool) -> bool:
         return bool(groups == 1 and last.size * avals[1].size <= MOST_CASES)
     if name in ("lu", "qr", "cholesky", "triangular_solve"):
         pivoting = equation.params.get("pivoting", False)
-        most = IN_A_KERNEL if in_kernel and name in ("cholesky", "triangular_solve") else MOST_OF_MATRICES
+        most = MOST_PRODUCTS if in_kernel and name in ("cholesky", "triangular_solve") else MOST_OF_MATRICES
         return bool(not pivoting and first.size * max(aval.shape[-1] for aval in avals) <= most)
     return bool(first.size <= MOST_CASES)
 
