@@ -49,6 +49,7 @@ def tune(
     objective: OwnObjective | str | None = None,
     metrics: Iterable[mc.Metric] = mc.METRICS,
     parameters: mc.Parameters | None = None,
+    ensemble: Ensemble | None = None,
     engine: str = DEFAULT_ENGINE,
     **settings: Any,
 ) -> Tuned:
@@ -69,6 +70,7 @@ def tune(
         metrics: of the walks, as `mjx_climb.METRICS + (mine,)`; weights, limits and the objective may name them.
         parameters: in place of the scenario's; with leading axes (members, 1), an ensemble over which the score is the
             mean.
+        ensemble: over which the gains are searched, see `robust`.
         engine: the dynamics, one of `mjx_climb.ENGINES`.
         out: a folder that keeps each finished round, so that an interrupted search goes on from there; until the
             result is written there, or `tuning.methods.parts.clear(out)`.
@@ -83,11 +85,15 @@ def tune(
         Unidentifiable: with `out`, an objective or method that cannot be told from another; see
             `mjx_climb.execution.contents`.
     """
-    wanted = (search or Search()).changed(settings)
-    wanted, space, own = prepare(scenario, wanted, (search, method, settings.get("method")), method, law)
-    scenario, objective = own_objective(scenario, objective)
+    over = (search or Search()).changed(settings) if ensemble is None else over_ensemble(search, settings, ensemble)
+    wanted, space, own = prepare(scenario, over, (search, method, settings.get("method")), method, law)
+    goal: OwnObjective | None = None
+    if ensemble is None:
+        scenario, goal = own_objective(scenario, objective)
+    elif objective is not None:
+        raise ConfigError("", "objective", "none with an ensemble, whose members are scored by weights")
     walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine, "own_method": own}
-    problem = problem_of(scenario, wanted, objective, space=space, **walks)
+    problem = problem_of(scenario, wanted, goal, ensemble=ensemble, space=space, **walks)
     if parameters is not None:
         problem = dataclasses.replace(problem, parameters=parameters, members=math.prod(batch_shape(parameters)))
     return from_seeds(problem, wanted, seeds, out=out, progress=progress)
@@ -99,27 +105,16 @@ def robust(
     search: Search | None = None,
     *,
     judges: int = Judge().members,
-    seeds: int = 1,
-    out: str | os.PathLike[str] | None = None,
-    progress: Callback | None = None,
-    method: OwnMethod | None = None,
-    law: mc.Law | None = None,
-    metrics: Iterable[mc.Metric] = mc.METRICS,
-    engine: str = DEFAULT_ENGINE,
-    **settings: Any,
+    **how: Any,
 ) -> Robust:
-    """Search the gains that do best over an ensemble: `tuning.tune`, whose arguments these are, with its walks.
+    """Search the gains that do best over an ensemble: `tuning.tune`, whose arguments `how` has, with its walks.
 
     Where no weights are given, those of a plain search and the peak pulling force count alike. `judges` is how many
     walks of a fresh draw test the result.
     `tuning.write(tuning.robust(scenario, ensemble, out="results/mine"), "results/mine")` is
     `mjx-climb tune --ensemble`.
     """
-    wanted = over_ensemble(search, settings, ensemble)
-    wanted, space, own = prepare(scenario, wanted, (search, method, settings.get("method")), method, law)
-    walks: dict[str, Any] = {"law": law, "metrics": metrics, "engine": engine, "own_method": own}
-    problem = problem_of(scenario, wanted, ensemble=ensemble, space=space, **walks)
-    found = from_seeds(problem, wanted, seeds, out=out, progress=progress)
+    found = tune(scenario, search, ensemble=ensemble, **how)
     assert isinstance(found, Robust)
     return dataclasses.replace(found, judges=judges)
 
