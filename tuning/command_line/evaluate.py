@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from mjx_climb.scenario import shipped
 from tuning.command_line.from_models import command, in_options
 from tuning.command_line.options import ENSEMBLE, SHARD, Members, Output, Walk
-from tuning.command_line.program import InputError, origin, repeated
+from tuning.command_line.program import InputError, repeated
 from tuning.command_line.sweep import merge, walk_rows
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.search import Judge, Search, check_metrics
@@ -62,13 +62,10 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
     """Find how late, slow and weak a robot's hardware may be before gains fail."""
     with output.session(walks=True) as shell:
         from mjx_climb.control import PD, law_of
-        from mjx_climb.files import dataset
         from mjx_climb.scenario.messages import ConfigError
-        from mjx_climb.viz import plots
         from tuning.comparisons import linear_margins
         from tuning.comparisons import margins as evaluation
         from tuning.gains.gains_file import apart, by_name
-        from tuning.numbers import to_json
         from tuning.pages import margins as pages
         from tuning.results.config_file import write_config
 
@@ -97,15 +94,10 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
                 place, own = apart(scenario, gains)
                 stable = linear_margins.find(place, own, found.margins, progress=told, **how)
             warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
-            text = to_json(pages.summary(found, stable, warnings))
-            with shell.stage("drawing", compiles=False):
-                dataset.write_text_atomically(out / "margins.json", text + "\n")
-                dataset.save(found.walks, out / "margins.nc")
-                figure = pages.plot_margins(found, "config" if walk.gains is None else walk.gains.stem)
-                plots.save_figure(figure, out / "margins", output.figures)
+            files = pages.files(found, stable, warnings, "config" if walk.gains is None else walk.gains.stem)
+            names = shell.fill(out, files)
         shell.show(pages.margins_table(found, stable), *(f"warning: {line}" for line in warnings))
-        pictures = ", ".join(f"margins.{kind}" for kind in output.figures)
-        shell.written(f"margins.json, margins.nc, {pictures}, config.yaml", text)
+        shell.written(names, files["margins.json"])
 
 
 class Files(Rival):
@@ -241,12 +233,9 @@ class Pushes(Files):
 def pushes(asked: Pushes, walk: Annotated[Walk, "-gains", "-metrics"], output: Annotated[Output, "-sections"]) -> None:
     """Find the largest pushes that walks survive, by direction and length."""
     with output.session(walks=True) as shell:
-        from mjx_climb.files import dataset
-        from mjx_climb.viz import plots
         from tuning.comparisons import pushes as search
         from tuning.gains.gains_file import by_name
         from tuning.pages import pushes as pages
-        from tuning.pages.page import NAME
         from tuning.results.config_file import write_config
 
         loaded = walk.load()
@@ -259,19 +248,12 @@ def pushes(asked: Pushes, walk: Annotated[Walk, "-gains", "-metrics"], output: A
             shell.opening(scenario)
             with shell.stage("pushes") as told:
                 found = search.find(scenario, walkers, **how, engine=walk.engine, progress=told)
-            text, table = pages.summary(found), pages.pushes_table(found)
-            with shell.stage("drawing", compiles=False):
-                dataset.write_text_atomically(out / "pushes.json", text + "\n")
-                dataset.save(found, out / "pushes.nc")
-                figure = pages.plot_pushes(found)
-                plots.save_figure(figure, out / "pushes", {*output.figures, "png"})
-                again = repeated(["evaluate", "--pushes"], "--gains", "--retuned-pd", "--push-length",
-                                 "--largest-push", "--push-draws", "--engine")  # fmt: skip
-                made = origin(shell.name, again)._replace(pictures={pages.CAPTION: out / "pushes.png"})
-                pages.write_page(found, scenario, made, out)
-        shell.show(table, pages.verdict(found))
-        pictures = ", ".join(f"pushes.{kind}" for kind in sorted({*output.figures, "png"}))
-        shell.written(f"pushes.json, pushes.nc, {pictures}, {NAME}, config.yaml", text)
+            again = repeated(["evaluate", "--pushes"], "--gains", "--retuned-pd", "--push-length", "--largest-push",
+                             "--push-draws", "--engine")  # fmt: skip
+            files, page = pages.files(found), pages.page_of(found, scenario)
+            names = shell.fill(out, files, page.at, again)
+        shell.show(*page.tables, page.findings.verdict)
+        shell.written(names, files["pushes.json"])
 
 
 # of the settings those that a first search needs
@@ -316,6 +298,7 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
 
 
 @command(
+    "Do gains hold where no search looked?",
     "results/<config>-evaluate, -margins, -worse, -ceiling or -pushes",
     {"margins": margins, "worse": worse, "ceiling": ceiling, "pushes": pushes, "merge": merge},
 )

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tuning.problem.evaluation import Problem
 
 
-@command("results/<config>-excite")
+@command("What must a robot do to be identified?", "results/<config>-excite")
 def excite(
     walk: Annotated[Walk, "config", "hardware", "changes", "slope", "roof"], asked: Excitation, output: Output
 ) -> None:
@@ -113,7 +113,7 @@ class Fitted(Recorded):
     starts: int = setting(4, "points from which the search begins, the config's own among them", ge=1, le=64)
 
 
-@command("none: nothing is written")
+@command("Which parameters does my robot have?", "none: nothing is written")
 def identify(
     asked: Fitted, walk: Annotated[Walk, "config", "hardware", "changes", "slope", "roof"], output: Output
 ) -> None:
@@ -178,7 +178,7 @@ class Replayed(Recorded):
     with_law: bool = setting(False, "walk under the config's law too, with the pushes that were logged, and compare")
 
 
-@command("results/<config>-replay")
+@command("How far is the simulation from my robot?", "results/<config>-replay")
 def replay(
     walk: Annotated[Walk, "-metrics"],
     asked: Replayed,
@@ -255,10 +255,10 @@ def _write(
 ) -> tuple[str, str]:
     """Write a replay into a folder and print its errors; return the names of the files, and the errors as JSON."""
     from mjx_climb.files import dataset
-    from mjx_climb.viz import plots
     from tuning import numbers
     from tuning.identification.model.replay_picture import plot_replay
     from tuning.identification.readers.log import unit_of
+    from tuning.pages.contents import Picture
     from tuning.pages.table import Table
 
     rows = [[name, *map(numbers.number, error[:4]), unit_of(name)] for name, error in found.errors.items()]
@@ -266,15 +266,11 @@ def _write(
     shell.show(table, *found.warnings, f"base {found.base}; moved: standard deviation of what was logged")
     by_signal = {name: {**error._asdict(), "unit": unit_of(name)} for name, error in found.errors.items()}
     whole = {"base": found.base, "signals": by_signal, "warnings": [*found.log.warnings, *found.warnings]}
-    text = numbers.to_json({**whole, "judged": under_law} if under_law else whole)
-    files = ["replay.json", "simulation.nc", "config.yaml"]
-    dataset.write_text_atomically(out / "replay.json", text + "\n")
-    dataset.save(dataset.to_dataset(found.walk), out / "simulation.nc")
+    text = numbers.to_json({**whole, "judged": under_law} if under_law else whole) + "\n"
+    files: dict[str, Any] = {"replay.json": text, "simulation.nc": dataset.to_dataset(found.walk)}
     if found.log.guessed is not None:
-        dataset.write_text_atomically(out / "signals.yaml", found.log.guessed.to_yaml())
-        files.append("signals.yaml")
-    with shell.stage("drawing", compiles=False):
-        plots.save_figure(plot_replay(found), out / "replay", shell.output.figures)
-    files += [f"replay.{kind}" for kind in shell.output.figures]
-    files += pictures.write({"logged": found.logged(), "simulated": found.walk}, out, shell.stage)
-    return ", ".join(files), text
+        files["signals.yaml"] = found.log.guessed.to_yaml()
+    files["replay"] = Picture("", lambda: plot_replay(found))
+    written = shell.fill(out, files)
+    more = pictures.write({"logged": found.logged(), "simulated": found.walk}, out, shell.stage)
+    return ", ".join([written, *more]), text

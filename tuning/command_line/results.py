@@ -19,7 +19,7 @@ from tuning.command_line.options import (
     reserved_stdout,
     scenario_from,
 )
-from tuning.command_line.program import InputError, origin, user_error
+from tuning.command_line.program import InputError, user_error
 from tuning.problem.settings import Options, setting
 
 _BESIDE = "config.yaml"  # of a search, beside its gains
@@ -65,7 +65,7 @@ class Plot(Options):
     )
 
 
-@command()
+@command("How does a result look, drawn otherwise?")
 def plot(asked: Plot) -> None:
     """Draw the pictures of a result again: any metric, format, size and style. Nothing is walked.
 
@@ -96,7 +96,7 @@ def plot(asked: Plot) -> None:
             raise mc.ConfigError(folder, "", "a result as a command wrote it, with all its files", got) from None
 
 
-@command("results/reproduce")
+@command("Does what the paper claims hold here?", "results/reproduce")
 def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
     """Walk the paper's three cases under every controller and compare with the paper's statements.
 
@@ -115,32 +115,24 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
       mjx-climb reproduce --out results/paper --json
     """
     with output.session() as shell:
-        from mjx_climb.files import dataset
         from tuning.command_line.session import WIDTH, console, print_on
         from tuning.numbers import to_json
-        from tuning.pages import page
         from tuning.reproduce import results
 
         shell.claim("reproduce.json", "reproduce", settings={"command": "reproduce"})
         shell.opening()
         with shell.whole() as out:
             found = dict(results.reproduced(out, shell.stage))
-            text = to_json(results.as_json(found))
-            dataset.write_text_atomically(out / "reproduce.json", text + "\n")
-            dataset.write_text_atomically(out / "paper.md", results.as_markdown(found))
             said: list[Any] = [*results.tables(found), *results.lines(found)]
             with (captured := console()).capture() as capture:
                 captured.width = WIDTH
                 print_on(captured, *said)
-            dataset.write_text_atomically(out / "tables.txt", capture.get())
-            with shell.stage("report", compiles=False):
-                made = results.page(found, out, origin("the paper's cases", "mjx-climb reproduce --out again"))
-                page.write(made, out)
+            text = to_json(results.as_json(found)) + "\n"
+            files = {"reproduce.json": text, "paper.md": results.as_markdown(found), "tables.txt": capture.get()}
+            names = shell.fill(out, files, lambda at: results.page(found, out, at), "mjx-climb reproduce --out again")
             count = len(list(out.glob("*.nc")))
-
         shell.show(*said)
-        files = "report.html, reproduce.json, tables.txt, paper.md, figures (.png), scenarios (.yaml)"
-        shell.written(f"{files}, {count} walks (.nc)", text)
+        shell.written(f"{names}, figures (.png), scenarios (.yaml), {count} walks (.nc)", text)
 
 
 def _identifier(name: str) -> str:
@@ -234,7 +226,7 @@ class Export(Options):
         return scenario if exact else scenario.with_overrides({"control.integration": "semi_implicit"})
 
 
-@command()
+@command("How do gains get onto my robot?")
 def export(asked: Export) -> None:
     """Write gains for the robot's own controller.
 

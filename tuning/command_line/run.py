@@ -120,13 +120,8 @@ class Recording(Options):
                 raise InputError(f"--{error}") from None
 
 
-@command("results/<config>-<controller>")
-def run(
-    walk: Walk,
-    output: Annotated[Output, "-sections"],
-    pictures: Pictures,
-    recording: Recording,
-) -> None:
+@command("How does this walk go?", "results/<config>-<controller>")
+def run(walk: Walk, output: Annotated[Output, "-sections"], pictures: Pictures, recording: Recording) -> None:
     """Walk one robot through a scenario, in double precision.
 
     Prints the metrics with their units and whether the grippers held, and writes to DIR the full time histories
@@ -156,7 +151,8 @@ def run(
     with output.session() as shell:
         from mjx_climb.robot_import.load import load_robot
         from mjx_climb.viz import rendering
-        from tuning.writing.record import settings_of
+        from tuning.numbers import presentable, to_json
+        from tuning.writing.record import settings_of, walks_at_home
 
         loaded = walk.load_with_gains()
         law, scenario = loaded.law, loaded.scenario
@@ -167,68 +163,54 @@ def run(
         settings = settings_of(loaded, "run", compare=pictures.compare)
         words = dict.fromkeys((walk.config.stem, name, *walk.words))
         shell.claim("trajectory.nc", *words, settings=settings, varied=walk.varied)
-        walks, metrics = _walked(loaded, name, shell, pictures, recording)
+        with shell.whole() as place:
+            walks, metrics, files = _written(loaded, name, shell, pictures, recording, place)
+        walks, own = walks_at_home(walks, place, shell.out), metrics[name]
+        show(walks, metrics, loaded, shell)
+        shell.written(files, to_json(presentable(own, None)))
         if pictures.view:
             rendering.view(*walks.values(), until=interruption.requested)
-        if metrics["detached_limb"] is not None or metrics["diverged"] or metrics.get("stands_at") is not None:
+        if own["detached_limb"] is not None or own["diverged"] or own.get("stands_at") is not None:
             raise typer.Exit(1)
-
-
-def _walked(
-    loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording
-) -> tuple[Walks, dict[str, Any]]:
-    """Walk, write and print; return the walks, and the metrics of the first that was asked for."""
-    from tuning.numbers import presentable, to_json
-    from tuning.writing.record import walks_at_home
-
-    with shell.whole() as place:
-        walks, metrics, files = _written(loaded, name, shell, pictures, recording, place)
-    walks = walks_at_home(walks, place, shell.out)
-    show(walks, metrics, loaded, shell)
-    shell.written(", ".join(files), to_json(presentable(metrics[name], None)))
-    return walks, metrics[name]
 
 
 def _written(
     loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording, out: Path
-) -> tuple[Walks, dict[str, dict[str, Any]], list[str]]:
+) -> tuple[Walks, dict[str, dict[str, Any]], str]:
     """Walk and write into a folder; return the walks, their metrics, and the names of the files."""
     from mjx_climb.files import dataset
-    from mjx_climb.viz.recording import save_mcap
+    from mjx_climb.viz import plots, rerun_recording
+    from mjx_climb.viz import recording as recordings
     from tuning import scenario_files
     from tuning.numbers import presentable, to_json
+    from tuning.pages.contents import Picture
     from tuning.results.config_file import write_config
 
     scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
     shell.opening(scenario)
     with shell.stage(name):
         walks = {name: mc.rollout(scenario, law=loaded.law, engine=loaded.engine)}
+    walked = walks[name]
+    files: dict[str, Any] = {"walk": Picture("", lambda: plots.plot_walk(walked))}
+    files["feet"] = Picture("", lambda: plots.plot_feet(walked))
     if (rival := pictures.compare) is not None:
         changes = {"control.controller": rival, "control.reading": "virtual_model"}
         beside = scenario_files.copied(loaded.scenario.with_overrides(changes), out)
         with shell.stage(rival):
             walks = {rival: mc.rollout(beside, engine=loaded.engine), **walks}
+        files["comparison"] = Picture("", lambda: plots.plot_comparison(walks))
     metrics = {name: mc.metrics(walked, loaded.metrics) for name, walked in reversed(walks.items())}
-    dataset.save(dataset.to_dataset(walks[name]), out / "trajectory.nc")
-    dataset.write_text_atomically(out / "metrics.json", to_json(presentable(metrics[name], None)) + "\n")
-    with shell.stage("drawing", compiles=False):
-        from mjx_climb.viz import plots  # matplotlib takes a third of a second
-
-        figures = {"walk": plots.plot_walk(walks[name]), "feet": plots.plot_feet(walks[name])}
-        figures |= {} if rival is None else {"comparison": plots.plot_comparison(walks)}
-        for stem, figure in figures.items():
-            plots.save_figure(figure, out / stem, shell.output.figures)
-    drawn = [f"{stem}.{kind}" for stem in figures for kind in shell.output.figures]
-    files = ["trajectory.nc", "config.yaml", "metrics.json", *drawn, *pictures.write(walks, out, shell.stage)]
-    if recording.mcap:
-        with shell.stage("walk.mcap", compiles=False):
-            files.append(save_mcap(walks[name], out / "walk.mcap").name)
-    if recording.rerun:
-        from mjx_climb.viz.rerun_recording import save_rrd
-
-        with shell.stage("walk.rrd", compiles=False):
-            files.append(save_rrd(walks[name], out / "walk.rrd").name)
-    return walks, metrics, files
+    text = to_json(presentable(metrics[name], None)) + "\n"
+    written = shell.fill(out, {"trajectory.nc": dataset.to_dataset(walked), "metrics.json": text, **files})
+    names = [written, *pictures.write(walks, out, shell.stage)]
+    for asked, save, file in (
+        (recording.mcap, recordings.save_mcap, "walk.mcap"),
+        (recording.rerun, rerun_recording.save_rrd, "walk.rrd"),
+    ):
+        if asked:
+            with shell.stage(file, compiles=False):
+                names.append(save(walked, out / file).name)
+    return walks, metrics, ", ".join(names)
 
 
 def show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from tuning.kinds import Begun
     from tuning.methods.rounds import Progress as Rounds
     from tuning.pages import page
-    from tuning.pages.contents import Contents
+    from tuning.pages.contents import Contents, Files
+    from tuning.pages.page import Origin, Page
     from tuning.pages.section import SectionOf
     from tuning.problem.evaluation import Problem
     from tuning.results.result import Result
@@ -228,6 +229,12 @@ class Session:
 
         return record.whole(self.out, self.settings)
 
+    def fill(self, out: Path, files: "Files", report: "Callable[[Origin], Page] | None" = None, again: str = "") -> str:
+        """Write the files of a result that has a config.yaml, and its page, which `again` repeats; return the names."""
+        from tuning.writing import folder
+
+        return folder.fill(out, files, report, origin(self.name, again), self.output.figures, self.stage)
+
     def say(self, *lines: str) -> None:
         """Print lines beside the results."""
         for line in lines:
@@ -240,7 +247,7 @@ class Session:
     def print_json(self, text: str) -> None:
         """Print JSON where it was asked for."""
         if self._json is not None:
-            print(text, file=self._json)
+            print(text.rstrip("\n"), file=self._json)
 
     def opening(self, scenario: "mc.Scenario | None" = None, *lacks: str) -> None:
         """Say where compiled programs are kept, and warn of a scenario or a result before anything walks."""
@@ -258,14 +265,7 @@ class Session:
         self.say(f"{before}written to {self.out} in {duration(time.perf_counter() - self.begin)}: {files}")
         self.print_json(json)
 
-    def result(
-        self,
-        found: "Result",
-        again: str,
-        begun: "Begun | None" = None,
-        *,
-        before: str = "",
-    ) -> None:
+    def result(self, found: "Result", again: str, begun: "Begun | None" = None, *, before: str = "") -> None:
         """Write a result with its report, where `again` repeats it, and print its tables, or that of its walks."""
         from tuning import kinds
         from tuning.pages import comparison

@@ -14,6 +14,8 @@ from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.comparisons import margins
 from tuning.comparisons.linear_margins import Stable
+from tuning.numbers import to_json
+from tuning.pages.contents import Picture
 from tuning.pages.page import Table
 from tuning.pages.pictures import COLORS, plain_numbers
 
@@ -31,6 +33,13 @@ def margins_table(found: margins.Found, stable: Mapping[str, Stable]) -> Table:
         rows.append([margin.title, margin.with_unit(margin.own), *reached, loop])
     columns = ["", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"]
     return Table("Margins", columns, [("", rows)], 1)
+
+
+def files(found: margins.Found, stable: Mapping[str, Stable], warnings: Sequence[str], given: str) -> dict[str, Any]:
+    """Return the margins as JSON, all walks, and the picture; `given` is the name of the given gains."""
+    text = to_json(summary(found, stable, warnings)) + "\n"
+    picture = Picture("Force variation on worse hardware.", lambda: plot_margins(found, given))
+    return {"margins.json": text, "margins.nc": found.walks, "margins": picture}
 
 
 def summary(found: margins.Found, stable: Mapping[str, Stable], warnings: Sequence[str]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Pushes that walks bear: the table, the picture, the page and the JSON."""
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,8 +11,8 @@ from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.comparisons.pushes import SHARES, borne, in_words
 from tuning.numbers import to_json
-from tuning.pages import page
-from tuning.pages.page import Findings, Origin, Page, Table
+from tuning.pages.contents import Picture
+from tuning.pages.page import Findings, Page, Table
 
 CAPTION = "Force on the base that half (dots) and 95 % (bars) of the walks survive, with intervals of 95 %."
 
@@ -75,14 +75,18 @@ def summary(found: xr.Dataset) -> str:
                         | {"impulse": [plain(value, length) for value in each]}
                     )
     own = {"smallest": found.attrs["smallest"], "largest": found.attrs["largest"], "draws": found.sizes["draw"]}
-    return to_json({**own, "pushes": rows, "verdict": verdict(found)})
+    return to_json({**own, "pushes": rows, "verdict": verdict(found)}) + "\n"
 
 
-def write_page(found: xr.Dataset, scenario: mc.Scenario, origin: Origin, folder: Path) -> None:
-    """Write the page of pushes into a folder."""
-    said = Findings(verdict(found))
+def files(found: xr.Dataset) -> dict[str, Any]:
+    """Return the table as JSON, each draw, and the picture."""
+    return {"pushes.json": summary(found), "pushes.nc": found, "pushes": Picture(CAPTION, lambda: plot_pushes(found))}
+
+
+def page_of(found: xr.Dataset, scenario: mc.Scenario) -> Page:
+    """Return the page of pushes."""
     table = pushes_table(found)
-    page.write(Page("Pushes, {}", said, scenario, tables=[table], opened=[table]).at(origin), folder)
+    return Page("Pushes, {}", Findings(verdict(found)), scenario, tables=[table], opened=[table])
 
 
 @plots.style()

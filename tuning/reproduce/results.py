@@ -236,7 +236,7 @@ def page(found: Found, folder: Path, origin: Origin) -> Page:
     configs = [f"# case {name}\n{scenario.to_yaml()}" for name, scenario in scenarios().items()]
     return Page(
         title="The paper's three cases, walked again",
-        origin=origin._replace(config="\n".join(configs), pictures=pictures),
+        origin=origin._replace(name="the paper's cases", config="\n".join(configs), pictures=pictures),
         findings=Findings(verdict(found), notes=overall(found)),
         scenario=next(iter(found.values())).walks[BASELINE].trajectory.scenario,
         explorers=explorers,

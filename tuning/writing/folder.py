@@ -16,7 +16,7 @@ from mjx_climb.viz import plots
 from tuning.background import Stage, silent
 from tuning.pages import page
 from tuning.pages.contents import Contents, Files, Picture, Written
-from tuning.pages.page import Origin, Page, Part
+from tuning.pages.page import NOWHERE, Origin, Page, Part
 from tuning.pages.section import Section
 from tuning.results.config_file import write_config
 from tuning.writing import record
@@ -72,19 +72,22 @@ def write(
 def fill(
     place: Path,
     files: Files,
-    report: Callable[[Origin], Page] | None,
-    origin: Origin,
+    report: Callable[[Origin], Page] | None = None,
+    origin: Origin = NOWHERE,
     figures: Collection[str] = ("png",),
     stage: Stage = silent,
     sections: Sequence[Section] = (),
 ) -> str:
-    """Write files, pictures and the page beside a config.yaml that is there, and return their names.
+    """Write files, pictures and the page into a folder, which may hold a config.yaml, and return their names.
+
+    A page holds pictures as PNG; without one there are the formats of `figures` alone.
 
     Raises:
         ConfigError: a section has a file of the result's names, or its picture fails.
         OutputError: a file cannot be written.
     """
     pictures, every, names = {}, dict(files), list[str]()
+    formats, kept = sorted({*figures} | ({"png"} if report is not None else set())), place / "config.yaml"
     for section in sections:
         own = {**section.files, **section.pictures}
         if taken := (every.keys() | {page.NAME, "config.yaml", record.FILE}) & own.keys():
@@ -96,22 +99,20 @@ def fill(
     with stage("drawing", compiles=False) if drawing else contextlib.nullcontext():
         for name, content in every.items():
             if isinstance(content, str):
-                dataset.write_text_atomically(place / name, content)
+                names.append(dataset.write_text_atomically(place / name, content).name)
             elif isinstance(content, Picture):
-                plots.save_figure(content.draw(), place / name, {"png", *figures})
+                names += [path.name for path in plots.save_figure(content.draw(), place / name, formats)]
                 if name in files:
                     pictures[content.caption] = place / f"{name}.png"
-                name = f"{name}.png"
             else:
-                dataset.save(content, place / name)
-            names.append(name)
+                names.append(dataset.save(content, place / name).name)
     if report is not None:
         with stage("report", compiles=False):
-            config = without_folders((place / "config.yaml").read_text(encoding="utf-8"))
+            config = without_folders(kept.read_text(encoding="utf-8")) if kept.is_file() else ""
             made = report(origin._replace(config=config, pictures=pictures))
             made = dataclasses.replace(made, own=[_part(section, place) for section in sections])
             names.insert(0, page.write(made, place).name)
-    return ", ".join([*names, "config.yaml"])
+    return ", ".join([*names, kept.name] if kept.is_file() else names)
 
 
 def _part(section: Section, place: Path) -> Part:
