@@ -35,6 +35,7 @@ class Component:
     hashable, and another value is compiled anew. Methods are written for one robot.
     """
 
+    KIND: ClassVar[str] = ""  # of a shipped one: its name in configs and options
     VALUES: ClassVar[Mapping[str, ValueField]] = MappingProxyType({})  # by name, in the order of the fields
     AXES: ClassVar[Mapping[str, int]] = MappingProxyType({})  # number of axes of one robot's value
 

@@ -61,15 +61,7 @@ from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, look_ahead, set_up, walk_of
 from mjx_climb.walk.structure import Structure, planning_steps, structure
-from mjx_climb.walks import (
-    Metrics,
-    histories_of,
-    metrics_of,
-    metrics_of_moved,
-    real_metrics,
-    samples_of,
-    together,
-)
+from mjx_climb.walks import Metrics, histories_of, metrics_of, metrics_of_moved, real_metrics, samples_of, together
 
 Returned = TypeVar("Returned")
 

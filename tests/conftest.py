@@ -23,7 +23,7 @@ import pytest
 from hypothesis import settings
 
 import mjx_climb as mc
-from mjx_climb.disturbances import Push
+from mjx_climb.disturbances.on_base import Push
 from mjx_climb.execution import batches, cache, gpu_kernel, paths
 from tests.execution.interpreter import launched
 

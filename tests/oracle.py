@@ -10,9 +10,9 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from mjx_climb.disturbances import LinkWrench
-from mjx_climb.hardware import VelocityCommanded as VelocityCommandedDrive
+from mjx_climb.disturbances.link_wrench import LinkWrench
 from mjx_climb.hardware.sensors import normal
+from mjx_climb.hardware.velocity_commanded import VelocityCommanded as VelocityCommandedDrive
 from mjx_climb.robot_import.load import load_model
 
 RELAXATION = 5e-3  # s: dry friction

@@ -1,16 +1,27 @@
-"""The keys of a scenario as tables, from the models that check them."""
+"""The keys of a scenario as tables, from the models that check them, and the shipped kinds of its components."""
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
-from mjx_climb.scenario.model import Scenario
+from mjx_climb.inputs.own_objects import class_of
+from mjx_climb.scenario.kinds import shipped_kinds
+from mjx_climb.scenario.model import Kind, Scenario
 
 MARK = "<!-- the keys of a scenario -->"
+KINDS = re.compile(r"<!-- the shipped kinds of ([\w.]+) -->")
 
 
 def on_page_markdown(markdown: str, **_) -> str:
-    """Put the tables where a page has the mark."""
+    """Put the tables, and the classes of kinds, where a page has their marks."""
+    markdown = KINDS.sub(lambda found: classes(found[1]), markdown)
     return markdown.replace(MARK, tables()) if MARK in markdown else markdown
+
+
+def classes(place: str) -> str:
+    """Return the directives that document the shipped classes of a section."""
+    each = (class_of(Kind(kind=kind), place) for kind in shipped_kinds(place))
+    return "\n\n".join(f"::: {kind.__module__}.{kind.__qualname__}" for kind in each)
 
 
 def tables() -> str:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.gait.footholds import ClimbLab
+from mjx_climb.gait.footholds.climblab import ClimbLab
 from mjx_climb.ground import Holds, holds_of_seeds
 from mjx_climb.ground.ground import Ground
 from mjx_climb.inputs.from_scenario import own_parameters

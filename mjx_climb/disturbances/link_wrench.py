@@ -15,6 +15,8 @@ class LinkWrench(Disturbance):
     `frame` is that of force and moment: "world", or "link", that of the link's joint with z along its axis.
     """
 
+    KIND = "link_wrench"
+
     limb: Array = parameter("1", bounds=(0.0, np.inf), default=0.0, long_name="index of the limb")
     link: Array = parameter(
         "1", bounds=(0.0, np.inf), default=0.0, long_name="index of the link, from the base outwards"

@@ -62,6 +62,8 @@ class Servos(declared.Servos, Actuator):
     A limit, a speed, a rate or a voltage that is infinite is none.
     """
 
+    KIND = "servo"
+
     drive: str = "torque"
     in_registers: bool = False  # gains are held as shares of the torque at standstill, and follow it
     # the hardware that a walk is set up with

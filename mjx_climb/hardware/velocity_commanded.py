@@ -29,6 +29,8 @@ class VelocityCommanded(Actuator):
     velocity_gain`, and holds at any time step. The config's kp and kd, and a law's factors of them, have no part in it.
     """
 
+    KIND = "velocity"
+
     p: Array = parameter("1/s", bounds=(0.1, 1e3), default=10.0, long_name="rate per position error")
     d: Array = parameter("1", bounds=(0.0, 10.0), default=0.1, long_name="rate per rate of the position error")
     manager_period: Array = parameter("s", bounds=(0.0, 1.0), default=1e-3, long_name="period of the manager")

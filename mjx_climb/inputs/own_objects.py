@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import importlib
 import importlib.machinery
 import importlib.util
 import os
@@ -14,15 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from mjx_climb import disturbances, hardware
 from mjx_climb.component import Component, with_values
 from mjx_climb.disturbances.disturbance import Disturbance
-from mjx_climb.gait import footholds
 from mjx_climb.gait.footholds.footholds import Footholds
 from mjx_climb.hardware.actuator import Actuator
 from mjx_climb.inputs.file_contents import digest
-from mjx_climb.physics import contact
 from mjx_climb.physics.contact.contact import Contact
+from mjx_climb.scenario.kinds import shipped_kinds
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Kind, OwnObject, validated
 from mjx_climb.scenario.values import section_of
@@ -30,14 +29,13 @@ from mjx_climb.scenario.values import section_of
 # the modules run last, as `sys.modules` without their names, and the digests of their files: gains files say from which
 # file an object came, and a copy of a file gives the same class, which is compiled once
 RUN: deque[tuple[types.ModuleType, str]] = deque(maxlen=64)
-# by the section of a scenario: the base class, and the shipped kinds
-KINDS: dict[str, tuple[type[Component], Mapping[str, type[Component]]]] = {
-    "contact": (Contact, contact.KINDS),
-    "hardware.servo": (Actuator, hardware.KINDS),
-    "disturbance.others": (Disturbance, disturbances.KINDS),
-    "gait.footholds": (Footholds, footholds.SHIPPED),
+# by the section of a scenario: the base class, and its word
+SEAMS: dict[str, tuple[type[Component], str]] = {
+    "contact": (Contact, "contact"),
+    "hardware.servo": (Actuator, "drive"),
+    "disturbance.others": (Disturbance, "disturbance"),
+    "gait.footholds": (Footholds, "footholds"),
 }
-WORDS = dict(zip(KINDS, ("contact", "drive", "disturbance", "footholds"), strict=True))
 
 
 @contextlib.contextmanager
@@ -102,10 +100,10 @@ def component_of(section: Kind, place: str, source: str = "scenario") -> Any:
         ConfigError: in one line, a file that is gone or has changed, no such thing in it, or keys and values that it
             does not take.
     """
-    base, _ = KINDS[_seam(place)]
+    base, word = SEAMS[_seam(place)]
     found = class_of(section, place, source)
     if not issubclass(found if isinstance(found, type) else type(found), base):
-        expected = f"a {WORDS[_seam(place)]} that inherits from mjx_climb.{base.__name__}"
+        expected = f"a {word} that inherits from mjx_climb.{base.__name__}"
         raise ConfigError(source, place, expected, f"{found!r}")
     return _with(found, dict(section.items()), place, source)
 
@@ -113,12 +111,13 @@ def component_of(section: Kind, place: str, source: str = "scenario") -> Any:
 def class_of(section: Kind, place: str, source: str = "scenario") -> Any:
     """Return the class, or the instance, that a section of a scenario names; errors as of `component_of`."""
     if section.file is None:
-        return KINDS[_seam(place)][1][section.name]
+        module = importlib.import_module(shipped_kinds(_seam(place))[section.name])
+        return next(each for each in vars(module).values() if getattr(each, "__dict__", {}).get("KIND") == section.name)
     text = reference_to(section, place, source)
     of_files = digest(Path(section.file))
     same = (vars(module) for module, of_run in RUN if of_run == of_files)
     found = next((names[section.name] for names in same if section.name in names), None)
-    return load(text, WORDS[_seam(place)])[0] if found is None else found
+    return load(text, SEAMS[_seam(place)][1])[0] if found is None else found
 
 
 def _seam(place: str) -> str:

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, Validatio
 
 from mjx_climb.scenario import declared, registers
 from mjx_climb.scenario import values as v
+from mjx_climb.scenario.kinds import shipped_kinds
 from mjx_climb.scenario.messages import OTHER_TAG, PLAIN_TAG, ConfigError, failure, refusal
 from mjx_climb.scenario.registers import RegisterScale
 from mjx_climb.scenario.values import setting
@@ -50,7 +51,7 @@ class Kind(_ByName):
     """
 
     model_config = ConfigDict(json_schema_extra=lambda schema, kind: schema["properties"]["kind"].update(kind.others()))
-    KNOWN: ClassVar[tuple[str, ...]] = ()  # the shipped kinds
+    PLACE: ClassVar[str] = ""  # the section, whose shipped kinds it may name
     PLAIN: ClassVar[str | None] = None  # the paper's kind, which has a section of its own
     __pydantic_extra__: dict[str, v.Given]
 
@@ -74,8 +75,9 @@ class Kind(_ByName):
 
     @model_validator(mode="after")
     def _is_known(self) -> Self:
-        if self.KNOWN and self.kind not in self.KNOWN and not (self.file and self.name):
-            raise failure(f"one of {', '.join(self.KNOWN)}, or FILE.py:NAME", key="kind", got=self.kind)
+        known = shipped_kinds(self.PLACE) if self.PLACE else (self.kind,)
+        if self.kind not in known and not (self.file and self.name):
+            raise failure(f"one of {', '.join(known)}, or FILE.py:NAME", key="kind", got=self.kind)
         return self
 
 
@@ -92,11 +94,12 @@ def _one_of_kinds(plain: str) -> Discriminator:
 class FootholdsKind(Kind):
     """A choice of footholds with values of its own."""
 
-    KNOWN: ClassVar[tuple[str, ...]] = ("nearest", "farthest", "climblab", "best_margin", "least_use")
+    PLACE: ClassVar[str] = "gait.footholds"
 
 
+_RULES = ("planned", *shipped_kinds("gait.footholds"))
 AnyFootholds = Annotated[
-    Annotated[Literal["planned", "nearest", "farthest", "climblab", "best_margin", "least_use"], Tag(PLAIN_TAG)]
+    Annotated[Literal[_RULES], Tag(PLAIN_TAG)]  # type: ignore[valid-type]
     | Annotated[FootholdsKind, Tag(OTHER_TAG)],
     Discriminator(lambda value: OTHER_TAG if isinstance(value, (Mapping, Kind)) else PLAIN_TAG),
 ]
@@ -149,8 +152,8 @@ class Gait(v.ComponentSection):
     )
     footholds: AnyFootholds = setting(
         "planned",
-        "footholds of the periodic gait, or the rule that chooses among the points that can be held: planned, nearest, "
-        "farthest, climblab, best_margin, least_use, or a mapping with kind and values",
+        "footholds of the periodic gait, or the rule that chooses among the points that can be held: "
+        f"{', '.join(_RULES)}, or a mapping with kind and values",
     )
     order: Literal["periodic", "free"] = setting(
         "periodic", "order of the limbs: by the sequence, or the limb next that gains most, one at a time"
@@ -372,13 +375,13 @@ class Contact(v.ComponentSection):
 
     COMPONENT = declared.Gripper
 
-    kind: Literal["gripper"] = setting("gripper", "gripper, polyhedron, uncertain, or FILE.py:NAME")
+    kind: Literal["gripper"] = setting("gripper", f"{', '.join(shipped_kinds('contact'))}, or FILE.py:NAME")
 
 
 class ContactKind(Kind):
     """Another contact than the gripper of Eq. 5."""
 
-    KNOWN: ClassVar[tuple[str, ...]] = ("gripper", "polyhedron", "uncertain")
+    PLACE: ClassVar[str] = "contact"
     PLAIN: ClassVar[str | None] = "gripper"
 
 
@@ -415,8 +418,7 @@ class Control(v.ComponentSection):
     damping: v.Gain = setting(5.0e3, "virtual damping D, N s/m (translations), N m s/rad (rotations)")
     stiffness: v.Gain = setting(5.0e4, "virtual stiffness K, N/m (translations), N m/rad (rotations)")
     safe_kp: v.PositiveOrNull = setting(
-        None,
-        "kp of all joints at least, once a law that reads forces has lost a sensor, N m/rad; null: the kp above",
+        None, "kp of all joints at least, once a law that reads forces has lost a sensor, N m/rad; null: the kp above"
     )
     integration: Literal["exact", "semi_implicit"] = setting(
         "exact", "of the virtual mass: exact, or semi-implicit Euler in substeps of at most 2 ms, as on the robot"
@@ -468,7 +470,7 @@ class Push(_Window):
 class DisturbanceKind(Kind):
     """Another disturbance than cargo and pushes."""
 
-    KNOWN: ClassVar[tuple[str, ...]] = ("link_wrench",)
+    PLACE: ClassVar[str] = "disturbance.others"
 
 
 class Disturbance(v.Section):
@@ -476,7 +478,9 @@ class Disturbance(v.Section):
 
     cargo: Cargo = setting(Cargo(), "cargo on the base")
     pushes: tuple[Push, ...] = setting((), "pushes on the base; they add up where they overlap")
-    others: tuple[DisturbanceKind, ...] = setting((), "what else acts from outside: kind link_wrench, or FILE.py:NAME")
+    others: tuple[DisturbanceKind, ...] = setting(
+        (), f"what else acts from outside: {', '.join(shipped_kinds('disturbance.others'))}, or FILE.py:NAME"
+    )
 
 
 class DeadFrom(_ByName):
@@ -527,7 +531,7 @@ class Servo(v.ComponentSection):
 
     COMPONENT = declared.Servos
 
-    kind: Literal["servo"] = setting("servo", "servo, velocity, or FILE.py:NAME")
+    kind: Literal["servo"] = setting("servo", f"{', '.join(shipped_kinds('hardware.servo'))}, or FILE.py:NAME")
     drive: Literal["torque", "voltage"] = setting(
         "torque",
         "what the joint loop asks for: a torque, given up to the torque-speed line, or a share of the supply voltage, "
@@ -583,7 +587,7 @@ class Servo(v.ComponentSection):
 class DriveKind(Kind):
     """Another actuator than servos."""
 
-    KNOWN: ClassVar[tuple[str, ...]] = ("servo", "velocity")
+    PLACE: ClassVar[str] = "hardware.servo"
     PLAIN: ClassVar[str | None] = "servo"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.gait.footholds import ClimbLab
+from mjx_climb.gait.footholds.climblab import ClimbLab
 from mjx_climb.gait.footholds.footholds import Prospects, Situation
 from mjx_climb.gait.footholds.reach import height_table, outward, ranges, within_ranges
 from mjx_climb.gait.free_order import FreeOrder

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from mjx_climb.gait.chosen_footholds import middle_of
-from mjx_climb.gait.footholds import SHIPPED
 from mjx_climb.gait.footholds.choice import Candidates
 from mjx_climb.gait.footholds.footholds import Candidate, Situation
 from mjx_climb.gait.footholds.least_use import LeastUse, resting_forces
 from mjx_climb.ground import Holds
+from mjx_climb.inputs.own_objects import class_of
+from mjx_climb.scenario.model import FootholdsKind
 from tests.gait import footholds_reference as reference
 
 POINTS, DEFAULT, NIGHTLY = 12, 300, 10_000
@@ -62,7 +63,10 @@ def expected(name, case):
 
 def chosen(names, cases):
     """Return the points of all limbs in all cases by each rule, in one program."""
-    rules = [SHIPPED[name](**({"stride_cap": CAP} if name == "climblab" else {})) for name in names]
+    rules = [
+        class_of(FootholdsKind(kind=name), "gait.footholds")(**({"stride_cap": CAP} if name == "climblab" else {}))
+        for name in names
+    ]
     stacked = {key: jnp.array([case[key] for case in cases]) for key in cases[0]}
     down, valid = jnp.tile(jnp.array([0.0, 0.0, -1.0]), (POINTS, 1, 1)), jnp.ones(POINTS)
 

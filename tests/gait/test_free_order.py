@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.gait.footholds import Farthest
+from mjx_climb.gait.footholds.farthest import Farthest
 from mjx_climb.gait.footholds.footholds import Prospects
 from mjx_climb.gait.free_order import FreeOrder, first_largest
 from mjx_climb.ground.ground import Ground

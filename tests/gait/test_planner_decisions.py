@@ -12,9 +12,11 @@ import pytest
 
 from mjx_climb.gait.base_path import sway_of, swayed
 from mjx_climb.gait.chosen_footholds import ChosenFootholds, situation_of
-from mjx_climb.gait.footholds import BestMargin, Farthest, Nearest
+from mjx_climb.gait.footholds.best_margin import BestMargin
+from mjx_climb.gait.footholds.farthest import Farthest
 from mjx_climb.gait.footholds.footholds import Situation
 from mjx_climb.gait.footholds.held import Held, no_holds
+from mjx_climb.gait.footholds.nearest import Nearest
 from mjx_climb.gait.footholds.reach import within_reach
 from mjx_climb.gait.free_order import FreeOrder
 from mjx_climb.gait.gait import Body
@@ -64,22 +66,23 @@ def planner_of(rule=None, holds=None, recovery=None, plan=PLAN, free=False, way_
     own = plan, STEP, False, ROBOT, limb_geometry(ROBOT), holds, PERIOD
     kind = FreeOrder if free else ChosenFootholds
     found = OwnSwings(*own) if rule is None else kind(*own, rule, MOVES, way_points)
-    return found if recovery is None else RecoveringGait(found, recovery)
+    return found if recovery is None else RecoveringGait.of(found, recovery)
 
 
 # the memory of either gait in one row
-Memory = collections.namedtuple("Memory", (*Swings._fields, *Interruptions._fields[1:]))
+OF_RECOVERY = (*Interruptions._fields[:-1], "interruptions")
+Memory = collections.namedtuple("Memory", (*Swings._fields[:-1], *OF_RECOVERY))
 
 
 def flat(memory):
-    own = (memory.swings, *memory[1:]) if isinstance(memory, Interruptions) else (memory, *[None] * 5)
-    return Memory(*own[0], *own[1:])
+    own = [None] * len(OF_RECOVERY) if memory.interruptions is None else memory.interruptions
+    return Memory(*memory[:-1], *own)
 
 
 def nested(memory):
-    count = len(Swings._fields)
-    swings = Swings(*memory[:count])
-    return swings if memory.resumes is None else Interruptions(swings, *memory[count:])
+    count = len(Swings._fields) - 1
+    own = None if memory.resumes is None else Interruptions(*memory[count:])
+    return Swings(*memory[:count], own)
 
 
 def body_of(**changes):
@@ -119,9 +122,7 @@ def begun(planner, **changes):
     memory, feet = flat(planner.init()[0]), jnp.asarray(FEET)
     memory = memory._replace(start=feet, goal=feet, below=feet[:, 2])
     if memory.held is not None:
-        memory = memory._replace(
-            held=no_holds(planner.holds if hasattr(planner, "holds") else planner.gait.holds, feet)
-        )
+        memory = memory._replace(held=no_holds(planner.holds, feet))
         memory = memory._replace(left=memory.held.normal)
     return memory._replace(**{name: jnp.asarray(value, float) for name, value in changes.items()})
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.gait.footholds import Nearest
 from mjx_climb.gait.footholds.footholds import SAME
+from mjx_climb.gait.footholds.nearest import Nearest
 from mjx_climb.gait.own_swings import OwnSwings
 from mjx_climb.gait.recovery import RecoveringGait
 from mjx_climb.gait.schedule import settled_phase
@@ -41,12 +41,6 @@ AROUND = np.array([[0.0, 0, 0], [0.03, 0, 0], [0.0, 0.05, 0], [-0.02, 0.08, 0]])
 ROCK = holds.of((FEET[:, None] + AROUND).reshape(-1, 3))
 
 
-def waiting_around(own, waiting):
-    """Return a gait that waits, around another one."""
-    fields = {field.name: getattr(own, field.name) for field in dataclasses.fields(OwnSwings)}
-    return WaitingGait(**fields, gait=own, waiting=waiting)
-
-
 @functools.lru_cache
 def walked(kind="planned", period=PERIOD, recovers=False):
     """Return a walk of feet that are where they should be, of which a script has which landings hold."""
@@ -55,9 +49,8 @@ def walked(kind="planned", period=PERIOD, recovers=False):
     own = type(own)(**{**vars(own), "period": period})
 
     def walk(script, waiting):
-        gait = waiting_around(own, waiting)
-        around = RecoveringGait(gait, NEVER) if recovers else gait
-        swings_of = (lambda memory: memory.swings) if recovers else (lambda memory: memory)
+        gait = WaitingGait.of(own, waiting)
+        around = RecoveringGait.of(gait, NEVER) if recovers else gait
 
         def step(carry, number):
             memory, landings, before, point = carry
@@ -76,12 +69,11 @@ def walked(kind="planned", period=PERIOD, recovers=False):
             holding &= closed
             memory, reference = around.reference(memory, now, number, BASE, point)
             landings = landings + (closed & ~before)
-            swings = swings_of(memory)
-            point = jnp.where((closed & ~before)[:, None], swings.goal, point)
+            point = jnp.where((closed & ~before)[:, None], memory.goal, point)
             none, zero = jnp.zeros_like(closed), jnp.zeros_like(point)
             grip = Grip(zero, zero, point, holding, closed, none, none, closed & ~before & ~holding, none * 0.0)
             memory = around.after_contacts(memory, now, number, grip)
-            seen = closed, holding, swings.goal, around.stands(memory, grip), reference.base_position
+            seen = closed, holding, memory.goal, around.stands(memory, grip), reference.base_position
             return (memory, landings, closed, point), seen
 
         def script_at(landings):
@@ -180,10 +172,10 @@ def deciding(kind):
     own = planner_of(Nearest() if kind == "holds" else None, doubles(ROCK) if kind == "holds" else None)
 
     def decided(memory, body, waiting):
-        gait = waiting_around(own, waiting)
+        gait = WaitingGait.of(own, waiting)
         return gait.lift_off(memory, gait.schedule(memory, memory.step), body.base_position, body)
 
-    memory = waiting_around(own, doubles(Waiting())).init()[0]
+    memory = WaitingGait.of(own, doubles(Waiting())).init()[0]
     return memory._replace(start=jnp.asarray(FEET), goal=jnp.asarray(FEET), below=jnp.zeros(4)), jax.jit(decided)
 
 
@@ -306,7 +298,7 @@ AFTER = {  # begun of RF, tries of RF, which of LF, LH and RH hold, and whether 
 def test_what_a_gait_that_waits_remembers_of_contacts(name):
     """LF holds after failing; LH has failed or fails anew; RH is to lift off at 101, after step 100."""
     since, tries, holds, stops = AFTER[name]
-    gait, one = waiting_around(planner_of(), doubles(Waiting())), jnp.ones((4, 3))
+    gait, one = WaitingGait.of(planner_of(), doubles(Waiting())), jnp.ones((4, 3))
     before = Waits(
         jnp.array([True, False, False, True]), jnp.array([2.0, 3.0, 0.0, tries]), one, 0.01 * one,
         jnp.array([True, True, False, True]),
@@ -337,7 +329,7 @@ def test_what_a_gait_that_waits_remembers_of_contacts(name):
 
 def test_a_foot_that_tries_again_comes_down_beside_its_foothold():
     """By its aim, as far as it is on its way."""
-    gait = waiting_around(planner_of(), doubles(Waiting()))
+    gait = WaitingGait.of(planner_of(), doubles(Waiting()))
     memory, aim = deciding("planned")[0], np.random.default_rng(0).normal(0, 0.01, (4, 3))
     memory = at(memory, 90, begun=jnp.array([20.0, -60.0, -1200.0, -1000.0]))
     now, step = gait.schedule(memory, jnp.asarray(100)), jnp.asarray(100)

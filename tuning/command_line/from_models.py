@@ -54,11 +54,12 @@ class Form(NamedTuple):
 
 
 def command(
-    folder: str = "", forms: Mapping[str, Callable[..., None]] = MappingProxyType({})
+    question: str, folder: str = "", forms: Mapping[str, Callable[..., None]] = MappingProxyType({})
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that makes a command of typer of a function, with a parameter for each field of its models.
 
     Of `Annotated[Model, "name"]` these fields alone are options, of "-name" all but these.
+    `question` is the one that the command answers; the program finds the command by it, first in the decorator.
     `folder` is the default of `--out` in words. `forms` are functions of models that run in place of the decorated
     one: by the option that asks for them, named twice where it has to be typed more than once. An option that is not of
     the form that runs is refused.

@@ -235,7 +235,7 @@ def schema(asked: Schema) -> None:
         dataset.write_text_atomically(asked.out, text)
 
 
-@command(forms={"bench": bench, "of_scenarios": schema})
+@command("Is this installation sound, and how fast?", forms={"bench": bench, "of_scenarios": schema})
 def doctor(output: Annotated[Output, "json_only"]) -> None:
     """Examine this installation: does it compute right?
 

@@ -15,34 +15,27 @@ import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
+from mjx_climb.scenario.kinds import named_in
 from tuning.command_line import interruption
 
 if TYPE_CHECKING:
     from tuning.pages.page import Origin
 
 ARGUMENTS: ContextVar[tuple[str, ...]] = ContextVar("ARGUMENTS", default=())  # as typed
-COMMANDS = {  # which question each answers
-    "run": "How does this walk go?",
-    "sweep": "How does it depend on two gains?",
-    "tune": "Which gains are best, and which law?",
-    "evaluate": "Do gains hold where no search looked?",
-    "reproduce": "Does what the paper claims hold here?",
-    "excite": "What must a robot do to be identified?",
-    "identify": "Which parameters does my robot have?",
-    "replay": "How far is the simulation from my robot?",
-    "robot": "How does my robot become a scenario?",
-    "export": "How do gains get onto my robot?",
-    "plot": "How does a result look, drawn otherwise?",
-    "runs": "What have I run, and what came of it?",
-    "doctor": "Is this installation sound, and how fast?",
+# module and question of each command, as its decorator has them: to read its options would take too long
+_HOMES = {
+    name: (module, question)
+    for (question, name), module in named_in(
+        Path(__file__).parent, r'^@command\(\s*"([^"]+)"[\s\S]*?^def (\w+)\('
+    ).items()
 }
-_MODULES = {"excite": "logs", "identify": "logs", "replay": "logs", "reproduce": "results", "export": "results",
-            "plot": "results", "doctor": "machine"}  # fmt: skip  # of others the name of the command
+COMMANDS = {name: _HOMES[name][1] for name in sorted(_HOMES)}
 _TRUE = ("1", "true", "t", "yes", "y", "on")  # as JAX reads its settings
 _LONGEST = 1000  # characters of a line
 _ALIKE = 0.75  # least likeness of two names that may be mistaken for each other
@@ -86,7 +79,7 @@ def program(only: str | None = None) -> typer.Typer:
         if only not in (None, name):  # its options would be read for nothing
             made.command(name, short_help=question)(_program)
             continue
-        function = getattr(importlib.import_module(f"tuning.command_line.{_MODULES.get(name, name)}"), name)
+        function = getattr(importlib.import_module(f"tuning.command_line.{_HOMES[name][0]}"), name)
         whole = f"{question}\n\n{inspect.cleandoc(function.__doc__)}"
         made.command(name, cls=Grouped, help=whole, short_help=question)(function)
     return made

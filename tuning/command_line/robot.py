@@ -38,7 +38,7 @@ class Robot(Options):
         return self.gravity
 
 
-@command()
+@command("How does my robot become a scenario?")
 def robot(asked: Robot) -> None:
     """Propose a scenario for the robot in an MJCF or URDF: base, limbs, feet, stance, gait and time step.
 

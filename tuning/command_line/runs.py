@@ -17,7 +17,7 @@ class Place(Options):
     folder: Path = setting(Path("results"), "folder below which results lie", metavar="FOLDER", argument=True)
 
 
-@command("no page", {})
+@command("What have I run, and what came of it?", "no page", {})
 def runs(place: Place, output: Annotated[Output, "-figures", "-sections"]) -> None:
     """List the results below a folder, the newest first: time, folder, settings that differ, and verdict.
 

@@ -185,7 +185,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
             shell.result(found, again, begun)
 
 
-@command("results/<config>-sweep", {"merge": merge})
+@command("How does it depend on two gains?", "results/<config>-sweep", {"merge": merge})
 def sweep(grid: Grid, walk: Walk, output: Output) -> None:
     """Walk a grid of stiffness and damping, or of two other gains, the same on all axes, in single precision.
 

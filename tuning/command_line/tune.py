@@ -176,6 +176,7 @@ def compare(
 
 
 @command(
+    "Which gains are best, and which law?",
     "results/<config>-tune-<method>-<space>, or -pareto, -schedule, -laws",
     {"against": pareto, "over": schedule, "law law": compare},
 )

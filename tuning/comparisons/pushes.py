@@ -15,7 +15,7 @@ import xarray as xr
 from scipy.stats import binom
 
 import mjx_climb as mc
-from mjx_climb.disturbances import Push
+from mjx_climb.disturbances.on_base import Push
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE

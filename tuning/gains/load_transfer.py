@@ -59,10 +59,7 @@ def parameters(law: LoadTransfer, period: float, safe_kp: float) -> Parameters:
 
 
 def texts(
-    law: LoadTransfer,
-    period: float,
-    walked: mc.Scenario | None = None,
-    given: Mapping[str, Any] = MappingProxyType({}),
+    law: LoadTransfer, period: float, walked: mc.Scenario | None = None, given: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, str]:
     """Return the files for a robot, by their names: gains as YAML, gains as C++, and the law.
 

@@ -18,7 +18,8 @@ from mjx_climb.component import with_values
 from mjx_climb.control import SHIPPED, is_shipped, shipped
 from mjx_climb.execution.contents import Unidentifiable, identity, in_library
 from mjx_climb.inputs.file_contents import digest
-from mjx_climb.inputs.own_objects import KINDS, RUN, class_of, load, reference_to
+from mjx_climb.inputs.own_objects import RUN, class_of, load, reference_to
+from mjx_climb.scenario.kinds import shipped_kinds
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Kind
 
@@ -201,7 +202,7 @@ def named_by(text: str, place: str, option: str, before: BaseModel | None = None
     Raises:
         ConfigError: in one line, neither of them.
     """
-    known = KINDS[place][1]
+    known = shipped_kinds(place)
     file, colon, name = text.rpartition(":")
     if text not in known and not (colon and file and name):
         raise ConfigError("", option, f"FILE.py:NAME, or one of {', '.join(known)}", f"{text!r}")

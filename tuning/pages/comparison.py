@@ -9,16 +9,7 @@ from mjx_climb.files.dataset import SIX
 from tuning.comparisons import verdicts
 from tuning.comparisons.side_by_side import Compared, Values
 from tuning.gains.gains_tables import JOINT_UNITS, labels
-from tuning.numbers import (
-    axis_values,
-    change_of,
-    gain,
-    has_axes,
-    number,
-    plain_unit,
-    presentable,
-    unit,
-)
+from tuning.numbers import axis_values, change_of, gain, has_axes, number, plain_unit, presentable, unit
 from tuning.pages.page import Table
 
 Column = tuple[str, str | None]  # a walk, and the walk that it is given as change against; None: its own values

@@ -153,12 +153,7 @@ def scored(asked: Asked, targets: Array, numbers: Numbers, law: mc.Law, paramete
 
 
 def steered(
-    asked: Asked,
-    moving: dict[str, Array],
-    steering: Steering,
-    numbers: Numbers,
-    law: mc.Law,
-    parameters: mc.Parameters,
+    asked: Asked, moving: dict[str, Array], steering: Steering, numbers: Numbers, law: mc.Law, parameters: mc.Parameters
 ) -> dict[str, Array]:
     """Return the score of one walk under "offsets" (set, knot, limb, joint) rad, with derivatives of `_along` alone.
 
@@ -199,12 +194,7 @@ def _between_knots(
 
 
 def _followed(
-    asked: Asked,
-    numbers: Numbers,
-    law: mc.Law,
-    parameters: mc.Parameters,
-    targets: Array,
-    scan: Scan = lax.scan,
+    asked: Asked, numbers: Numbers, law: mc.Law, parameters: mc.Parameters, targets: Array, scan: Scan = lax.scan
 ) -> tuple[Array, dict[str, Array]]:
     """Return the derivatives that follow of one walk, and its metrics and score."""
     metrics = metrics_under(asked.structure, law, parameters, targets, scan)

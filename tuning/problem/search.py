@@ -6,10 +6,12 @@ imported here, so that the command line starts at once.
 
 import itertools
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
+from mjx_climb.scenario.kinds import named_in
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
 SpaceName = Literal["isotropic", "split", "diagonal"]
 Precision = Literal["float32", "float64"]
-METHODS = ("gradient", "grid", "cmaes", "optuna")  # each a file of tuning/methods/ with its METHOD
+METHODS = tuple(named_in(Path(__file__).parents[1] / "methods", r"^METHOD = (\w+)").values())
 OWN_METHOD = "own"  # one that the caller brought, or that `own.method` of the scenario names
 LAYOUTS: tuple[str, ...] = get_args(SpaceName)
 WEIGHTS = {"force_variation": 1.0, "peak_foot_force": 1.0, "cost_of_transport": 1.0}

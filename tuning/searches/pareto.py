@@ -207,12 +207,7 @@ def _front_of_pd(problem: Problem, asked: Pareto) -> dict[str, Any]:
     how: dict[str, Any] = {"metrics": problem.metrics, "dtype": np.float64, "engine": problem.engine}
     joint, walks = retuned_pd.walked_on_grid(problem.scenario, retuned_pd.FINE, **how)
     kept = [objectives.violation(limit, walks[limit.metric]) <= 0 for limit in problem.objective.limits]
-    on = _front(
-        problem.metrics,
-        asked,
-        walks,
-        np.all([~failed(walks), *kept], axis=0),
-    )
+    on = _front(problem.metrics, asked, walks, np.all([~failed(walks), *kept], axis=0))
     found: dict[str, Any] = {}
     for (name, values), unit in zip(joint.items(), ("N m/rad", "N m s/rad"), strict=True):
         found[f"without_{name}"] = ("without", values[on], {"units": unit})

@@ -16,6 +16,8 @@ class BestMargin(Footholds):
     over its weight and the strongest grip's pull, m. Grips pull along the normals of their holds.
     """
 
+    KIND = "best_margin"
+
     distance_weight: Array = parameter("1", bounds=(0.0, 100.0), default=1.0, long_name="weight of the distance")
 
     def score(self, situation: Situation, candidate: Candidate) -> Array:

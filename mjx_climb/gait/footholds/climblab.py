@@ -20,6 +20,8 @@ _APART = 5e-3  # m, between a new foothold and any foot
 class ClimbLab(Footholds):
     """A limb takes the largest step ahead whose level length is within a cap."""
 
+    KIND = "climblab"
+
     stride_cap: Array = parameter("m", bounds=(0.0, 10.0), default=0.1, long_name="longest step of a limb")
     reach_a_stride_on: bool = option(False, "a hold must be in reach from the base a stride further on, too")
     reach_by_height: bool = option(True, "reach by ClimbLab's table of reach by height")

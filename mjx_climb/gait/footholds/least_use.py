@@ -22,6 +22,8 @@ class LeastUse(Footholds):
     equal springs, and the pull is what another spring at the point would bear: in proportion to the base's sag there.
     """
 
+    KIND = "least_use"
+
     distance_weight: Array = parameter("1/m", bounds=(0.0, 100.0), default=1.4, long_name="weight of the distance")
 
     def score(self, situation: Situation, candidate: Candidate) -> Array:

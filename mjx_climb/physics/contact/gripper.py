@@ -209,6 +209,8 @@ class Gripper(declared.Gripper, SpringGrip):
     than the holding limit.
     """
 
+    KIND = "gripper"
+
     def step(
         self, memory: PyTree, feet: Feet, turning: Turning | None, closed: Array, ground: Array
     ) -> tuple[PyTree, Grip]:

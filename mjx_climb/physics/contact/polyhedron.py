@@ -30,6 +30,8 @@ class PolyhedralMemory(NamedTuple):
 class PolyhedralGripper(SpringGrip):
     """Grippers that hold the forces of a polyhedron."""
 
+    KIND = "polyhedron"
+
     normals: Array = parameter(
         "1", shape=(None, 3), bounds=FINITE, default=np.array([[0.0, 0.0, -1.0]]), long_name="rows of A"
     )

@@ -36,6 +36,7 @@ class UncertainGripper(Gripper):
     A gripper that was torn off grips again after its next swing.
     """
 
+    KIND = "uncertain"
     may_fail: ClassVar[bool] = True
 
     spread: Array = parameter("1", bounds=(0.0, 1.0), default=0.0, long_name="spread of the holding limit")

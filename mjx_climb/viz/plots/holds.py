@@ -33,11 +33,7 @@ def plot_holds(holds: Holds) -> Figure:
 
 
 def draw_holds(
-    figure: Figure | None,
-    panel: Axes,
-    holds: Holds,
-    placed: Callable[[np.ndarray], np.ndarray],
-    axes: tuple[int, int],
+    figure: Figure | None, panel: Axes, holds: Holds, placed: Callable[[np.ndarray], np.ndarray], axes: tuple[int, int]
 ) -> None:
     """Draw points that can be held in a panel, with a colour bar where the figure is given.
 

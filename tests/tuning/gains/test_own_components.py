@@ -135,7 +135,7 @@ def test_options_take_the_place_of_a_configs_and_set_comes_last(file):
             {"disturbance.others": [{"kind": "link_wrench", "att": 1.0}]},
             "disturbance.others.0.att: expected a known key",
         ),
-        ({"gait.footholds": {"kind": "planned"}}, "gait.footholds.kind: expected one of nearest, farthest"),
+        ({"gait.footholds": {"kind": "planned"}}, "gait.footholds.kind: expected one of best_margin, climblab"),
         ({"gait.footholds": {"kind": "best_margin", "q": 1}}, "gait.footholds.q: expected one of reach_a_stride_on"),
         (
             {"own": {"contact": {"name": "PolyhedralGripper"}}},

@@ -9,7 +9,7 @@ import pytest
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.disturbances import Push
+from mjx_climb.disturbances.on_base import Push
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem import ensemble as ensembles

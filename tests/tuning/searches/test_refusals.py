@@ -77,7 +77,7 @@ def draw(**hardware):
         ),
         (search(metrics=(OWN,)), "metrics: expected the shipped peak_foot_force among them"),
         (search(method="grid", space="diagonal"), "method: expected at most 4 numbers to search by grid, got 12: pin"),
-        (search(method="magic"), "method: expected gradient, grid, cmaes, optuna, optuna:SAMPLER or FILE.py:"),
+        (search(method="magic"), "method: expected cmaes, gradient, grid, optuna, optuna:SAMPLER or FILE.py:"),
         (search(method="own"), "method: expected own.method in the scenario, or tune(method=...), with own"),
         (search(method=3.0), "method: expected a name, a Method, or a function"),
         (method(np.zeros((2, 2))), "method: expected a Request of finite theta (B, 2), got a ndarray"),
