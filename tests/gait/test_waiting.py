@@ -1,6 +1,5 @@
 """A gait that waits: no limb lifts off while another should hold and does not; feet try again, then other holds."""
 
-import dataclasses
 import functools
 
 import jax
@@ -11,7 +10,6 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.gait.footholds.footholds import SAME
 from mjx_climb.gait.footholds.nearest import Nearest
-from mjx_climb.gait.own_swings import OwnSwings
 from mjx_climb.gait.recovery import RecoveringGait
 from mjx_climb.gait.schedule import settled_phase
 from mjx_climb.gait.swing import rest_to_rest
