@@ -77,7 +77,7 @@ def test_a_law_is_told_of_the_joints_by_the_bus(delay):
     np.testing.assert_allclose(walk.base_displacement, told, rtol=1e-9, atol=1e-12)
     assert np.ptp(told, axis=0).min() > 1e-5
     reports = [mc.Simulation(scenario, law).reset().carry.memory.reports for law in (Showing(), PD())]
-    assert len(jax.tree.leaves(reports[0])) == 1 + 3 * (4 if delay else 0) and reports[1] is None
+    assert len(jax.tree.leaves(reports[0])) == 1 + 4 * (4 if delay else 0) and reports[1] is None
 
 
 class Softening(PD):
