@@ -330,7 +330,10 @@ def same_grids(*folders):
 _FROM_PYTHON = f"""
 import sys, numpy as np, mjx_climb as mc, tuning
 from mjx_climb.viz import plots
-plots.save_figure = lambda figure, stem, _: stem.with_suffix(".png").write_bytes(b"")
+def empty(figure, stem, _):
+    stem.with_suffix(".png").touch()
+    return [stem.with_suffix(".png")]
+plots.save_figure = empty
 axes = {{"stiffness": np.geomspace(1e3, 1e5, 3), "damping": np.geomspace(1e2, 1e3, 2)}}
 found = tuning.sweep(mc.load_scenario({CONFIG!r}, ["duration=0.3"]), axes, batch_size=4, out=sys.argv[1])
 print(tuning.write(found, sys.argv[1]).summary)
@@ -366,7 +369,7 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     assert last == (f"mjx-climb: interrupted: 4 of 6 walks are kept in {tmp_path}; the same command goes on from there")
     code, _, err = call("sweep", CONFIG, *SHORT, *GRID[:2], "--damping", "1:9:2", "--out", tmp_path)
     assert code == 2 and str(tmp_path) in err
-    monkeypatch.setattr(plots, "save_figure", lambda *_: None)
+    monkeypatch.setattr(plots, "save_figure", lambda *_: [])
     monkeypatch.setattr(page, "write", lambda _, folder: folder / "report.html")
     code, out, err = call(*command)
     # the config's gains and pd by the program of the grid, whose size they take; then what the grid lacks
