@@ -85,7 +85,7 @@ def check_refusal(code, out: str, err: str, arguments: list[str]) -> None:
     assert err.startswith("mjx-climb: error: ") and err.endswith("\n")
     assert len(err.splitlines()) == 1, err
     assert len(err) < 1500
-    named = []  # the forms in which a message may name an argument
+    named = ["error: results: "]  # forms in which a message may name an argument, or a default of one
     for argument in arguments:
         path = Path("".join(c if c.isprintable() else ascii(c)[1:-1] for c in argument))
         named += [f"error: {path}: ", f"error: {path}/", path.name[:40]]
