@@ -40,6 +40,14 @@ def test_what_is_fitted_is_not_changed():
     assert not any("backlash" in words or "viscous" in words for words in found)
 
 
+@pytest.mark.parametrize(("volts", "proposed"), [(7.4, True), (None, False)])
+def test_a_supply_that_sags_is_proposed_for_a_servo_on_a_known_voltage(volts, proposed):
+    servo = with_hardware(mc.load_scenario("case_1_1"), load_hardware("xl_330"))
+    found = tried(servo.with_overrides({"hardware.servo.supply_voltage": volts}), "hardware.servo.armature")
+    assert ("with hardware.servo.supply_resistance" in found) == proposed
+    assert "with hardware.servo.backlash" in found
+
+
 @pytest.mark.parametrize(("left", "said"), [
     ((0.2, 0.5, 1.0), "the residuals are explained best without a: 0.2 of them are left; next, without b: 0.5 of them"),
     ((0.7, 0.9), "the residuals are explained best without a: 0.7 of them are left"),

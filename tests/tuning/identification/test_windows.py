@@ -103,6 +103,15 @@ def test_what_is_held_out_behind_a_hole_is_predicted_from_its_own_first_samples(
     np.testing.assert_allclose(begin[placed].min(), 8.9 + LATE, atol=0.011)
 
 
+def test_the_search_begins_with_each_window_as_the_log_has_it_and_sees_nothing_that_is_held_out():
+    windows = cut(logged([(8.5, 8.9)]), ROBOT, STEP, 0.2, late=LATE)
+    pieces = model_of(mc.Scenario(), windows, []).in_pieces
+    fit = Problem(pieces, np.ones(len(windows.names)))
+    assert pieces.windows.begins_stretch.all() and not pieces.guess.size and not pieces.states
+    assert not (fit.fitted & windows.held_out[fit.rows.window]).any()
+    np.testing.assert_array_equal(pieces.logged[..., :2], windows.start)
+
+
 def test_a_fit_is_compiled_for_a_robot_by_the_contents_of_its_files(tmp_path):
     """An edited file, or one that it includes, gave the answer for the old robot where programs were kept."""
     rod = '<mujoco><body name="rod"><joint name="swing" axis="0 1 0"/>{}</body></mujoco>'
