@@ -110,9 +110,9 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkey
         monkeypatch.setattr(module, name, value)
     found = types.SimpleNamespace(
         scenario=scenario, problem=types.SimpleNamespace(law=None, engine="limb", objective=None, metrics=None),
-        law=None, gains=None,
+        law=None, gains=None, ends=[0.5],
     )  # fmt: skip
-    begun = of_search.Begun(lambda _: types.SimpleNamespace(feasible=True), None, {}, nothing, {})
+    begun = of_search.Begun(lambda _: types.SimpleNamespace(feasible=True, ends=[0.6]), None, {}, nothing, {})
     with pytest.raises(Given) as given:
         of_search.compare(found, begun=begun)
     assert scenario.time_step == 1e-3 and given.value.args == (1e-3, 5e-4, (5e-4, 0.0))
