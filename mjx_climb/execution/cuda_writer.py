@@ -4,9 +4,7 @@ Divisions and square roots are good to two units in the last place, as `gpu_kern
 arctangent are written out here: CUDA's own carry code for arguments beyond 1e5, longer than all the rest of a walk.
 """
 
-import itertools
 import re
-from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -172,12 +170,11 @@ def expression(name: str, parameters: Parameters, operands: Sequence[Number], na
 
 THREADS = 128  # in a block
 BLOCKS = 2  # of a kernel with functions, at once: else NVIDIA's assembler gives one of many numbers few registers
+REGISTERS = 255  # of a thread
 LONG_STEP = 150  # lines of a step, of a loop in a loop, from which it is a function of its own
 NAME = "walk"
 _WARP = "0xffffffffu"  # all threads of a warp
 _NAMES = re.compile(r"\bv\d+\b")
-_ALL_NAMES = re.compile(r"\b[vc]\d+\b")
-_NEXT = re.compile(r"const .* next_(c\d+) = (.*);")
 _MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
 
 # Arguments are words of 32 bits: `common` to all, first the numbers of robots and of directions of each; `own` (rows,
@@ -329,24 +326,28 @@ class CudaWriter(Writer):
     def _as_function(self, time: str, lines: list[str], carried: Sequence[Value]) -> list[str]:
         """Return a loop in a loop as a function of its own, and its call.
 
-        NVIDIA's assembler takes hours over registers for two loops. Values pass through arrays; numbers that the loop
-        only adds to stay there.
+        NVIDIA's assembler takes hours over registers for two loops. Values pass through arrays; more than there are
+        registers stay there, and the function is one step.
         """
-        self._functions = True
+        self._functions, stay = True, len(carried) > REGISTERS
         names = dict.fromkeys(_NAMES.findall("\n".join(lines)))
         read = [self._arguments[name] for name in names if name in self._arguments]  # once more: one word for all lanes
-        lines, sums = _with_sums_early(lines, [value.content for value in carried])
         before, begun, ended, after, arrays = [], [], [], [], ""
         for dtype in dict.fromkeys(value.dtype for value in carried):
             own, array = [value.content for value in carried if value.dtype == dtype], f"{dtype}_{time}"
             before.append(f"{typed(dtype)} {array}[{len(own)}] = {{{', '.join(own)}}};")
             for place, name in enumerate(own):
-                begun.append(f"{typed(dtype)} {'&' * (name in sums)}{name} = {array}[{place}];")
-                ended += [f"{array}[{place}] = {name};"] * (name not in sums)
+                begun.append(f"{typed(dtype)} {'&' * stay}{name} = {array}[{place}];")
+                ended.append(f"{array}[{place}] = {name};")
                 after.append(f"{name} = {array}[{place}];")
             arrays += f", &{array}"
+        unrolled, loop, *step = lines
+        if stay:
+            function = f"const auto step_{time} = [={arrays}](int {time}) __attribute__((noinline)) {{"
+            call = [unrolled, f"{loop.removesuffix('{')}step_{time}({time});"]
+            return [*before, function, *begun, *read, *step[:-1], "};", *call, *after]
         function = f"const auto loop_{time} = [={arrays}]() __attribute__((noinline)) {{"
-        return [*before, function, *begun, *lines[:2], *read, *lines[2:], *ended, "};", f"loop_{time}();", *after]
+        return [*before, function, *begun, unrolled, loop, *read, *step, *ended, "};", f"loop_{time}();", *after]
 
     def _kept(self, row: int, dtype: np.dtype) -> Value:
         """Return a number that a loop has written: it is read where it is used."""
@@ -406,28 +407,6 @@ class CudaWriter(Writer):
         self._count += 1
         self._lines.append(f"const {typed(dtype)} v{self._count} = {text};")
         return Value(f"v{self._count}", np.dtype(dtype))
-
-
-def _with_sums_early(lines: list[str], carried: Sequence[str]) -> tuple[list[str], set[str]]:
-    """Return a loop with each sum that its steps only add to as soon as the term is known, and the names of these."""
-    uses, made, depth = Counter(_ALL_NAMES.findall("\n".join(lines))), dict[str, int](), 0
-    for place, line in enumerate(lines):
-        depth += line.endswith("{") - line.startswith("}")
-        if depth == 1 and (value := _MADE.match(line)):
-            made[value[1]] = place
-    added, gone, sums = dict[int, list[str]](), set[int](), set[str]()
-    ends = {found[1]: (place, found[2]) for place, line in enumerate(lines) if (found := _NEXT.match(line))}
-    for name in carried:
-        end, total = ends[name]
-        terms = lines[made[total]].rstrip(";").split(" ")[4:] if total in made else []
-        other = [term for term in terms if term not in (name, "+")]
-        if len(terms) != 3 or len(other) != 1 or other[0] not in made or (uses[name], uses[total]) != (2, 2):
-            continue
-        added.setdefault(made[other[0]], []).append(f"{name} += {other[0]};")
-        gone |= {made[total], end, lines.index(f"{name} = next_{name};")}
-        sums.add(name)
-    kept = [[*([line] * (place not in gone)), *added.get(place, ())] for place, line in enumerate(lines)]
-    return list(itertools.chain.from_iterable(kept)), sums
 
 
 def _text(number: Number) -> str:

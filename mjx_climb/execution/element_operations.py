@@ -33,7 +33,7 @@ from mjx_climb.execution.jax_internals import carried_out
 from mjx_climb.execution.jax_types import Parameters
 from mjx_climb.execution.limbs import Axis, LimbAxes
 
-MOST_OPERATIONS = 100_000  # a walk has some 4,000, or 9,000 without lanes; compilers take minutes for more than this
+MOST_OPERATIONS = 50_000  # a walk has some 4,000, or 9,000 without lanes; compilers take minutes for more than this
 _IN_ANY_ORDER = frozenset({"add", "max", "min", "and", "or"})  # but for rounding
 
 
