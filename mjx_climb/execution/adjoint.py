@@ -80,8 +80,15 @@ def _results(program: core.ClosedJaxpr, arguments: Sequence[Array], moving: Sequ
 
 
 def _is_long(parameters: Parameters) -> bool:
-    size = len(parameters["jaxpr"].jaxpr.eqns)
-    return bool(parameters["length"] > 1 and parameters["length"] * size > FEW_EQUATIONS)
+    return bool(parameters["length"] > 1 and parameters["length"] * _work(parameters["jaxpr"].jaxpr) > FEW_EQUATIONS)
+
+
+def _work(jaxpr: core.Jaxpr) -> int:
+    """Return the number of equations of a program, those of a loop once for each of its steps."""
+    return sum(
+        1 + equation.params.get("length", 1) * sum(map(_work, core.jaxprs_in_params(equation.params)))
+        for equation in jaxpr.eqns
+    )
 
 
 class _Loop(NamedTuple):
