@@ -315,13 +315,13 @@ def test_gradients_of_more_numbers_than_registers_in_cuda_c(carried_out):
 
 
 def test_a_loop_of_loops_keeps_what_it_carries():
-    """Not what each step of the inner ones computes: 20 values and then 100, once."""
+    """Not what each step of all inner ones computes: 20 values, and four in each step of one inner loop."""
     inner = lambda v, _: (jnp.sin(v) * jnp.cos(v), None)  # noqa: E731
     outer = lambda v, _: (jax.lax.scan(inner, v, length=100)[0], None)  # noqa: E731
     with jax.enable_x64(False):
         program = jax.make_jaxpr(lambda v: {"end": jax.lax.scan(outer, v, length=20)[0]})(np.float32(1))
         kernel = written(body_of(with_gradients(program, (True,), (True,), values=False)), (1, 1))
-    assert kernel.kept <= 20 + 3 * 100
+    assert kernel.kept <= 20 + 4 * 100
 
 
 def test_derivatives_add_no_zeros():
