@@ -132,6 +132,9 @@ def _over_steps(
             carried = look_ahead(walk, carried[0], carried[1].steps), carried[1]
         return jax.lax.scan(step, carried, given, length=period)
 
+    if steps == period:
+        # XLA takes a loop of one round apart, and JAX 0.10's compiler for CPUs then ends the process
+        return walk_period(begun, inputs)
     parts = jax.tree.map(lambda value: value.reshape(steps // period, period, *value.shape[1:]), inputs)
     last, records = scan(walk_period, begun, parts, length=steps // period)
     return last, jax.tree.map(lambda value: value.reshape(steps, *value.shape[2:]), records)
