@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -187,12 +187,21 @@ def walk_of_pd(scenario: mc.Scenario, engine: str = DEFAULT_ENGINE) -> mc.Trajec
     return dataclasses.replace(walk, scenario=scenario, gains=own)
 
 
-@functools.lru_cache(maxsize=8)
 def baseline(
     scenario: mc.Scenario, engine: str = DEFAULT_ENGINE, metrics: mc.MetricTable = mc.METRICS
 ) -> dict[str, float]:
     """Return the metrics of pd in float64 with nothing torn off, and their smooth companions."""
-    found = mc.rollout_metrics(under_pd(scenario), metrics=metrics, engine=engine, dtype=np.float64, smooth=True)
+    pd = under_pd(scenario)
+    parameters = own_parameters(pd)
+    # a file that the scenario names may have been edited since
+    contents = tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(parameters))
+    return dict(_of_pd(pd, engine, metrics, structure(pd, engine, parameters), contents))
+
+
+@functools.lru_cache(maxsize=8)
+def _of_pd(pd: mc.Scenario, engine: str, metrics: mc.MetricTable, *contents: Hashable) -> dict[str, float]:
+    """Return the metrics of a scenario under pd; `contents` are what its files hold."""
+    found = mc.rollout_metrics(pd, metrics=metrics, engine=engine, dtype=np.float64, smooth=True)
     return {name: float(value) for name, value in found.items()}
 
 

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import yaml
 
+import mjx_climb as mc
 from tests.shell import finish
 from tuning.identification.readers import write_csv
+from tuning.problem import evaluation
 
 LINK = '<inertial pos="0 0 -0.05" mass="{}" diaginertia="1e-4 1e-4 1e-4"/>'
 LIMB = """<body name="{0}1" pos="0 {1} 0"><joint name="{0}_hip" axis="0 -1 0" range="-2 2" limited="true"/>{2}
@@ -101,6 +103,10 @@ def numbers(printed):
     return found
 
 
+def alike(one, other):
+    return len(one) == len(other) and np.allclose(one, other, rtol=1e-4, atol=0, equal_nan=True)
+
+
 NEW = {"base": 1.5, "included": 0.2, "mesh": 0.025}
 
 
@@ -109,7 +115,10 @@ NEW = {"base": 1.5, "included": 0.2, "mesh": 0.025}
     for command in COMMANDS
 ])  # fmt: skip
 def test_an_edited_robot_is_answered_for_as_with_an_empty_cache(command, asked, call, tmp_path):
-    """Of a walk each edit is seen by itself."""
+    """Of a walk each edit is seen by itself.
+
+    Programs of another process round otherwise, in single precision to 3e-6; an answer for an old robot is far off.
+    """
     every = [dict([*NEW.items()][:n]) for n in range(4)] if command == "run" else [{}, NEW]
     answers = []
     for edited in every:
@@ -117,6 +126,16 @@ def test_an_edited_robot_is_answered_for_as_with_an_empty_cache(command, asked, 
         code, out, err = call(*asked(command))
         assert code == 0, err
         answers.append(numbers(out))
-    assert all(one != other for n, one in enumerate(answers) for other in answers[:n])
+    assert not any(alike(one, other) for n, one in enumerate(answers) for other in answers[:n])
     fresh, _ = finish(*asked(command), MJX_CLIMB_CACHE=str(tmp_path / "empty"))
-    assert numbers(fresh) == answers[-1]
+    assert alike(numbers(fresh), answers[-1])
+
+
+@pytest.mark.slow
+def test_pd_of_an_edited_robot_walks_anew_in_the_same_process(tmp_path):
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(CONFIG))
+    found = []
+    for edited in ({}, NEW):
+        write(tmp_path, **edited)
+        found.append(evaluation.baseline(mc.load_scenario(tmp_path / "config.yaml"))["force_variation"])
+    assert abs(found[1] / found[0] - 1) > 0.01
