@@ -107,7 +107,7 @@ def swung(bench: Bench, sent: np.ndarray) -> np.ndarray:
 
 
 def drawn(job: Job) -> tuple[Bench, float, dict[str, float]]:
-    """A bench, the size of what is outside of the model, and the truth by key."""
+    """A bench, the size of its part outside of the model, and the truth by key."""
     rng = np.random.default_rng([job.number, len(job.group)])
     truth = {key: float(np.exp(rng.uniform(*np.log(span)))) for key, span in SPANS.items()}
     size = 0.0 if job.kind == "inside" else float(np.exp(rng.uniform(*np.log(OUTSIDE[job.kind]))))

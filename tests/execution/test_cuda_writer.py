@@ -264,7 +264,7 @@ def test_a_walk_by_mjx_in_cuda_c(carried_out, case):
 @pytest.mark.slow
 @pytest.mark.parametrize("steps", [30, 300])
 def test_gradients_in_cuda_c(carried_out, steps):
-    """Loops keep what they carry, each lane its own, and read it backwards: to 1e-4 of JAX's in float64.
+    """Loops keep their carried values, each lane its own, and read them backwards: to 1e-4 of JAX's in float64.
 
     With two levels of checkpoints a long step is a function: NVIDIA's assembler does not end at one in two loops.
     """

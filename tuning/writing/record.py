@@ -1,7 +1,7 @@
 """Whose result a folder holds: it belongs to one run's settings, and its files appear together or not at all.
 
 `settings.json` has a command's settings, which knows its own folder again by them, and the files of the
-result. Versions and machine are none of it: the same command replaces its own result after an update.
+result. Versions and machine do not count: the same command replaces its own result after an update.
 """
 
 import contextlib
