@@ -5,21 +5,19 @@
 
 Each log is one of a pendulum on a servo, integrated by the equations of `Bench` at 0.02 ms, 200 Hz, with noise of a
 milliradian; `--time-step` is the fit's. `short` logs have 2 to 10 s, inside the model and outside of it by turns, all
-others 6 s. A row is an interval of one parameter of one log; at the end the shares are printed with their exact
-binomial intervals.
+others 6 s. A row is an interval of one parameter of one log; logs of all kinds come by turns. At the end the shares are
+printed with their exact binomial intervals, and those by parameter as a table.
 """
 
 import argparse
-import csv
 import math
-import multiprocessing
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pool import table
 from scipy.stats import binomtest
 
 STEP, RATE, NOISE = 2e-5, 200.0, 1e-3  # s, Hz, rad
@@ -162,13 +160,27 @@ def jobs(inside: int, outside: int, short: int, time_step: float) -> list[Job]:
     found += [Job(kinds[n % len(kinds)], "outside", n, 6.0, time_step) for n in range(outside)]
     lengths = (2.0, 3.0, 5.0, 7.0, 10.0)
     of_short = ("inside", kinds[0], "inside", kinds[2], "inside", kinds[3], "inside", kinds[4])
-    return found + [Job(of_short[n % 8], "short", n, lengths[n % 5], time_step) for n in range(short)]
+    found += [Job(of_short[n % 8], "short", n, lengths[n % 5], time_step) for n in range(short)]
+    counts = {"inside": inside, "outside": outside, "short": short}
+    return sorted(found, key=lambda job: (job.number + 0.5) / counts[job.group])
 
 
 def share(name: str, held: np.ndarray) -> str:
     """The share of some that hold, in words."""
     low, high = binomtest(int(held.sum()), held.size).proportion_ci()
     return f"{name}: {held.sum()} of {held.size}, {held.mean():.1%} ({low:.1%} to {high:.1%})"
+
+
+def print_shares(rows: list[tuple[Any, ...]], time_step: float) -> None:
+    """Print how often intervals hold the truth, and how often they or "the model is wrong" do, in two tables."""
+    found = [(row[0], row[4], bool(int(row[9])), bool(int(row[9]) or int(row[10]))) for row in rows]
+    for kind in sorted({each[0] for each in found}):
+        inside, either = (np.array([each[n] for each in found if each[0] == kind]) for n in (2, 3))
+        print(share(f"{kind}, inside", inside), share("inside or wrong", either), sep="; ")
+    print('logs,"step of the fit, s",parameter,count,"inside, %","inside or wrong, %"')
+    for kind, key in sorted({each[:2] for each in found}):
+        own = np.array([each[2:] for each in found if each[:2] == (kind, key)])
+        print(kind, time_step, key, len(own), *(f"{100 * each:.1f}" for each in own.mean(axis=0)), sep=",")
 
 
 def main() -> None:
@@ -179,21 +191,9 @@ def main() -> None:
         asked.add_argument(f"--{name}", type=int, default=default)
     asked.add_argument("--time-step", type=float, default=0.001)
     options = asked.parse_args()
-    rows: list[tuple[Any, ...]] = []
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.workers, context) as pool, Path(options.out).open("w", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(COLUMNS)
-        counts = (options.inside, options.outside, options.short, options.time_step)
-        running = [pool.submit(rows_of, job) for job in jobs(*counts)]
-        for each in as_completed(running):
-            rows += each.result()
-            table.writerows([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in each.result())
-            file.flush()
-    for kind in dict.fromkeys(sorted(row[0] for row in rows)):
-        own = [row for row in rows if row[0] == kind]
-        inside, wrong = (np.array([row[n] for row in own], bool) for n in (9, 10))
-        print(share(f"{kind}, inside", inside), share("inside or wrong", inside | wrong), sep="; ")
+    counts = (options.inside, options.outside, options.short, options.time_step)
+    rows = table(options.out, COLUMNS, rows_of, jobs(*counts), options.workers)
+    print_shares(rows, options.time_step)
 
 
 if __name__ == "__main__":

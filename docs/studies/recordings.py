@@ -9,15 +9,15 @@ fit; rows of the key `error` have the mean absolute error, in degrees, of a reco
 
 import argparse
 import csv
+import functools
 import itertools
-import multiprocessing
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pool import table
 
 MOTIONS = ("sin_sin", "lift_and_drop", "up_and_down", "sin_time_square")
 XL330 = tuple(f"xl330_p{p}_{motion}" for p in (100, 200, 400) for motion in MOTIONS)
@@ -154,16 +154,8 @@ def main() -> None:
     asked.add_argument("--workers", type=int, default=2)
     asked.add_argument("--starts", type=int, default=10)
     options = asked.parse_args()
-    rows: list[tuple[Any, ...]] = []
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.workers, context) as pool, Path(options.out).open("w", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(COLUMNS)
-        running = [pool.submit(rows_of, job, options.folder) for job in jobs(options.starts)]
-        for each in as_completed(running):
-            rows += each.result()
-            table.writerows([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in each.result())
-            file.flush()
+    of_folder = functools.partial(rows_of, recordings=options.folder)
+    rows = table(options.out, COLUMNS, of_folder, jobs(options.starts), options.workers)
     print(overlap(rows))
 
 
