@@ -113,6 +113,13 @@ def test_an_interval_is_that_of_a_search_once_more():
     np.testing.assert_allclose([found.low[0], found.high[0]], [-half, half], rtol=0.06)
 
 
+def test_an_interval_of_several_searches_holds_at_96_percent():
+    """Two laws scatter alike, so that Student's variance has the freedom of both."""
+    found = of_seeds(lucky(np.random.default_rng(6), [1.0, 1.0], 8), searches=[0, 1], count=20_000)
+    half = scipy.stats.t.ppf(0.98, 14) * np.sqrt(2 / 8)
+    np.testing.assert_allclose([found.low[0], found.high[0]] - found.difference[0], [-half, half], rtol=0.02)
+
+
 def test_hardware_that_walks_with_the_same_searches_has_no_part_in_their_luck():
     values = seeded(np.random.default_rng(6), 8, 5.0)
     found = of_seeds(values)
