@@ -91,7 +91,7 @@ def identify(
     model = problem.model
     with Parts(out, lambda: identity_of_fit(scenario, log, model, held_out, starts) | {"base": chosen_base}) as parts:
         searches = Searches(parts, progress)
-        found, problem = _searched(problem, starts, searches)
+        found, problem = searched(problem, starts, searches)
         tests = inference.whiteness(problem, found)
         refuted = max((test.share for test in tests), default=0.0) > _REFUTED
         hint = ""
@@ -115,7 +115,7 @@ def _held(
 ) -> Problem:
     windows = cut(log, robot, scenario.time_step, held_out, late=_latest(scenario, chosen))
     model = model_of(scenario, windows, with_nuisances(scenario, chosen, windows.kinds), mass)
-    return Problem(model, _rough_noise(model))
+    return Problem(model, rough_noise(model))
 
 
 def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
@@ -128,11 +128,15 @@ def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
 def _gripped(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float) -> Problem:
     windows = cut_gripped(log, robot, scenario.time_step, held_out)
     model = gripped_model(scenario, log, windows, chosen)
-    return Problem(model, _rough_noise(model))
+    return Problem(model, rough_noise(model))
 
 
-def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted, Problem]:
-    """The end of the search from the best of the starts, and the problem with the noise that is left."""
+def searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted, Problem]:
+    """Return the end of the search from the best of the starts, and the problem with the noise that is left.
+
+    Raises:
+        ConfigError: the model diverges, in one line.
+    """
     model, prior, pieces = problem.model, problem.prior, problem.model.in_pieces
     samples = _samples(problem)
     # far from the optimum residuals are none of the noise's size: its own would have most of them count by size alone
@@ -141,7 +145,7 @@ def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted
     louder = np.where(model.windows.kind == KINDS.index("effort"), _UNHEARD * louder, louder)
     trial = Problem(pieces, louder)
     ends: list[Fitted] = []
-    for point in _starts(model, prior, starts + _OTHERS):
+    for point in begins(model, prior, starts + _OTHERS):
         if len(ends) == starts:  # where some diverge, as a limb without armature that falls, others begin
             break
         text = f"start {len(ends) + 1} of {starts}"
@@ -169,8 +173,8 @@ def _searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted
     return found._replace(costs=costs), problem
 
 
-def _starts(model: Fit, prior: Prior, count: int) -> np.ndarray:
-    """Points (count, P) from which searches begin, the first one the nominal values."""
+def begins(model: Fit, prior: Prior, count: int) -> np.ndarray:
+    """Return points (count, P) from which searches begin, the first one the nominal values."""
     rng = np.random.default_rng(0)
     # a friction far above its nominal value holds all joints still, and no slope leads away from there
     sizes = [abs(v.nominal) if v.nominal and not v.log else v.sd for v in model.variables]
@@ -207,7 +211,7 @@ def _samples(problem: Problem) -> Samples:
     return Samples(rows.signal, rows.stamp, problem.fitted, windows.stamp_spacing, moved)
 
 
-def _rough_noise(model: Fit) -> np.ndarray:
+def rough_noise(model: Fit) -> np.ndarray:
     """Return noise (signals,) from second differences, which hold some motion too."""
     rows, noise = model.windows.rows, np.ones(len(model.windows.names))
     for signal in range(len(noise)):

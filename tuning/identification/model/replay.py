@@ -154,8 +154,8 @@ def simulate(prepared: Prepared, engine: str = "limb") -> Replay:
         walk = _on_a_stand(prepared, robot)
     else:
         walk = mc.Simulation(scenario, engine=engine).rollout(targets=targets)
-        said = (*said, *_of_a_walk(walk, log, robot))
-    return Replay(log, scenario, base, walk, _errors(walk, log, robot), said)
+        said = (*said, *remarks(walk, log, robot))
+    return Replay(log, scenario, base, walk, errors_of(walk, log, robot), said)
 
 
 def _targets(log: Log, robot: Robot, scenario: mc.Scenario, on_a_stand: bool) -> Float[np.ndarray, "time limb joint"]:
@@ -206,7 +206,7 @@ def _with_pushes(scenario: mc.Scenario, log: Log) -> tuple[mc.Scenario, list[str
     return changed, [f"{len(pushes)} pushes are those of the log"]
 
 
-def _of_a_walk(walk: mc.Trajectory, log: Log, robot: Robot) -> Iterator[str]:
+def remarks(walk: mc.Trajectory, log: Log, robot: Robot) -> Iterator[str]:
     """Yield the assumptions of a walk's comparison."""
     begins = {
         joint: abs(signal.value[0] - walk.joint_angles[(0, *place)])
@@ -301,7 +301,7 @@ def _fields(robot: Robot) -> dict[str, dict[str, tuple[Any, ...]]]:
     return found
 
 
-def _errors(walk: mc.Trajectory, log: Log, robot: Robot) -> dict[str, Error]:
+def errors_of(walk: mc.Trajectory, log: Log, robot: Robot) -> dict[str, Error]:
     """Return how far the simulation is from every logged signal that it has, at the times of the log."""
     found = {}
     for field, by_name in _fields(robot).items():

@@ -156,8 +156,8 @@ class Rig:
         still, angles = jnp.zeros(3), jnp.asarray(robot.stance_joints, float)
         state = State(still, jnp.asarray(robot.stance_orientation, float), still, still, angles, jnp.zeros(shape))
         each = [np.zeros(shape), *(np.broadcast_to(row, shape) for row in np.eye(shape[1]))]
-        gravity = jnp.asarray(self.parameters.gravity, float)
-        free, *driven = (np.asarray(held_accelerations(robot, state, jnp.asarray(torque), gravity)) for torque in each)
+        accelerations, gravity = jax.jit(held_accelerations), jnp.asarray(self.parameters.gravity, float)
+        free, *driven = (np.asarray(accelerations(robot, state, torque, gravity)) for torque in each)
         inertia = np.linalg.inv(np.stack(driven, axis=2) - free[..., None])
         return np.diagonal(inertia, axis1=1, axis2=2), -np.matvec(inertia, free)
 

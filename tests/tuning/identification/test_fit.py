@@ -1,0 +1,381 @@
+"""A fit whose model is a line in its variables: its end, its noise, its starts, and the findings are known by hand."""
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from tests.tuning.identification.recorded import ROBOT
+from tuning.identification.fit import inference
+from tuning.identification.fit.conclusions import identified
+from tuning.identification.fit.identify import begins, rough_noise, searched
+from tuning.identification.fit.inference import Whiteness
+from tuning.identification.fit.prediction import predicted
+from tuning.identification.fit.problem import Problem
+from tuning.identification.fit.search import Searches
+from tuning.identification.model.predicted import Fit, model_of
+from tuning.identification.model.variables import Variable, variables
+from tuning.identification.model.windows import KINDS, cut
+from tuning.identification.readers.log import OFF, Log, Signal
+from tuning.methods.parts import Parts
+
+STEP, NOISE, TRUTH = 0.01, 0.002, (0.06, 0.015)
+KEYS = ("hardware.servo.viscous_friction", "hardware.servo.armature", "hardware.servo.coulomb_friction")
+JOINTS = ("coxa", "femur", "tibia")
+
+
+def waves(time):
+    """What the angles move by per unit of the first two variables, (2, ...)."""
+    return np.stack([3 * np.sin(2 * np.pi * 0.7 * time), 4 * np.sin(2 * np.pi * 1.3 * time + 1)])
+
+
+class Line(Fit):
+    """Angles that are a sum of the first two variables' waves; the third one moves nothing. It diverges beyond MOST."""
+
+    MOST = math.inf
+
+    def evaluate(self, x, start):
+        windows = self.windows
+        which = np.arange(len(windows.begin))
+        time = windows.moments(which, 2 * windows.steps + 1, windows.steps)[..., None, None] * np.ones((4, 3))
+        along = np.zeros((len(which), len(x), *time.shape[1:]))
+        along[:, :2] = np.moveaxis(waves(time), 0, 1)
+        values = np.einsum("n,wnslj->wslj", x, along) * (math.nan if abs(x[0]) > self.MOST else 1.0)
+        yield which, dict.fromkeys(("position", "effort"), values), dict.fromkeys(("position", "effort"), along)
+
+
+def scenario():
+    servo = {"viscous_friction": 0.05, "armature": 0.02, "coulomb_friction": 0.1}
+    return mc.Scenario().with_overrides({"hardware": {"servo": servo}})
+
+
+def logged(noise=NOISE, seconds=6.0, joints=JOINTS, more=()):
+    time, rng = np.arange(round(seconds * 100)) / 100, np.random.default_rng(1)
+    signals = {}
+    for joint in joints:
+        signals[f"LF.{joint}.command"] = Signal(time, np.sin(time))
+        signals[f"LF.{joint}.position"] = Signal(time, TRUTH @ waves(time) + noise * rng.standard_normal(len(time)))
+    return Log(signals | dict(more), "log.csv")
+
+
+def problem_of(log=None, held_out=0.2, kind=Line, **fields):
+    chosen = variables(scenario(), KEYS, held=True)
+    windows = cut(logged() if log is None else log, ROBOT, STEP, held_out)
+    made = model_of(scenario(), dataclasses.replace(windows, **fields), chosen)
+    model = kind(made.windows, made.variables, made.structure, made.parameters)
+    return Problem(model, rough_noise(model))
+
+
+class Recorded(Searches):
+    """Searches whose problems are kept."""
+
+    def search(self, problem, point, most, text, tolerance=1e-5):
+        vars(self).setdefault("seen", []).append((problem, text, most, tolerance))
+        return super().search(problem, point, most, text, tolerance)
+
+
+def fitted(problem, starts=3):
+    searches = Recorded(Parts(None, dict))
+    return *searched(problem, starts, searches), searches.seen
+
+
+@pytest.fixture(scope="module")
+def line():
+    return fitted(problem_of())
+
+
+# --------------------------------------------------------------------------------------------------- the search's end
+
+
+def test_a_line_is_found_and_the_noise_is_that_of_the_log(line):
+    found, _, seen = line
+    np.testing.assert_allclose(found.x[:2], TRUTH, atol=1e-4)
+    np.testing.assert_allclose(found.noise, NOISE, rtol=0.15)
+    assert found.ended == "converged" and found.unsettled < 0.05 and found.clock == 0
+    assert len(found.costs) == 3 and max(found.costs) < 1.001 * min(found.costs)
+    assert [text for _, text, _, _ in seen[:4]] == ["start 1 of 3", "start 2 of 3", "start 3 of 3", "pass 1"]
+
+
+def test_what_moves_nothing_is_held_at_its_nominal_value(line):
+    found, problem, _ = line
+    np.testing.assert_array_equal(problem.free, [True, True, False])
+    assert found.x[2] == 0.1
+
+
+def test_starts_are_compared_with_a_tenth_of_what_moves_as_noise_and_roughly(line):
+    _, _, seen = line
+    windows = seen[0][0].model.windows
+    moved = np.array([np.std(windows.rows.value[windows.rows.signal == n]) for n in range(3)])
+    for problem, text, most, tolerance in seen[:3]:
+        np.testing.assert_allclose(problem.noise, 0.1 * moved)
+        assert (most, tolerance) == (100, 1e-4), text
+    np.testing.assert_allclose(seen[3][0].noise, NOISE, rtol=0.15)
+    assert seen[3][3] == 1e-5
+
+
+def test_torques_weigh_little_where_starts_are_compared():
+    problem = problem_of(logged(more={"LF.tibia.effort": logged().signals["LF.tibia.position"]}))
+    _, _, seen = fitted(problem, 1)
+    usual = np.array([0.1 * np.std(signal) for signal in values_of(problem)])
+    assert problem.model.windows.names[3] == "LF.tibia.effort" and (problem.noise < usual).all()
+    np.testing.assert_allclose(seen[0][0].noise, usual * [1, 1, 1, 30])
+
+
+def values_of(problem):
+    rows = problem.rows
+    return [rows.value[rows.signal == n] for n in range(len(problem.model.windows.names))]
+
+
+def test_where_some_starts_diverge_others_begin_and_where_all_do_it_is_said():
+    class Some(Line):
+        MOST = 0.07
+
+    class None_(Line):
+        MOST = -1.0
+
+    found, _, seen = fitted(problem_of(kind=Some), starts=4)
+    points = begins(problem_of().model, problem_of().prior, 8)
+    assert (np.abs(points[:4, 0]) > Some.MOST).any()
+    assert len(found.costs) == 4 and [text for _, text, *_ in seen].count("start 4 of 4") >= 1
+    np.testing.assert_allclose(found.x[:2], TRUTH, atol=1e-4)
+    with pytest.raises(mc.ConfigError, match="the model diverges at the values that it begins with"):
+        fitted(problem_of(kind=None_))
+
+
+def test_starts_are_around_the_prior_within_the_bounds_the_nominal_one_first():
+    delay = Variable("hardware.command_delay", "s", 0.0, 0.0, 0.01, -0.0025, 0.02)
+    log = Variable("control.kp", "N m/rad", 50.0, math.log(50.0), 1.0, 5.0, 500.0, log=True)
+    small = Variable("hardware.servo.armature", "kg m^2", 0.02, 0.02, 5.0, -9.0, 9.0)
+    windows = SimpleNamespace(time_step=0.004)
+    model = SimpleNamespace(windows=windows, variables=(delay, log, small), guess=np.zeros((1, 0)))
+    prior = Problem.prior.fget(SimpleNamespace(model=model))
+    points = begins(model, prior, 4000)
+    np.testing.assert_allclose(points[0], [0.008, math.log(50.0), 0.02])
+    low, high = np.transpose([v.bounds for v in model.variables])
+    assert ((points >= low) & (points <= high)).all()
+    assert np.std(points[1:, 1]) == pytest.approx(0.7, rel=0.05)
+    # around the value of one, within its size; below its bound a point is mirrored there, and not put on it
+    assert np.std(points[1:, 2]) == pytest.approx(0.7 * 0.02, rel=0.06)
+    assert (points[1:, 0] <= low[0]).mean() < 0.01
+    np.testing.assert_array_equal(begins(model, prior, 5), points[:5])
+
+
+def test_the_rough_noise_of_a_signal_is_that_of_its_second_differences():
+    log, rng = logged(), np.random.default_rng(2)
+    time = log.signals["LF.coxa.position"].time
+    own = {"LF.coxa.position": 0.5 * time + 0.01 * rng.standard_normal(len(time)), "LF.femur.position": 2 * time}
+    noise = problem_of(Log(log.signals | {name: Signal(time, v) for name, v in own.items()}, "log.csv")).noise
+    assert noise[0] == pytest.approx(0.01, rel=0.15) and noise[1] == pytest.approx(1e-3 * np.ptp(2 * time), rel=0.01)
+
+
+# ------------------------------------------------------------------------------------------------------- the findings
+
+
+def findings(line, warnings=("before",), hint="", tests=None, chosen=KEYS, **changes):
+    found, problem, _ = line
+    own = [v for v in problem.model.variables if v.key in chosen]
+    tests = inference.whiteness(problem, found) if tests is None else tests
+    return identified(scenario(), logged(), own, (found._replace(**changes), problem, tests), warnings, hint)
+
+
+def test_estimates_have_intervals_that_hold_the_truth_and_say_what_is_not_told(line):
+    found = findings(line)
+    for key, truth in zip(KEYS, TRUTH, strict=False):
+        each = found.estimates[key]
+        assert each.seen and each.low < truth < each.high and each.remark == ""
+        assert (each.low + each.high) / 2 == pytest.approx(each.value)
+    rows = line[1].fitted
+    exact = np.sqrt(np.diag(np.linalg.inv((line[0].along[rows].T @ line[0].along[rows])[:2, :2])))
+    widths = [found.estimates[key].high - found.estimates[key].low for key in KEYS[:2]]
+    assert (np.array(widths) >= 0.999 * 2 * inference.Z * exact).all()
+    assert (np.array(widths) < 3 * 2 * inference.Z * exact).all()
+    silent = found.estimates[KEYS[2]]
+    assert not silent.seen and silent.value == silent.before == 0.1
+    assert f"{KEYS[2]}: not told: stays nominal" in found.warnings
+    assert found.warnings[0] == "before" and found.known.keys() == {*KEYS[:2]}
+
+
+def test_the_error_of_what_was_held_out_is_over_its_noise(line):
+    fit, problem, _ = line
+    found, held = findings(line).held_out, problem.predicted
+    assert found["error_over_noise"] == pytest.approx(np.sqrt((fit.scaled[held] ** 2).mean()))
+    assert 0.7 < found["error_over_noise"] < 1.3
+    windows = problem.model.windows
+    assert found["seconds"] == pytest.approx(windows.held_out.sum() * 1.0) and found["seconds"] == 1.0
+    own = held & (problem.rows.signal == 1)
+    assert found["signals"]["LF.femur.position"] == pytest.approx(np.sqrt((fit.scaled[own] ** 2).mean()))
+    assert found["error"]["LF.femur.position"] == pytest.approx(np.sqrt((fit.residuals[own] ** 2).mean()))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "silent"),
+    [
+        ({"clock": 0.003}, "time stamps err by 0.003 s", {}),
+        ({"ended": "out of iterations", "iterations": 77}, "the search still gained after 77 evaluations", {}),
+        ({"costs": (1.0, 1.009, 1.02)}, "2 of 3 starts ended at this optimum", {"costs": (1.0, 1.009, 1.005)}),
+        ({"unsettled": 0.05}, "estimated once more it would change by 5 %", {"unsettled": 0.049}),
+    ],
+)
+def test_what_a_fit_lacks_is_said(line, changes, said, silent):
+    usual, off, near = (findings(line, **each).warnings for each in ({}, changes, silent))
+    assert any(said in text for text in off), off
+    assert not any(said[-20:] in text for text in (*usual, *near))
+
+
+def test_what_was_held_out_and_missed_is_said_and_so_is_that_nothing_was(line):
+    fit, problem, _ = line
+    scaled = {factor: np.where(problem.predicted, factor * fit.scaled, fit.scaled) for factor in (1.1, 1.6)}
+    near, far = (findings(line, scaled=each).warnings for each in scaled.values())
+    assert not any("times worse than the noise" in text for text in near)
+    assert any("times worse than the noise" in text for text in far)
+    none = findings(fitted(problem_of(held_out=0.0), 1))
+    assert none.held_out == {} and any("nothing was held out" in text for text in none.warnings)
+
+
+def test_a_wrong_model_is_named_with_the_signals_that_say_so(line):
+    some, worst, fine = (
+        Whiteness(name, 0.0, np.array([size, 0.1]), 0.01, share, np.zeros(0), np.zeros(0, int))
+        for name, size, share in (("a", 0.3, 0.2), ("b", -0.6, 0.4), ("c", 0.9, 0.0))
+    )
+    found = findings(line, tests=[some, worst, fine], hint="try another")
+    (text,) = (text for text in found.warnings if "the model is wrong" in text)
+    assert "residuals of b are correlated, -0.60 0.01 s apart (2 of 3 signals" in text
+    assert found.warnings[-1] == "try another"
+
+
+def test_a_clock_is_not_fitted_where_no_two_signals_share_a_stamp(line):
+    said = "no two signals share a time stamp"
+    assert not any(said in text for text in findings(line).warnings)
+    found, problem, seen = line
+    stamps = problem.rows._replace(stamp=np.arange(len(problem.rows.stamp)))
+    windows = dataclasses.replace(problem.model.windows, rows=stamps)
+    alone = dataclasses.replace(problem, model=dataclasses.replace(problem.model, windows=windows))
+    assert any(said in text for text in findings((found, alone, seen)).warnings)
+
+
+@pytest.mark.parametrize(
+    ("x", "remark", "told"),
+    [
+        (0.0, "on its lower bound, 0 N m s/rad", True),
+        (0.05 + 0.2 * 3.1, "3.1 sd off its prior", True),
+        (0.05 + 0.2 * 2.9, "", True),
+    ],
+)  # fmt: skip
+def test_a_value_on_its_bound_or_far_off_its_prior_has_a_remark(line, x, remark, told):
+    each = findings(line, x=np.array([x, *line[0].x[1:]])).estimates[KEYS[0]]
+    assert (each.remark, each.seen) == (remark, told)
+
+
+@pytest.mark.parametrize(("x", "sd", "seen"), [(0.06, 0.4, True), (0.06, 0.6, False), (0.0, 0.4, False)])
+def test_what_is_fitted_beside_is_told_below_half_its_prior_and_off_its_bounds(line, x, sd, seen):
+    """A variable beside those that were asked for is never held; a wide one keeps its prior."""
+    fit, problem, searches = line
+    first, *others = problem.model.variables
+    beside = dataclasses.replace(first, beside=True)
+    model = dataclasses.replace(problem.model, variables=(beside, *others))
+    root = 1 / (sd * first.sd)  # of the samples and the prior together
+    information = np.diag([root**2 - first.sd**-2, *np.diag(fit.information)[1:]])
+    own = fit._replace(x=np.array([x, *fit.x[1:]]), information=information)
+    found = findings((own, dataclasses.replace(problem, model=model), searches), tests=[], chosen=KEYS[1:])
+    assert found.beside[KEYS[0]].seen is seen
+    bound = any(text.startswith(f"{KEYS[0]}: on its lower bound") for text in found.warnings)
+    assert bound == (x == 0)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"unknown": np.array([[1.0, 1.5], [2.0, 2.25]])}, "commands are missing in 2 holes, 0.75 s in all"),
+        ({"constant": ("a", "b")}, "the same all the time, not fitted"),
+    ],
+)
+def test_parts_of_a_log_that_are_not_fitted_are_said(line, fields, said):
+    found, problem, seen = line
+    windows = dataclasses.replace(problem.model.windows, **fields)
+    own = dataclasses.replace(problem, model=dataclasses.replace(problem.model, windows=windows))
+    assert any(said in text for text in findings((found, own, seen)).warnings)
+    assert not any(said in text for text in findings(line).warnings)
+
+
+@pytest.mark.parametrize(
+    ("off", "kp", "chosen", "said"),
+    [
+        ((0.0, 1), 50.0, KEYS, "the torque is off all the while in the log"),
+        ((0.0, 0), 0.0, KEYS, "control.kp is 0 all the while in the log"),
+        ((9.0, 1), 25.0, ("control.kp",), "control.kp stands for what the log calls 50 N m/rad"),
+        ((5.5, 1), 50.0, ("control.kp",), "the torque is off in what is held out alone"),
+        ((4.0, 1), 50.0, KEYS, None),
+        ((9.0, 1), 25.0, KEYS, None),
+    ],
+)
+def test_gains_and_torques_of_a_log_that_tell_nothing_are_said(off, kp, chosen, said):
+    time = np.arange(601) / 100
+    gains = {OFF: Signal(time, (time >= off[0]) * float(off[1])), "control.kp": Signal(time, np.full(601, kp))}
+    kinds = variables(scenario(), chosen, held=True)
+    windows = dataclasses.replace(cut(logged(), ROBOT, STEP, 0.2), gains=gains)
+    made = model_of(scenario(), windows, kinds)
+    own = Line(windows, kinds, made.structure, made.parameters)
+    assert float(own.parameters.joint_loop.kp) == 50.0
+    problem, count = Problem(own, np.full(3, NOISE)), len(kinds)
+    point = np.array([v.mean for v in kinds])
+    if count == 1:
+        problem = dataclasses.replace(problem, model=One(windows, kinds, made.structure, made.parameters))
+    end = problem.ended(point, 1.0, 1, "converged")
+    tests = identified(scenario(), logged(), kinds, (end._replace(costs=(1.0,)), problem, []), [], "").warnings
+    words = ("all the while", "stands for", "held out alone")
+    heard = [text for text in tests if any(word in text for word in words)]
+    assert len(heard) == (said is not None) and all(text.startswith(said) for text in heard)
+
+
+class One(Line):
+    """A line of one variable."""
+
+    def evaluate(self, x, start):
+        for which, values, along in super().evaluate(np.r_[x, 0.0], start):
+            yield which, values, {"position": along["position"][:, :1]}
+
+
+# -------------------------------------------------------------------------------------------- between a model's steps
+
+
+class Cubic(Fit):
+    """Angles that are a parabola of time, and rates that are one: means over the steps, half a step before them."""
+
+    def evaluate(self, x, start):
+        windows = self.windows
+        which, h = np.arange(len(windows.begin)), windows.time_step
+        time = windows.moments(which, 2 * windows.steps + 1, windows.steps)[..., None, None] * np.ones((4, 3))
+        rate = (time**3 - (time - h) ** 3) / (3 * h)
+        values = {"position": x[0] * time**2, "velocity": x[0] * rate, "effort": x[0] * time}
+        yield which, values, {name: value[:, None] / x[0] for name, value in values.items()}
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0037, -0.004])
+def test_samples_between_steps_are_on_parabolas_and_late_ones_on_those_before(late):
+    time = np.sort(np.random.default_rng(0).uniform(0, 4, 300))
+    kinds = ("command", "position", "velocity", "effort")
+    signals = {
+        f"LF.{joint}.{kind}": Signal(time, np.where(kind == "command", 0.3, np.sin(time)))
+        for joint in JOINTS for kind in kinds
+    }  # fmt: skip
+    windows = cut(Log(signals, "log.csv"), ROBOT, STEP, 0.0)
+    first = Variable("a", "1", 2.0, 2.0, 1.0, 0.0, 9.0)
+    delay = Variable("log.velocity.delay", "s", late, 0.0, 0.01, -0.02, 0.1)
+    model = Cubic(windows, (first, delay), SimpleNamespace(), SimpleNamespace(
+        bus=SimpleNamespace(command_delay=0.0), drive=SimpleNamespace(delay=0.0)))  # fmt: skip
+    made = predicted(model, np.array([2.0, late]), model.guess)
+    rows = windows.rows
+    kind = windows.kind[rows.signal]
+    at = windows.begin[rows.window] + (rows.step + rows.share - (kind == 1) / 2) * STEP
+    inside = (at - windows.begin[0] > 0.05) & (at < windows.begin[-1] + 0.9)
+    expected = np.select([kind == 0, kind == 1], [2 * at**2, 2 * (at - late) ** 2], 2 * at)
+    slope = np.select([kind == 0, kind == 1], [4 * at, 4 * (at - late)], 2.0)
+    np.testing.assert_allclose(made.value[inside], expected[inside], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(made.along[inside, 0], expected[inside] / 2, rtol=1e-9, atol=1e-9)
+    smooth = inside & (kind != 2)
+    np.testing.assert_allclose(made.rate[smooth], slope[smooth], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(made.along[:, 1], np.where(kind == 1, -made.rate, 0.0))
+    assert KINDS[1] == "velocity" and made.finite
