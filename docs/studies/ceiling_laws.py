@@ -65,7 +65,7 @@ KEPT = (*study.WEIGHTS, "peak_pull_force", "base_deviation", "swing_deviation", 
 
 def goals_on(scenario, weights, *draws):
     """Return the objective of `tuning.ceiling` over the walks of each draw, with the way that pd goes held."""
-    drawn = [bounds._draws(scenario, draw, 0, {}).parameters for draw in draws]
+    drawn = [bounds.draws_of(scenario, draw, 0, {}).parameters for draw in draws]
     together = jax.tree.map(lambda *each: np.concatenate(each), *drawn)
     pd = mc.Simulation(under_pd(scenario), metrics=TABLE, smooth=True).metrics({}, together, unsteady=True)
     ends = np.cumsum([draw.members for draw in draws])
@@ -268,7 +268,7 @@ def main():
                 theta = np.load(earlier)["theta"] if earlier.exists() else theta
                 theta = np.repeat(theta, asked.members, 0)
                 problem = dataclasses.replace(
-                    problem, parameters=bounds._draws(changed, draw, 0, {}).parameters, members=1
+                    problem, parameters=bounds.draws_of(changed, draw, 0, {}).parameters, members=1
                 )
             theta, merit = descended(problem, theta, until, log)
             gains = space.to_gains(theta[0])

@@ -8,7 +8,8 @@ seeds walk side by side, each on walks drawn with its seed, within 2 % of the me
 They begin at the config's gains, at the best that are known and at pd's, and begin anew where they stall, from the best
 or from another start; their best points walk once more on other walks of that seed, and the best of these on 512 walks
 that no search saw. Each round is kept, so that a study that was stopped goes on. The second puts all results into one
-table, the gains of each law into another, and prints the page's.
+table, the gains of each law into another, and prints the page's. `--varied` draws the hardware too, and `--own-gait`
+searches no gait; `which_law.py` makes tables of all metrics of such walks.
 """
 
 import argparse
@@ -46,6 +47,7 @@ from tuning.problem import evaluation, spaces
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.readings import readings
 from tuning.problem.search import Search
+from tuning.problem.variations import Factor, changed, paths_of, scalable
 from tuning.searches import ceiling as bounds
 from tuning.searches.tune import start_of
 
@@ -62,10 +64,12 @@ LAWS = {
     "LoadTransfer along z, 50 ms late": (
         "LoadTransfer", {"hardware.force_sensor.axes": "z", "hardware.force_sensor.delay": 0.05},
     ),
+    **{name: (name, {}) for name in ("VirtualModelAdmittance", "EndEffectorAdmittance", "InternalForce", "ClimbSDK")},
 }  # fmt: skip
 ON_ALL_FEET = 0.78  # duty at which transfers begin: at 0.75 there is no time in which loads can be handed over
 RAN_OFF = 1.0  # m, base deviation: a mean with a walk that ran off says nothing
 METRICS = ("objective", *searched.KEPT[:-2])  # of a row
+OF_WALKS = (*METRICS[1:], "peak_utilization", "diverged")  # kept of each unseen walk
 # of a population, of one that begins anew, and of the first one about each start, relative to the width of the box
 SPREAD, WIDE, NEAR = 0.12, 0.25, 0.06
 FLAT, PATIENCE = 5e-4, 25  # a search begins anew that finds better by no more in so many rounds
@@ -83,18 +87,19 @@ def known(hardware, case, law):
         for row in csv.DictReader(file.open()) if file.exists() else ():
             if row["case"] == case and row["law"] in names:
                 place = row["servos"] != hardware, file.stem, row["servos"], row["law"]
-                found.setdefault(place, {})[row["gain"]] = float(row["value"])
+                each = map(float, row["value"].strip("[]").split(","))  # of all axes
+                found.setdefault(place, {})[row["gain"]] = float(np.mean(list(each)))
     return [found[place] for place in sorted(found)]
 
 
 class Walks:
     """A law on a robot, and the numbers that are searched."""
 
-    def __init__(self, scenario, law):
+    def __init__(self, scenario, law, own_gait=False):
         """Take the space from the settings of the ceiling's laws."""
         cycle, duration = scenario.gait.cycle, scenario.duration
-        also = (*searched.ALSO, *(("pull_limit",) if "pull_limit" in law.GAINS else ()))
-        bound = JOINT | {"gait.cycle": (cycle / 2, min(2 * cycle, duration))}
+        also = (*(() if own_gait else searched.ALSO), *(("pull_limit",) if "pull_limit" in law.GAINS else ()))
+        bound = JOINT | ({} if own_gait else {"gait.cycle": (cycle / 2, min(2 * cycle, duration))})
         wanted = Search(space="isotropic", joint_gains=True, also=also, bounds=bound)
         self.scenario, self.law, self.space = scenario, law, spaces.space(scenario, wanted, law)
 
@@ -117,7 +122,7 @@ class Walks:
 
 def of_draws(scenario, draws):
     """Return the parameters of as many walks of each draw, (M, S, 1)."""
-    each = [bounds._draws(scenario, draw, 0, {}).parameters for draw in draws]
+    each = [bounds.draws_of(scenario, draw, 0, {}).parameters for draw in draws]
     return jax.tree.map(lambda *values: np.stack(values, 1)[:, :, None], *each)
 
 
@@ -141,6 +146,9 @@ class Cell:
         ideal = mc.load_scenario(f"case_{case}").with_overrides({"duration": asked.seconds})
         self.scenario = with_hardware(ideal, load_hardware(hardware), hardware)  # with the noise of its sensors
         draw = study.DRAWS[case].model_copy(update={"members": asked.members})
+        if asked.varied and hardware != "ideal":
+            varied = ensembles.Ensemble.load(f"configs/ensemble_{hardware}.yaml").hardware
+            draw = draw.model_copy(update={"hardware": varied})
         self.draws = [draw.model_copy(update={"seed": seed}) for seed in range(asked.seeds)]
         self.checks = [ensembles.fresh(own, ensembles.Use.CHECK) for own in self.draws]
         self.unseen = ensembles.fresh(draw).model_copy(update={"members": asked.unseen})
@@ -151,11 +159,17 @@ class Cell:
         """Return the rows of a law."""
         return [row for row in self.rows if row["law"] == law]
 
+    def keep(self, name, metrics):
+        """Keep metrics (M, S) of unseen walks."""
+        kept = {metric: np.asarray(metrics[metric], np.float32) for metric in OF_WALKS}
+        np.savez_compressed(self.asked.out / f"{self.file.stem}_{name}.npz", **kept)
+
     @functools.cached_property
     def goal(self):
         """The objective of all walks: relative to pd with the config's gains, on the unseen walks that it survives."""
         walks = Walks(under_pd(self.scenario), shipped("PD"))
         pd = walks.metrics(walks.own((1, self.asked.seeds)), of_draws(self.scenario, [self.unseen]))
+        self.keep("as configured", {name: values[:, 0] for name, values in pd.items()})
         there = ~pd["diverged"][:, 0, 0].astype(bool)
         return searched.goal_of(study.WEIGHTS, {name: value[there, 0, 0] for name, value in pd.items()})
 
@@ -167,7 +181,7 @@ class Cell:
             goals = [searched.Within(goal, searched.most_of(row["search"]))
                      for goal, row in zip(goals, self.found("pd"), strict=True)]  # fmt: skip
         scenario = under_pd(self.scenario) if name == "pd" else self.scenario.with_overrides(sensors)
-        walks = Walks(scenario, shipped(law_name))
+        walks = Walks(scenario, shipped(law_name), self.asked.own_gait)
         state = State(self.asked.out / f"{self.file.stem}_{name}.pickle", walks, self.starts(name, walks), self.asked)
         parameters = of_draws(scenario, self.draws)
         while len(state.history) < self.asked.rounds and (time.time() < until or not state.history):
@@ -177,22 +191,28 @@ class Cell:
         theta = self.checked(walks, state, goals, scenario)
         (of_search,) = (scored(goals, walks.metrics(walks.gains(
             np.repeat(theta[:, None], self.asked.points, 1)), parameters))[2],)  # fmt: skip
-        fresh = walks.metrics(walks.gains(theta[None]), of_draws(scenario, [self.unseen]))
+        unseen = of_draws(scenario, [self.unseen])
+        fresh = walks.metrics(walks.gains(theta[None]), unseen)
         fresh = {metric: value[:, 0] for metric, value in fresh.items()}  # (M, S)
+        self.keep(name, fresh)
+        if name == "pd" and (friction := scalable(unseen, paths_of(unseen, "friction"))):
+            halved = changed(unseen, dict.fromkeys(friction, Factor(0.5)))
+            better = walks.metrics(walks.gains(theta[None]), halved)
+            self.keep("pd on half the friction", {metric: value[:, 0] for metric, value in better.items()})
         with devices.on_host():
             objective = np.asarray(self.goal.score(fresh).value)
         fails = np.asarray(searched.lost(fresh))
         reads = sorted(readings(Problem(scenario, law=walks.law)))
         rows = [row for row in self.rows if row["law"] != name]
         for seed, own in enumerate(theta):
-            unseen = {metric: float(np.nanmean(fresh[metric][:, seed])) for metric in METRICS[1:]}
-            unseen |= {"objective": float(np.nanmean(objective[:, seed])), "lost": float(fails[:, seed].sum())}
+            means = {metric: float(np.nanmean(fresh[metric][:, seed])) for metric in METRICS[1:]}
+            means |= {"objective": float(np.nanmean(objective[:, seed])), "lost": float(fails[:, seed].sum())}
             gains = {gain: float(np.ravel(value)[0]) for gain, value in walks.gains(own).items()}
             rows.append({
                 "law": name, "seed": seed, "reads": reads, "rounds": len(state.history),
                 "restarts": state.restarts[seed], "gains": gains,
                 "search": {metric: float(v[0]) for metric, v in of_search[seed].items()},
-                "unseen": unseen, "walks": np.round(objective[:, seed].astype(float), 5).tolist(),
+                "unseen": means, "walks": np.round(objective[:, seed].astype(float), 5).tolist(),
                 "history": [round(best[seed], 5) for best in state.history], "seconds": time.time() - began,
             })  # fmt: skip
         self.rows = rows
@@ -209,7 +229,7 @@ class Cell:
         begins = []
         for seed in range(self.asked.seeds):
             mine = [*each, *([part[seed]["gains"]] if part else [])]
-            if name != "pd":
+            if "Transfer" in name:
                 mine = [gains | {"gait.duty": max(gains.get("gait.duty", 0.0), ON_ALL_FEET)} for gains in mine]
             begins.append([walks.space.from_gains(walks.gains(own) | gains) for gains in mine])
         return begins
@@ -357,6 +377,8 @@ def main():
     parser.add_argument("--hardware", nargs="+", default=list(HARDWARE))
     parser.add_argument("--case", nargs="+", default=list(study.CASES))
     parser.add_argument("--laws", nargs="+", default=list(LAWS)[:5], help=f"of {', '.join(LAWS)}; pd first")
+    parser.add_argument("--varied", action="store_true", help="draw the hardware, as configs/ensemble_*.yaml does")
+    parser.add_argument("--own-gait", action="store_true", help="walk with the config's gait")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--minutes", type=float, default=8.0, help="from `--began` on, in which searches end")
     parser.add_argument("--began", type=float, default=time.time(), help="s since 1970")
