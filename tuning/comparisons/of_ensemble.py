@@ -16,7 +16,7 @@ from tuning.comparisons.side_by_side import VARIATION, planned, retuned
 from tuning.comparisons.worth import BesidePd, Ends, Worth, between, over_walks
 from tuning.gains.gains_file import Whole
 from tuning.problem.objectives import Objective
-from tuning.results.tuned import Robust
+from tuning.results.tuned import Robust, Tuned
 from tuning.searches import retuned_pd
 from tuning.searches.shards import Rows
 
@@ -45,17 +45,16 @@ class RobustComparison:
 
 def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> RobustComparison:
     """Simulate a result and its rivals; `out` keeps the rounds of the search that retunes pd."""
-    problem, ensemble, goal = found.problem, found.ensemble, found.problem.objective
-    assert isinstance(goal, Objective)
+    problem, ensemble = found.problem, found.ensemble
     with stage("retuned pd", unit="rounds") as told:
         rival = retuned(problem, found.search, found.seeds, out)(told)
     plan = None
     if (work := planned(problem, found.search, found.seeds, out)) is not None:
         with stage("load transfer by plan", unit="rounds") as told:
             plan = work(told)
-    walked, pd, step, joint = problem, {}, None, dict[str, float]()
+    walked, pd, step = problem, {}, None
     if rival is not None:  # as short a time step as it needs, for all that are compared
-        pd, joint = {retuned_pd.NAME: rival.gains}, retuned_pd.joint_of(rival)
+        pd = {retuned_pd.NAME: rival.gains}
         shortest = retuned_pd.shared_step(found.scenario, [each for each in (rival, plan) if each is not None])
         step = None if shortest == found.scenario.time_step else shortest
         walked = dataclasses.replace(problem, scenario=found.scenario.with_overrides({"time_step": shortest}))
@@ -78,6 +77,24 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> Ro
         with stage(name, unit="members") as told:
             drawn[name] = draw.dataset(Rows(draw).walk(told))
     walks, seen = drawn.values()
+    return conclusions(found, walks, seen, (rival, plan), step)
+
+
+def conclusions(
+    found: Robust, walks: xr.Dataset, seen: xr.Dataset, rivals: tuple[Tuned | None, Tuned | None], step: float | None
+) -> RobustComparison:
+    """Return the result beside its rivals, from their walks.
+
+    Arguments:
+        found: the result.
+        walks: of the gains, pd retuned and pd, through a draw that no search saw.
+        seen: of the gains through the draw of their search.
+        rivals: pd retuned, and load transfer by plan.
+        step: the time step of all walks, s, where it is not the scenario's.
+    """
+    problem, goal, (rival, plan) = found.problem, found.problem.objective, rivals
+    assert isinstance(goal, Objective)
+    joint = {} if rival is None else retuned_pd.joint_of(rival)
     broken, scores = judging.broken(walks, goal), judging.scores(walks, goal)
     summed = judging.summary(walks).assign(objective=scores, broken=broken)
     worth, over = None, None

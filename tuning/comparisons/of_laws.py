@@ -47,10 +47,11 @@ def _sensor(found: Comparison, table: xr.Dataset, reading: Sequence[str], joint:
     def best(names: Sequence[str]) -> str | None:
         return min(names, key=lambda name: float(searched.sel(gains=name)), default=None)
 
-    ours, without = best([n for n in laws if n in reading]), best([n for n in laws if n not in reading])
+    reads_none = [n for n in laws if n not in reading]
+    ours, without = best([n for n in laws if n in reading]), best(reads_none)
     if not reading:
         return "no law here reads forces"
-    if ours is None or without is None or len(laws) == len(reading) + (retuned_pd.NAME in laws):
+    if ours is None or without is None or reads_none == [retuned_pd.NAME]:
         return "what a force sensor is worth is not told: no law beside pd was searched that reads no forces"
     goal = found.problem.objective
     assert isinstance(goal, Objective)

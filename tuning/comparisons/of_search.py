@@ -115,7 +115,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         if plan is not None:
             walking[retuned_pd.PLANNED] = start(one_walk(*replaced(plan.scenario, plan.law, plan.gains), engine))
         rivals = {"config": margins.Walker(problem.law, {})}
-        joint, step, apart = {} if rival is None else retuned_pd.joint_of(rival), None, None
+        joint, step = {} if rival is None else retuned_pd.joint_of(rival), None
         if rival is not None:
             beside = beside_retuned(scenario, joint, ours)
             walking |= {name: start(one_walk(*walker, engine)) for name, walker in beside.items()}
@@ -143,30 +143,45 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
                 found, problem, metrics=own, walks=over, hardware=hardware, tested=tested(ignore)
             )
         leveled = level(ignore)
-    metrics = {name: mc.metrics(trajectory, problem.metrics) for name, trajectory in walks.items()}
-    gains, worth = {name: with_joint_gains(walk, problem) for name, walk in walks.items()}, None
+    each = {name: (with_joint_gains(walk, problem), mc.metrics(walk, problem.metrics)) for name, walk in walks.items()}
+    at_step = None if step is None else (step, mc.metrics(leveled, problem.metrics))
+    rows, worth, said, apart = conclusions(found, each, (rival, plan), at_step)
+    return TuneComparison(walks, rows, over, hardware, checked, worth, said, apart)
+
+
+def conclusions(
+    found: Tuned, walked: Compared, rivals: tuple[Tuned | None, Tuned | None], at_step: tuple[float, Values] | None
+) -> tuple[Compared, Worth | None, str, AtOneStep | None]:
+    """Return the rows of a table, the worth of a force sensor, the verdict, and the change at one time step.
+
+    Arguments:
+        found: the result.
+        walked: gains and metrics of the walks by name.
+        rivals: pd retuned, and load transfer by plan.
+        at_step: the time step of pd retuned, s, where it has one of its own, and the metrics of the result there.
+    """
+    problem, (rival, plan), worth, apart = found.problem, rivals, None, None
+    order = [name for name in ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, "config", "pd") if name in walked]
+    rows, joint = {name: walked[name] for name in order}, {} if rival is None else retuned_pd.joint_of(rival)
+    scores = {name: scores_of(problem.objective, metrics) for name, (_, metrics) in rows.items()}
     if rival is not None:
-        both = metrics["tuned"], metrics[retuned_pd.NAME]
-        scored = [scores_of(problem.objective, each) for each in both]
-        if step is not None:
-            there = scores_of(problem.objective, mc.metrics(leveled, problem.metrics))
-            apart = AtOneStep(step, there["objective"] / scored[1]["objective"] - 1)
+        gains, theirs = rows[retuned_pd.NAME]
+        both, scored = (rows["tuned"][1], theirs), [scores["tuned"], scores[retuned_pd.NAME]]
+        if at_step is not None:
+            there = scores_of(problem.objective, at_step[1])
+            apart = AtOneStep(at_step[0], there["objective"] / scored[1]["objective"] - 1)
         if plan is None:
             ends = Ends(found.ends, rival.ends)
             worth = between(both, scored, retuned_pd.rival_of(rival), problem, level=apart, ends=ends)
         else:
-            worth = beside_plan(found, both, scored, (rival, plan), metrics[retuned_pd.PLANNED], apart)
-        gains[retuned_pd.NAME] = joint | (gains[retuned_pd.NAME] or {})
-    order = [name for name in ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, "config", "pd") if name in walks]
-    rows = {name: (gains[name], metrics[name]) for name in order}
-    walked = {
-        name: verdicts.Walked(
-            scores_of(problem.objective, each)["objective"], not verification.broken_limits(problem.objective, each)
-        )
-        for name, (_, each) in rows.items()
+            worth = beside_plan(found, both, scored, (rival, plan), rows[retuned_pd.PLANNED][1], apart)
+        rows[retuned_pd.NAME] = joint | {**(gains or {})}, theirs
+    reached = {
+        name: verdicts.Walked(scores[name]["objective"], not verification.broken_limits(problem.objective, metrics))
+        for name, (_, metrics) in rows.items()
     }
-    said = verdicts.against_best(verdicts.named("tuned gains", found.gains, problem), walked, "objective", joint=joint)
-    return TuneComparison(walks, rows, over, hardware, checked, worth, said, apart)
+    said = verdicts.against_best(verdicts.named("tuned gains", found.gains, problem), reached, "objective", joint=joint)
+    return rows, worth, said, apart
 
 
 def beside_plan(

@@ -137,32 +137,56 @@ def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> 
         gains, there = gains_of(walked[name]), {path: walked[name].parameters.at(path) for path in paths}
         gains = {**(gains or {}), **there} if there else gains
         rows[name] = gains, mc.metrics(walked[name], problem.metrics)
+    data = found.data.assign(spectral_radius=radius)
+    at_step = mc.metrics(walked[LEVEL], problem.metrics) if LEVEL in walked else None
+    worth, level, said = conclusions(found, best, rows, rival, level, at_step)
+    walks = {name: walked[name] for name in names}
+    remedied = []
+    if best is None:
+        with stage("what would help", compiles=False):
+            remedied = _help(walks, law)
+    failures = int(walks_failed(data).sum())
+    return SweepComparison(
+        data, best, walks, rows, failures, at_edge(found, best), worth, said, level, histories, remedied
+    )
+
+
+def conclusions(
+    found: Swept, best: xr.Dataset | None, rows: dict[str, tuple[Values | None, Values]],
+    rival: retuned_pd.Rival | None, level: AtOneStep | None, at_step: Values | None,
+) -> tuple[Worth | None, AtOneStep | None, str]:  # fmt: skip
+    """Return the worth of a force sensor, the change at one time step, and the verdict on the best cell of a grid.
+
+    Arguments:
+        found: the grid.
+        best: its best cell, None where all failed.
+        rows: gains and metrics of the walks by name; pd retuned gets its joint gains.
+        rival: pd retuned.
+        level: its time step, where it has one of its own.
+        at_step: metrics of the best at that step.
+    """
     worth = None
     if rival is not None:
         rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])
         if best is not None:
             both = rows["best"][1], theirs
             scored = [{VARIATION: variation_of(each)} for each in both]
-            if level is not None:
-                at_step = variation_of(mc.metrics(walked[LEVEL], problem.metrics))
-                level = level._replace(change=at_step / scored[1][VARIATION] - 1)
-            worth = between(both, scored, rival, problem, " on this grid", level=level)
-    data = found.data.assign(spectral_radius=radius)
-    failures = int(walks_failed(data).sum())
-    edges = [] if best is None else [n for n in found.axes if best[n].item() in data[n].values[[0, -1]]]
-    walks = {name: walked[name] for name in names}
-    remedied = []
+            if level is not None and at_step is not None:
+                level = level._replace(change=variation_of(at_step) / scored[1][VARIATION] - 1)
+            worth = between(both, scored, rival, found.problem, " on this grid", level=level)
+    walks = found.data["diverged"].size
     if best is None:
-        with stage("what would help", compiles=False):
-            remedied = _help(walks, law)
-    said = f"none of the {data['diverged'].size} walks held: every one lost a gripper or diverged"
-    if best is not None:
-        at = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in found.axes)
-        each = {name: verdicts.Walked(variation_of(metrics)) for name, (_, metrics) in rows.items()}
-        joint = None if rival is None else rival.joint
-        ours_in_words = f"best of {data['diverged'].size} walks, {at}"
-        said = verdicts.against_best(ours_in_words, each, "force variation", "N", joint)
-    return SweepComparison(data, best, walks, rows, failures, edges, worth, said, level, histories, remedied)
+        return worth, level, f"none of the {walks} walks held: every one lost a gripper or diverged"
+    at = " and ".join(f"{axis} {best[axis].item():.4g}" for axis in found.axes)
+    each = {name: verdicts.Walked(variation_of(metrics)) for name, (_, metrics) in rows.items()}
+    joint = None if rival is None else rival.joint
+    said = verdicts.against_best(f"best of {walks} walks, {at}", each, "force variation", "N", joint)
+    return worth, level, said
+
+
+def at_edge(found: Swept, best: xr.Dataset | None) -> list[str]:
+    """Return the gains whose end of the axis the best cell lies on."""
+    return [] if best is None else [n for n in found.axes if best[n].item() in found.data[n].values[[0, -1]]]
 
 
 def variation_of(metrics: Values) -> float:
