@@ -41,7 +41,7 @@ from tuning.problem import objectives
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
-from tuning.problem.objectives import Limit, Objective
+from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.plans import (
     RATE,
     SWING,
@@ -185,7 +185,9 @@ def ceiling(
         ended, hidden = _plans(contest, starts)
     front = None if asked.against is None else _front(contest, goal, found[PD].metrics, ended[-1].plan)
     tested = _tested(contest, found, ended) if draws.fresh else {}
-    return _bounded(contest, goal, found, kept, ended, front, hidden, tested, ensemble)
+    bounded = _bounded(contest, goal, found, ended, front, hidden, tested, ensemble)
+    plans = {each.plan.name: each.plan for each in reversed(ended[1:])}
+    return dataclasses.replace(bounded, data=bounded.data.assign(_histories(contest, plans, kept)))
 
 
 # --- who takes part
@@ -492,12 +494,21 @@ def _front(contest: Contest, goal: Objective, pd: Mapping[str, np.ndarray], star
             _search(contest._replace(walks=own), name, starts, common=False, since=np.zeros(contest.draws.members))
         )
     metrics = np.array([[each.scored.metrics[name] for name in names] for each in ended])
-    ratios = [np.asarray(goal.ratios(jnp.asarray(metrics[:, place]), term)[0]) for place, term in enumerate(terms)]
-    # a plan may be better for its neighbours' weights than their own
     penalty = np.array([each.scored.merit - each.scored.value for each in ended])
+    return Front(shares, _along(goal, terms, shares, metrics, penalty), ended)
+
+
+def _along(
+    goal: Objective, terms: Sequence[Term], shares: np.ndarray, metrics: np.ndarray, penalty: np.ndarray
+) -> np.ndarray:
+    """Return both metrics (point, 2, member) along a front: a plan may be better for its neighbours' weights than own.
+
+    `metrics` (point, 2, member) and `penalty` (point, member) are those of the plans for each share of the second term.
+    """
+    ratios = [np.asarray(goal.ratios(jnp.asarray(metrics[:, place]), term)[0]) for place, term in enumerate(terms)]
     merits = (1 - shares)[:, None, None] * ratios[0] + shares[:, None, None] * ratios[1] + penalty
     best = np.where(np.isfinite(merits), merits, np.inf).argmin(1)
-    return Front(shares, np.take_along_axis(metrics, best[:, None], 0), ended)
+    return np.take_along_axis(metrics, best[:, None], 0)
 
 
 # --- unseen walks
@@ -526,7 +537,6 @@ def _bounded(
     contest: Contest,
     goal: Objective,
     found: Mapping[str, Contestant],
-    kept: Mapping[str, OverTime],
     ended: Sequence[Ended],
     front: Front | None,
     hidden: bool,
@@ -553,7 +563,6 @@ def _bounded(
     if front is not None:
         data["front"] = (("point", "axis_of_front", "member"), front.metrics)
         data["front_share"] = ("point", front.shares, {"units": "1", "long_name": f"weight of {asked.against}"})
-    data |= _histories(contest, plans, kept)
     robot = contest.robot
     attrs: dict[str, Any] = {"title": "bounds of control laws", **dataset.provenance(scenario)}
     attrs |= {"ceiling": asked.to_yaml(), "hidden": int(hidden)}
@@ -604,14 +613,21 @@ def _histories(contest: Contest, plans: Mapping[str, Start], kept: Mapping[str, 
     laws = [*reversed([*kept.values()])]
     forces = [*planned.foot_force, *(each.foot_force[0] for each in laws)]
     offsets = [*planned.base_offset, *(each.base_offset[0] for each in laws)]
-    stretch = -(-scenario.steps // INSTANTS)
-    first = np.arange(0, scenario.steps, stretch)
-    forces = [np.maximum.reduceat(each, first) for each in forces]
-    offsets = [each[first] for each in offsets]
+    first, peaks, kept_offsets = _thinned(np.stack(forces), np.stack(offsets))
     force, offset = ({"units": unit, "long_name": text} for unit, text in
                      (("N", "largest foot force"), ("m", "base off its reference")))  # fmt: skip
     return {
-        "foot_force_history": (("contestant", "instant"), np.stack(forces), force),
-        "base_offset_history": (("contestant", "instant", "axis"), np.stack(offsets), offset),
+        "foot_force_history": (("contestant", "instant"), peaks, force),
+        "base_offset_history": (("contestant", "instant", "axis"), kept_offsets, offset),
         "instant": ("instant", first * scenario.time_step, {"units": "s", "long_name": "time"}),
     }
+
+
+def _thinned(forces: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the first steps of at most `INSTANTS` stretches, the largest force in each, and the offset at its first.
+
+    `forces` are (contestant, step) and `offsets` (contestant, step, axis).
+    """
+    steps = forces.shape[1]
+    first = np.arange(0, steps, -(-steps // INSTANTS))
+    return first, np.maximum.reduceat(forces, first, axis=1), offsets[:, first]

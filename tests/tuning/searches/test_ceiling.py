@@ -6,16 +6,22 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+import xarray as xr
 
 import mjx_climb as mc
 import tuning
+from mjx_climb.control import PD
 from mjx_climb.disturbances.on_base import Push
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
+from tuning.gains.gains_file import Whole
 from tuning.problem import ensemble as ensembles
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Cargo, Ensemble
+from tuning.problem.evaluation import Problem
+from tuning.problem.objectives import Objective, Term
 from tuning.problem.plans import RATE, SWING, Scored
+from tuning.results.ceiling import Bounded, mean_and_interval
 from tuning.searches import ceiling as search
 
 SHORT = {"duration": 0.1, "disturbance.cargo.start": 0.02}
@@ -185,6 +191,14 @@ class Priced:
     price: Any  # (member,)
     disturbances: tuple[Push, ...]
 
+    @property
+    def gravity(self):
+        return np.zeros((len(self.price), 3))
+
+    @property
+    def components(self):
+        return {f"disturbance.pushes.{n}": each for n, each in enumerate(self.disturbances)}
+
 
 class Springs:
     """Walks whose merit is the squared distance of their targets from each member's aim, and a price of the start."""
@@ -225,3 +239,221 @@ def test_a_search_of_plans_goes_on_from_the_best_start_with_finer_knots(common):
     assert {record["knots"] for record in found.records} == {0.05, 0.025}
     assert said[-1] == ("plan", 60, 60) and {every for every, *_ in walks.seen} == {50, 25}
     assert walks.seen[-1][1] == 0.0 and walks.seen[0][2]
+
+
+# -------------------------------------------------------------------------------------------------- the whole contest
+
+
+def contest_of(onsets, delays, aim=(0.1, 0.3), duration=0.1):
+    """A contest of `Springs` whose members are pushed from a time on, s, each."""
+    scenario = mc.load_scenario("case_2").with_overrides({"duration": duration})
+    robot, members = load_robot(scenario.robot), len(onsets)
+    asked = Ceiling.make({"knots": (0.02,), "iterations": 6, "delays": delays, "weights": {"force_variation": 1.0}})
+    force = np.where(np.isfinite(onsets), 1.0, 0.0)[:, None] * np.ones(3)
+    begins = np.where(np.isfinite(onsets), onsets, 0.0)
+    push = Push(force=force, moment=np.zeros((members, 3)), start=begins, stop=begins + 1.0)
+    parameters = Priced(np.zeros(members), (push,))
+    walks: Any = Springs(np.array(aim), scenario.steps)
+    draws = search.Draws(members, 0, parameters, {})
+    contest = search.Contest(scenario, robot, asked, walks, draws, 0.05, lambda *_: None)
+    targets = np.zeros((members, scenario.steps, *robot.joint_lower.shape))
+    middle = np.clip(0.0, robot.joint_lower, robot.joint_upper)
+    apart = 0.01 * np.arange(members)[:, None, None, None]
+    return contest, [search.Start("pd", targets + middle + apart, parameters)]
+
+
+FREE = 2, 0  # limb and joint whose limits are far
+
+
+def test_a_causal_plan_is_shared_until_the_disturbance_is_felt_and_the_clairvoyant_never():
+    contest, starts = contest_of(np.array([0.02, 0.05]), (0.005, 0.0101))
+    ended, hidden = search._plans(contest, starts)
+    assert not hidden and all(flag for *_, flag in contest.walks.seen)
+    names = [each.plan.name for each in ended]
+    assert names == ["blind, first", "blind", "causal 10.1 ms", "causal 5 ms", "clairvoyant"]
+    of = {each.plan.name: each.plan.targets[:, :, *FREE] for each in ended}
+    for name, since in (("causal 10.1 ms", 31), ("causal 5 ms", 25)):
+        np.testing.assert_array_equal(of[name][0, :since], of[name][1, :since])
+        assert (of[name][0, since + 1 :] != of[name][1, since + 1 :]).all()
+    np.testing.assert_array_equal(of["blind"][0], of["blind"][1])
+    assert (of["clairvoyant"][0] != of["clairvoyant"][1]).all()
+    merits = [each.scored.merit.mean() for each in ended[1:]]
+    assert merits == sorted(merits, reverse=True)
+
+
+def test_a_disturbance_at_one_time_is_hidden_from_the_blind_plan():
+    contest, starts = contest_of(np.array([0.03, 0.03]), (0.005,))
+    ended, hidden = search._plans(contest, starts)
+    assert hidden
+    disturbed = [flag for *_, flag in contest.walks.seen]
+    # two searches and their ends: the walks that score an end have the disturbances
+    assert disturbed == ([False] * 6 + [True]) * 2 + [True] * (len(disturbed) - 14)
+    blind, causal = (next(each.plan.targets for each in ended if each.plan.name == n) for n in ("blind", "causal 5 ms"))
+    np.testing.assert_array_equal(blind[:, :35], causal[:, :35])
+
+
+@pytest.mark.parametrize(
+    ("onsets", "names"),
+    [([np.inf, np.inf], ["blind", "clairvoyant"]), ([0.02, np.inf], ["blind", "causal 5 ms", "clairvoyant"])],
+)
+def test_there_are_causal_plans_where_a_disturbance_is_felt(onsets, names):
+    contest, starts = contest_of(np.array(onsets), (0.005,))
+    ended, hidden = search._plans(contest, starts)
+    assert not hidden and [each.plan.name for each in ended[1:]] == names
+
+
+def test_random_starts_are_shaken_by_a_hundredth_of_a_radian_at_the_knots():
+    contest, (about,) = contest_of(np.array([0.02, 0.05]), ())
+    asked = contest.asked.changed({"random": 40, "seed": 3})
+    starts = search._random(contest.scenario, asked, about)
+    assert [each.name for each in starts[:2]] == ["random 1", "random 2"] and len(starts) == 40
+    shaken = np.stack([each.targets - about.targets for each in starts])
+    np.testing.assert_allclose(shaken[:, 0], shaken[:, 1], atol=1e-15)
+    assert shaken[:, 0, ::20].std() == pytest.approx(0.01, rel=0.05)
+    np.testing.assert_allclose(shaken[:, :, 10], (shaken[:, :, 0] + shaken[:, :, 20]) / 2, atol=1e-12)
+    again = search._random(contest.scenario, asked, about)
+    np.testing.assert_array_equal(again[5].targets, starts[5].targets)
+
+
+def test_a_plan_of_a_front_may_be_the_best_for_its_neighbours_weights():
+    goal = Objective((), ())
+    terms = [Term("force_variation", 1.0, 10.0, 10.0), Term("min_tsm", 1.0, 2.0, 2.0, True)]
+    metrics = np.array([[[10.0, 5.0], [2.0, 1.0]], [[6.0, 4.0], [2.5, 1.0]], [[9.0, 9.0], [4.0, 4.0]]])
+    penalty = np.zeros((3, 2))
+    shares = np.array([0.0, 0.5, 1.0])
+    ratios = [np.asarray(goal.ratios(metrics[:, n], term)[0]) for n, term in enumerate(terms)]
+    found = search._along(goal, terms, shares, metrics, penalty)
+    for point, share in enumerate(shares):
+        for member in range(2):
+            merits = [(1 - share) * ratios[0][n, member] + share * ratios[1][n, member] for n in range(3)]
+            np.testing.assert_array_equal(found[point, :, member], metrics[int(np.argmin(merits)), :, member])
+    np.testing.assert_array_equal(found[0, :, 0], [6.0, 2.5])
+    penalty[1, 0] = 9.0
+    assert search._along(goal, terms, shares, metrics, penalty)[0, 0, 0] == 9.0
+    penalty[1:, 0] = np.nan
+    assert (search._along(goal, terms, shares, metrics, penalty)[:, 0, 0] == 10.0).all()
+
+
+def test_the_blind_plan_walks_through_fresh_members_with_what_its_start_changed():
+    contest, _ = contest_of(np.array([0.02, 0.05]), ())
+
+    class Judging:
+        def judge(self, targets, parameters):
+            self.seen = targets, parameters
+            return Scored(None, None, None, {"travel": np.arange(3.0)})
+
+    walks, steps = Judging(), contest.scenario.steps
+    contest = contest._replace(walks=walks, draws=contest.draws._replace(fresh=3))
+    pds, fresh = (
+        {"kp": np.array([50.0, 50.0]), "mass": np.array([1.0, 2.0])},
+        {"kp": np.full(3, 50.0), "mass": np.arange(3.0)},
+    )
+
+    def contestant(travel):
+        return search.Contestant(None, None, None, pds, {}, fresh, {"travel": travel})
+
+    plan = search.Start(
+        "blind",
+        np.arange(2.0)[:, None, None, None] * np.ones((2, steps, 4, 3)),
+        {"kp": np.array([60.0, 60.0]), "mass": np.array([1.0, 2.0])},
+    )
+    ended = [search.Ended(plan._replace(name=name), None, []) for name in ("blind, first", "blind", "clairvoyant")]
+    found = search._tested(contest, {"pd": contestant(1.0), "mine": contestant(2.0)}, ended)
+    assert list(found) == ["blind", "mine", "pd"] and found["mine"] == {"travel": 2.0}
+    targets, parameters = walks.seen
+    assert targets.shape == (3, steps, 4, 3) and (targets == 0).all()
+    np.testing.assert_array_equal(parameters["kp"], [60.0] * 3)
+    np.testing.assert_array_equal(parameters["mass"], [0.0, 1.0, 2.0])
+
+
+def test_contestants_are_laws_of_the_scenario_files_or_pd_retuned(tmp_path):
+    scenario = mc.load_scenario("case_1_2")
+    own, law, gains = search._walker(scenario, "mine", {"stiffness": 1e3})
+    assert own is scenario and law is None and gains == {"stiffness": 1e3}
+    retuned, law, gains = search._walker(scenario, "retuned_pd", {"kp": 20.0})
+    assert retuned.control.controller == "pd" and law is None and gains == {"kp": 20.0}
+    whole = Whole(PD(), {"kp": 30.0})
+    assert search._walker(scenario, "retuned_pd", whole) == (scenario, whole.law, whole.gains)
+
+
+def test_histories_of_long_walks_keep_the_peaks_of_their_stretches():
+    forces = np.stack([np.arange(1700.0), np.arange(1700.0)[::-1]])
+    offsets = np.arange(1700.0)[None, :, None] * np.ones((2, 1, 3))
+    first, peaks, kept = search._thinned(forces, offsets)
+    np.testing.assert_array_equal(first, np.arange(0, 1700, 3))
+    np.testing.assert_array_equal(peaks[0], np.minimum(first + 2, 1699))
+    np.testing.assert_array_equal(peaks[1], 1699 - first)
+    np.testing.assert_array_equal(kept[1, :, 2], first)
+    assert len(search._thinned(forces[:, :1600], offsets)[0]) == 800
+    assert len(search._thinned(forces[:, :800], offsets)[0]) == 800
+
+
+def test_contestants_stand_from_the_clairvoyant_plan_to_pd():
+    contest, (about,) = contest_of(np.array([0.02, 0.05]), ())
+    scenario, table = contest.scenario, mc.MetricTable((*mc.METRICS, SWING, RATE))
+    how = {"metrics": table, "engine": "limb", "dtype": np.float32}
+    contest = contest._replace(draws=contest.draws._replace(how=how, fresh=3))
+    goal = Objective((Term("force_variation", 1.0, 10.0, 10.0),), ())
+
+    def metrics(variation, count=2):
+        return {name: np.full(count, 1.0) for name in table.with_companions.names} | {
+            "force_variation": np.full(count, variation),
+            "diverged": np.zeros(count, bool),
+        }
+
+    def plan(name, variation):
+        scored = Scored(np.ones(2), np.ones(2), np.ones(2, bool), metrics(variation))
+        return search.Ended(about._replace(name=name), scored, [{"contestant": name, "merit": variation}])
+
+    def contestant(variation, gains):
+        return search.Contestant(scenario, PD(), gains, about.parameters, metrics(variation), about.parameters, {})
+
+    found = {"pd": contestant(10.0, {}), "mine": contestant(8.0, {"gait.duty": 0.8})}
+    ended = [plan("blind, first", 5.0), plan("blind", 4.0), plan("causal 5 ms", 3.0), plan("clairvoyant", 2.0)]
+    tested = {"blind": metrics(6.0, 3), "mine": metrics(4.0, 3), "pd": metrics(8.0, 3)}
+    front = search.Front(np.array([0.0, 1.0]), np.zeros((2, 2, 2)), [plan("front, 0 % min_tsm", 1.0)])
+    made = search._bounded(contest, goal, found, ended, front, True, tested, None)
+    assert made.contestants == ["clairvoyant", "causal 5 ms", "blind", "mine", "pd"]
+    assert made.plans == made.contestants[:3]
+    np.testing.assert_allclose([made.values(name)[0] for name in made.contestants], [0.2, 0.3, 0.4, 0.8, 1.0])
+    assert list(made.tested) == ["blind", "mine", "pd"]
+    np.testing.assert_allclose([made.tested[name][0] for name in made.tested], [0.75, 0.5, 1.0])
+    assert made.data["descent_contestant"].values.tolist() == [
+        "blind, first", "blind", "causal 5 ms", "clairvoyant", "front, 0 % min_tsm"
+    ]  # fmt: skip
+    assert (made.data.attrs["hidden"], made.data.attrs["own_gait"], made.data.attrs["reads_forces"]) == (1, "mine", "")
+    assert made.sensor.mean == pytest.approx(0.2) and made.share("mine") == pytest.approx(-2.0)
+    assert made.share("causal 5 ms") == pytest.approx(0.5)
+    assert list(made.first) == ["clairvoyant", "causal 5 ms", "blind", "pd", "mine"]
+    assert made.first["blind"].targets is not None and made.first["pd"].targets is None
+    assert SWING.name not in made.problem.metrics.names and "travel" in made.problem.metrics.names
+
+
+def bounded(values, descents):
+    """A result of one member by the values of its contestants and the merits of its descents, (name, knots, merit)."""
+    data = {"value": (("contestant", "member"), [[value] for value in values.values()])}
+    names, knots, merits = zip(*descents, strict=True)
+    data |= {"descent_contestant": ("descent", list(names)), "descent_knots": ("descent", list(knots)),
+             "descent_merit": ("descent", list(merits))}  # fmt: skip
+    return Bounded(xr.Dataset(data, {"contestant": list(values)}), Problem(mc.Scenario()), asked=BRIEF)
+
+
+def test_how_sure_a_bound_is_by_its_descents():
+    first = [("blind, first", 0.05, merit) for merit in (4.0, 5.0, 4.4)]
+    first += [("blind, first", 0.025, merit) for merit in (3.5, 3.6)]
+    descents = [*first, ("blind", 0.05, 2.0), ("blind", 0.025, 2.8)]
+    found = bounded({"clairvoyant": 2.0, "blind": 2.0, "pd": 3.0}, descents)
+    assert found.spread == pytest.approx(0.1) and found.left == pytest.approx(0.2)
+    assert np.isnan(found.share("pd"))  # of nothing
+    lost = bounded({"blind": 1.0}, [("blind, first", 0.05, 4.0), ("blind, first", 0.05, np.inf)])
+    assert np.isnan(lost.spread)
+
+
+def test_the_interval_of_a_mean_is_students():
+    from scipy import stats
+
+    values = np.array([1.0, 2.0, 4.0, 4.0])
+    found = mean_and_interval(values)
+    expected = stats.t.interval(0.95, 3, values.mean(), stats.sem(values))
+    np.testing.assert_allclose(found, [values.mean(), *expected])
+    assert np.isnan(mean_and_interval(values[:1])[1:]).all()
