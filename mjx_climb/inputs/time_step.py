@@ -1,13 +1,14 @@
 """Is the time step short enough for this robot's contacts and joints? Answered before anything is walked.
 
-Held by contact springs, joint loop, back EMF and the joints' friction alone (no admittance law, no gravity, no delays),
-the robot is a linear system near each posture, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D v)`,
-then `x += h v`. Light links at the end of a stiff contact take it out of the unit circle. Postures are those
-that the gait plans at both ends of each swing and in its middle: a limb is farthest back when it lifts off and farthest
-ahead when it lands. The law's part is in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may
-be stretched farther than the gait plans, and are stiffer at the foot: then the posture with all of them stretched level
-outwards, as far as the gait lets them, counts too. A contact or an actuator of the user's own names the springs
-of feet or joints; where it does not, these are left out, and a refusal says so.
+Held by contact springs, joint loop, back EMF and viscous friction alone (no admittance law, no gravity, no delays), the
+robot is a linear system near each posture, and a step of semi-implicit Euler a matrix: `v += h M^-1 (-K x - D v)`, then
+`x += h v`. Dry friction that sticks shortens no step, as its bristles are taken at the end of the step. Light links at
+the end of a stiff contact take it out of the unit circle. Postures are those that the gait plans at both ends of each
+swing and in its middle: a limb is farthest back when it lifts off and farthest ahead when it lands. The law's part is
+in `tuning.comparisons.stability_limit`. Where footholds are chosen, limbs may be stretched farther than the gait plans,
+and are stiffer at the foot: then the posture with all of them stretched level outwards, as far as the gait lets them,
+counts too. A contact or an actuator of the user's own names the springs of feet or joints; where it does not, these are
+left out, and a refusal says so.
 """
 
 import functools
@@ -22,7 +23,7 @@ import numpy as np
 from mjx_climb.gait.base_path import planned_feet
 from mjx_climb.gait.footholds.reach import within_reach
 from mjx_climb.hardware.actuator import JointSpring
-from mjx_climb.hardware.servo import RELAXATION, Servos
+from mjx_climb.hardware.servo import Servos
 from mjx_climb.inputs.from_scenario import known_parameters, own_parameters
 from mjx_climb.inputs.gait_values import GAIT
 from mjx_climb.mujoco_import import mujoco
@@ -54,12 +55,10 @@ class Held(NamedTuple):
     joint: JointSpring  # of the joint loop, and of the back EMF under a voltage
     armature: Any = 0.0  # kg m^2
     viscous: Any = 0.0  # N m s/rad
-    bristle: Any = 0.0  # N m/rad, of dry friction that does not slip
-    per_friction: Any = 0.0  # 1/rad, the same of 1 N m of the robot's own dry friction
 
 
 # which of these numbers shorten the time step as they grow: the others, inertias, lengthen it
-_STIFFENING = np.array(jax.tree.leaves(Held(Springs(1, 1, 1, 1), JointSpring(1, 1, 0), 0, 1, 1, 1)), bool)
+_STIFFENING = np.array(jax.tree.leaves(Held(Springs(1, 1, 1, 1), JointSpring(1, 1, 0), 0, 1)), bool)
 
 
 class System(NamedTuple):
@@ -84,7 +83,7 @@ def growth(scenario: Scenario, time_step: float | None = None, parameters: Param
 def _growth(system: System, time_step: float) -> float:
     worst, h = 0.0, _LONGER * time_step
     with np.errstate(over="ignore", invalid="ignore"):
-        for mass, stiffness, damping in _matrices_of(system, h):
+        for mass, stiffness, damping in _matrices_of(system):
             mobility, one = np.linalg.inv(mass), np.eye(len(mass))
             k, d = h * mobility @ stiffness, h * mobility @ damping
             # v+ = v - h M^-1 (K x + D v), x+ = x + h v+, of x and h v
@@ -184,12 +183,8 @@ def _held(parameters: Parameters, time_step: float) -> Held:
         known = np.isfinite(drive.supply_voltage) & np.isfinite(drive.rated_voltage)
         supply, rated = (np.where(known, volts, 1.0) for volts in (drive.supply_voltage, drive.rated_voltage))
         richer = supply / rated
-    dry = np.asarray(drive.coulomb_friction) + drive.stribeck_friction
     kp, kd = (richer * np.asarray(gain) for gain in (loop.kp, loop.kd))
-    joint = JointSpring(kp, kd + _back_emf(drive))
-    return Held(
-        contact, joint, drive.armature, drive.viscous_friction, dry / drive.presliding, 1 / np.asarray(drive.presliding)
-    )
+    return Held(contact, JointSpring(kp, kd + _back_emf(drive)), drive.armature, drive.viscous_friction)
 
 
 def _back_emf(drive: Servos) -> Any:
@@ -222,10 +217,9 @@ def _words(system: System, parameters: Parameters, place: int) -> str:
         feet = f"contact.stiffness {value('contact.stiffness'):g}, contact.damping {value('contact.damping'):g}"
     joints = f" and {of_own(parameters.drive, system.held.joint, 'N m/rad', 'N m s/rad')}"
     if isinstance(parameters.drive, Servos):
-        friction, kp, kd = map(value, ("hardware.servo.coulomb_friction", "control.kp", "control.kd"))
+        kp, kd = map(value, ("control.kp", "control.kd"))
         emf = float(np.broadcast_to(_back_emf(parameters.drive), shape).ravel()[place])
-        joints = f", hardware.servo.coulomb_friction {friction:g}" if friction else ""
-        joints += f", a back EMF of {emf:.3g} N m s/rad" if emf else ""
+        joints = f", a back EMF of {emf:.3g} N m s/rad" if emf else ""
         joints += f", control.kp {kp:g} and control.kd {kd:g}"
     stretched = ", limbs stretched to the farthest footholds that may be chosen" if system.chooses else ""
     return feet + joints + stretched
@@ -244,7 +238,7 @@ def _first_unstable(system: System, rows: np.ndarray, time_step: float) -> int |
     def definite(row: np.ndarray) -> np.ndarray:
         """Return 4 M - 2 h D - h^2 K of each posture, linear in the numbers of a row."""
         h = _LONGER * time_step
-        return np.stack([4 * m - 2 * h * d - h * h * k for m, k, d in _matrices_of(_with(system, row), h, True)])
+        return np.stack([4 * m - 2 * h * d - h * h * k for m, k, d in _matrices_of(_with(system, row), True)])
 
     if not unstable(np.where(_STIFFENING, rows.max(0), rows.min(0))):
         return None
@@ -260,17 +254,16 @@ def _first_unstable(system: System, rows: np.ndarray, time_step: float) -> int |
     return None
 
 
-def _matrices_of(system: System, h: float, whole: bool = False) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield mass, stiffness and damping matrix (18, 18) at each posture, by steps of `h`.
+def _matrices_of(system: System, whole: bool = False) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield mass, stiffness and damping matrix (18, 18) at each posture.
 
-    They are those of joints that slip and, where there is dry friction or `whole` asks for all, of joints that stick.
+    `whole` asks for the damping of feet that turn where no stiffness holds them against it too.
     """
     robot, gait, chooses, held = system
     model, (contact, loop) = robot.model, held[:2]
     joint = np.repeat([0.0, 1.0], [6, model.nv - 6])  # 1: of a joint
     driven, spring = np.ones(model.nv), np.zeros(model.nv)
     driven[6:], spring[6:] = model.jnt_group[1:] != PASSIVE, model.jnt_stiffness[1:]
-    sticks = held.bristle + held.per_friction * model.dof_frictionloss
     postures = _planned(robot, gait)
     if chooses:
         postures = [*postures, (np.ones(model.nsite, bool), _stretched(robot))]
@@ -280,14 +273,12 @@ def _matrices_of(system: System, h: float, whole: bool = False) -> Iterator[tupl
         resisted = contact.damping * places.T @ places
         if contact.rotational_stiffness or whole:
             resisted += contact.rotational_damping * turns.T @ turns
-        for bristle in (0 * sticks, sticks) if whole or sticks.any() else (0 * sticks,):
-            damping = bristle * (RELAXATION + h)
-            of_rates = loop.damping * driven + held.viscous + model.dof_damping + damping
-            yield (
-                mass + np.diag((held.armature + loop.armature * driven + h * damping) * joint),
-                np.diag((loop.stiffness * driven + spring + bristle) * joint) + stiff,
-                np.diag(of_rates * joint) + resisted,
-            )
+        of_rates = loop.damping * driven + held.viscous + model.dof_damping
+        yield (
+            mass + np.diag((held.armature + loop.armature * driven) * joint),
+            np.diag((loop.stiffness * driven + spring) * joint) + stiff,
+            np.diag(of_rates * joint) + resisted,
+        )
 
 
 @functools.lru_cache(maxsize=64)

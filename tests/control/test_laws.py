@@ -1,15 +1,26 @@
 """Control laws as functions of one robot: one step against other code than ours, under jit, vmap and jvp."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.control import LAWS, PD, MeasuredPoseAdmittance, Start, VirtualModelAdmittance, begin
+from mjx_climb.control import (
+    LAWS,
+    PD,
+    EndEffectorAdmittance,
+    MeasuredPoseAdmittance,
+    Start,
+    VirtualModelAdmittance,
+    begin,
+)
 from mjx_climb.control.law import beginning, constants
 from mjx_climb.execution.jax_internals import scan_sizes
 
@@ -65,6 +76,77 @@ def test_measured_pose_is_one_step_of_eq_3(inertia, damping, stiffness, measured
         turn = Rotation.from_quat([*half, np.sqrt(1 - half @ half)])
         difference = (reference * turn).inv() * Rotation.from_quat(command.base_orientation, scalar_first=True)
         assert difference.magnitude() < 1e-7
+
+
+def held(inertia, damping, stiffness, force, steps):
+    """Return the displacements (steps,) of `M x'' + D x' + K x = F` from rest under a force that is held."""
+    system = np.array([[0.0, 1.0, 0.0], [-stiffness / inertia, -damping / inertia, force / inertia], [0.0, 0.0, 0.0]])
+    return np.array([(expm(system * STEP * (n + 1)) @ [0.0, 0.0, 1.0])[0] for n in range(steps)])
+
+
+def steps_of(law, measurements, reference):
+    """Return the commands of a law step by step, one after the other."""
+    law = dataclasses.replace(law, **{name: jnp.asarray(getattr(law, name), float) for name in law.GAINS})
+    state, step, found = begin(law, Start(STEP, reference)), jax.jit(law.step), []
+    for measured in measurements:
+        state, command = step(state, measured, reference)
+        found.append(command)
+    return found
+
+
+def test_each_foot_yields_by_eq_2_along_the_axes_of_the_reference_while_it_stands():
+    """An open gripper's shift is gone at once, and a foot that stands again begins at rest."""
+    reference = reference_of(turn=(0.1, -0.2, 0.7))
+    turn = Rotation.from_quat(reference.base_orientation, scalar_first=True)
+    gains = {"inertia": [1.0, 2.0, 3.0], "damping": [30.0, 40.0, 50.0], "stiffness": [4e3, 6e3, 5e3]}
+    forces = np.array([[3.0, -2.0, 5.0], [1.0, 1.0, 1.0], [0.0, 4.0, 0.0], [2.0, 0.0, -6.0]])
+    measured = measured_of(reference)._replace(foot_force=jnp.asarray(turn.apply(forces)))
+    opens = measured._replace(support=jnp.array([True, False, True, True]))
+    found = steps_of(EndEffectorAdmittance(**gains), [measured, opens, measured, measured], reference)
+    expected = np.stack([
+        np.stack([held(*own, force, 4) for own, force in zip(zip(*gains.values(), strict=True), row, strict=True)], -1)
+        for row in forces
+    ], 1)  # fmt: skip
+    expected[1:, 1] = np.stack([np.zeros(3), expected[0, 1], expected[1, 1]])
+    for command, shift in zip(found, expected, strict=True):
+        moved = turn.inv().apply(np.array(command.foot_position - reference.foot_position))
+        np.testing.assert_allclose(moved, shift, rtol=1e-6, atol=1e-12)
+        np.testing.assert_array_equal(command.base_position, reference.base_position)
+
+
+def test_the_base_yields_by_eq_3_against_the_wrench_along_the_axes_of_the_reference():
+    reference = reference_of(turn=(0.1, -0.2, 0.7))
+    turn = Rotation.from_quat(reference.base_orientation, scalar_first=True)
+    gains = {
+        "inertia": np.arange(1.0, 7.0),
+        "damping": 10.0 * np.arange(2.0, 8.0),
+        "stiffness": 1e3 * np.arange(3.0, 9),
+    }
+    wrench = np.array([1.0, -2.0, 3.0, 0.4, 0.5, -0.6])
+    world = jnp.asarray(np.concatenate([turn.apply(wrench[:3]), turn.apply(wrench[3:])]))
+    found = steps_of(VirtualModelAdmittance(**gains), [measured_of(reference)._replace(wrench=world)] * 3, reference)
+    expected = np.stack(
+        [held(*own, -w, 3) for own, w in zip(zip(*gains.values(), strict=True), wrench, strict=True)], -1
+    )
+    for command, shift in zip(found, expected, strict=True):
+        np.testing.assert_allclose(command.base_displacement, shift, rtol=1e-6)
+        np.testing.assert_allclose(command.base_position, reference.base_position + turn.apply(shift[:3]), rtol=1e-9)
+        np.testing.assert_array_equal(command.foot_position, FEET)
+
+
+def test_gains_that_nobody_gives_are_those_of_the_papers_case_1_2():
+    for kind in (VirtualModelAdmittance, MeasuredPoseAdmittance, EndEffectorAdmittance):
+        assert (kind().inertia, kind().damping, kind().stiffness) == (1.0, 5e3, 5e4), kind
+    control = mc.load_scenario("case_1_2").control
+    assert (control.inertia, control.damping, control.stiffness) == (1.0, 5e3, 5e4)
+
+
+def test_searches_of_the_measured_pose_look_in_proportion_to_the_step():
+    law = MeasuredPoseAdmittance(*(value * np.ones(6) for value in (2.0, 1.0, 1.0)))
+    bounds = law.search_bounds(0.004)
+    assert bounds["damping"] == pytest.approx((2 / 0.004, 100 * 2 / 0.004))
+    assert bounds["stiffness"] == pytest.approx((0.01 * 2 / 0.004**2, 2 / 0.004**2))
+    assert bounds["inertia"] == (1e-1, 1e2) and bounds["inertia.rotation"] == (1e-2, 1e1)
 
 
 def test_measured_pose_saturates_at_half_a_turn():

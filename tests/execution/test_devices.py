@@ -103,6 +103,18 @@ def test_a_share_is_no_larger_than_asked_for_and_robots_walk_in_whole_shares_aga
         assert devices.share_size(len(walked), None, in_regions=in_regions) == share
 
 
+@pytest.mark.parametrize(
+    ("robots", "whole", "in_regions"),
+    [(1, 1, 1), (2, 1, 2), (3, 2, 2), (8, 2, 2), (9, 16, 16), (64, 16, 16), (65, 64, 64), (128, 64, 64), (129, 64, 96),
+     (192, 64, 96), (193, 64, 128)],
+)  # fmt: skip
+def test_robots_share_a_program_by_their_number(robots, whole, in_regions):
+    assert devices.share_size(robots, None, "cpu", in_regions=False) == whole
+    assert devices.share_size(robots, None, "cpu", in_regions=True) == in_regions
+    assert devices.share_size(robots, None, "gpu", in_regions=True) == -(-robots // len(jax.devices()))
+    assert devices.share_size(robots, 50, "gpu", in_regions=True) == -(-min(robots, 50) // len(jax.devices()))
+
+
 def test_a_batch_that_does_not_fit_is_split():
     """Until its shares find room; what else goes wrong is raised, and so is no room for one robot."""
     tried = []

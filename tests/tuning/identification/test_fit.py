@@ -16,6 +16,7 @@ from tuning.identification.fit.inference import Whiteness
 from tuning.identification.fit.prediction import predicted
 from tuning.identification.fit.problem import Problem
 from tuning.identification.fit.search import Searches
+from tuning.identification.fit.stamps import HUBER
 from tuning.identification.model.predicted import Fit, model_of
 from tuning.identification.model.variables import Variable, variables
 from tuning.identification.model.windows import KINDS, cut
@@ -232,6 +233,7 @@ def test_what_was_held_out_and_missed_is_said_and_so_is_that_nothing_was(line):
     assert not any("times worse than the noise" in text for text in near)
     assert any("times worse than the noise" in text for text in far)
     none = findings(fitted(problem_of(held_out=0.0), 1))
+    assert (none.posterior.widening[:2] < 1.9).all()
     assert none.held_out == {} and any("nothing was held out" in text for text in none.warnings)
 
 
@@ -301,21 +303,46 @@ def test_parts_of_a_log_that_are_not_fitted_are_said(line, fields, said):
 
 
 @pytest.mark.parametrize(
-    ("off", "kp", "chosen", "said"),
+    ("late", "sd", "said"),
+    [(0.006, 0.0005, True), (-0.006, 0.0005, True), (0.004, 0.0005, False), (0.006, 0.0024, False)],
+)
+def test_velocities_that_come_late_may_be_a_simulators(line, late, sd, said):
+    """Not by less than half a step, and not by less than three standard deviations."""
+    fit, problem, tests = line
+    variable = Variable("log.velocity.delay", "s", 0.0, 0.0, 0.005, -0.02, 0.1, beside=True)
+    model = dataclasses.replace(problem.model, variables=(*problem.model.variables, variable))
+    information = np.zeros((4, 4))
+    information[:3, :3], information[3, 3] = fit.information, sd**-2 - 0.005**-2
+    along = np.column_stack([fit.along, np.zeros(len(fit.along))])
+    own = fit._replace(x=np.r_[fit.x, late], information=information, along=along)
+    held = np.array([False, False, True, False])
+    found = findings((own, dataclasses.replace(problem, model=model, held=held), tests), tests=[])
+    heard = [text for text in found.warnings if text.startswith("velocities come")]
+    assert len(heard) == said
+    if said:
+        kd = float(np.asarray(model.parameters.joint_loop.kd))
+        doubt = f"hardware.servo.armature by {(kd + fit.x[0]) * abs(late):.2g} kg m^2"
+        assert heard[0].startswith(f"velocities come {1e3 * late:.3g} ms after positions") and doubt in heard[0]
+        assert "steps of 12 ms" in heard[0]
+
+
+@pytest.mark.parametrize(
+    ("off", "kp", "chosen", "said", "held_out"),
     [
-        ((0.0, 1), 50.0, KEYS, "the torque is off all the while in the log"),
-        ((0.0, 0), 0.0, KEYS, "control.kp is 0 all the while in the log"),
-        ((9.0, 1), 25.0, ("control.kp",), "control.kp stands for what the log calls 50 N m/rad"),
-        ((5.5, 1), 50.0, ("control.kp",), "the torque is off in what is held out alone"),
-        ((4.0, 1), 50.0, KEYS, None),
-        ((9.0, 1), 25.0, KEYS, None),
+        ((0.0, 1), 50.0, KEYS, "the torque is off all the while in the log", 0.2),
+        ((0.0, 0), 0.0, KEYS, "control.kp is 0 all the while in the log", 0.2),
+        ((9.0, 1), 25.0, ("control.kp",), "control.kp stands for what the log calls 50 N m/rad", 0.2),
+        ((5.5, 1), 50.0, ("control.kp",), "the torque is off in what is held out alone", 0.2),
+        ((4.0, 1), 50.0, KEYS, None, 0.2),
+        ((5.5, 1), 50.0, KEYS, None, 0.0),
+        ((9.0, 1), 25.0, KEYS, None, 0.2),
     ],
 )
-def test_gains_and_torques_of_a_log_that_tell_nothing_are_said(off, kp, chosen, said):
+def test_gains_and_torques_of_a_log_that_tell_nothing_are_said(off, kp, chosen, said, held_out):
     time = np.arange(601) / 100
     gains = {OFF: Signal(time, (time >= off[0]) * float(off[1])), "control.kp": Signal(time, np.full(601, kp))}
     kinds = variables(scenario(), chosen, held=True)
-    windows = dataclasses.replace(cut(logged(), ROBOT, STEP, 0.2), gains=gains)
+    windows = dataclasses.replace(cut(logged(), ROBOT, STEP, held_out), gains=gains)
     made = model_of(scenario(), windows, kinds)
     own = Line(windows, kinds, made.structure, made.parameters)
     assert float(own.parameters.joint_loop.kp) == 50.0
@@ -336,6 +363,113 @@ class One(Line):
     def evaluate(self, x, start):
         for which, values, along in super().evaluate(np.r_[x, 0.0], start):
             yield which, values, {"position": along["position"][:, :1]}
+
+
+def test_an_inertia_has_its_interval_in_its_own_unit():
+    kinds = variables(scenario(), ("robot.LF.tibia.inertia.xy",), held=True)
+    windows = cut(logged(), ROBOT, STEP, 0.2)
+    made = model_of(scenario(), windows, kinds)
+    problem = Problem(One(windows, kinds, made.structure, made.parameters), np.full(3, NOISE))
+    end = problem.ended(np.array([kinds[0].mean]), 1.0, 1, "converged")
+    each = identified(scenario(), logged(), kinds, (end._replace(costs=(1.0,)), problem, []), [], "").estimates
+    (only,) = each.values()
+    assert only.value == pytest.approx(ROBOT.link_inertia[0, 2, 0, 1], abs=1e-12) and only.low < only.value < only.high
+
+
+# ------------------------------------------------------------------------------- the states that stretches begin with
+
+
+class Standing(Line):
+    """A line whose joints begin each stretch off by a state of their own, and keep it."""
+
+    states = 3
+    memory = ()
+
+    @property
+    def guess(self):
+        return np.full((int((~self.windows.abuts).sum()), 4, 3, 1), 0.05)
+
+    guess_sd = np.array([0.2])
+
+    def evaluate(self, x, start):
+        for which, values, along in super().evaluate(x, start):
+            off = start[self.windows.stretch[which], :, :, 0][:, None]
+            own = np.eye(3)[None, :, None, None] * np.ones((len(which), 1, along["position"].shape[2], 4, 1))
+            tangents = np.concatenate([along["position"], own], axis=1)
+            yield which, {"position": values["position"] + off}, {"position": tangents}
+
+
+def standing():
+    log = logged()
+    there = {name: (each.time < 2.5) | (each.time > 3.2) for name, each in log.signals.items()}
+    gap = {name: Signal(each.time[there[name]], each.value[there[name]])
+           for name, each in log.signals.items()}  # fmt: skip
+    return problem_of(Log(gap, "log.csv"), kind=Standing)
+
+
+def test_each_stretch_and_joint_has_a_state_and_rows_their_derivatives():
+    problem = standing()
+    assert problem.model.guess.shape == (2, 4, 3, 1)
+    point = np.r_[0.06, 0.015, 0.1, np.linspace(0.0, 0.2, 24)]
+    found = problem.evaluate(point)
+    for place in range(len(point)):
+        step = np.zeros(len(point))
+        step[place] = 1e-4
+        ends = [problem.evaluate(point + side * step).scaled for side in (1, -1)]
+        np.testing.assert_allclose(found.along[:, place], (ends[1] - ends[0]) / 2e-4, atol=1e-6)
+    used = np.abs(found.along[:, 3:]).max(0) > 0
+    np.testing.assert_array_equal(used.reshape(2, 4, 3), np.broadcast_to(np.arange(4)[:, None] == 0, (2, 4, 3)))
+
+
+def test_states_are_eliminated_from_what_a_fit_knows():
+    """As from the information about all of them, their priors included."""
+    problem = standing()
+    point = np.r_[0.06, 0.015, 0.1, np.full(24, 0.05)]
+    made, found = problem.evaluate(point), problem.ended(point, 1.0, 7, "converged")
+    np.testing.assert_allclose(found.weight[problem.fitted], np.minimum(1, HUBER / np.abs(made.scaled[problem.fitted])))
+    weight = found.weight * problem.fitted
+    whole = (made.along * weight[:, None]).T @ made.along + np.diag(np.r_[np.zeros(3), np.full(24, 0.2**-2)])
+    rest = np.linalg.inv(whole[3:, 3:])
+    expected = whole[:3, :3] - whole[:3, 3:] @ rest @ whole[3:, :3]
+    np.testing.assert_allclose(found.information, expected, rtol=1e-6, atol=1e-6 * expected.max())
+    assert found.start.shape == (2, 4, 3, 1) and found.iterations == 7
+
+
+def test_priors_of_states_are_about_their_guess_and_a_bristle_bends_by_one_at_most():
+    problem = standing()
+    prior = problem.whole_prior
+    np.testing.assert_array_equal(prior.mean[3:], 0.05)
+    np.testing.assert_array_equal(prior.sd[3:], 0.2)
+    assert np.isinf(prior.upper[3:]).all() and np.isneginf(prior.lower[3:]).all()
+
+    class Bristles(Standing):
+        memory = ("loop.goal", "bristle")
+        guess_sd = np.array([0.2, 3.0, 0.05, 0.7])
+
+        @property
+        def guess(self):
+            return np.zeros((2, 4, 3, 4))
+
+    own = problem.model
+    model = Bristles(own.windows, own.variables, own.structure, own.parameters)
+    upper = dataclasses.replace(problem, model=model).whole_prior.upper[3:].reshape(-1, 4)
+    np.testing.assert_array_equal(upper, np.tile([np.inf, np.inf, np.inf, 1.0], (24, 1)))
+
+
+def test_samples_of_one_stamp_are_whitened_together_by_the_error_of_their_time():
+    problem = problem_of()
+    point = np.array([0.05, 0.01, 0.1])
+    plain = problem.evaluate(point)
+    both = dataclasses.replace(problem, clock=0.004, rate=plain.rate).evaluate(point)
+    stamps = problem.rows.stamp
+    rows = np.flatnonzero(stamps == stamps[100])
+    assert len(rows) == 3
+    late = plain.rate[rows] * 0.004 / problem.noise[problem.rows.signal[rows]]
+    covariance = np.eye(3) + np.outer(late, late)
+    assert both.scaled[rows] @ both.scaled[rows] == pytest.approx(
+        plain.scaled[rows] @ np.linalg.solve(covariance, plain.scaled[rows])
+    )
+    np.testing.assert_array_equal(both.residuals, plain.residuals)
 
 
 # -------------------------------------------------------------------------------------------- between a model's steps
