@@ -4,6 +4,8 @@ Divisions and square roots are good to two units in the last place, as `gpu_kern
 arctangent are written out here: CUDA's own carry code for arguments beyond 1e5, longer than all the rest of a walk.
 """
 
+import collections
+import itertools
 import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -70,6 +72,15 @@ __device__ __forceinline__ int ordered(float x) {
 }
 __device__ __forceinline__ float larger(float a, float b) { return (a >= b || a != a) ? a : b; }
 __device__ __forceinline__ float smaller(float a, float b) { return (a <= b || a != a) ? a : b; }
+__device__ __forceinline__ int again(const int *word) {
+#ifdef __CUDACC__
+  int read;
+  asm volatile("ld.global.nc.b32 %0, [%1];" : "=r"(read) : "l"(word));
+  return read;
+#else
+  return *word;
+#endif
+}
 template <int N> __device__ __forceinline__ float to_power(float x) {
   float half = to_power<N / 2>(x);
   return (N & 1) ? half * half * x : half * half;
@@ -171,11 +182,13 @@ def expression(name: str, parameters: Parameters, operands: Sequence[Number], na
 THREADS = 128  # in a block
 BLOCKS = 2  # of a kernel with functions, at once: else NVIDIA's assembler gives one of many numbers few registers
 REGISTERS = 255  # of a thread
+SELDOM = 2  # lines of a step that read an argument: so many read it from memory
 LONG_STEP = 150  # lines of a step, of a loop in a loop, from which it is a function of its own
 NAME = "walk"
 _WARP = "0xffffffffu"  # all threads of a warp
 _NAMES = re.compile(r"\bv\d+\b")
 _MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
+_CHANGES = re.compile(r"\bc\d+\b|\bkept\b")  # names of what loops change
 
 # Arguments are words of 32 bits: `common` to all, first the numbers of robots and of directions of each; `own` (rows,
 # robots); `along` (rows, walks), one walk for each direction of a robot. Arguments that nothing reads are left out.
@@ -216,6 +229,8 @@ class CudaWriter(Writer):
     Lanes beyond the limbs, where their number is no power of two, repeat the first one.
     """
 
+    sums = True
+
     def __init__(self, lanes: int) -> None:
         self.lanes = lanes
         self.width = 1 << (lanes - 1).bit_length()  # threads of a robot
@@ -225,6 +240,8 @@ class CudaWriter(Writer):
         self._functions = False  # whether there are any
         self._arguments: dict[str, str] = {}  # lines that read an argument's word, by the name of its number
         self.kept = 0  # rows of words that loops write, each thread its own
+        # of the loop that is being written: its first line, and the rows of sums over its steps
+        self._begin, self._sums = 0, list[int]()
         self._table: list[int] = []  # words of constants that differ from lane to lane
         self._read = dict.fromkeys(READ, 0) | {"common": 2}
         # by the name of an argument's word: the argument, and its row as a sum of the loops' terms and a place
@@ -308,6 +325,7 @@ class CudaWriter(Writer):
         self._count += 1
         time, begin = f"t{self._count}", len(self._lines)
         self._inside += 1
+        around, self._begin, self._sums = (self._begin, self._sums), begin, []
         now = [self._read_at(time, table, row[0].dtype) for row, table in zip(read, tables, strict=True)]
         made = step(list(carried), now)
         written, first = made[len(carried) :], self.kept
@@ -317,11 +335,57 @@ class CudaWriter(Writer):
             self._lines.append(f"if (there) {word} = {_as_word(number)};")
         self._assign(carried, made[: len(carried)])
         self._inside -= 1
+        self._lines[begin:] = self._read_where_used(self._lines[begin:])
         self._lines[begin:begin] = ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
         if self._inside and len(self._lines) - begin > LONG_STEP:
             self._lines[begin:] = self._as_function(time, self._lines[begin:], carried)
+        self._lines[begin:begin] = [f"if (there) {_word('kept', str(row))} = 0;" for row in self._sums]
+        self._begin, self._sums = around
         rows = [range(row, self.kept, len(written)) for row in range(first, first + len(written))]
         return carried, [[self._kept(row, n.dtype) for row in each] for each, n in zip(rows, written, strict=True)]
+
+    def summed(self, make: Callable[[], Sequence[Shared]]) -> list[Value]:
+        # added in memory, by an operation that returns nothing: hundreds of sums take no registers
+        first, totals = len(self._lines), []
+        for number in make():
+            word = _word("kept", str(self.kept))
+            self._lines.append(f"if (there) atomicAdd((float *)&{word}, {_text(number)});")
+            totals.append(Value(_from_word(f"__ldcg(&{word})", np.float32), np.dtype(np.float32)))
+            self._sums.append(self.kept)
+            self.kept += 1
+        self._move_up(first)
+        return totals
+
+    def _move_up(self, first: int) -> None:
+        """Move the last lines of a loop, from `first` on, to where all that they read is known: it need not be kept."""
+        begin, behind = self._begin, collections.defaultdict[int, list[str]](list)
+        made_at = ((_MADE.match(self._lines[place]), place) for place in range(begin, first))
+        known = {made[1]: place for made, place in made_at if made and made[1] not in self._arguments}
+        for line in self._lines[first:]:
+            made = _MADE.match(line)
+            read = line[made.end() :] if made else line.partition("], ")[2]
+            last = max((known.get(name, begin - 1) for name in _NAMES.findall(read)), default=first - 1)
+            place = first - 1 if _CHANGES.search(read) else last
+            behind[place].append(line)
+            if made:
+                known[made[1]] = place
+        lines = list(behind[begin - 1])
+        for place in range(begin, first):
+            lines += [self._lines[place], *behind[place]]
+        self._lines[begin:] = lines
+
+    def _read_where_used(self, lines: list[str]) -> list[str]:
+        """Return the lines of a step that reads more arguments than there are registers: each in the step, where used.
+
+        NVIDIA's compiler would read all of them once, before the loop, and store them for each thread of a robot.
+        """
+        read = collections.Counter(itertools.chain.from_iterable(set(_NAMES.findall(line)) for line in lines))
+        seldom = {name for name in read if name in self._arguments and read[name] <= SELDOM}
+        if len(seldom) < REGISTERS:
+            return lines
+        words = {name: _MADE.sub("", self._arguments[name]).removesuffix(";") for name in seldom}
+        again = {name: re.sub(r"\b(?:own|along)\[.*?\]", r"again(&\g<0>)", word) for name, word in words.items()}
+        return [_NAMES.sub(lambda found: again.get(found[0], found[0]), line) for line in lines]
 
     def _as_function(self, time: str, lines: list[str], carried: Sequence[Value]) -> list[str]:
         """Return a loop in a loop as a function of its own, and its call.
@@ -329,7 +393,7 @@ class CudaWriter(Writer):
         NVIDIA's assembler takes hours over registers for two loops. Values pass through arrays; more than there are
         registers stay there, and the function is one step.
         """
-        self._functions, stay = True, len(carried) > REGISTERS
+        self._functions, stay = True, len(carried) > REGISTERS or bool(self._sums)
         names = dict.fromkeys(_NAMES.findall("\n".join(lines)))
         read = [self._arguments[name] for name in names if name in self._arguments]  # once more: one word for all lanes
         before, begun, ended, after, arrays = [], [], [], [], ""

@@ -4,6 +4,7 @@
 raises `Unsupported`. A rule is a function of the operations, the equation and its operands.
 """
 
+import collections
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -16,8 +17,19 @@ from jax import lax
 from jax.extend import core
 
 from mjx_climb.execution.element_operations import Operations, computed_now, neutral
-from mjx_climb.execution.elements import MOVES, Elements, Shared, Unsupported, Value, along, as_array, known, objects
-from mjx_climb.execution.jax_internals import inner_program, line_of, scan_sizes
+from mjx_climb.execution.elements import (
+    MOVES,
+    Elements,
+    OfLane,
+    Shared,
+    Unsupported,
+    Value,
+    along,
+    as_array,
+    known,
+    objects,
+)
+from mjx_climb.execution.jax_internals import inner_program, line_of, new_program, scan_sizes
 from mjx_climb.execution.jax_types import Parameters, aval_of
 from mjx_climb.execution.limbs import Axis
 from mjx_climb.execution.simpler import MOST_PRODUCTS
@@ -25,6 +37,7 @@ from mjx_climb.execution.simpler import MOST_PRODUCTS
 MOST_ELEMENTS = 1000  # of one equation in a region: a larger one stays an array to XLA
 MOST_STEPS = 64  # of a loop that is written out step by step
 MOST_OF_A_TABLE = 200_000  # numbers that a loop writes
+MANY_SUMS = 64  # numbers of sums that a loop carries, from which they stand in memory
 MOST_WRITTEN_OUT = 1000  # equations of all steps of a loop that reads something at each
 MOST_OF_BRANCHES = 100  # equations of a condition all of whose branches are computed
 MOST_CHOICES = 64  # places of a table at which an operation may read or write
@@ -235,7 +248,9 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
         raise Unsupported(f"a loop that writes more than {MOST_OF_A_TABLE} numbers")
     avals = [aval_of(variable) for variable in body.jaxpr.outvars]
     axes = [do.limbs.of(variable) for variable in body.jaxpr.invars[constants:]]
-    carry_of = _Shapes(avals[:carry], axes[:carry])
+    body, sums = _with_addends(body, range(constants, constants + carry)) if do.writer.sums else (body, set())
+    carried = [place for place in range(carry) if place not in sums]
+    carry_of = _Shapes([avals[place] for place in carried], [axes[place] for place in carried])
     written_of = _Shapes(avals[carry:], [do.limbs.of(variable) for variable in body.jaxpr.outvars[carry:]])
     # numbers that a loop has written keep their lanes, an argument's are the same for all
     own = [
@@ -245,19 +260,74 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
     read_of = _Shapes([aval_of(variable) for variable in body.jaxpr.invars[constants + carry :]], own)
     rows = [read_of.numbers(do, [array[step, ...] for array in map(objects, read)]) for step in range(steps)]
     rows = rows[::-1] if equation.params["reverse"] else rows
+    totals: dict[int, Elements] = {}
 
     def step(before: list[Value], now: list[Value]) -> list[Shared]:
         inside = Operations(do.writer, do.limbs, do.done)  # knows the operations before the loop
-        given = *carry_of.arrays(inside, before), *read_of.arrays(inside, now)
-        made = results(inside, body, [*common, *given])
-        return [*carry_of.numbers(inside, made[:carry]), *written_of.numbers(inside, made[carry:])]
+        begun = dict(enumerate(start)) | dict(zip(carried, carry_of.arrays(inside, before), strict=True))
+        made = results(inside, body, [*common, *begun.values(), *read_of.arrays(inside, now)])
+        totals.update((place, _summed(inside, made[place])) for place in sums)
+        kept = carry_of.numbers(inside, [made[place] for place in carried])
+        return [*kept, *written_of.numbers(inside, made[carry:])]
 
     columns = list(zip(*rows, strict=True)) if read else []
-    after, kept = do.writer.loop(steps, carry_of.numbers(do, start), columns, step)
+    ended, kept = do.writer.loop(steps, carry_of.numbers(do, [start[place] for place in carried]), columns, step)
+    after = dict(enumerate(start)) | dict(zip(carried, carry_of.arrays(do, ended), strict=True))
+    after |= {place: do.each(lax.add_p, {}, start[place], total) for place, total in totals.items()}
     order = slice(None, None, -1 if equation.params["reverse"] else 1)
     at_steps = [written_of.arrays(do, list(now)) for now in zip(*kept, strict=True)][order]
     stacked = [np.stack([*map(objects, column)]) for column in zip(*at_steps, strict=True)]
-    return [*carry_of.arrays(do, after), *stacked]
+    return [*after.values(), *stacked]
+
+
+def _with_addends(body: core.ClosedJaxpr, carry: range) -> tuple[core.ClosedJaxpr, set[int]]:
+    """Return the step of a loop with addends in place of carried sums, and which these are, where there are many.
+
+    A sum is read by its own addition alone.
+    """
+    jaxpr = body.jaxpr
+    read = collections.Counter(id(atom) for equation in jaxpr.eqns for atom in equation.invars)
+    read.update(map(id, jaxpr.outvars))
+    additions = {id(e.outvars[0]): e for e in jaxpr.eqns if e.primitive.name in ("add", "add_any")}
+    found: dict[int, core.JaxprEqn] = {}
+    for place, (before, after) in enumerate(zip(jaxpr.invars[carry.start : carry.stop], jaxpr.outvars, strict=False)):
+        made = additions.get(id(after))
+        if made is None or not read[id(before)] == read[id(after)] == 1 or aval_of(after).dtype != np.float32:
+            continue
+        if any(atom is before for atom in made.invars):
+            found[place] = made
+    if sum(aval_of(made.outvars[0]).size for made in found.values()) < MANY_SUMS:
+        return body, set()
+    outputs = list(jaxpr.outvars)
+    for place, made in found.items():
+        [outputs[place]] = [atom for atom in made.invars if atom is not jaxpr.invars[carry[place]]]
+    gone = set(map(id, found.values()))
+    left = [equation for equation in jaxpr.eqns if id(equation) not in gone]
+    constants = list(zip(jaxpr.constvars, body.consts, strict=True))
+    return new_program(jaxpr, left, jaxpr.invars, outputs, constants), set(found)
+
+
+def _summed(do: Operations, addends: Elements) -> Elements:
+    """Return sums over the steps of a loop, a share of them in each lane: those of one value's lanes are together."""
+    lanes, elements = do.writer.lanes, objects(addends).reshape(-1)
+    parts: dict[int, dict[int, int]] = collections.defaultdict(dict)  # places by value and lane
+    for place, element in enumerate(elements):
+        if isinstance(element, OfLane):
+            parts[id(element.value)].setdefault(element.lane, place)
+    groups = [[places[lane] for lane in range(lanes)] for places in parts.values() if len(places) == lanes]
+    together = set(itertools.chain.from_iterable(groups))
+    rest = [p for p, element in enumerate(elements) if p not in together and not _is_zero(element)]
+    groups += [rest[first : first + lanes] for first in range(0, len(rest), lanes)]
+    each = [[elements[place] for place in (group * lanes)[:lanes]] for group in groups]
+    totals = elements.copy()
+    for total, group in zip(do.writer.summed(lambda: [do.packed(row) for row in each]), groups, strict=True):
+        for lane, place in enumerate(group):
+            totals[place] = do.of_lane(total, lane) if lanes > 1 else total
+    return as_array(totals, addends.shape)
+
+
+def _is_zero(element: object) -> bool:
+    return isinstance(element, np.generic) and element == 0
 
 
 class _Shapes(NamedTuple):

@@ -54,6 +54,7 @@ class Writer(Protocol):
     """Writes operations down one after the other. Numbers are values of it, or known ones."""
 
     lanes: int  # that share a robot, one for each limb; 1: a robot has one of its own
+    sums: bool = False  # whether it has `summed`
 
     def operation(self, primitive: core.Primitive, parameters: Parameters, operands: Sequence[Shared]) -> Value:
         """Return an elementwise operation of JAX's; each lane does it with its own part."""
@@ -81,6 +82,10 @@ class Writer(Protocol):
         `read` has the values of each number that it reads at all steps.
         """
         raise Unsupported("a loop")
+
+    def summed(self, make: Callable[[], Sequence[Shared]]) -> list[Value]:
+        """Return sums of real numbers over all steps of the loop that is being written, to be read behind it."""
+        raise Unsupported("sums over steps")
 
     def branch(self, taken: Shared, before: Sequence[Shared], make: Callable[[], Sequence[Shared]]) -> list[Value]:
         """Return the numbers of `make` where `taken`, the same in all lanes of a robot, is true, `before` elsewhere."""

@@ -23,6 +23,8 @@ static int changed[32];
 static void __syncthreads() { all->arrive_and_wait(); }
 static int __float_as_int(float v) { int w; std::memcpy(&w, &v, 4); return w; }
 static float __int_as_float(int w) { float v; std::memcpy(&v, &w, 4); return v; }
+static void atomicAdd(float *sum, float v) { *sum += v; }
+static int __ldcg(const int *word) { return *word; }
 static int __clz(int v) { return v ? __builtin_clz(v) : 32; }
 static int __popc(int v) { return __builtin_popcount(v); }
 static float rsqrtf(float v) { return 1.0f / sqrtf(v); }

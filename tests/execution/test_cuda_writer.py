@@ -293,25 +293,35 @@ def test_gradients_in_cuda_c(carried_out, steps):
 
 @pytest.mark.slow
 def test_gradients_of_more_numbers_than_registers_in_cuda_c(carried_out):
-    """Their sums stay in an array, of which each step is a function."""
+    """Their sums stand in memory, a share in each lane, and an argument that few lines read is read there."""
     rng, steps = np.random.default_rng(4), 300
-    gains, start = rng.normal(size=260).astype("f4"), np.float32(0.3)
+    inner, output = rng.normal(size=(22, 12)).astype("f4"), rng.normal(size=(4, 23)).astype("f4")
+    start = rng.normal(size=(4, 3)).astype("f4")
 
-    def walk(gains, start):
-        def step(v, _):
-            v = functools.reduce(lambda v, _: jnp.sin(1.2 * v), range(30), v)
-            return v + 0.1 + 0.01 * (gains * jnp.cos(v)).sum(), None
+    def walk(inner, output, start):
+        def step(limbs, _):
+            for _ in range(8):
+                limbs = jnp.sin(1.2 * limbs + 0.1 * limbs.sum())
+            seen = jnp.tanh(inner @ limbs.ravel())
+            pull = output[:, :22] @ seen + output[:, 22]
+            return 0.9 * limbs + 0.01 * pull[:, None], None
 
-        return {"end": jax.lax.scan(step, start, length=steps)[0]}
+        return {"end": jax.lax.scan(step, of_limbs(Limbs(start)).values, length=steps)[0].sum()}
 
     with jax.enable_x64(False):
-        both = with_gradients(jax.make_jaxpr(walk)(gains, start), (True, False), (True,), values=False)
-        kernel = written(body_of(both), (0, 0, 2))
-        given = [np.array([1, 1], np.int32), gains, start], [np.ones(1, "f4")]
-        [found] = carried_out({"kernel": (kernel, given, (1, 1), both.out_avals)})["kernel"]
+        program = jax.make_jaxpr(walk)(inner, output, start)
+        both = with_gradients(program, (True, True, False), (True,), values=False)
+        kernel = written(body_of(both), (1, 1, 0, 2))
+        columns = [inner.reshape(-1, 1), output.reshape(-1, 1)]
+        given = [np.array([1, 1], np.int32), start], columns, [np.ones((1, 1), "f4")]
+        found = carried_out({"kernel": (kernel, given, (1, 1), both.out_avals)})["kernel"]
+    assert kernel.text.count("atomicAdd((float *)&kept") == 2 * (22 * 12 + 4 * 23) // 4  # in two loops
+    assert kernel.text.count("again(&") > 22 * 12 + 4 * 23
     assert "const auto step_" in kernel.text
-    expected = jax.grad(lambda gains: walk(gains, float(start))["end"])(np.asarray(gains, float))
-    np.testing.assert_allclose(found[0, 0], expected, rtol=1e-3, atol=1e-4 * abs(expected).max())
+    doubles = [jnp.asarray(each, float) for each in (inner, output, start)]
+    expected = jax.grad(lambda *given: walk(*given)["end"], (0, 1))(*doubles)
+    for mine, jaxs in zip(found, expected, strict=True):
+        np.testing.assert_allclose(mine[0, 0], jaxs, rtol=1e-3, atol=1e-4 * abs(jaxs).max())
 
 
 def test_a_loop_of_loops_keeps_what_it_carries():
