@@ -31,8 +31,6 @@ _DIFFERENCE = 1e-4  # step heights, of the finite differences of the Jacobian
 # regularisation of the coefficients, relative to the reaction of the cubic swing
 _WEIGHT = 1e-3
 _WITHIN = 1e-9  # rad, or m, tolerance of joint limits and footholds
-# phases at which the height of a swing is compared with the ground
-_CHECKED = np.linspace(0.0, 1.0, 201)
 
 _Phase = TypeVar("_Phase", Array, np.ndarray)
 
@@ -208,7 +206,6 @@ def _least(robot: Robot, gait: Gait, turned: bool) -> np.ndarray:
         tried = path + _TRIED[:, None, None, None] * step
         tries = swung(tried, now.joints[:, None])
         allowed = ((tries.joints >= lower) & (tries.joints <= upper)).all((0, -1)) & (tries.missed.max(0) <= _WITHIN)
-        allowed &= (heights(_CHECKED, tried) >= 0).all(0)
         gained = 0.0
         for group, weight in zip(groups, weights, strict=True):
             before = _sum_of_squares(now, path, weight, group)
