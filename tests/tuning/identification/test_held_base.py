@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.hardware.servo import RELAXATION
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import parameters
 from mjx_climb.physics.state import State
@@ -92,3 +93,45 @@ def test_targets_are_means_of_held_commands_around_a_step_and_know_their_rates()
     np.testing.assert_allclose(value, np.average(held, axis=1, weights=1 - np.abs(share)), atol=2e-4)
     ends = [stands.targets_of(time, command, at + s, 0.001)[0] for s in (1e-9, -1e-9)]
     np.testing.assert_allclose(rate, (ends[0] - ends[1]) / 2e-9, atol=1e-4 * np.abs(rate).max())
+
+
+@pytest.mark.parametrize(
+    ("rate", "change", "bristle", "lead"),
+    [(0.1, 0.4, 0.1, 0.0), (0.1, 0.4, 0.1, 0.004), (-0.2, 0.1, 0.3, 0.0), (0.5, 0.4, 0.6, 0.0), (-0.5, 0.4, -0.6, 0.0)],
+)
+def test_a_heavy_joint_alone_is_braked_by_its_bristle_as_by_hand(rate, change, bristle, lead):
+    """Beside its armature links weigh nothing, and no spring pulls: friction alone changes its rate."""
+    friction, bend, heavy, step = 5.0, 0.001, 50.0, 1e-3
+    servo = {"coulomb_friction": friction, "presliding": bend, "armature": heavy}
+    scenario = mc.Scenario().with_overrides(
+        {f"hardware.servo.{name}": value for name, value in servo.items()}
+        | {"control.kd": 0.0, "gravity": [0.0, 0.0, 0.0]}
+    )
+    robot, own = ROBOT, parameters(scenario)
+    with jax.enable_x64(True):
+        stand = stands.Stand(robot, hardware_of(own, stages_of(own, step), step, robot), lead)
+        angles = jnp.asarray(robot.stance_joints, float)
+        moving = stands.begin(stand, angles, jnp.full(angles.shape, rate))
+        moving = moving._replace(
+            change=jnp.full(angles.shape, change), servo=moving.servo._replace(bristle=jnp.full(angles.shape, bristle))
+        )
+        after, seen = _advanced(stand.hardware.stages)(robot, own, lead, moving, angles)
+    bent = np.clip(bristle + rate * step / bend, -1, 1)
+    per_rate = 1 / (bend / RELAXATION + abs(change) / 2)
+    share, per_change = bent + per_rate * rate, per_rate * (step / 2 + lead)
+    reached = share / (1 + friction * per_change / heavy)
+    slope = friction * per_change if abs(reached) < 1 else 0.0
+    acceleration = -friction * (share if abs(reached) < 1 else np.sign(reached)) / (heavy + slope)
+    np.testing.assert_allclose(after.change, step * acceleration, rtol=1e-2)
+    np.testing.assert_allclose(after.state.joint_rates, rate + step * acceleration, rtol=1e-6)
+    np.testing.assert_allclose(after.servo.bristle, bent)
+    np.testing.assert_allclose(seen.velocity, rate + step * acceleration / 2, rtol=1e-6)
+
+
+@functools.cache
+def _advanced(stages):
+    @jax.jit
+    def advanced(robot, own, lead, moving, targets):
+        return stands.advance(stands.Stand(robot, hardware_of(own, stages, 1e-3, robot), lead), moving, targets)
+
+    return advanced
