@@ -52,7 +52,7 @@ def walking(monkeypatch, metrics):
     def walk(scenario, gains, parameters, **how):
         kp, kd = (np.asarray(parameters.at(f"control.{name}"), float) for name in ("kp", "kd"))
         found = dict.fromkeys([*mc.METRICS.names, "missed_grips", "unheld_gap", *first_walks.GAP], 0.0)
-        found |= {"detached_limb": -1.0} | metrics(kp, kd, how)
+        found |= {"detached_limb": -1.0} | metrics(kp, kd, how | {"cycle": np.asarray(parameters.at("gait.cycle"))})
         return {name: np.broadcast_to(value, kp.shape) for name, value in found.items()}
 
     monkeypatch.setattr(first_walks, "rollout_metrics", walk)
@@ -90,6 +90,68 @@ def test_a_walk_on_a_ceiling_holds_strays_or_lets_go(metrics, holds, said, monke
     walking(monkeypatch, lambda kp, kd, how: metrics | ({} if how["smooth"] else {"detached_limb": 2.0}))
     found, how = on_ceiling(short(**{"contact.holding_limit": 2.0}))
     assert found == holds and said in how
+
+
+@pytest.mark.parametrize(
+    ("pull", "needed"), [(32.1, "33"), (0.321, "0.33"), (3.31, "3.4"), (99.4, "100"), (120.1, "130")]
+)
+def test_the_limit_that_would_hold_has_two_digits_and_no_less(pull, needed, monkeypatch):
+    walking(monkeypatch, lambda kp, kd, how: {"peak_pull_force": pull, "peak_utilization": 1.01})
+    assert f"contact.holding_limit={needed} would hold" in on_ceiling(short(**{"contact.holding_limit": 0.2}))[1]
+
+
+@pytest.mark.parametrize(
+    ("fast", "cycle", "said"),
+    [
+        (0.5, 0.6, "holds for 1.2 s at a cycle of 0.6 s"),
+        (1.0, 1.2, "holds for 2.4 s at a cycle of 1.2 s, which it does not at 0.6 s"),
+        (2.0, 2.4, "holds for 2.4 s at a cycle of 2.4 s, which it does not at 1.2 s"),
+    ],
+)
+@pytest.mark.parametrize(
+    "lost", [{"peak_utilization": 1.01}, {"missed_grips": 1.0}, {"base_deviation": 0.056}], ids=str
+)
+def test_the_first_cycle_that_holds_of_its_own_and_slower_ones_is_taken(fast, cycle, said, lost, monkeypatch):
+    sound = {"peak_utilization": 1.0, "missed_grips": 0.0, "base_deviation": 0.054}
+
+    def metrics(kp, kd, how):
+        each = {name: np.where(how["cycle"] > fast, value, lost.get(name, value)) for name, value in sound.items()}
+        return each | {"peak_foot_force": 10 * how["cycle"]}
+
+    walking(monkeypatch, metrics)
+    done = []
+    found = slow_enough(short(), done.append)
+    assert (found.scenario.gait.cycle, found.scenario.duration, found.holds) == (cycle, 2 * cycle, True)
+    assert found.how == said and found.peak_foot_force == pytest.approx(10 * cycle)
+    assert done == ([1] if fast < 0.6 else [1, 2])
+
+
+@pytest.mark.parametrize(
+    ("metrics", "broken", "why"),
+    [
+        ({"peak_utilization": 1.6, "peak_pull_force": 3.21}, {"detached_limb": 2.0},
+         "limb RH lets go; a grip that held would pull 3.21 N, 1.6 times its limit, contact.holding_limit is 2 N"),
+        ({"missed_grips": 1.0}, {"missed_grips": 3.0}, "3.0 grips miss the ground"),
+        ({"base_deviation": 0.2}, {"missed_grips": 2.0}, "2.0 grips miss the ground"),
+        ({"diverged": True}, {}, "diverges, with grips that never let go too: see stance, joint limits and control"),
+        ({"base_deviation": 0.2}, {}, "its base strays 0.2 m, with grips that never let go too: see control.kp"),
+    ],
+)  # fmt: skip
+def test_where_no_cycle_holds_the_slowest_says_why(metrics, broken, why, monkeypatch):
+    walking(monkeypatch, lambda kp, kd, how: metrics | ({} if how["smooth"] else broken))
+    found = slow_enough(short(**{"contact.holding_limit": 2.0}))
+    assert not found.holds and found.scenario.gait.cycle == 0.6 and np.isnan(found.peak_foot_force)
+    assert found.how.startswith("does not walk at any cycle from 0.6 to 2.4 s: ") and why in found.how
+
+
+def test_joint_gains_that_nothing_betters_stay_and_those_that_do_not_walk_are_said_to(monkeypatch):
+    walking(monkeypatch, lambda kp, kd, how: {"force_variation": 10 + np.log(kp / 40) ** 2 + np.log(kd / 0.2) ** 2})
+    own = short(**{"control.kp": 40.0, "control.kd": 0.2})
+    assert with_joint_gains(own) == (own, "none of 44 others gives pd less force variation")
+    walking(monkeypatch, lambda kp, kd, how: {"diverged": np.isclose(kp, 40), "force_variation": kp})
+    assert with_joint_gains(own)[1].endswith("which does not walk with kp 40 and kd 0.2, HubRobo's in proportion")
+    walking(monkeypatch, lambda kp, kd, how: {"diverged": True})
+    assert with_joint_gains(own) == (own, "no others among those searched keep the base as near to its reference")
 
 
 @pytest.mark.slow
