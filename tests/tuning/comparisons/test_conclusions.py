@@ -71,6 +71,7 @@ def test_the_best_cell_is_the_least_of_those_that_hold_and_beside_its_rivals():
         "walked, pd with its own kp and kd searched (retuned_pd, kp 17, kd 1): 40 N"
     )
     assert worth.changes == {"force_variation": pytest.approx(-0.25)} and level is None
+    assert "better:" not in worth.in_words  # but for what the verdict is on
     assert own["retuned_pd"][0] == JOINT
     behind, _, _ = of_sweep.conclusions(found, best, rows(best=50.0), RIVAL, None, None)
     assert behind.in_words.startswith("the force sensor does not pay on this grid: 25.0 % more force variation")
