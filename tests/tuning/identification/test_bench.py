@@ -73,6 +73,7 @@ def test_what_moves_a_bench_is_identified_and_written(bench, tmp_path):
     asked, changes = KINDS["command"]
     time, angles, sent = swung(asked)
     angles = angles + 1e-3 * np.random.default_rng(0).normal(size=len(time))
+    time = time + 1.0 * (time > 1.5)  # two recordings, a second apart
     log = Log({"rod.swing.command": Signal(time, sent), "rod.swing.position": Signal(time, angles)}, "log.csv")
     start = bench.with_overrides({**changes, "hardware.servo.armature": 0.004, "control.kp": 2.0})
     found = tuning.identify(start, log, ["hardware.servo.armature", "control.kp"], starts=1)
@@ -80,6 +81,8 @@ def test_what_moves_a_bench_is_identified_and_written(bench, tmp_path):
         estimate = found.estimates[key]
         assert estimate.seen and estimate.value == pytest.approx(truth, rel=0.03), (key, estimate)
     assert found.fitted.ended == "converged"
+    assert "pauses: 1, 1 s in all, in which nothing was measured; what follows each begins anew" in found.warnings
+    assert not any("commands are missing" in line for line in found.warnings)
     tuning.write(found, tmp_path / "found")
     written = mc.load_scenario(tmp_path / "found" / "identified.yaml")
     assert written.control.kp == pytest.approx(3.0, rel=0.03) and load_robot(written.robot).limbs == ("rod",)

@@ -16,7 +16,8 @@ def test_a_silence_is_a_gap_once_it_is_longer_than_a_tenth_of_a_second_and_five_
     time = np.arange(0.0, 4.0, period)
     at = len(time) // 2
     left = np.delete(time, np.s_[at : at + missing])
-    begin, abuts, ends = windows._stretches([Signal(left, left)], 1.0, np.zeros((0, 2)))
+    signals = [Signal(left, left)]
+    begin, abuts, ends = windows._stretches(signals, 1.0, np.zeros((0, 2)), windows._pauses(signals))
     assert (~abuts).sum() == stretches and begin[0] == 0.0
     assert (ends > begin).all() and (ends[:-1] <= begin[1:] + 1e-9).all()
 

@@ -61,6 +61,14 @@ def test_no_window_runs_through_a_hole_of_the_commands(kinds):
     assert len(windows.rows.value) > 0.9 * len(whole.rows.value)
 
 
+@pytest.mark.parametrize(("kinds", "pauses"), [(("command", "position"), [0]), (("command",), [])])
+def test_a_silence_of_all_signals_is_a_pause_in_which_no_command_is_missing(kinds, pauses):
+    windows = cut(logged(HOLES, kinds), ROBOT, STEP, 0.0, late=LATE)
+    np.testing.assert_allclose(windows.pauses, np.reshape([HOLES[n] for n in pauses], (-1, 2)), atol=1e-9)
+    missing = [(start + 0.01, end) for n, (start, end) in enumerate(HOLES) if n not in pauses]
+    np.testing.assert_allclose(windows.missing, missing, atol=1e-9)
+
+
 @pytest.mark.parametrize(("log", "why"), [
     (logged(HOLES, ("position",)), "measurements alone are lost"),
     (logged(jitter=0.8), "jitter"),

@@ -121,8 +121,11 @@ def _moved(model: Fit) -> np.ndarray:
 def _of_windows(model: Fit) -> Iterator[str]:
     """Yield the parts of a log that are not fitted."""
     windows = model.windows
-    if count := len(windows.unknown):
-        seconds = float(np.diff(windows.unknown).sum())
+    if count := len(windows.pauses):
+        seconds = float(np.diff(windows.pauses).sum())
+        yield f"pauses: {count}, {seconds:.3g} s in all, in which nothing was measured; what follows each begins anew"
+    if count := len(windows.missing):
+        seconds = float(np.diff(windows.missing).sum())
         yield (
             f"commands are missing in {count} holes, {seconds:.3g} s in all: what happens in one is not fitted, and "
             "what follows begins anew"

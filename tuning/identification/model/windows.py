@@ -57,13 +57,21 @@ class Windows:
     commanded: str  # kind of the commands, of COMMANDS
     resting: Float[np.ndarray, "limb joint"]  # rad, targets of joints without commands; 0 of other commands
     gains: Mapping[str, Signal]  # P gains and torque off, as logged
-    unknown: Float[np.ndarray, "holes 2"]  # s, from when to when commands are missing
+    unknown: Float[np.ndarray, "holes 2"]  # s, from when to when commands are missing, in pauses too
+    pauses: Float[np.ndarray, "pauses 2"]  # s, from when to when nothing was measured
     constant: tuple[str, ...]  # signals that never change: they say nothing of their noise, and are not predicted
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of the records, in the order of KINDS."""
         return tuple(KINDS[k] for k in sorted(set(self.kind)))
+
+    @property
+    def missing(self) -> Float[np.ndarray, "holes 2"]:
+        """From when to when commands are missing, s, outside of pauses."""
+        begin, end = np.expand_dims(self.unknown.T, 2)
+        paused = (begin > self.pauses[:, 0] - _GAP) & (end < self.pauses[:, 1] + _GAP)
+        return np.asarray(self.unknown[~paused.any(axis=1)])
 
     @property
     def begins_stretch(self) -> np.ndarray:
@@ -169,7 +177,8 @@ def cut(
     signals, steps = [log.signals[name] for name in names], round(LENGTH / time_step)
     length = steps * time_step
     unknown = _unknown([each for place, each in commands.items() if place[0] in whole], signals, log.signals.get(OFF))
-    begin, abuts, ends = _stretches(signals, length, unknown + np.array([0.0, late]))
+    pauses = _pauses(signals)
+    begin, abuts, ends = _stretches(signals, length, unknown + np.array([0.0, late]), pauses)
     # commands change when samples are taken, and a step holds one target: samples fall between steps
     begin, ends = begin - time_step / 2, ends + time_step
     if len(begin) < 2:
@@ -185,7 +194,7 @@ def cut(
         start=_start(log, robot, begin), commands=commands, commanded=kind_of_command,
         resting=np.asarray(robot.stance_joints, float) * (kind_of_command == COMMANDS[0]),
         gains={name: log.signals[name] for name in (KP, OFF) if name in log.signals},
-        unknown=unknown[1:], constant=constant,
+        unknown=unknown[1:], pauses=pauses, constant=constant,
     )  # fmt: skip
 
 
@@ -218,13 +227,21 @@ def _unknown(
     return np.reshape(found, (-1, 2))
 
 
-def _stretches(
-    signals: Sequence[Signal], length: float, unknown: Float[np.ndarray, "holes 2"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return begins of windows, which of them go on, and where their samples end, all in s; none is in a hole."""
+def _pauses(signals: Sequence[Signal]) -> Float[np.ndarray, "pauses 2"]:
+    """From when to when no signal has samples, s."""
     time = np.unique(np.concatenate([signal.time for signal in signals]))
     period = max(float(np.median(np.diff(signal.time))) for signal in signals)
-    stretch = np.cumsum(np.r_[0, np.diff(time) > max(_GAP, _PERIODS * period)])  # of each time
+    last = np.flatnonzero(np.diff(time) > max(_GAP, _PERIODS * period))
+    return np.column_stack([time[last], time[last + 1]])
+
+
+def _stretches(
+    signals: Sequence[Signal], length: float, unknown: Float[np.ndarray, "holes 2"],
+    pauses: Float[np.ndarray, "pauses 2"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Return begins of windows, which of them go on, and where their samples end, s; none is in a hole or a pause."""
+    time = np.unique(np.concatenate([signal.time for signal in signals]))
+    stretch = np.searchsorted(pauses[:, 0], time)  # of each time
     hole = np.searchsorted(unknown[:, 0], time - 1e-9, side="left")
     known = time > np.r_[-np.inf, unknown[:, 1]][hole] - 1e-9
     time, stretch, hole = time[known], stretch[known], hole[known]
