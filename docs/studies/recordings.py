@@ -4,7 +4,8 @@
 
 FOLDER has the CSV files of BAM's pendulums (github.com/Rhoban/bam, Apache-2.0, commits af22604 and b53408c) with the
 columns time, goal_position, position, torque_enable, by the names xl330_p100_sin_sin.csv. A row is one parameter of one
-fit; rows of the key `error` have the mean absolute error, in degrees, of a recording while the motor is on.
+fit; rows of the key `error` have the mean absolute error, in degrees, of a recording while the motor is on. Costs count
+in the noise that each fit estimates for itself: of the same recordings the degrees missed are compared.
 """
 
 import argparse
@@ -111,7 +112,10 @@ def rows_of(job: Job, recordings: str) -> list[tuple[Any, ...]]:
         own = (job.question, job.name)
         end = (found.fitted.cost, found.fitted.ended, time.process_time() - begun)
         rows = [(*own, key, each.value, each.low, each.high, *end) for key, each in found.estimates.items()]
-        rows.append((*own, "cost of the start", found.fitted.costs[0], "", "", *end))
+        missed = float(np.degrees(np.sqrt(np.mean(found.fitted.residuals**2))))
+        more = {"cost of the start": found.fitted.costs[0], "lowest cost of pieces": min(found.fitted.costs),
+                "missed, degrees rms": missed}  # fmt: skip
+        rows += [(*own, name, value, "", "", *end) for name, value in more.items()]
         for name in job.predicted:
             one = log_of(folder, (name,), scenario.control.kp)
             walk = replay.simulate(replay.prepare(one, scenario.with_overrides(found.overrides()), "held", 0.0)).walk

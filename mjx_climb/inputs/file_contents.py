@@ -5,8 +5,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from mjx_climb.mujoco_import import mujoco
-from mjx_climb.robot_import.description import bare
+from mjx_climb.robot_import.description import bare, files_of
 from mjx_climb.scenario.messages import ConfigError
 
 
@@ -25,7 +24,7 @@ def needed(file: Path) -> list[Path]:
     file = Path(os.path.abspath(file))
     found = {file}
     if file.suffix.lower() == ".xml":
-        taken = [Path(other) for other in mujoco.mju_getXMLDependencies(str(file))]
+        taken = [other for other in files_of(file) if other.is_file()]
         try:
             shapes = {Path(mesh.file).name for mesh in bare(str(file)).meshes}
         except ValueError:  # an MJCF that is not read: all may be needed
@@ -33,7 +32,7 @@ def needed(file: Path) -> list[Path]:
         found |= {other for other in taken if other.suffix.lower() == ".xml" or other.name in shapes}
     if file.suffix.lower() == ".py":
         _add_imported(file, file.parent, found)
-    return sorted({Path(os.path.abspath(file.parent / other)) for other in found})
+    return sorted(found)
 
 
 def _add_imported(file: Path, folder: Path, seen: set[Path]) -> None:

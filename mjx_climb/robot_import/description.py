@@ -1,6 +1,7 @@
 """A robot's own MJCF or URDF as its author wrote it, without the parts that the dynamics do not need."""
 
 import collections
+import os
 import re
 import warnings
 from collections.abc import Collection
@@ -235,6 +236,21 @@ def _found_mesh(file: str, spec: mujoco.MjSpec, mesh: str) -> str | None:
     places += [around / path for around in folder.parents[:3] for path in (name, inside)] if inside else []
     readable = Path(mesh).suffix.lower() in (".stl", ".obj", ".msh")
     return next((str(path) for path in places if readable and path.is_file()), None)
+
+
+def files_of(file: Path) -> set[Path]:
+    """The absolute paths that MuJoCo may read an MJCF from: the file, its includes, its meshes and other assets.
+
+    It looks for an asset in the folders of meshes beside the file and beside each include, with and without the folders
+    of its name; some of these paths may not be there.
+    """
+    file = Path(os.path.abspath(file))
+    named = [Path(os.path.normpath(file.parent / other)) for other in mujoco.mju_getXMLDependencies(str(file))]
+    read = {file, *(each for each in named if each.suffix.lower() == ".xml")}
+    for asset in (each for each in named if each not in read):
+        beside = {os.path.normpath(each.parent / os.path.relpath(asset, file.parent)) for each in read}
+        read |= {folder / asset.name for each in beside for folder in Path(each).parents} | set(map(Path, beside))
+    return read
 
 
 def impossible(body: mujoco.MjsBody) -> bool:

@@ -11,6 +11,7 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.physics.postures import MET, SINGULAR, keeps_attitude, least_singular_values, limb_joints
 from mjx_climb.reading import until_edited
 from mjx_climb.robot.constants import Robot, RobotError, robot_from_model
+from mjx_climb.robot_import.description import files_of
 from mjx_climb.robot_import.robot_file import refusal, unposed
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile, Scenario
@@ -46,11 +47,10 @@ def load_spec(name: str | RobotFile) -> mujoco.MjSpec:
 
 
 def _files(name: str | RobotFile) -> list[Path]:
-    """The file of a robot, and those that it includes."""
+    """The files that a robot may be read from."""
     file = model_path(name)
     own = isinstance(name, RobotFile) and file.suffix == ".xml" and file.is_file()
-    included = mujoco.mju_getXMLDependencies(str(file)) if own else []
-    return sorted({file, *(file.parent / other for other in included)})
+    return sorted(files_of(file)) if own else [file]
 
 
 @until_edited(_files)

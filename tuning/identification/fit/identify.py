@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ _GUESSED = "the log has base or foot forces: base free, all grippers shut (--bas
 _DIVERGES = "the model diverges at the values that it begins with (--set others)"
 _OTHERS = 4  # starts, where all those that were asked for diverge
 _SPREAD = 0.7  # sd of the starts, of the prior's
+_HOP = 3.0  # times a friction, where the search begins once more
 _REFUTED = 0.1  # of the residuals' variance of a signal, unmodelled: beyond it other profiles are tried
 
 
@@ -153,7 +154,8 @@ def searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted,
             ends.append(end)
     if not ends:
         raise ConfigError(reason=_DIVERGES)
-    best, costs = min(ends, key=lambda end: end.cost), tuple(end.cost for end in ends)
+    _, *better = hops(trial, min(ends, key=lambda end: end.cost), searches)
+    best, costs = min((*ends, *better), key=lambda end: end.cost), tuple(end.cost for end in (*ends, *better))
     if pieces is not model:
         whole, point = dataclasses.replace(problem, noise=louder), np.r_[best.x, model.guess.ravel()]
         if (end := searches.search(whole, point, _MOST, "the whole log", _COARSE)) is None:
@@ -171,6 +173,31 @@ def searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted,
         at = found._replace(x=np.where(held, begin(model.variables), found.x))
         settled = _settled(dataclasses.replace(problem, held=held), at, searches, 1)  # None: it diverges there
     return found._replace(costs=costs), problem
+
+
+def hops(problem: Problem, best: Fitted, searches: Searches) -> list[Fitted]:
+    """An end of a search, then each better one that was found from another friction beside the last.
+
+    How often a joint swings before it sticks is a whole number: each has a minimum of the cost by itself.
+    """
+    ends = [best]
+    while True:
+        points = _other_frictions(problem, np.r_[ends[-1].x, ends[-1].start.ravel()])
+        tried = [searches.search(problem, point, 1, "another friction") for point in points]
+        lowest = min((end for end in tried if end is not None), key=lambda end: end.cost, default=best)
+        if lowest.cost > (1 - _COARSE) * ends[-1].cost:
+            return ends
+        point = np.r_[lowest.x, lowest.start.ravel()]
+        ends += filter(None, [searches.search(problem, point, _MOST, "from another friction", _COARSE)])
+
+
+def _other_frictions(problem: Problem, point: np.ndarray) -> Iterator[np.ndarray]:
+    """Points with a third and three times the value of a friction, or with the nominal one."""
+    for n, (v, first) in enumerate(zip(problem.model.variables, begin(problem.model.variables), strict=True)):
+        if "friction" in v.key and not v.beside:
+            own = point[n] + np.log(_HOP) * np.array([-1, 1]) if v.log else point[n] * np.array([1 / _HOP, _HOP])
+            for other in sorted({float(first), *np.clip(own, *v.bounds).tolist()} - {float(point[n])}):
+                yield np.r_[point[:n], other, point[n + 1 :]]
 
 
 def begins(model: Fit, prior: Prior, count: int) -> np.ndarray:
