@@ -176,9 +176,9 @@ def searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted,
 
 
 def hops(problem: Problem, best: Fitted, searches: Searches) -> list[Fitted]:
-    """An end of a search, then each better one that was found from another friction beside the last.
+    """An end of a search, and the better ones that begin from it with another dry friction, each from the one before.
 
-    How often a joint swings before it sticks is a whole number: each has a minimum of the cost by itself.
+    A joint swings a whole number of times before it sticks, and the cost has a minimum for each number.
     """
     ends = [best]
     while True:
@@ -192,9 +192,9 @@ def hops(problem: Problem, best: Fitted, searches: Searches) -> list[Fitted]:
 
 
 def _other_frictions(problem: Problem, point: np.ndarray) -> Iterator[np.ndarray]:
-    """Points with a third and three times the value of a friction, or with the nominal one."""
+    """Points with a third and three times the value of a dry friction, or with the nominal one."""
     for n, (v, first) in enumerate(zip(problem.model.variables, begin(problem.model.variables), strict=True)):
-        if "friction" in v.key and not v.beside:
+        if "friction" in v.key and "viscous" not in v.key and not v.beside:
             own = point[n] + np.log(_HOP) * np.array([-1, 1]) if v.log else point[n] * np.array([1 / _HOP, _HOP])
             for other in sorted({float(first), *np.clip(own, *v.bounds).tolist()} - {float(point[n])}):
                 yield np.r_[point[:n], other, point[n + 1 :]]
