@@ -307,16 +307,15 @@ class Session:
         self.done = done
         from tuning.writing import record
 
-        if self.settings is not None:
-            record.begin(self.out, self.settings)
+        there = None if self.settings is None else record.begin(self.out, self.settings)
         try:
             yield
         except Interrupted:  # it says more
             raise
         except (KeyboardInterrupt, Exception) as error:
             if not (isinstance(error, KeyboardInterrupt) or interruption.requested()):
-                if self.settings is not None:
-                    record.give_up(self.out)
+                if there is not None:
+                    record.give_up(self.out, there)
                 raise
             which = f"{what.removesuffix('s')} is" if self.done == 1 and " " not in what else f"{what} are"
             kept = f"{self.done} {which} kept in {folder or self.out}"

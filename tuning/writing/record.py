@@ -13,7 +13,7 @@ import os
 import shutil
 import stat
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,16 +92,24 @@ def check_names(folder: Path, record: Record | None) -> None:
         raise OutputError(f"{folder}: expected results with files in this folder, got {got}")
 
 
-def begin(folder: Path, settings: Settings) -> None:
-    """Write whose folder it is, before there is a result, where nothing says so yet."""
+def begin(folder: Path, settings: Settings) -> frozenset[Path]:
+    """Write whose folder it is where nothing says so yet; return the paths in it and above it that were there."""
+    there = frozenset(each for each in (*folder.glob("*"), folder, *folder.parents) if each.exists())
     if read(folder) is None:
         _write(folder, Record(settings))
+    return there
 
 
-def give_up(folder: Path) -> None:
-    """Remove a folder that only says whose it is: the command was refused before it did any work."""
-    if {path.name for path in folder.rglob("*") if path.is_file()} in ({FILE}, {FILE, parts.IDENTITY}):
-        shutil.rmtree(folder, ignore_errors=True)
+def give_up(folder: Path, there: Collection[Path]) -> None:
+    """Remove what was written since `begin`, where it only says whose folder it is: no work was done."""
+    new = [path for path in folder.glob("[!.]*") if path not in there]
+    files = {file.name for path in new for file in (path, *path.rglob("*")) if not file.is_dir()}
+    if files <= {FILE, parts.IDENTITY}:
+        for path in new:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        with contextlib.suppress(OSError):  # another command is in it
+            for each in (each for each in (folder, *folder.parents) if each not in there):
+                each.rmdir()
 
 
 def another(folder: Path, settings: Settings | None) -> str:

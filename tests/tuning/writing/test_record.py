@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor, wait
+from pathlib import Path
 
 import pytest
 
@@ -174,13 +175,29 @@ def test_a_folder_of_another_run_is_refused(tmp_path, prepare, got):
 def test_a_command_that_is_refused_before_it_did_any_work_leaves_no_folder(tmp_path):
     """As sweep and evaluate, which claim their folder first; a part that is kept is work."""
     for kept in (True, False):
-        record.begin(tmp_path / "out", OURS)
-        parts = Parts(tmp_path / "out", {"a": 1})
+        there = record.begin(tmp_path / "results" / "out", OURS)
+        parts = Parts(tmp_path / "results" / "out", {"a": 1})
         if kept:
             parts.save(0, {})
-        record.give_up(tmp_path / "out")
-        assert (tmp_path / "out").exists() is kept
-        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+        record.give_up(tmp_path / "results" / "out", there)
+        assert (tmp_path / "results").exists() is kept
+        shutil.rmtree(tmp_path / "results", ignore_errors=True)
+
+
+@pytest.mark.parametrize("out", ["", "of_mine"])
+def test_a_command_that_is_refused_before_it_did_any_work_leaves_a_folder_as_it_was(out, monkeypatch, tmp_path):
+    """The user's own folder, the current one too; what an earlier command keeps there stays."""
+    monkeypatch.chdir(tmp_path)
+    (folder := Path(out)).mkdir(exist_ok=True)
+    (folder / "empty").mkdir()
+    (folder / "notes.txt").write_text("mine")
+    record.begin(folder / "kept", OURS)
+    before = sorted(tmp_path.rglob("*"))
+    for place in (folder, folder / "kept", folder / "kept" / "below"):
+        there = record.begin(place, OURS)
+        Parts(place / "law", {"a": 1})
+        record.give_up(place, there)
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_settings_are_what_is_asked_for_not_where_it_is_computed(monkeypatch):
