@@ -35,7 +35,8 @@ from planned_feet import PlannedFeet, TimedFeet
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.control import PD, EndEffectorAdmittance, InternalForce, LoadTransfer, VirtualModelAdmittance, combined
+from mjx_climb.control import PD, EndEffectorAdmittance, LoadTransfer, VirtualModelAdmittance, combined
+from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.inputs.gait_values import GAIT, scenario_with_gait
 from tuning.gains import gains_file
 from tuning.methods.many_variables import Evaluated, descend

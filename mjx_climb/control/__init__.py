@@ -1,15 +1,18 @@
-"""Control laws behind one seam: measurement and reference go in, targets of base and feet come out."""
+"""Control laws behind one seam: measurement and reference go in, targets of base and feet come out.
+
+A law is a class in a file of this folder; its name is the one that --law, a gains file and `own.law.name` take.
+"""
 
 import functools
+import importlib
+import inspect
 import math
+import pkgutil
 from typing import Any
 
 from mjx_climb.control.base_admittance import MeasuredPoseAdmittance, VirtualModelAdmittance
-from mjx_climb.control.climb_sdk import ClimbSDK
-from mjx_climb.control.combined import combined
+from mjx_climb.control.combined import Made, combined
 from mjx_climb.control.end_effector_admittance import EndEffectorAdmittance
-from mjx_climb.control.foot_offsets import FootOffsets
-from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.control.law import (
     PD,
     Command,
@@ -25,7 +28,6 @@ from mjx_climb.control.law import (
 from mjx_climb.control.load_transfer import LoadTransfer
 from mjx_climb.control.phased import phased
 from mjx_climb.control.planned_transfer import PlannedTransfer
-from mjx_climb.control.recovering import Recovering
 from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
@@ -38,16 +40,25 @@ LAWS: dict[tuple[str, str], type[Law]] = {
     ("base_admittance", "measured_pose"): MeasuredPoseAdmittance,
     ("end_effector_admittance", "virtual_model"): EndEffectorAdmittance,
 }
-_OTHERS: tuple[type[Law], ...] = (LoadTransfer, PlannedTransfer, FootOffsets, InternalForce, ClimbSDK, Recovering)
-# by the names that --law, a gains file and `own.law.name` take
-SHIPPED: dict[str, type[Law]] = {law.__name__: law for law in (*LAWS.values(), *_OTHERS)}
 
 __all__ = [
-    "LAWS", "PD", "SHIPPED", "ClimbSDK", "Command", "EndEffectorAdmittance", "FootOffsets", "InternalForce",
-    "JointGains", "Law", "LoadTransfer", "MeasuredPoseAdmittance", "Measurement", "PlannedTransfer", "Recovering",
-    "Reference", "Start", "VirtualModelAdmittance", "begin", "combined", "gain", "is_shipped", "law_of", "phased",
-    "shifted", "shipped",
+    "LAWS", "PD", "SHIPPED", "Command", "EndEffectorAdmittance", "JointGains", "Law", "LoadTransfer",
+    "MeasuredPoseAdmittance", "Measurement", "PlannedTransfer", "Reference", "Start", "VirtualModelAdmittance",
+    "begin", "combined", "gain", "is_shipped", "law_of", "phased", "shifted", "shipped",
 ]  # fmt: skip
+
+
+def _of_folder() -> dict[str, type[Law]]:
+    """Return the laws of this folder by their names, without those that are made of others."""
+    modules = [importlib.import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
+    found = {each for module in modules for each in vars(module).values() if inspect.isclass(each)}
+    laws = {
+        each for each in found if issubclass(each, Law) and not (inspect.isabstract(each) or isinstance(each, Made))
+    }
+    return {law.__name__: law for law in sorted(laws, key=lambda law: law.__name__)}
+
+
+SHIPPED = _of_folder()
 
 
 def is_shipped(name: str) -> bool:

@@ -219,7 +219,7 @@ def _program(path: str, device: str | None, briefly: bool) -> Callable[..., dict
 
 def _identity(call: _Call, *trees: PyTree) -> str | None:
     """Return the identity of a call, None where its function cannot be identified."""
-    kinds = [type(tree) for tree in trees]
+    kinds = sorted(_classes(jax.tree.structure(trees)), key=lambda kind: (kind.__module__, kind.__qualname__))
     try:
         known = identity((call.function, call.structure, kinds))
         return repr((known, *call[2:], code_digest({each.__module__ for each in (call.function, *kinds)})))
@@ -231,6 +231,12 @@ def _identity(call: _Call, *trees: PyTree) -> str | None:
 def _of_structure(function: Function, structure: Hashable) -> Function:
     """Return a function of one robot's arguments, the same object each time: JAX finds traced programs by it."""
     return functools.partial(function, structure)
+
+
+def _classes(tree: PyTreeDef) -> set[type]:
+    """Return the classes of a tree's nodes: a law, the parameters and their components."""
+    about = tree.node_data()
+    return {*([] if about is None else [about[0]]), *(kind for each in tree.children() for kind in _classes(each))}
 
 
 def _carried_out(call: _Call, *trees: PyTree) -> PyTree:

@@ -172,6 +172,8 @@ def sources(folder: Path) -> dict[str, Source]:
         names = [(home, re.findall(r"\w+", names), alone) for home, names, alone in _IMPORT.findall(text)]
         imported = [name for home, each, alone in names for name in (home, alone, *(f"{home}.{n}" for n in each))]
         module = ".".join(path.relative_to(folder.parent).with_suffix("").parts).removesuffix(".__init__")
+        if "iter_modules(__path__)" in text:  # all files of its folder are imported
+            imported += [f"{module}.{other.stem}" for other in path.parent.glob("*.py")]
         found[module] = Source(text, imported)
     return found
 

@@ -403,12 +403,15 @@ class Recovery(v.ComponentSection):
         return not self.shift is self.utilization is self.margin is None
 
 
+Controller = Literal["pd", "base_admittance", "end_effector_admittance"]
+
+
 class Control(v.ComponentSection):
     """Joint loop and an admittance law around it. Six values: translations x, y, z, then rotations."""
 
     COMPONENT = declared.JointLoop
 
-    controller: Literal["pd", "base_admittance", "end_effector_admittance"] = setting(
+    controller: Controller = setting(
         "base_admittance", "pd (gait alone), base_admittance (paper Eq. 3), or end_effector_admittance (Eq. 2)"
     )
     reading: Literal["virtual_model", "measured_pose"] = setting(
@@ -955,20 +958,26 @@ def overridden(scenario: Scenario, overrides: Sequence[str] | Mapping[str, objec
         # another kind has other keys: those set beside it come after it
         for key, value in sorted(pairs(overrides, source), key=lambda pair: not str(pair[0]).endswith(".kind")):
             _set_kind(data, key, value, source) if str(key).endswith(".kind") else assign(data, key, value, source)
-            if key in _OF_REGISTERS:  # the last one set holds
-                assign(data, "hardware.servo.registers", None, source)
+            held = "hardware.servo.registers"
+            if key in _OF_REGISTERS and _section_of(data, held).get("registers") is not None:  # the last one set holds
+                assign(data, held, None, source)
     except RecursionError:
         raise ConfigError(source, "", "overrides of a few levels", "endless nesting") from None
     return validated(Scenario, data, source)
 
 
+def _section_of(data: object, key: str) -> dict[str, object]:
+    """Return the section that a key is in, an empty one where there is none."""
+    for part in key.split(".")[:-1]:
+        by_key = {str(n): each for n, each in enumerate(data)} if isinstance(data, list) else data
+        data = by_key.get(part) if isinstance(by_key, dict) else None
+    return data if isinstance(data, dict) else {}
+
+
 def _set_kind(data: dict[str, object], key: str, value: object, source: str) -> None:
     """Set the kind of a section; another kind than before starts with values of its own."""
-    section: Any = data
-    for part in key.split(".")[:-1]:
-        by_key: Any = {str(n): each for n, each in enumerate(section)} if isinstance(section, list) else section
-        section = by_key.get(part) if isinstance(by_key, dict) else None
-    before = section.get("kind") if isinstance(section, dict) else None
+    section = _section_of(data, key)
+    before = section.get("kind")
     if isinstance(before, str) and before.rpartition(":")[2] != str(value).rpartition(":")[2]:
         section.clear()
     assign(data, key, value, source)

@@ -113,7 +113,7 @@ def test_laws_go_by_names_that_are_put_together():
     )
     with pytest.raises(mc.ConfigError, match=r"^law: gains by phase: expected some of .* of PD, got leak$"):
         own_section.load_law("PD@leak+PD")
-    with pytest.raises(mc.ConfigError, match=r"^law: expected FILE.py:NAME, or one of PD, .*, got 'PD\+Nobody'$"):
+    with pytest.raises(mc.ConfigError, match=r"^law: expected FILE.py:NAME, or one of ClimbSDK, .*, got 'PD\+Nobody'$"):
         own_section.load_law("PD+Nobody")
 
 

@@ -11,7 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.control import ClimbSDK, InternalForce, LoadTransfer, Start, begin
+from mjx_climb.control import LoadTransfer, Start, begin
+from mjx_climb.control.climb_sdk import ClimbSDK
+from mjx_climb.control.internal_force import InternalForce
 from tests import oracle, oracle_laws
 
 STEP = 5e-3

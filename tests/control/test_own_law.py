@@ -186,7 +186,7 @@ def test_gains_that_cannot_be_are_refused_in_one_line(scenario, law, gains, said
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("nothing", "law: expected FILE.py:NAME, or one of PD, "),
+        ("nothing", "law: expected FILE.py:NAME, or one of ClimbSDK, "),
         ("nothing:", "law: expected FILE.py:NAME, got 'nothing:'"),
         ("nothing.py:Law", "nothing.py: expected a file of Python, got none"),
         (f"{SCRIPT}:Missing", "expected a law named Missing, got none"),

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.control import SHIPPED, FootOffsets, LoadTransfer, PlannedTransfer, Start, phased, shipped
+from mjx_climb.control import SHIPPED, LoadTransfer, PlannedTransfer, Start, phased, shipped
+from mjx_climb.control.foot_offsets import FootOffsets
 from mjx_climb.control.law import SENSORS, beginning
 from mjx_climb.control.planned_transfer import base_by_joints
 from mjx_climb.physics.spatial import quaternion_to_matrix

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from mjx_climb import execution
+from mjx_climb.control import PD
 from mjx_climb.execution import batches, cache, paths
+from mjx_climb.physics.contact.polyhedron import PolyhedralGripper, magnet
 from tuning.command_line import machine
 
 ROOT = Path(__file__).parents[2]
@@ -216,6 +218,7 @@ def test_an_executable_is_found_under_the_settings_of_jax_that_it_was_compiled_u
         ("files/dataset.py", "import", "# a comment\nimport", True),
         ("control/virtual_mass.py", "2e-3", "3e-3", False),
         ("control/__init__.py", "LAWS", "_LAWS", False),
+        ("control/internal_force.py", "def step", "def _step", False),  # imported with all of its folder
         ("gait/swing.py", "(3 - 2 * phase)", "(3 - 2.1 * phase)", False),
     ],
 )
@@ -233,6 +236,19 @@ def test_a_walks_program_is_found_by_the_files_that_take_part_in_it(tmp_path, fi
     assert old in text
     (package / file).write_text(text.replace(old, new, 1))
     assert (digest() == before) == same
+
+
+def test_a_program_is_found_by_the_files_of_the_components_that_walk(monkeypatch):
+    """A kind is imported by its name, so that no module of a walk imports it."""
+    asked = set()
+    monkeypatch.setattr(batches, "code_digest", lambda modules: asked.update(modules) or "")
+    tree = {"contact": PolyhedralGripper(**magnet(20.0, 0.4)), "law": [PD()]}
+    batches.run_one(_summed, "of components", jax.tree.map(np.asarray, tree))
+    assert {"mjx_climb.physics.contact.polyhedron", "mjx_climb.control.law"} <= asked
+
+
+def _summed(structure, tree):
+    return {"sum": sum(leaf.sum() for leaf in jax.tree.leaves(tree))}
 
 
 @pytest.mark.parametrize("variable", ["XLA_FLAGS", "LIBTPU_INIT_ARGS"])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.control import Recovering
+from mjx_climb.control.recovering import Recovering
 from mjx_climb.gait.chosen_footholds import middle_of, situation_of, towards
 from mjx_climb.gait.footholds.climblab import ClimbLab
 from mjx_climb.gait.footholds.held import Held, hold_axes, no_holds

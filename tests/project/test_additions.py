@@ -1,4 +1,4 @@
-"""A shipped kind of component, a command and a search method are one file each: nothing else names them."""
+"""A shipped kind of component, a law, a command and a search method are one file each: nothing else names them."""
 
 import os
 import shutil
@@ -31,6 +31,14 @@ class Gust(Disturbance):
 
     def act(self, time: Array, body: Body) -> External:
         return body.untouched()
+''',
+    "mjx_climb/control/still.py": '''"""A law."""
+
+from mjx_climb.control.law import PD
+
+
+class Still(PD):
+    """Nothing yet."""
 ''',
     "tuning/command_line/greet.py": '''"""A command."""
 
@@ -67,8 +75,10 @@ METHOD = Lucky()
 SEEN = """
 import runpy
 from mjx_climb import load_scenario, paths
+from mjx_climb.control import shipped
 from mjx_climb.scenario.model import Scenario
 from tuning.command_line.program import COMMANDS, run
+from tuning.gains.own_section import taken
 from tuning.methods import method_of
 scenario = load_scenario("case_1_1", {"disturbance.others": [{"kind": "gust", "strength": 3.0}]})
 assert paths(scenario)["disturbance.others.0.strength"]["value"] == 3.0
@@ -76,13 +86,15 @@ assert "gust" in Scenario.model_json_schema()["$defs"]["Disturbance"]["propertie
 assert "disturbances.gust.Gust" in runpy.run_path("keys.py")["on_page_markdown"](
     "<!-- the shipped kinds of disturbance.others -->"
 )
+named = load_scenario("case_1_1", {"own.law": {"name": "Still"}})
+assert type(taken(named)[1]).__name__ == "Still" and type(shipped("Still+Recovering")).__name__ == "Still+Recovering"
 assert type(method_of("lucky")).__name__ == "Lucky"
 assert COMMANDS["greet"] == "Is anybody there?" and run(["greet", "--name", "me"]) == 0
 """
 
 
 @pytest.mark.slow
-def test_a_disturbance_a_command_and_a_method_are_one_file_each(tmp_path):
+def test_a_disturbance_a_law_a_command_and_a_method_are_one_file_each(tmp_path):
     for package in ("mjx_climb", "tuning", "configs"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "docs" / "hooks" / "keys.py", tmp_path)

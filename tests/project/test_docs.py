@@ -21,7 +21,6 @@ from nbformat.v4 import new_code_cell
 import mjx_climb as mc
 from mjx_climb.control import LAWS
 from tests.pages import FENCE, commands, fences
-from tuning.command_line import options
 from tuning.command_line.program import program
 from tuning.methods import Method, method_of
 from tuning.problem import search
@@ -241,7 +240,6 @@ def test_names_that_users_write_are_those_registered():
     """The table in CONTRIBUTING: a registry, and the places where its names are checked before anything is imported."""
     control = type(mc.Scenario().control).model_fields
     assert set(get_args(control["controller"].annotation)) == {controller for controller, _ in LAWS}
-    assert set(get_args(options.ControllerName)) == {controller for controller, _ in LAWS}
     assert set(get_args(control["reading"].annotation)) == {reading for _, reading in LAWS}
     assert all(isinstance(method_of(name), Method) for name in search.METHODS)
 

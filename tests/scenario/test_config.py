@@ -265,6 +265,12 @@ def test_an_error_of_a_config_says_its_parts():
     assert str(moved) == str(error).replace("mine", "other") and moved.expected == error.expected
 
 
+def test_gains_of_the_joint_loop_leave_a_drive_without_registers_as_it_is():
+    scenario = Scenario().with_overrides({"hardware.servo.kind": "velocity"})
+    changed = scenario.with_overrides({"control.kp": 40.0})
+    assert changed.control.kp == 40.0 and changed.hardware == scenario.hardware
+
+
 def test_a_component_of_another_kind_has_none_of_the_papers_values():
     """Readers that ask for one get its absence, not the gripper's 15 N or the servos' defaults."""
     scenario = Scenario().with_overrides({"contact.kind": "polyhedron", "hardware.servo.kind": "velocity"})

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, model_validator
 
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
+from mjx_climb.scenario.model import Controller
 from tuning.command_line.from_models import in_options
 from tuning.command_line.program import InputError
 from tuning.problem.search import Search, check_metrics
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from tuning.problem.evaluation import Problem
     from tuning.problem.spaces import Space
 
-ControllerName = Literal["pd", "base_admittance", "end_effector_admittance"]
 EngineName = Literal["limb", "mjx"]
 FORMATS = ("png", "svg", "pdf")  # those of `mjx_climb.viz.plots`, which the command line does not wait for
 
@@ -81,7 +81,7 @@ class Walk(Options):
         complete="config",
         argument=True,
     )
-    controller: ControllerName | None = setting(None, "control law in place of the config's; null: the config's")
+    controller: Controller | None = setting(None, "control law in place of the config's; null: the config's")
     hardware: str | None = HARDWARE
     changes: tuple[str, ...] = setting(
         (),
@@ -104,7 +104,7 @@ class Walk(Options):
     @classmethod
     def _controller_as_law(cls, typed: dict[str, Any]) -> dict[str, Any]:
         """Take the name of a controller for that, where it is typed as a law."""
-        if typed.get("law") not in get_args(ControllerName):
+        if typed.get("law") not in get_args(Controller):
             return typed
         if "controller" in typed:
             raise ValueError(f"--controller: expected none with --law, got {typed['controller']}")
@@ -141,7 +141,7 @@ class Walk(Options):
             named = gains_file.shipped_law(self.gains)
             named = None if gains_file.of_scenarios(named) else named
         if named is not None and ":" not in named and not is_shipped(named):
-            known = ", ".join([*get_args(ControllerName), *SHIPPED])
+            known = ", ".join([*get_args(Controller), *SHIPPED])
             raise InputError(f"--law: expected one of {known}, or FILE.py:NAME, got {named!r}")
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(named, self.metrics)
         changes = self._components(source) | dict(pairs(self.changes, source))

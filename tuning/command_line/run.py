@@ -9,9 +9,10 @@ import typer
 from pydantic import BeforeValidator
 
 import mjx_climb as mc
+from mjx_climb.scenario.model import Controller
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
-from tuning.command_line.options import ControllerName, Output, Walk
+from tuning.command_line.options import Output, Walk
 from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
@@ -36,7 +37,7 @@ def _pixels(text: str) -> tuple[int, int]:
 class Pictures(Options):
     """What is rendered, and which other walk is shown beside."""
 
-    compare: ControllerName | None = setting(
+    compare: Controller | None = setting(
         None, "walk under this controller too, and show both side by side, in sync, this one first"
     )
     video: bool = setting(False, "render the walk to walk.mp4 (H.264); works without a display")

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.control import FootOffsets, LoadTransfer, PlannedTransfer, Recovering
+from mjx_climb.control import LoadTransfer, PlannedTransfer
+from mjx_climb.control.foot_offsets import FootOffsets
+from mjx_climb.control.recovering import Recovering
 from mjx_climb.inputs.time_step import short_enough
 from tuning.comparisons import of_search, side_by_side
 from tuning.comparisons.worth import BesidePd, Ends, OverWalks, between, worth_of

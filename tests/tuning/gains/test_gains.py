@@ -16,6 +16,7 @@ from scipy.linalg import expm
 
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer
+from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.control.virtual_mass import Motion, advance, at_rest
 from mjx_climb.inputs import gait_values
 from mjx_climb.scenario.load import load_hardware
@@ -442,7 +443,7 @@ def test_a_file_holds_the_limits_of_its_law_and_a_config_too(tmp_path):
     for own in found:
         assert (own.max_offset, own.max_rate, own.torque_limit) == (0.01, 0.1, 1.5)
     assert gains_file.whole(path, scenario, read).law is read
-    other = mc.control.InternalForce()
+    other = InternalForce()
     assert gains_file.limited(path, other) is other  # which `load` refuses
     assert "limits" not in own_section.section(LoadTransfer())["law"]
     assert "limits" not in gains_file.text(mc.Gains(1.0, 1.0, 1.0), law=mc.control.MeasuredPoseAdmittance())

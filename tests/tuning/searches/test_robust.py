@@ -9,7 +9,7 @@ import xarray as xr
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.control import Recovering
+from mjx_climb.control.recovering import Recovering
 from mjx_climb.hardware import servo
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.scenario.load import load_hardware, with_hardware

@@ -267,7 +267,7 @@ class Fit:
     def torque_delay(self, x: np.ndarray) -> float:
         """Return how late torques change after commands at a point of coordinates (n,), s."""
         own = [float(x[n]) for n, v in enumerate(self.variables) if v.key == SERVO_DELAY]
-        return self.delay(x) + (own or [float(self.parameters.drive.delay)])[0]
+        return self.delay(x) + (own or [float(getattr(self.parameters.drive, "delay", 0.0))])[0]
 
     @functools.cached_property
     def schedule(self) -> Schedule | None:
