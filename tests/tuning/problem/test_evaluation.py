@@ -1,0 +1,110 @@
+"""The evaluation of points whose walks are a formula: values, derivatives in both modes, and their cost."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from tuning.problem import evaluation
+from tuning.problem.evaluation import Problem, to_gains64, under_pd
+from tuning.problem.objectives import Limit, Objective, Term
+from tuning.problem.search import Search
+from tuning.problem.spaces import space
+
+CASE = mc.load_scenario("case_1_2", ["duration=0.3"])
+GOAL = Objective(
+    (Term("force_variation", 1.0, 2.0, 2.0),), (Limit("peak_pull_force", 40.0, 40.0, 0.5, "holding limit"),)
+)
+
+
+def walked(gains):
+    """Return the metrics of walks that all end."""
+    found = formula(gains)
+    return found | {"diverged": jnp.zeros(len(found["travel"]), bool)}
+
+
+def formula(gains):
+    """Real metrics of walks (B,) by the gains (B, 6): a smooth companion is half of its metric."""
+    stiffness, damping = gains["stiffness"], gains["damping"]
+    none = jnp.zeros_like(stiffness[:, 0])
+    found = dict.fromkeys(mc.METRICS.with_companions.names, none)
+    found |= {"detached_limb": none - 1, "stands_at": none - 1}
+    del found["diverged"]
+    force = 1e-5 * stiffness @ jnp.arange(1.0, 7) + 1e-4 * damping[:, 2] ** 1.5 / 50
+    pull = 1e-3 * damping @ jnp.ones(6)
+    return found | {
+        "force_variation": force, "force_variation_smooth": force / 2, "peak_pull_force": pull,
+        "peak_pull_force_smooth": 0.9 * pull,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    calls = []
+
+    def fields(gains):
+        return {name: jnp.asarray(getattr(gains, name), float) for name in ("stiffness", "damping")}
+
+    def rollout_metrics(scenario, gains, parameters, **how):
+        calls.append(("walks", how))
+        return jax.tree.map(np.asarray, walked(fields(gains)))
+
+    def rollout_jvp(scenario, gains, tangents, parameters, **how):
+        calls.append(("jvp", how))
+        made = jax.vmap(lambda along: jax.jvp(formula, (fields(gains),), (along,))[1])(fields(tangents))
+        return walked(fields(gains)), made
+
+    def rollout_vjp(scenario, gains, weights, parameters, **how):
+        calls.append(("vjp", how))
+        _, back = jax.vjp(formula, fields(gains))
+        every = {name: weights.get(name, jnp.zeros((2, len(gains.stiffness)))) for name in formula(fields(gains))}
+        (found,) = jax.vmap(back)(every)
+        return {"inertia": jnp.zeros_like(found["stiffness"]), **found}
+
+    for function in (rollout_metrics, rollout_jvp, rollout_vjp):
+        monkeypatch.setattr(mc, function.__name__, function)
+    with jax.enable_x64(True):
+        yield calls
+
+
+def problem_of(layout, dtype=np.float64):
+    return Problem(CASE, space(CASE, Search(space=layout, joint_gains=False)), GOAL, dtype=dtype)
+
+
+@pytest.mark.parametrize(("count", "mode"), [(0, ["walks"]), (4, ["jvp"]), (40, ["walks", "vjp"])])
+def test_derivatives_of_both_modes_are_central_differences(asked, count, mode):
+    """Of value and penalty together, and of the smooth companions that descents follow."""
+    problem = problem_of("diagonal")
+    own, rng = problem.space, np.random.default_rng(0)
+    theta = own.draw(rng, 3)
+    along = rng.standard_normal((count, own.size))
+    found = problem.evaluate(theta, along if count else None)
+    assert [name for name, _ in asked] == mode
+    assert all(how["smooth"] and how["unsteady"] and how["dtype"] == np.float64 for _, how in asked)
+    assert found.gradient.shape == found.sharp.shape == (3, count)
+    score = GOAL.score(walked({n: jnp.asarray(getattr(to_gains64(own, theta), n)) for n in ("stiffness", "damping")}))
+    np.testing.assert_allclose(found.value, score.value)
+    np.testing.assert_allclose(found.merit, score.value + score.penalty)
+    np.testing.assert_array_equal(found.feasible, score.feasible)
+    assert (found.penalty > 0).any() and not found.feasible.all()
+    for k in range(0, count, 7):
+        ends = [problem.evaluate(theta + side * 1e-5 * along[k]) for side in (1, -1)]
+        for name, value in (("gradient", "descent"), ("sharp", "merit")):
+            slope = (getattr(ends[0], value) - getattr(ends[1], value)) / 2e-5
+            np.testing.assert_allclose(getattr(found, name)[:, k], slope, rtol=1e-5, atol=1e-8)
+
+
+def test_a_step_with_tangents_costs_as_many_more_and_the_reverse_mode_no_more_than_some():
+    problem = dataclasses.replace(problem_of("isotropic"), members=4)
+    steps = CASE.steps
+    assert (problem.env_steps(5), problem.env_steps(5, 3)) == (5 * 4 * steps, 5 * 4 * steps * 4)
+    assert problem.env_steps(5, 1000) == 5 * 4 * steps * (1 + evaluation.REVERSE_ABOVE)
+
+
+def test_pd_in_place_of_a_law_keeps_all_else():
+    own = under_pd(CASE)
+    assert own.control.controller == "pd" and own.control.kp == CASE.control.kp
+    assert own == CASE.with_overrides({"control.controller": "pd"})
