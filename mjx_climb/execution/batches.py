@@ -108,14 +108,13 @@ def run(
     number = 0 if asked is None else jax.tree.leaves(asked)[0].shape[len(shape)]
     double = any(leaf.dtype == np.float64 for leaf in flat)
     kernel = not (double or over_time)  # in double precision its values do not find room in the registers
-    on = paths.device_for(count, number, kernel=kernel)
+    tangents = number * paths.AN_ADJOINT if derivatives == _GRADIENT else number
+    on = paths.device_for(count, tangents, kernel=kernel)
     call = _Call(function, structure, tuple(batched), derivatives=derivatives)
     enable_cache()
 
-    @functools.cache
-    def same_for_all(sharding: Sharding) -> list[Array]:  # put on a device once
-        same: list[Array] = jax.device_put([v for v, own in zip(flat, batched, strict=True) if not own], sharding)
-        return same
+    same = [leaf for leaf, own in zip(flat, batched, strict=True) if not own]
+    known = tuple((leaf.dtype.str, leaf.shape, leaf.tobytes()) for leaf in same)
 
     def by(path: str) -> dict[str, np.ndarray]:
         share = devices.share_size(count, batch_size, on, in_regions=path == "regions" and not derivatives)
@@ -126,7 +125,7 @@ def run(
         def of_rows(rows: np.ndarray, sharding: Sharding) -> dict[str, Array]:
             with devices.on_host(), jax.enable_x64(double):  # holds for one thread
                 each = jax.device_put([v[rows] for v, own in zip(flat, batched, strict=True) if own], sharding)
-                by_kind = {True: iter(each), False: iter(same_for_all(sharding))}
+                by_kind = {True: iter(each), False: iter(_same_for_all(known, sharding))}
                 leaves = [next(by_kind[own]) for own in batched]
                 found: dict[str, Array] = program(call._replace(path=path), *jax.tree.unflatten(tree, leaves))
                 return found
@@ -139,6 +138,14 @@ def run(
         return found
     values = {name: value for name, value in found.items() if not name.startswith(derivatives)}
     return values, {n.removeprefix(derivatives): value for n, value in found.items() if n.startswith(derivatives)}
+
+
+@functools.lru_cache(8)
+def _same_for_all(arrays: tuple[tuple[str, tuple[int, ...], bytes], ...], sharding: Sharding) -> list[Array]:
+    """Return the arrays that all robots have, on a device: for a GPU that takes milliseconds, and calls are alike."""
+    each = [np.frombuffer(content, dtype).reshape(shape) for dtype, shape, content in arrays]
+    placed: list[Array] = jax.device_put(each, sharding)
+    return placed
 
 
 def run_one(function: Function, structure: Hashable, *arguments: PyTree) -> PyTree:

@@ -41,6 +41,7 @@ ON_CPU = "MJX_CLIMB_ON_CPU"  # the variable that says up to how many robots go t
 # Robots, times one and the tangents of each, that a few CPU cores simulate as soon as an H200: 8 s of any few take it
 # 0.04 s by the kernel, and 1.4 s by XLA's own.
 _AS_THE_KERNEL, _AS_LAUNCHES = 8, 64
+AN_ADJOINT = 10  # tangents that take as long as the gradient of one sum
 
 
 def fast_path(device: str | None = None) -> str | None:

@@ -95,7 +95,15 @@ def test_what_a_path_cannot_do_is_tried_once_and_something_else_again():
 
 @pytest.mark.parametrize(
     ("robots", "tangents", "kernel", "device"),
-    [(8, 0, True, "cpu"), (9, 0, True, None), (32, 1, True, "cpu"), (33, 1, True, None), (64, 0, False, "cpu")],
+    [
+        (8, 0, True, "cpu"),
+        (9, 0, True, None),
+        (32, 1, True, "cpu"),
+        (33, 1, True, None),
+        (64, 0, False, "cpu"),
+        (5, paths.AN_ADJOINT, True, "cpu"),
+        (6, paths.AN_ADJOINT, True, None),
+    ],
 )
 def test_few_robots_walk_on_the_cpu_where_there_is_a_gpu(robots, tangents, kernel, device, monkeypatch):
     """A robot counts once, and once for each of its tangents; the kernel walks a few as soon."""

@@ -1,11 +1,16 @@
 """Every operation by the fast paths of compilation: as XLA does it, or refused; never wrong."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
+from jax.extend import core
 
-from mjx_climb.execution.element_operations import SHORTCUTS
+from mjx_climb.execution.element_operations import SHORTCUTS, Operations
+from mjx_climb.execution.element_rules import results
 from mjx_climb.execution.elements import Unsupported, Value
+from mjx_climb.execution.flat import flat
 from mjx_climb.execution.gpu_kernel import over_robots
 from tests.execution import primitives
 
@@ -54,3 +59,35 @@ def test_a_shift_by_all_bits_is_written_as_zero(name):
     number = Value(None, np.dtype(np.int32))
     assert SHORTCUTS[name](number, np.int32(32)) == 0 and SHORTCUTS[name](number, np.int32(0)) is number
     assert SHORTCUTS[name](number, np.int32(31)) is None
+
+
+NUMBERS = np.array([0.0, -0.0, 1.0, -2.5, 3.7, 1e-3, 1e30, np.inf, -np.inf, np.nan])
+ON_NUMBERS = {
+    "elementwise": lambda x, n: (jnp.abs(x), lax.ceil(x), x / x[::-1], lax.floor(x), jnp.sqrt(x), jnp.square(x), n * n),
+    "conversions": lambda x, n: (x.astype(np.float32), n.astype(np.float64), x.astype(bool), n.astype(np.int64)),
+    "places": lambda x, n: (lax.iota(np.int32, 4), lax.broadcasted_iota(np.int32, (2, 3), 1), lax.rev(n, (0,))),
+    "pads": lambda x, n: (
+        lax.pad(n, np.int32(7), [(2, 1, 0)]),
+        lax.pad(x.reshape(2, 5), 0.5, [(-1, 0, 2), (1, -2, 0)]),
+    ),
+    "reductions": lambda x, n: (n.sum(), n.reshape(2, 5).max(0), n.min(), (n > 3).any(), (n > 3).all()),
+    "parts": lambda x, n: (*jnp.split(n, [3, 4]), *lax.split(x, (4, 6)), jnp.where(x > 0, x, 2.0)),
+}
+
+
+@pytest.mark.parametrize("name", ON_NUMBERS)
+def test_operations_on_numbers_alone_compile_nothing(name):
+    """Their bits are those that XLA computes."""
+    given = NUMBERS, np.arange(-4, 6, dtype=np.int32)
+    program = jax.make_jaxpr(ON_NUMBERS[name])(*given)
+    expected = jax.jit(core.jaxpr_as_fun(program))(*given)
+    heard = []
+    listener = lambda event, *_, **__: heard.append(event)  # noqa: E731
+    jax.monitoring.register_event_duration_secs_listener(listener)
+    try:
+        found = results(Operations(None, None), flat(program), list(given))
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listener)
+    for mine, xla in zip(found, expected, strict=True):
+        assert mine.dtype == xla.dtype and mine.tobytes() == np.asarray(xla).tobytes()
+    assert not [event for event in heard if "compile" in event]

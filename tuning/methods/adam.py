@@ -31,7 +31,9 @@ class Adam:
             scales: (B,) of the steps.
         """
         self.best, self.least, self.there = x, np.full(len(x), np.inf), np.zeros((len(x), moves))
-        self._adam, self._patience = optax.scale_by_adam(*memory, eps=tiny), patience
+        adam, self._patience = optax.scale_by_adam(*memory, eps=tiny), patience
+        # a memory for each row, as one may begin anew; compiled once
+        self._begin, self._update = (jax.jit(jax.vmap(each)) for each in (adam.init, adam.update))
         self._scale, self._waited = np.broadcast_to(np.asarray(scales, float), len(x)), np.zeros(len(x), int)
         self._empty = self._memory = self._begun()
 
@@ -48,8 +50,7 @@ class Adam:
         self.forget(back)
         x, slopes = choose(back, (self.best, self.there), (x, slopes))
         with jax.enable_x64(True):
-            # a memory for each row, as one may begin anew
-            moves, memory = jax.jit(jax.vmap(self._adam.update))(slopes, self._memory)
+            moves, memory = self._update(slopes, self._memory)
         self._memory = jax.tree.map(np.asarray, memory)
         return x, self._scale[:, None] * np.asarray(moves)
 
@@ -59,7 +60,7 @@ class Adam:
 
     def _begun(self) -> Any:
         with jax.enable_x64(True):
-            return jax.tree.map(np.asarray, jax.jit(jax.vmap(self._adam.init))(self.there))
+            return jax.tree.map(np.asarray, self._begin(self.there))
 
 
 def choose(rows: np.ndarray, yes: Any, no: Any) -> Any:

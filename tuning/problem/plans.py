@@ -298,7 +298,7 @@ class Walks:
             return
         targets = freedom.base.reshape(-1, *freedom.base.shape[2:])
         at_once = _at_once(len(targets), kernel=False)
-        first = np.arange(at_once) % len(targets)
+        first = np.arange(min(2 * at_once, len(targets)))  # more than one call has shares as all of them do
         self._walked(scored, targets[first], row(parameters, first), 0.0, kernel=False, at_once=at_once)
 
     def judge(self, targets: Float[np.ndarray, "N time limb joint"], parameters: mc.Parameters) -> Scored:
@@ -310,7 +310,7 @@ class Walks:
         if self.dtype != np.float32 or self.asked.structure.planning or freedom.knots.steps % freedom.knots.every:
             return self._reverse
         count, few = math.prod(freedom.base.shape[:2]), freedom.directions <= REVERSE_ABOVE
-        on = paths.device_for(count, freedom.directions if few else 1, kernel=True)
+        on = paths.device_for(count, freedom.directions if few else paths.AN_ADJOINT, kernel=True)
         if on is not None or paths.path_for(on, kernel=True) != "kernel":
             return self._reverse
         return self._forward if few else self._reverse_by_knots

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 
 import mjx_climb as mc
@@ -34,6 +35,18 @@ def test_a_row_that_finds_nothing_better_goes_back_after_each_while_and_steps_ha
     scales = [1.0] * 3 + [0.5] * 3 + [0.25] * 3 + [0.125]
     np.testing.assert_allclose(lengths, np.column_stack([scales, np.ones(10)]))
     np.testing.assert_array_equal(adam.best[:, 0], [1.0, 10.0])
+
+
+def test_steps_are_compiled_once():
+    """All but the first of each shape."""
+    adam, heard = begun(), []
+    listener = lambda event, *_, **__: heard.append(event)  # noqa: E731
+    for number in range(3):
+        if number == 1:
+            jax.monitoring.register_event_duration_secs_listener(listener)
+        adam.step(np.zeros((2, 1)), np.zeros(2), np.ones((2, 1)), NOBODY)
+    jax.monitoring.unregister_event_duration_listener(listener)
+    assert not heard
 
 
 def test_a_row_that_is_lost_goes_back_at_once_with_an_empty_memory():

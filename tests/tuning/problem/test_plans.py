@@ -7,6 +7,7 @@ from scipy import optimize
 
 import mjx_climb as mc
 from mjx_climb.control import PD, law_of
+from mjx_climb.execution.devices import share_size
 from mjx_climb.walk.metrics import peak
 from tuning.methods.many_variables import Evaluated, descend
 from tuning.problem import plans
@@ -73,8 +74,9 @@ def test_a_plan_walks_as_the_law_did_that_it_was_taken_from():
     np.testing.assert_allclose(walked.base_offset[0], again.base_position - again.base_reference, atol=1e-9)
 
 
-def test_the_program_of_gradients_is_prepared_by_one_call_of_it(monkeypatch):
-    """Of as many robots as a call of the search has, whose arguments have the same shapes."""
+@pytest.mark.parametrize("starts", [1, 5])
+def test_the_program_of_gradients_is_prepared_by_few_walks(monkeypatch, starts):
+    """In shares of as many robots as those of the search, whose arguments have the same shapes."""
     asked = []
 
     class AskedError(Exception):
@@ -89,14 +91,16 @@ def test_the_program_of_gradients_is_prepared_by_one_call_of_it(monkeypatch):
     monkeypatch.setattr(plans.execution, "run", run)
     monkeypatch.setattr(plans.devices, "usable_cores", lambda: 2)
     scenario = under_pd(mc.load_scenario("case_1_2")).with_overrides(SHORT)
-    parameters = rows(scenario, PD(), None, mc.parameters(scenario), 80)
+    parameters = rows(scenario, PD(), None, mc.parameters(scenario), starts * 16)
     walks = walks_of(scenario, GOAL, parameters, metrics=TABLE)
-    freedom = Freedom(np.zeros((5, 16, 100, 4, 3)), Knots(100, 50), True, None, -np.ones((4, 3)), np.ones((4, 3)))
+    freedom = Freedom(np.zeros((starts, 16, 100, 4, 3)), Knots(100, 50), True, None, -np.ones((4, 3)), np.ones((4, 3)))
     for begin in (walks.prepare, lambda *given: walks.evaluate(given[0], freedom.none, given[1], sharp=0.0)):
         with pytest.raises(AskedError):
             begin(freedom, parameters)
     (*prepared, some, shapes), (*needed, every, of_all) = asked
-    assert prepared == needed and some == prepared[2] == 16 and every == 80 and shapes == of_all
+    assert prepared == needed and some <= 32 and every == starts * 16 and shapes == of_all
+    shares = [share_size(robots, prepared[2], in_regions=True) for robots in (some, every)]
+    assert shares == [8 if starts == 1 else 16] * 2
 
 
 @pytest.mark.nightly
