@@ -207,6 +207,19 @@ def test_room_to_joint_limits_counts_for_a_stance_up_to_a_share_of_their_range(s
         assert standing.worth(stance) == pytest.approx(least * 0.05 / 1.05 / 0.15)
 
 
+def test_a_stance_at_random_is_out_from_the_base_and_in_the_middle_of_its_joints(saved):
+    section = propose(saved(climbers.mjcf(4, 3))).sections["robot"]
+    corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    standing = Standing(section, 0.2 * corners)
+    found = standing.sampled(corners / np.sqrt(2), 0.4)
+    feet = np.column_stack([found.footholds, np.full(4, -found.height)])[standing.rows] - standing.offset
+    joints = limb_joints(standing.robot, feet)
+    share = (joints.angles - standing.robot.joint_lower) / (standing.robot.joint_upper - standing.robot.joint_lower)
+    assert (joints.errors < 1e-6).all() and 0.2 < share.min() and share.max() < 0.8
+    outward = (found.footholds * corners).sum(1)
+    assert outward.sum() > 1.81 and standing.worth(found) > 0  # 1.78 m in all, were no foot to be far out
+
+
 @pytest.mark.slow
 def test_a_stance_is_not_singular_for_what_the_grips_hold(saved):
     """Six joints whose third pitch follows a roll: with the roll in the middle of its range four axes are parallel.
