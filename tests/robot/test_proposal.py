@@ -401,6 +401,40 @@ def test_a_limb_ends_where_its_shape_does(saved, shape, at):
     assert ("ends of last links not in the file" in told(robot)) == ("ends" in told(robot)) == (not shape)
 
 
+def arm(joints):
+    """Return a row of bodies that ends in a foot of its own."""
+    rows = "".join(
+        f'<body name="arm{n}" pos="0 0 {-0.03 if n else 0}"><joint name="arm{n}" axis="{n % 2} {1 - n % 2} 0"/>'
+        f"{weight('0 0 -0.01', 0.1, '1e-4 1e-4 1e-4')}"
+        for n in range(joints)
+    )
+    return f'{rows}<site name="foot_of_arm" pos="0 0 -0.05"/>{"</body>" * joints}'
+
+
+@pytest.mark.parametrize(("joints", "limbs"), [(1, 4), (2, 5), (5, 5), (6, 4)])
+def test_limbs_have_about_as_many_joints_as_most_of_them(saved, joints, limbs):
+    """Of three joints each: a row of up to two more or less is one too."""
+    robot = Found(saved(climbers.mjcf(4, 3, on_base=arm(joints))))
+    assert len(robot.limbs) == limbs
+
+
+def test_of_long_limbs_and_of_many_some_are_held(saved):
+    robot = Found(saved(climbers.mjcf(4, 9)))
+    assert {len(chain.joints) for chain in robot.limbs.values()} == {7}
+    assert told(robot).count("the last beyond 7 are held") == 4
+    many = Found(saved(climbers.mjcf(10, 3)))
+    assert len(many.limbs) == 8 and "ignored 2 limbs" in told(many)
+    assert "held" not in told(Found(saved(climbers.mjcf(8, 7))))
+
+
+@pytest.mark.parametrize("limbs", [["L0"], ["L0", "L9"], ["none", "L1"]])
+def test_limbs_to_stand_on_are_two_or_more_of_the_robots(saved, limbs):
+    with pytest.raises(mc.RobotError, match=r"--limbs: expected two or more of L0, L1, L2, L3, got"):
+        Found(saved(climbers.mjcf(4, 3)), stand_on=limbs)
+    chosen = Found(saved(climbers.mjcf(4, 3)), stand_on=["L3", "L1"])
+    assert list(chosen.limbs) == ["L1", "L3"] and len(chosen.joints) == 6
+
+
 def stl(points):
     """Return a mesh with these corners, (4, 3) m: a tetrahedron."""
     faces = [np.array([np.zeros(3), *(points[n] for n in face)], "<f4").tobytes() for face in
