@@ -401,6 +401,40 @@ def test_a_limb_ends_where_its_shape_does(saved, shape, at):
     assert ("ends of last links not in the file" in told(robot)) == ("ends" in told(robot)) == (not shape)
 
 
+def test_grip_gains_and_gait_are_hubrobos_in_proportion_to_mass_and_reach(saved):
+    """Limbs of 0.33 and 0.63 m of one mass, and heavier ones: to the two digits that are written."""
+    short, long = (propose(saved(climbers.mjcf(4, 3, reach=reach))).sections for reach in (0.3, 0.6))
+    heavy = propose(saved(climbers.mjcf(4, 3).replace('mass="0.15"', 'mass="0.6"'))).sections
+    for (section, name), power in {
+        ("contact", "stiffness"): 0, ("contact", "damping"): 0, ("contact", "capture_distance"): 1,
+        ("control", "kp"): 1, ("control", "kd"): 1, ("control", "stiffness"): 0, ("gait", "stride"): 1,
+        ("gait", "step_height"): 1,
+    }.items():  # fmt: skip
+        assert long[section][name] / short[section][name] == pytest.approx((0.63 / 0.33) ** power, rel=0.06), name
+        lighter = section == "gait" or name == "capture_distance"
+        ratio = 1.0 if lighter else (1.2 + 12 * 0.6) / (1.2 + 12 * 0.15)
+        assert heavy[section][name] / short[section][name] == pytest.approx(ratio, rel=0.06), name
+    hubrobo, own = mc.Scenario(), load_robot("hubrobo_v3_2")
+    weight = (1.2 + 12 * 0.15) / float(own.total_mass)
+    for name, part in (("stiffness", "contact"), ("damping", "contact"), ("stiffness", "control")):
+        assert short[part][name] == pytest.approx(weight * getattr(getattr(hubrobo, part), name), rel=0.06), name
+    assert short["control"]["kp"] / short["control"]["kd"] == pytest.approx(
+        hubrobo.control.kp / hubrobo.control.kd, rel=0.06
+    )
+
+
+@pytest.mark.parametrize(("limbs", "cycle", "duty"), [(4, 4.0, 0.75), (6, 6.0, 0.84), (8, 8.0, 0.88)])
+def test_a_crawl_goes_up_one_side_from_behind_and_then_up_the_other(saved, limbs, cycle, duty):
+    found = propose(saved(climbers.mjcf(limbs, 3))).sections
+    gait = found["gait"]
+    assert (gait["cycle"], gait["duty"], found["duration"]) == (pytest.approx(cycle), duty, pytest.approx(2 * cycle))
+    feet = {name: limb["foothold"] for name, limb in found["robot"]["limbs"].items()}
+    places = np.array([feet[name] for name in gait["sequence"]])
+    half = limbs // 2
+    assert (places[:half, 1] > 0).all() and (places[half:, 1] < 0).all()
+    assert (np.diff(places[:half, 0]) > 0).all() and (np.diff(places[half:, 0]) > 0).all()
+
+
 def arm(joints):
     """Return a row of bodies that ends in a foot of its own."""
     rows = "".join(
