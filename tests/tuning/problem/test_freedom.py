@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.control import PD, InternalForce, VirtualModelAdmittance
+from mjx_climb.control import PD, LoadTransfer, VirtualModelAdmittance
 from tuning.problem import spaces
 from tuning.problem.plans import Freedom, Knots
 from tuning.problem.search import Search
@@ -81,8 +81,8 @@ def test_joint_gains_are_searched_about_the_scenarios_own():
 def test_bounds_of_a_laws_gains_are_its_own():
     shipped = VirtualModelAdmittance().search_bounds(CASE.time_step)
     assert {name: default_bounds(CASE, VirtualModelAdmittance())[name] for name in shipped} == shipped
-    own = InternalForce().search_bounds(CASE.time_step)
-    assert {name: default_bounds(CASE, InternalForce())[name] for name in own} == own
+    own = LoadTransfer().search_bounds(CASE.time_step)
+    assert {name: default_bounds(CASE, LoadTransfer())[name] for name in own} == own
 
 
 @pytest.mark.parametrize(
