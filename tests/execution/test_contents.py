@@ -66,6 +66,10 @@ class Pair(NamedTuple):
     second: object
 
 
+class OwnList(list):
+    """A list by another name."""
+
+
 def classes(**bodies):
     """Return two classes of one name, each with one member."""
     return tuple(type("Law", (), {name: member}) for name, members in bodies.items() for member in members)
@@ -103,6 +107,11 @@ DIFFER = {
     "axes of vmap": (jax.vmap(weighted, in_axes=0), jax.vmap(weighted, in_axes=1)),
     "cache": (functools.cache(closed_over(1.0)), functools.cache(closed_over(2.0))),
     "keys": ({"a": 1.0}, {"b": 1.0}),
+    "sets": ({1.0, 2.0}, {1.0, 3.0}),
+    "kinds of sets": ({1.0}, frozenset({1.0})),
+    "kinds of lists": ([1.0], (1.0,)),
+    "lists of one's own": (OwnList([1.0]), [1.0]),
+    "named tuple and tuple": (Pair(1.0, 2), (1.0, 2)),
     "sign of zero": (0.0, -0.0),
     "dtype": (np.zeros(2, np.float32), np.zeros(2, np.int32)),
     "shape": (np.zeros((2, 3)), np.zeros((3, 2))),
