@@ -1,24 +1,23 @@
-"""The rivals of each kind of result, and the contents of its folder: `tuning.write`."""
+"""The rivals of each kind of result, and the contents of its folder: `tuning.write`.
 
+A kind's file of `tuning/pages/` says both: `compare(found, stage, folder, begun)`, of works begun before, and
+`contents(found: Kind, compared, name)`, of a config's name.
+"""
+
+import importlib
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+from mjx_climb.scenario.kinds import named_in
+from tuning import pages
 from tuning.background import Stage, silent
-from tuning.comparisons import degraded as degrading
-from tuning.comparisons import of_draw, of_ensemble, of_front, of_laws, of_schedule, of_search, of_sweep
-from tuning.pages import ceiling, degraded, judge, laws, pareto, robust, schedule, sweep, tune
+from tuning.comparisons import of_search, of_sweep
 from tuning.pages.contents import Contents, Written, files_of
 from tuning.pages.page import Origin
 from tuning.pages.section import SectionOf, load_section, sections_of
-from tuning.results.ceiling import Bounded
-from tuning.results.front import Front
-from tuning.results.judged import Comparison, Degraded, Judged
 from tuning.results.result import Result
-from tuning.results.scheduled import Scheduled
-from tuning.results.swept import Swept
-from tuning.results.tuned import Robust, Tuned
 from tuning.writing import folder as folders
 from tuning.writing import record
 
@@ -27,26 +26,8 @@ if TYPE_CHECKING:
     from tuning.identification.plan.excitation import Excited
 
 Begun = of_search.Begun | of_sweep.Begun
-
-
-class Kind(NamedTuple):
-    """A kind of result."""
-
-    compare: Callable[..., Any]  # with a result, stages, the folder that keeps rounds, and the works begun, if any
-    contents: Callable[[Any, Any, str], Contents]  # of a result, the result of `compare`, and the config's name
-
-
-KINDS: Mapping[type[Result], Kind] = {
-    Swept: Kind(lambda found, stage, _, *begun: of_sweep.compare(found, stage, *begun), sweep.contents),
-    Tuned: Kind(of_search.compare, tune.contents),
-    Robust: Kind(of_ensemble.compare, robust.contents),
-    Front: Kind(lambda found, stage, _: of_front.compare(found, stage), pareto.contents),
-    Comparison: Kind(lambda found, stage, _: of_laws.compare(found, stage), laws.contents),
-    Judged: Kind(lambda found, stage, _: of_draw.compare(found, stage), judge.contents),
-    Degraded: Kind(lambda found, *_: degrading.summary(found.data), degraded.contents),
-    Bounded: Kind(lambda *_: None, ceiling.contents),
-    Scheduled: Kind(lambda found, *_: of_schedule.compare(found), schedule.contents),
-}
+# modules by the names of the classes of results
+_PAGES = named_in(Path(pages.__path__[0]), r"^def contents\(found: (\w+), ")
 
 
 def write(
@@ -85,8 +66,8 @@ def write(
     if not isinstance(found, Result):
         return _of_identification(found, home, sections=sections_of(own, found, None), **how)
     record.check_own(home, found.FILE)
-    kind = KINDS[type(found)]
-    compared = kind.compare(found, stage, home, *([] if begun is None else [begun]))
+    kind = importlib.import_module(f"{pages.__name__}.{_PAGES[type(found).__name__]}")
+    compared = kind.compare(found, stage, home, begun)
     made, told = kind.contents(found, compared, _name(origin)), sections_of(own, found, compared)
     return folders.write(made, home, f"tuning.{found.KIND}(...)", sections=told, **how)
 

@@ -1,4 +1,4 @@
-"""A shipped kind of component, a law, a command and a search method are one file each: nothing else names them."""
+"""A component, a law, a command, a method are one file each, a kind of result two: nothing else names them."""
 
 import os
 import shutil
@@ -59,6 +59,30 @@ def greet(asked: Whom) -> None:
     """Greet."""
     typer.echo(f"hello {asked.name}")
 ''',
+    "tuning/results/told.py": '''"""A kind of result."""
+
+from tuning.results.result import Result
+
+
+class Told(Result):
+    """Nothing yet."""
+
+    FILE = "told.nc"
+    KIND = "tell"
+''',
+    "tuning/pages/told.py": '''"""Its folder."""
+
+from tuning.pages.contents import Contents, Written, files_of
+from tuning.results.told import Told
+
+
+def compare(found: Told, *_: object) -> str:
+    return "of it"
+
+
+def contents(found: Told, compared: str, name: str) -> Contents:
+    return Contents(Written(), found.problem, files_of(found, name) | {"told.txt": compared})
+''',
     "tuning/methods/lucky.py": '''"""A method."""
 
 from tuning.methods.method import Method
@@ -74,12 +98,17 @@ METHOD = Lucky()
 }
 SEEN = """
 import runpy
+import xarray as xr
+import tuning
 from mjx_climb import load_scenario, paths
 from mjx_climb.control import shipped
 from mjx_climb.scenario.model import Scenario
 from tuning.command_line.program import COMMANDS, run
 from tuning.gains.own_section import taken
 from tuning.methods import method_of
+from tuning.problem.evaluation import Problem
+from tuning.results.result import RESULTS
+from tuning.results.told import Told
 scenario = load_scenario("case_1_1", {"disturbance.others": [{"kind": "gust", "strength": 3.0}]})
 assert paths(scenario)["disturbance.others.0.strength"]["value"] == 3.0
 assert "gust" in Scenario.model_json_schema()["$defs"]["Disturbance"]["properties"]["others"]["description"]
@@ -89,12 +118,14 @@ assert "disturbances.gust.Gust" in runpy.run_path("keys.py")["on_page_markdown"]
 named = load_scenario("case_1_1", {"own.law": {"name": "Still"}})
 assert type(taken(named)[1]).__name__ == "Still" and type(shipped("Still+Recovering")).__name__ == "Still+Recovering"
 assert type(method_of("lucky")).__name__ == "Lucky"
+written = tuning.write(Told(xr.Dataset(), Problem(scenario)), "out").files.split(", ")
+assert {"told.txt", "told.nc"} <= set(written) and "told.nc" in RESULTS
 assert COMMANDS["greet"] == "Is anybody there?" and run(["greet", "--name", "me"]) == 0
 """
 
 
 @pytest.mark.slow
-def test_a_disturbance_a_law_a_command_and_a_method_are_one_file_each(tmp_path):
+def test_what_is_added_is_named_in_its_own_file_alone(tmp_path):
     for package in ("mjx_climb", "tuning", "configs"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "docs" / "hooks" / "keys.py", tmp_path)

@@ -22,7 +22,7 @@ class DrawComparison(NamedTuple):
     sensor: str  # worth of a force sensor in words; empty where no gains read forces
 
 
-def compare(found: Judged, stage: Stage = silent) -> DrawComparison:
+def compare(found: Judged, stage: Stage = silent, *_: object) -> DrawComparison:
     """Compute means, worst and differences; nothing walks."""
     walks = found.data
     baseline = NAME if NAME in walks["gains"].values else judging.PD

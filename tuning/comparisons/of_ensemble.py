@@ -43,7 +43,7 @@ class RobustComparison:
     binding: list[str]  # limits that hold the gains where they are, in words
 
 
-def compare(found: Robust, stage: Stage = silent, out: Path | None = None) -> RobustComparison:
+def compare(found: Robust, stage: Stage = silent, out: Path | None = None, *_: object) -> RobustComparison:
     """Simulate a result and its rivals; `out` keeps the rounds of the search that retunes pd."""
     problem, ensemble = found.problem, found.ensemble
     with stage("retuned pd", unit="rounds") as told:

@@ -22,7 +22,7 @@ class FrontComparison:
     worth: str  # of a force sensor, in words
 
 
-def compare(found: Front, stage: Stage = silent) -> FrontComparison:
+def compare(found: Front, stage: Stage = silent, *_: object) -> FrontComparison:
     """Simulate the points on a front, the law's own gains and pd."""
     problem, data, scenario = found.problem, found.data, found.scenario
     how: dict[str, Any] = {"law": problem.law, "engine": problem.engine}

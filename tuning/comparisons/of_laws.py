@@ -25,7 +25,7 @@ class LawsComparison:
     reading: list[str]  # laws that read forces
 
 
-def compare(found: Comparison, stage: Stage = silent) -> LawsComparison:
+def compare(found: Comparison, stage: Stage = silent, *_: object) -> LawsComparison:
     """Compute which differences are real; nothing walks."""
     problem = found.problem
     assert isinstance(problem.objective, Objective)

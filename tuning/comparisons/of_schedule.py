@@ -17,7 +17,7 @@ class ScheduleComparison(NamedTuple):
     verdict: str  # the gains of each point against the best of the others
 
 
-def compare(found: Scheduled) -> ScheduleComparison:
+def compare(found: Scheduled, *_: object) -> ScheduleComparison:
     """Score the walks of all operating points; nothing walks."""
     data, problem = found.data, found.problem
     values, feasible = {}, {}

@@ -91,7 +91,7 @@ class SweepComparison:
     remedies: Sequence[str] = ()  # where all failed: changes that keep the grippers of the config's walk shut
 
 
-def compare(found: Swept, stage: Stage = silent, begun: Begun | None = None) -> SweepComparison:
+def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun | None = None) -> SweepComparison:
     """Simulate the rivals of a grid, and compute its limit of stability.
 
     Arguments:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from mjx_climb.viz import plots
 from tuning.comparisons import judge as judging
 from tuning.comparisons import paired, verdicts
-from tuning.comparisons.degraded import AS_DRAWN, METRICS, Degradation
+from tuning.comparisons.degraded import AS_DRAWN, METRICS, Degradation, summary
 from tuning.numbers import number
 from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.page import Findings, Page, Table
@@ -15,6 +15,11 @@ from tuning.results.judged import Degraded
 
 LEAST = 0.1  # N of pull, and of every other metric, that can be compared in per cent
 CHANGES = "Mean force variation on worse hardware, of each gains."
+
+
+def compare(found: Degraded, *_: object) -> Degradation:
+    """Return the differences with their intervals; nothing walks."""
+    return summary(found.data)
 
 
 def contents(found: Degraded, compared: Degradation, name: str) -> Contents:

@@ -14,6 +14,7 @@ from mjx_climb.viz.plots import key
 from tuning.comparisons import judge as judging
 from tuning.comparisons import paired, verdicts
 from tuning.comparisons.of_draw import DrawComparison
+from tuning.comparisons.of_draw import compare as compare
 from tuning.comparisons.of_ensemble import shown
 from tuning.numbers import change, number, unit
 from tuning.pages.contents import Contents, Picture, contents_of

@@ -17,6 +17,7 @@ from tuning.comparisons import paired, verdicts
 from tuning.comparisons.compare import HARDWARE, file_name
 from tuning.comparisons.judge import PD
 from tuning.comparisons.of_laws import LawsComparison
+from tuning.comparisons.of_laws import compare as compare
 from tuning.gains import gains_file
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import labels

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 import mjx_climb as mc
 from mjx_climb.viz import plots
 from tuning.comparisons.of_front import FrontComparison
+from tuning.comparisons.of_front import compare as compare
 from tuning.numbers import gain, number, unit
 from tuning.pages import comparison
 from tuning.pages.contents import Contents, Picture, contents_of

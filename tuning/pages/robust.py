@@ -5,6 +5,7 @@ from typing import Any
 import mjx_climb as mc
 from tuning.comparisons import judge as judging
 from tuning.comparisons.of_ensemble import RobustComparison, shown
+from tuning.comparisons.of_ensemble import compare as compare
 from tuning.comparisons.side_by_side import Values
 from tuning.gains.gains_file import by_name
 from tuning.pages import comparison

@@ -12,6 +12,7 @@ from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from mjx_climb.walk.metrics import failed
 from tuning.comparisons.of_schedule import ScheduleComparison
+from tuning.comparisons.of_schedule import compare as compare
 from tuning.numbers import change, gain, has_axes, number
 from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.page import Findings, Page, Table

@@ -12,6 +12,7 @@ from mjx_climb import trajectory
 from mjx_climb.viz import plots
 from tuning.comparisons import verdicts
 from tuning.comparisons.of_sweep import SweepComparison, own_name, variation_of
+from tuning.comparisons.of_sweep import compare as compare
 from tuning.comparisons.side_by_side import Compared, Values
 from tuning.numbers import number, presentable, remarks, to_json
 from tuning.pages import comparison

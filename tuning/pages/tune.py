@@ -16,6 +16,7 @@ from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
 from tuning.comparisons import verification
 from tuning.comparisons.of_search import TuneComparison
+from tuning.comparisons.of_search import compare as compare
 from tuning.comparisons.side_by_side import Values
 from tuning.gains.gains_file import by_name
 from tuning.numbers import axis_values, number, presentable, remarks

@@ -1,26 +1,25 @@
 """The base of all results: data, gains, and the problem that was searched."""
 
 import dataclasses
+from pathlib import Path
 from typing import ClassVar
 
 import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.inputs.resolve import AnyGains, with_gains
+from mjx_climb.scenario.kinds import named_in
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 
-# marker files of results; tune --ensemble writes judged.nc too, so that this comes last
-RESULTS = (
-    "search.nc", "front.nc", "schedule.nc", "sweep.nc", "trajectory.nc", "margins.json", "pushes.json",
-    "reproduce.json", "excitation.csv", "replay.json", "result.json", "compared.nc", "ceiling.nc", "degraded.nc",
-    "judged.nc",
-)  # fmt: skip
-# nothing is kept
+# marker files of folders in which nothing is kept
 WITHOUT_PARTS = (
     "trajectory.nc", "margins.json", "pushes.json", "reproduce.json", "excitation.csv", "replay.json"
 )  # fmt: skip
+_DATA = named_in(Path(__file__).parent, r'^    FILE = "([\w.]+)"$')
+# of all; tune --ensemble writes judged.nc too, so that this comes last
+RESULTS = (*WITHOUT_PARTS, "result.json", *sorted(_DATA, key=lambda name: name == "judged.nc"))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,7 +22,7 @@ from mjx_climb.viz import plots
 from mjx_climb.walk.metrics import FAILURES
 from mjx_climb.walks import LINES
 from tests.shell import PROGRAM, ROOT, environment, finish
-from tuning import kinds, numbers
+from tuning import numbers
 from tuning.command_line import main, options, session, sweep
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
@@ -30,7 +30,7 @@ from tuning.comparisons import of_sweep
 from tuning.gains import gains_file
 from tuning.identification.readers import read_log
 from tuning.pages import page
-from tuning.results.swept import Swept, best_cell
+from tuning.results.swept import best_cell
 from tuning.searches import sweep as sweeps
 from tuning.searches.shards import Rows
 
@@ -394,7 +394,7 @@ def test_a_sweep_that_is_stopped_after_its_first_map_leaves_it(call, monkeypatch
     monkeypatch.setattr(Rows, "walk", lambda *_: values)
     monkeypatch.setattr(sweeps.Grid, "named", lambda _: {"config": pd, "pd": pd})
     monkeypatch.setattr(of_sweep, "begin", lambda *_: None)
-    monkeypatch.setitem(kinds.KINDS, Swept, kinds.KINDS[Swept]._replace(compare=stopped))
+    monkeypatch.setattr("tuning.pages.sweep.compare", stopped)
     code, out, err = call("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)
     assert code == 130
     assert err.splitlines()[-1] == (

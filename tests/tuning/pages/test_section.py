@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 import mjx_climb as mc
 import tuning
-from tuning.kinds import KINDS, Kind
 from tuning.pages.contents import Contents, Written
 from tuning.pages.page import Findings, Page
 from tuning.pages.section import Picture, Section, Table, load_section, sections_of
@@ -62,7 +61,8 @@ def written(tmp_path, monkeypatch):
     def contents(found, compared, name):
         return Contents(Written(), found.problem, {}, Page("", Findings("", notes=["A note."]), scenario).at)
 
-    monkeypatch.setitem(KINDS, Judged, Kind(lambda *_: "walks", contents))
+    monkeypatch.setattr("tuning.pages.judge.compare", lambda *_: "walks")
+    monkeypatch.setattr("tuning.pages.judge.contents", contents)
     return lambda *sections: tuning.write(Judged(xr.Dataset(), Problem(scenario)), tmp_path, sections=sections)
 
 

@@ -12,10 +12,11 @@ import xarray as xr
 import mjx_climb as mc
 import tuning
 from mjx_climb.files.dataset import OutputError
+from tests.shell import ROOT
 from tuning.comparisons import margins, of_search, verification
 from tuning.comparisons import worth as worths
 from tuning.gains import gains_file
-from tuning.kinds import KINDS, Kind, write_found
+from tuning.kinds import write_found
 from tuning.methods.parts import Parts
 from tuning.pages.contents import Contents, Written, files_of
 from tuning.problem.evaluation import Problem
@@ -31,7 +32,9 @@ SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
 def test_a_report_names_the_function_that_gives_its_result():
     """`tuning.judge` stood on the pages of `evaluate`, under its last name."""
     public = re.findall(r"`(?:tuning\.)?(\w+)`", tuning.__doc__)
-    assert {kind.KIND for kind in KINDS} <= set(public)
+    texts = [file.read_text() for file in (ROOT / "tuning" / "results").glob("*.py")]
+    kinds = {kind for text in texts for kind in re.findall(r'^    KIND = "(\w+)"$', text, re.MULTILINE)}
+    assert len(kinds) == 9 and kinds <= set(public)
 
 
 @pytest.mark.nightly
@@ -133,7 +136,8 @@ def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_p
     def contents(found, compared, name):
         return Contents(Written(), found.problem, files_of(found, name) | {"more.txt": compared})
 
-    monkeypatch.setitem(KINDS, tuned.Tuned, Kind(lambda *_: "more", contents))
+    monkeypatch.setattr("tuning.pages.tune.compare", lambda *_: "more")
+    monkeypatch.setattr("tuning.pages.tune.contents", contents)
     found = found_in(mc.load_scenario("case_1_2"))
     Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
     written = tuning.write(found, tmp_path)
