@@ -6,8 +6,9 @@ The files of their rooms are read as text, since a config is checked before JAX 
 import functools
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+Controller = Literal["pd", "base_admittance", "end_effector_admittance"]  # the paper's laws
 _PACKAGE = Path(__file__).parents[1]
 ROOMS = {  # of the package, by the sections of a scenario
     "contact": "physics.contact",

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, Validatio
 
 from mjx_climb.scenario import declared, registers
 from mjx_climb.scenario import values as v
-from mjx_climb.scenario.kinds import shipped_kinds
+from mjx_climb.scenario.kinds import Controller, shipped_kinds
 from mjx_climb.scenario.messages import OTHER_TAG, PLAIN_TAG, ConfigError, failure, refusal
 from mjx_climb.scenario.registers import RegisterScale
 from mjx_climb.scenario.values import setting
@@ -401,9 +401,6 @@ class Recovery(v.ComponentSection):
     def interrupts(self) -> bool:
         """Whether there is a threshold."""
         return not self.shift is self.utilization is self.margin is None
-
-
-Controller = Literal["pd", "base_admittance", "end_effector_admittance"]
 
 
 class Control(v.ComponentSection):

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, model_validator
 
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
-from mjx_climb.scenario.model import Controller
+from mjx_climb.scenario.kinds import Controller
 from tuning.command_line.from_models import in_options
 from tuning.command_line.program import InputError
 from tuning.problem.search import Search, check_metrics

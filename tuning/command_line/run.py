@@ -9,7 +9,7 @@ import typer
 from pydantic import BeforeValidator
 
 import mjx_climb as mc
-from mjx_climb.scenario.model import Controller
+from mjx_climb.scenario.kinds import Controller
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
 from tuning.command_line.options import Output, Walk
