@@ -15,6 +15,7 @@ from mjx_climb.robot_import.load import load_model
 from tests.robot.test_robot_file import keys, urdf
 from tuning.benchmarks import commands, measure, operations, peers
 from tuning.command_line import machine
+from tuning.problem.evaluation import REVERSE_ABOVE
 
 CASE = "configs/case_1_2.yaml"
 SETS = [(5e3, 5e4), (1e2, 3e3), (1e4, 4e5)]  # damping, stiffness; inertia 1
@@ -146,6 +147,8 @@ def test_reverse_mode_pays_from_where_forward_mode_costs_as_much():
     assert measure.reverse_from(costs) == pytest.approx(8.0)
     assert measure.reverse_from(costs | {"adjoint_cost": 1.0}) == 1.0
     assert measure.reverse_from(costs | {"gradient_cost_12": None}) is None
+    labels = {name: label for name, label, *_ in machine.ROWS}
+    assert labels["adjoint_from"].endswith(f"searches use it from {REVERSE_ABOVE + 1} on")
 
 
 def test_work_takes_turns_and_the_first_turn_does_not_count():
