@@ -182,6 +182,7 @@ def expression(name: str, parameters: Parameters, operands: Sequence[Number], na
 THREADS = 128  # in a block
 BLOCKS = 2  # of a kernel with functions, at once: else NVIDIA's assembler gives one of many numbers few registers
 REGISTERS = 255  # of a thread
+PACE = 500  # lines of a function after which the threads of a block wait for each other
 SELDOM = 2  # lines of a step that read an argument: so many read it from memory
 LONG_STEP = 150  # lines of a step, of a loop in a loop, from which it is a function of its own
 NAME = "walk"
@@ -236,7 +237,7 @@ class CudaWriter(Writer):
         self.width = 1 << (lanes - 1).bit_length()  # threads of a robot
         self._lines: list[str] = []
         self._count = 0
-        self._inside = 0  # loops
+        self._inside, self._branches = 0, 0  # loops, and branches that a warp takes alone
         self._functions = False  # whether there are any
         self._arguments: dict[str, str] = {}  # lines that read an argument's word, by the name of its number
         self.kept = 0  # rows of words that loops write, each thread its own
@@ -335,7 +336,8 @@ class CudaWriter(Writer):
             self._lines.append(f"if (there) {word} = {_as_word(number)};")
         self._assign(carried, made[: len(carried)])
         self._inside -= 1
-        self._lines[begin:] = self._read_where_used(self._lines[begin:])
+        if self._inside:
+            self._lines[begin:] = self._read_where_used(self._lines[begin:])
         self._lines[begin:begin] = ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
         if self._inside and len(self._lines) - begin > LONG_STEP:
             self._lines[begin:] = self._as_function(time, self._lines[begin:], carried)
@@ -377,7 +379,8 @@ class CudaWriter(Writer):
     def _read_where_used(self, lines: list[str]) -> list[str]:
         """Return the lines of a step that reads more arguments than there are registers: each in the step, where used.
 
-        NVIDIA's compiler would read all of them once, before the loop, and store them for each thread of a robot.
+        NVIDIA's compiler would read all of them once, before the loop, and store them for each thread of a robot. A
+        walk without an adjoint is faster that way.
         """
         read = collections.Counter(itertools.chain.from_iterable(set(_NAMES.findall(line)) for line in lines))
         seldom = {name for name in read if name in self._arguments and read[name] <= SELDOM}
@@ -406,12 +409,14 @@ class CudaWriter(Writer):
                 after.append(f"{name} = {array}[{place}];")
             arrays += f", &{array}"
         unrolled, loop, *step = lines
+        together = list if self._branches else _together
         if stay:
             function = f"const auto step_{time} = [={arrays}](int {time}) __attribute__((noinline)) {{"
             call = [unrolled, f"{loop.removesuffix('{')}step_{time}({time});"]
-            return [*before, function, *begun, *read, *step[:-1], "};", *call, *after]
+            return [*before, function, *together([*begun, *read, *step[:-1]]), "};", *call, *after]
         function = f"const auto loop_{time} = [={arrays}]() __attribute__((noinline)) {{"
-        return [*before, function, *begun, unrolled, loop, *read, *step, *ended, "};", f"loop_{time}();", *after]
+        inside = together([*read, *step[:-1]])
+        return [*before, function, *begun, unrolled, loop, *inside, "}", *ended, "};", f"loop_{time}();", *after]
 
     def _kept(self, row: int, dtype: np.dtype) -> Value:
         """Return a number that a loop has written: it is read where it is used."""
@@ -447,7 +452,10 @@ class CudaWriter(Writer):
         carried = self._variables(before)
         # lanes exchange values inside: the threads of a warp go there together
         self._lines.append(f"if (__any_sync({_WARP}, {_text(taken)})) {{")
-        self._assign(carried, make(), where=f"{_text(taken)} ? {{}} : {{}}")
+        self._branches += 1
+        made = make()
+        self._branches -= 1
+        self._assign(carried, made, where=f"{_text(taken)} ? {{}} : {{}}")
         return carried
 
     def _variables(self, start: Sequence[Shared]) -> list[Value]:
@@ -471,6 +479,21 @@ class CudaWriter(Writer):
         self._count += 1
         self._lines.append(f"const {typed(dtype)} v{self._count} = {text};")
         return Value(f"v{self._count}", np.dtype(dtype))
+
+
+def _together(step: Sequence[str]) -> list[str]:
+    """Return the lines of a step with places at which the threads of a block wait for each other.
+
+    A step and its adjoint are more instructions than a multiprocessor caches: they are loaded once for all threads.
+    """
+    lines, depth, since = ["__syncthreads();"], 0, 0
+    for line in step:
+        lines.append(line)
+        depth, since = depth + line.endswith("{") - line.startswith("}"), since + 1
+        if not depth and since >= PACE:
+            lines.append("__syncthreads();")
+            since = 0
+    return lines
 
 
 def _text(number: Number) -> str:

@@ -324,6 +324,37 @@ def test_gradients_of_more_numbers_than_registers_in_cuda_c(carried_out):
         np.testing.assert_allclose(mine[0, 0], jaxs, rtol=1e-3, atol=1e-4 * abs(jaxs).max())
 
 
+def test_a_walk_alone_reads_its_arguments_once():
+    """However many they are: before its loop, where a gradient reads them in each step."""
+
+    def walk(weights, start):
+        return jax.lax.scan(lambda v, _: (jnp.sin(weights * v).sum(), None), start, length=3)[0]
+
+    with jax.enable_x64(False):
+        program = jax.make_jaxpr(walk)(np.ones(300, "f4"), np.float32(1))
+        text = written(body_of(program), (1, 1)).text
+    assert "again(&" not in text
+    assert text.rindex("own[") < text.index("#pragma unroll 1")
+
+
+def test_threads_wait_for_each_other_where_all_of_a_block_are():
+    """In the long step of a loop in a loop, not in one within a branch that a warp takes alone."""
+
+    def walk(angle, *, alone):
+        inner = lambda v, _: (functools.reduce(lambda v, _: jnp.sin(1.2 * v), range(200), v), None)  # noqa: E731
+        turned = lambda v: jax.lax.scan(inner, v, length=100)[0]  # noqa: E731
+        outer = lambda v, _: (jax.lax.cond(v > 0, turned, lambda v: v, v) if alone else turned(v), None)  # noqa: E731
+        return jax.lax.scan(outer, angle, length=100)[0]
+
+    with jax.enable_x64(False):
+        texts = [
+            written(body_of(jax.make_jaxpr(functools.partial(walk, alone=alone))(np.float32(1))), (1,)).text
+            for alone in (False, True)
+        ]
+    assert all("noinline" in text for text in texts)
+    assert [text.count("__syncthreads") for text in texts] == [1, 0]
+
+
 def test_a_loop_of_loops_keeps_what_it_carries():
     """Not what each step of all inner ones computes: 20 values, and four in each step of one inner loop."""
     inner = lambda v, _: (jnp.sin(v) * jnp.cos(v), None)  # noqa: E731
