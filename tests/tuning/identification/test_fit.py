@@ -6,10 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from tests.tuning.identification.recorded import ROBOT
-from tuning.identification.fit import inference
+from tuning.identification.fit import inference, report
 from tuning.identification.fit.conclusions import identified
 from tuning.identification.fit.identify import begins, rough_noise, searched
 from tuning.identification.fit.inference import Whiteness
@@ -17,7 +18,7 @@ from tuning.identification.fit.prediction import predicted
 from tuning.identification.fit.problem import Problem
 from tuning.identification.fit.search import Searches
 from tuning.identification.fit.stamps import HUBER
-from tuning.identification.model.predicted import Fit, model_of
+from tuning.identification.model.predicted import PRESLIDING, Fit, model_of
 from tuning.identification.model.variables import Variable, variables
 from tuning.identification.model.windows import KINDS, cut
 from tuning.identification.readers.log import OFF, Log, Signal
@@ -409,6 +410,40 @@ class One(Line):
     def evaluate(self, x, start):
         for which, values, along in super().evaluate(np.r_[x, 0.0], start):
             yield which, values, {"position": along["position"][:, :1]}
+
+
+def test_a_result_says_what_it_tells_and_changes_what_it_knows(line):
+    found = findings(line)
+    assert found.sentence.startswith("log.csv tells 2 of 3 parameters, and predicts what it has not seen within ")
+    assert found.sentence.endswith(" of the noise") and found.as_json()["parameters"][KEYS[2]]["seen"] is False
+    assert found.as_json()["search"]["costs"] == list(line[0].costs)
+    assert found.overrides() == {key: found.estimates[key].value for key in KEYS[:2]}
+    refuted = findings(line, tests=[Whiteness("a", 0.0, np.ones(2), 0.01, 0.2, np.zeros(0), np.zeros(0, int))] * 2)
+    assert refuted.sentence.endswith("; the residuals refute the model in 2 of 2 signals")
+    assert findings(fitted(problem_of(held_out=0.0), 1)).sentence == "log.csv tells 2 of 3 parameters"
+    seen, bend, tilt = (dataclasses.replace(found.estimates[KEYS[0]], value=value) for value in (-0.001, 0.004, 0.1))
+    own = dataclasses.replace(
+        found, estimates={"hardware.command_delay": seen, "gravity.tilt_y": tilt}, beside={PRESLIDING: bend}
+    )
+    gravity = Rotation.from_rotvec([0.0, 0.1, 0.0]).as_matrix() @ np.asarray(scenario().gravity)
+    changes = own.overrides()
+    assert (changes["hardware.command_delay"], changes[PRESLIDING]) == (0.0, 0.004)
+    np.testing.assert_allclose(changes["gravity"], gravity)
+    unseen = dataclasses.replace(own, beside={PRESLIDING: dataclasses.replace(bend, seen=False)})
+    assert PRESLIDING not in unseen.overrides()
+
+
+def test_tables_of_a_fit_have_its_values_and_each_signal(line):
+    found, (fit, problem, _) = findings(line), line
+    ((_, rows),) = report.table(found).sections
+    assert [row[0] for row in rows] == [*KEYS] and rows[2][-1] == "not told: stays nominal"
+    tests = [Whiteness("LF.femur.position", 0.0, np.array([0.2, -0.5]), 0.01, 0.3, np.zeros(0), np.zeros(0, int))]
+    sections = dict(report.residual_table(findings(line, tests=tests)).sections)
+    (row,) = sections["LF.femur"]
+    scaled = fit.scaled[problem.fitted & (problem.rows.signal == 1)]
+    assert row[0] == "position" and row[1] == "rad" and row[3] == f"{np.sqrt((scaled**2).mean()):.3f}"
+    assert row[4] == f"{found.held_out['signals']['LF.femur.position']:.3f}" and row[5] == "-0.50"
+    assert sections["LF.coxa"][0][5] == ""
 
 
 def test_an_inertia_has_its_interval_in_its_own_unit():
