@@ -115,6 +115,8 @@ def scenario_of(
     rule, _, order = rule.partition(" ")
     keys = CONTACTS[contact] | {"gait.footholds": rule, "gait.order": order or "periodic"}
     keys["gait.waiting.waits"] = GAITS[gait]
+    if rule == "climblab":  # its planner heads for a goal
+        keys["gait.way_points"] = [[5.0, 0.0]]
     speed = scenario.gait.stride / scenario.gait.cycle
     keys["duration"] = float(np.ceil(10 * SPARE[contact] * way / speed) / 10)
     if law == "pd":
