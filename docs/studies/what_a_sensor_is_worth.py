@@ -3,6 +3,12 @@
     python docs/studies/what_a_sensor_is_worth.py results/worth [--hardware mx_64] [--case 2] [--minutes 8]
     python docs/studies/what_a_sensor_is_worth.py results/worth --table docs/studies/what_a_sensor_is_worth.csv
 
+and, for which law?, with grips that close:
+
+    python docs/studies/what_a_sensor_is_worth.py results/closing --hardware dynamixel_x --grips closing --laws pd \
+        PlannedTransfer LoadTransfer "Eq. 3" "Eq. 2" InternalForce ClimbSDK
+    python docs/studies/what_a_sensor_is_worth.py results/closing --beside pd --table docs/studies/which_law_closing.csv
+
 The first searches laws and gait by CMA-ES for each case and hardware, each in a process of its own: the searches of all
 seeds walk side by side, each on walks drawn with its seed, within 2 % of the means of the pd that was searched on them.
 They begin at the config's gains, at the best that are known and at pd's, and begin anew where they stall, from the best
@@ -60,12 +66,17 @@ LAWS = {
     "LoadTransfer": ("LoadTransfer", {}),
     "PlannedTransfer+FootOffsets": (f"PlannedTransfer+{OFFSETS}", {}),
     "LoadTransfer+FootOffsets": (f"LoadTransfer+{OFFSETS}", {}),
+    "Eq. 3": ("VirtualModelAdmittance", {}),
+    "Eq. 2": ("EndEffectorAdmittance", {}),
+    "InternalForce": ("InternalForce", {}),
+    "ClimbSDK": ("ClimbSDK", {}),
     "LoadTransfer by efforts": ("LoadTransfer", {"hardware.force_sensor.source": "joint_effort"}),
     "LoadTransfer along z, 50 ms late": (
         "LoadTransfer", {"hardware.force_sensor.axes": "z", "hardware.force_sensor.delay": 0.05},
     ),
     **{name: (name, {}) for name in ("VirtualModelAdmittance", "EndEffectorAdmittance", "InternalForce", "ClimbSDK")},
 }  # fmt: skip
+GRIPS = {"at once": {}, "closing": {"contact.closing_time": 0.1, "contact.capture_distance": 0.005}}  # s, m
 ON_ALL_FEET = 0.78  # duty at which transfers begin: at 0.75 there is no time in which loads can be handed over
 RAN_OFF = 1.0  # m, base deviation: a mean with a walk that ran off says nothing
 METRICS = ("objective", *searched.KEPT[:-2])  # of a row
@@ -143,7 +154,7 @@ class Cell:
     def __init__(self, asked, hardware, case):
         """Read the rows that there are."""
         self.asked, self.hardware, self.case = asked, hardware, case
-        ideal = mc.load_scenario(f"case_{case}").with_overrides({"duration": asked.seconds})
+        ideal = mc.load_scenario(f"case_{case}").with_overrides({"duration": asked.seconds} | GRIPS[asked.grips])
         self.scenario = with_hardware(ideal, load_hardware(hardware), hardware)  # with the noise of its sensors
         draw = study.DRAWS[case].model_copy(update={"members": asked.members})
         if asked.varied and hardware != "ideal":
@@ -325,8 +336,11 @@ def walk(asked):
     return 0
 
 
-def summed(rows):
-    """Return a line of the table for each law of a cell: means over its searches, the objective with its interval."""
+def summed(rows, beside=None):
+    """Return a line of the table for each law of a cell: means over its searches, the objective with its interval.
+
+    The interval is that beside a law; beside the best one that reads no forces where None.
+    """
     lines = []
     laws = list(dict.fromkeys(row["law"] for row in rows))
     values = np.array([[row["walks"] for row in rows if row["law"] == law] for law in laws])  # (G, K, M)
@@ -334,6 +348,7 @@ def summed(rows):
     reading = ["forces" in next(row for row in rows if row["law"] == law)["reads"] for law in laws]
     means = values.mean((1, 2))
     base = min((place for place, reads in enumerate(reading) if not reads), key=lambda place: means[place])
+    base = base if beside is None else laws.index(beside)
     found = paired.intervals({"": lambda counts: paired.worst_mean(values, counts)}, values.shape[2], base)[""]
     for place, law in enumerate(laws):
         own = [row for row in rows if row["law"] == law]
@@ -355,7 +370,7 @@ def table(asked):
         file = asked.out / f"{hardware}_{case}.json"
         if file.exists():
             rows = json.loads(file.read_text())
-            lines += [{"servos": hardware, "case": case} | line for line in summed(rows)]
+            lines += [{"servos": hardware, "case": case} | line for line in summed(rows, asked.beside)]
             for law in dict.fromkeys(row["law"] for row in rows):  # the best on the walks of its search
                 best = min((row for row in rows if row["law"] == law), key=lambda row: row["history"][-1])
                 gains += [(hardware, case, law, name, f"{value:.4g}") for name, value in best["gains"].items()
@@ -366,7 +381,8 @@ def table(asked):
         writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in line.items()} for line in lines)
     with asked.table.with_name(f"{asked.table.stem}_gains.csv").open("w", newline="") as out:
         csv.writer(out, lineterminator="\n").writerows([("servos", "case", "law", "gain", "value"), *gains])
-    print(*figures.worth_rows(list(csv.DictReader(asked.table.open()))), sep="\n")
+    if asked.beside is None:
+        print(*figures.worth_rows(list(csv.DictReader(asked.table.open()))), sep="\n")
 
 
 def main():
@@ -374,6 +390,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--table", type=Path, help="write this file from the rows that there are, and walk nothing")
+    parser.add_argument("--beside", help="the law that the table compares with; else the best that reads no forces")
+    parser.add_argument("--grips", choices=list(GRIPS), default="at once")
     parser.add_argument("--hardware", nargs="+", default=list(HARDWARE))
     parser.add_argument("--case", nargs="+", default=list(study.CASES))
     parser.add_argument("--laws", nargs="+", default=list(LAWS)[:5], help=f"of {', '.join(LAWS)}; pd first")
