@@ -129,6 +129,26 @@ def test_tangents_of_a_walk_with_closing_grips_are_differences():
         np.testing.assert_allclose(tangents[name][0], (ends[0][name] - ends[1][name]) / 2e-7, rtol=1e-4, err_msg=name)
 
 
+def test_tangents_of_a_long_stance_are_finite_in_single_precision():
+    """4 s after shutting 0.3 um off the gap is 1e-24 m, whose square no single has."""
+    contact, above = jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), gripper()), jnp.float32(3e-7)
+
+    def held(height):
+        position = jnp.zeros((4, 3), jnp.float32).at[:, 2].set(height)
+        each, none = Feet(position, 0 * position, position, None), 0 * position[:, 2]
+        memory = contact.init(0 * position, jnp.zeros((4, 3, 3), jnp.float32))
+        memory, _ = contact.step(memory, each, None, OPEN, none)
+
+        def step(memory, _):
+            memory, grip = contact.step(memory, each, None, SHUT, none)
+            return memory, grip.foot_force[0, 2]
+
+        return jax.lax.scan(step, memory, None, 4000)[1][-1]
+
+    force, tangent = jax.jvp(held, (above,), (jnp.float32(1.0),))
+    assert (-force, -tangent) == (pytest.approx(STIFFNESS * 3e-7), pytest.approx(STIFFNESS))
+
+
 def test_without_a_closing_time_nothing_changes():
     """To the bit, beside a robot of the batch whose grippers close."""
     scenario = mc.load_scenario("case_1_2", {"duration": 0.3, "gait.cycle": 0.4, "gait.stride": 0.01})

@@ -144,7 +144,8 @@ class Walk(Options):
             known = ", ".join([*get_args(Controller), *SHIPPED])
             raise InputError(f"--law: expected one of {known}, or FILE.py:NAME, got {named!r}")
         source, (law, metrics) = str(shipped.found(self.config)), own_objects(named, self.metrics)
-        changes = self._components(source) | dict(pairs(self.changes, source))
+        typed = dict(pairs(self.changes, source))
+        changes = self._components(source, typed) | typed
         if self.controller is not None:
             if self.law is not None:
                 raise InputError(f"--controller: expected none with --law, got {self.controller}")
@@ -171,14 +172,19 @@ class Walk(Options):
             law = gains_file.limited(self.gains, law)
         return Problem(scenario, law=law, metrics=metrics, engine=self.engine)
 
-    def _components(self, source: str) -> dict[str, Any]:
-        """Return contact, drive and disturbances as changes of the config, which those of `--set` may follow."""
+    def _components(self, source: str, typed: dict[str, Any]) -> dict[str, Any]:
+        """Return contact, drive and disturbances as changes of the config, which those of `--set` may follow.
+
+        Their kinds among the changes `typed` with `--set` are taken out of these.
+        """
         from mjx_climb.scenario.load import load_hardware, with_hardware
         from tuning.gains.own_section import named_by
 
         changes: dict[str, Any] = {}
         hardware = None if self.hardware is None else load_hardware(self.hardware)
         for option, text, place in (("--contact", self.contact, "contact"), ("--drive", self.drive, "hardware.servo")):
+            if isinstance(typed.get(f"{place}.kind"), str):
+                option, text = f"--set {place}.kind", typed.pop(f"{place}.kind")
             if text is not None:
                 base = mc.load_scenario(source)
                 base = base if hardware is None else with_hardware(base, hardware)

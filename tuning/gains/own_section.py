@@ -206,7 +206,7 @@ def named_by(text: str, place: str, option: str, before: BaseModel | None = None
     file, colon, name = text.rpartition(":")
     if text not in known and not (colon and file and name):
         raise ConfigError("", option, f"FILE.py:NAME, or one of {', '.join(known)}", f"{text!r}")
-    section: dict[str, Any] = {"kind": text, "digest": None}
+    section: dict[str, Any] = {"kind": text}
     if text not in known:
         section = {"kind": f"{os.path.abspath(file)}:{name}", "digest": digest(Path(file))}
     found = class_of(Kind(**section), place, option)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjx_climb.scenario.messages import ConfigError
 from tuning.methods.adam import Adam, choose
 from tuning.methods.method import Method, Points, Request, Task
 from tuning.problem.evaluation import Evaluation
@@ -107,13 +108,16 @@ def by_adam(task: Task, leg: Leg, rng: np.random.Generator) -> Descent:
     adam = Adam(theta, len(ties), (0.8, pace.memory), pace.patience, TINY, scales)
     cosine = 0.5 * (1 + np.cos(np.pi * np.arange(iterations) / iterations))
     visited, merits, value_there = [], [], np.full(len(theta), np.inf)  # at the best point of each start so far
+    walked = known = False
     for iteration, rate in enumerate(pace.rate * (pace.last + (1 - pace.last) * cosine)):
         found = yield Request(theta, ties, pace.phase)
         visited.append(theta)
         merits.append(found.merit)
         gradient = found.gradient if iteration < pace.smooth * iterations else found.sharp
         over = found.value > value_there + FALL * np.maximum(1.0, np.abs(value_there))
-        lost = over | ~(found.alive & np.isfinite(gradient).all(1))
+        finite = np.isfinite(gradient).all(1)
+        walked, known = walked or bool(found.alive.any()), known or bool((found.alive & finite).any())
+        lost = over | ~(found.alive & finite)
         value_there = np.where(~lost & (found.merit < adam.least), found.value, value_there)
         slopes = np.where(lost[:, None], 0.0, np.asarray(gradient, float))
         slopes *= np.minimum(1.0, CLIP / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12))
@@ -123,6 +127,8 @@ def by_adam(task: Task, leg: Leg, rng: np.random.Generator) -> Descent:
         if homeless.any():
             theta = choose(homeless, space.draw_tied(rng, len(theta)), theta)
             adam.forget(homeless)
+    if walked and not known:
+        raise ConfigError("", "method", "cmaes or grid, as no point that walks has a finite gradient", "gradient")
     return np.array(visited), np.array(merits)
 
 

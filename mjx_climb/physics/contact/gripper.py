@@ -174,13 +174,14 @@ class SpringGrip(declared.SpringGrip, Contact):
         """The grip points (limb, 3) m of grippers after a step of closing, and their memory."""
         shuts, slow = support & ~closing.held, jnp.asarray(self.closing_time) > 0
         share = jnp.where(slow, -jnp.expm1(-self.time_step / jnp.where(slow, self.closing_time, 1.0)), 1.0)
-        gap, below = clearance(feet._replace(position=grip_point), ground)
+        gap, _ = clearance(feet._replace(position=grip_point), ground)
         off, _ = clearance(feet, ground)
         # the lowest grip point at which the spring pulls no harder than the gripper closes
         lowest = off - self.closing_force / self.stiffness
         drawn = jnp.maximum(gap * (1 - share), jnp.minimum(gap, lowest))
         draws = support & ~shuts & slow & (gap > 0)
-        moved = below + (grip_point - below) * jnp.where(gap > 0, drawn / jnp.where(gap > 0, gap, 1.0), 1.0)[:, None]
+        # no quotient of two gaps: they fall to 1e-20 m, whose squares in derivatives are not finite in float32
+        moved = grip_point - (gap - drawn)[:, None] * _normals(feet)
         closure = jnp.where(shuts, jnp.where(slow & fresh, 0.0, 1.0), closing.closure + (1 - closing.closure) * share)
         pressed = jnp.where(shuts, off <= 0, closing.pressed)
         return jnp.where(draws[:, None], moved, grip_point), Closing(support, pressed, jnp.where(support, closure, 1.0))
@@ -197,9 +198,13 @@ class SpringGrip(declared.SpringGrip, Contact):
 def _with_closure(drag: Array, feet: Feet, closing: Closing) -> Array:
     """The drag (limb, 3) N of dampers that come in as grippers close; along the normal pressed feet feel all of it."""
     along = along_normal(drag, feet)
-    normal = jnp.broadcast_to(_UP, drag.shape) if feet.surface is None else feet.surface.normal
     whole = jnp.where(closing.pressed, along * (1 - closing.closure), 0.0)
-    return closing.closure[:, None] * drag + whole[:, None] * normal
+    return closing.closure[:, None] * drag + whole[:, None] * _normals(feet)
+
+
+def _normals(feet: Feet) -> Array:
+    """The ground's normals below feet, (limb, 3)."""
+    return jnp.broadcast_to(_UP, feet.position.shape) if feet.surface is None else feet.surface.normal
 
 
 class Gripper(declared.Gripper, SpringGrip):

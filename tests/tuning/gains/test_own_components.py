@@ -257,6 +257,16 @@ def test_an_option_keeps_the_values_of_the_section_that_the_class_has_too(file):
     assert kept.contact.holding_limit == 15.0 and kept.contact.name == "Weak"
 
 
+@pytest.mark.parametrize("kind", ["uncertain", "gripper", "{file}:Weak"])
+def test_a_kind_by_set_is_that_of_the_option(file, kind):
+    kind, closes = kind.format(file=file), ["contact.closing_time=0.1", "contact.capture_distance=0.005"]
+    by_set = walk(changes=[f"contact.kind={kind}", *closes]).load().scenario
+    assert by_set == walk(contact=kind, changes=closes).load().scenario
+    assert (by_set.contact.holding_limit, by_set.contact.closing_time) == (15.0, 0.1)
+    drives = walk(hardware="dynamixel_x", changes=["hardware.servo.kind=velocity"]).load().scenario
+    assert drives == walk(hardware="dynamixel_x", drive="velocity").load().scenario
+
+
 def test_files_without_components_in_their_section_own_still_open():
     text = "own: {law: {name: LoadTransfer}, contact: null, drive: null, disturbances: [], footholds: null}"
     assert mc.Scenario.from_yaml(text).own.law.name == "LoadTransfer"
