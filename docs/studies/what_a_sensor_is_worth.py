@@ -3,19 +3,13 @@
     python docs/studies/what_a_sensor_is_worth.py results/worth [--hardware mx_64] [--case 2] [--minutes 8]
     python docs/studies/what_a_sensor_is_worth.py results/worth --table docs/studies/what_a_sensor_is_worth.csv
 
-and, for which law?, with grips that close:
-
-    python docs/studies/what_a_sensor_is_worth.py results/closing --hardware dynamixel_x --grips closing --laws pd \
-        PlannedTransfer LoadTransfer "Eq. 3" "Eq. 2" InternalForce ClimbSDK
-    python docs/studies/what_a_sensor_is_worth.py results/closing --beside pd --table docs/studies/which_law_closing.csv
-
 The first searches laws and gait by CMA-ES for each case and hardware, each in a process of its own: the searches of all
 seeds walk side by side, each on walks drawn with its seed, within 2 % of the means of the pd that was searched on them.
 They begin at the config's gains, at the best that are known and at pd's, and begin anew where they stall, from the best
 or from another start; their best points walk once more on other walks of that seed, and the best of these on 512 walks
 that no search saw. Each round is kept, so that a study that was stopped goes on. The second puts all results into one
 table, the gains of each law into another, and prints the page's. `--varied` draws the hardware too, and `--own-gait`
-searches no gait; `which_law.py` makes tables of all metrics of such walks.
+searches no gait; with `--grips closing` grippers take 0.1 s to close. `which_law.py` makes tables of all metrics.
 """
 
 import argparse
@@ -66,10 +60,6 @@ LAWS = {
     "LoadTransfer": ("LoadTransfer", {}),
     "PlannedTransfer+FootOffsets": (f"PlannedTransfer+{OFFSETS}", {}),
     "LoadTransfer+FootOffsets": (f"LoadTransfer+{OFFSETS}", {}),
-    "Eq. 3": ("VirtualModelAdmittance", {}),
-    "Eq. 2": ("EndEffectorAdmittance", {}),
-    "InternalForce": ("InternalForce", {}),
-    "ClimbSDK": ("ClimbSDK", {}),
     "LoadTransfer by efforts": ("LoadTransfer", {"hardware.force_sensor.source": "joint_effort"}),
     "LoadTransfer along z, 50 ms late": (
         "LoadTransfer", {"hardware.force_sensor.axes": "z", "hardware.force_sensor.delay": 0.05},
@@ -336,11 +326,8 @@ def walk(asked):
     return 0
 
 
-def summed(rows, beside=None):
-    """Return a line of the table for each law of a cell: means over its searches, the objective with its interval.
-
-    The interval is that beside a law; beside the best one that reads no forces where None.
-    """
+def summed(rows):
+    """Return a line of the table for each law of a cell: means over its searches, the objective with its interval."""
     lines = []
     laws = list(dict.fromkeys(row["law"] for row in rows))
     values = np.array([[row["walks"] for row in rows if row["law"] == law] for law in laws])  # (G, K, M)
@@ -348,7 +335,6 @@ def summed(rows, beside=None):
     reading = ["forces" in next(row for row in rows if row["law"] == law)["reads"] for law in laws]
     means = values.mean((1, 2))
     base = min((place for place, reads in enumerate(reading) if not reads), key=lambda place: means[place])
-    base = base if beside is None else laws.index(beside)
     found = paired.intervals({"": lambda counts: paired.worst_mean(values, counts)}, values.shape[2], base)[""]
     for place, law in enumerate(laws):
         own = [row for row in rows if row["law"] == law]
@@ -370,7 +356,7 @@ def table(asked):
         file = asked.out / f"{hardware}_{case}.json"
         if file.exists():
             rows = json.loads(file.read_text())
-            lines += [{"servos": hardware, "case": case} | line for line in summed(rows, asked.beside)]
+            lines += [{"servos": hardware, "case": case} | line for line in summed(rows)]
             for law in dict.fromkeys(row["law"] for row in rows):  # the best on the walks of its search
                 best = min((row for row in rows if row["law"] == law), key=lambda row: row["history"][-1])
                 gains += [(hardware, case, law, name, f"{value:.4g}") for name, value in best["gains"].items()
@@ -381,8 +367,7 @@ def table(asked):
         writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in line.items()} for line in lines)
     with asked.table.with_name(f"{asked.table.stem}_gains.csv").open("w", newline="") as out:
         csv.writer(out, lineterminator="\n").writerows([("servos", "case", "law", "gain", "value"), *gains])
-    if asked.beside is None:
-        print(*figures.worth_rows(list(csv.DictReader(asked.table.open()))), sep="\n")
+    print(*figures.worth_rows(list(csv.DictReader(asked.table.open()))), sep="\n")
 
 
 def main():
@@ -390,7 +375,6 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--table", type=Path, help="write this file from the rows that there are, and walk nothing")
-    parser.add_argument("--beside", help="the law that the table compares with; else the best that reads no forces")
     parser.add_argument("--grips", choices=list(GRIPS), default="at once")
     parser.add_argument("--hardware", nargs="+", default=list(HARDWARE))
     parser.add_argument("--case", nargs="+", default=list(study.CASES))

@@ -16,6 +16,7 @@ from mjx_climb.control import law_of
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.inputs.from_scenario import gains as gains_of
 from mjx_climb.robot_import.load import load_robot
+from mjx_climb.scenario.messages import ConfigError
 from tuning.methods import Method, Request, Task, grid, method_of
 from tuning.methods.rounds import follow, settled
 from tuning.problem import evaluation, known, objectives, search, spaces
@@ -352,6 +353,13 @@ def test_a_search_betters_pd_and_can_be_repeated_from_its_file(scenario, undistu
 def test_an_objective_of_the_users_own(scenario):
     found = tune(scenario, objective=lambda m: m["peak_joint_torque"], **HOW | {"iterations": 2})
     assert found.value == pytest.approx(found.metrics["peak_joint_torque"])
+
+
+@pytest.mark.slow
+def test_a_search_without_a_finite_gradient_says_so(scenario):
+    """It would draw random points to its end."""
+    with pytest.raises(ConfigError, match="cmaes or grid, as no point that walks has a finite gradient"):
+        tune(scenario, objective=lambda m: m["travel"] + jnp.sqrt(0 * m["travel"]), **HOW | {"iterations": 1})
 
 
 @pytest.mark.slow
