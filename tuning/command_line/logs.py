@@ -11,7 +11,7 @@ import mjx_climb as mc
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
 from tuning.command_line.options import Output, Walk, fitted
-from tuning.command_line.program import InputError, origin, repeated
+from tuning.command_line.program import InputError, repeated
 from tuning.command_line.run import Pictures
 from tuning.identification.plan.settings import Excitation
 from tuning.problem.settings import NonNegative, Options, setting
@@ -53,12 +53,8 @@ def excite(
         shell.take(walk, written.FILE, loaded, "excite", asked=asked)
         shell.opening()
         found = excitation.chosen(rig, stage=shell.stage)
-        from tuning.kinds import write  # with all searches
-
         options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
-        where = origin(walk.config.stem, repeated(("excite",), *options))
-        how: dict[str, Any] = {"figures": output.figures, "sections": shell.sections, "stage": shell.stage}
-        files = write(found, shell.out, origin=where, settings=shell.settings, **how).files
+        files = shell.write(found, repeated(("excite",), *options)).files
         shell.show(written.table(found), written.limits(found))
         shell.show(*written.notes(found), found.best.information.unseen())
         shell.written(files, to_json(written.summary(found)))
@@ -160,14 +156,9 @@ def identify(
             found = fitting.identify(scenario, progress=show, out=output.out, **dict(asked) | {"log": log})
         shell.show(table(found), *findings(found).lines)
         if output.out is not None:
-            from tuning.kinds import write  # with all searches
-
             options = (f"--{name.replace('_', '-')}" for name in Fitted.model_fields if name not in FILES)
             again = repeated(["identify", *asked.files_from(output.out)], *options)
-            where = origin(walk.config.stem, again)
-            how: dict[str, Any] = {"figures": output.figures, "sections": shell.sections, "stage": shell.stage}
-            files = write(found, output.out, origin=where, settings=settings, **how).files
-            shell.written(files, json.dumps(found.as_json(), indent=2))
+            shell.written(shell.write(found, again).files, json.dumps(found.as_json(), indent=2))
         else:
             shell.print_json(json.dumps(found.as_json(), indent=2))
 

@@ -27,10 +27,12 @@ from tuning.command_line.program import origin
 if TYPE_CHECKING:
     from tuning.command_line.processes import Team
     from tuning.comparisons.side_by_side import Compared
+    from tuning.identification.fit.result import Identified
+    from tuning.identification.plan.excitation import Excited
     from tuning.kinds import Begun
     from tuning.methods.rounds import Progress as Rounds
     from tuning.pages import page
-    from tuning.pages.contents import Contents, Files
+    from tuning.pages.contents import Contents, Files, Written
     from tuning.pages.page import Origin, Page
     from tuning.pages.section import SectionOf
     from tuning.problem.evaluation import Problem
@@ -265,15 +267,20 @@ class Session:
         self.say(f"{before}written to {self.out} in {duration(time.perf_counter() - self.begin)}: {files}")
         self.print_json(json)
 
+    def write(self, found: "Result | Identified | Excited", again: str, begun: "Begun | None" = None) -> "Written":
+        """Write a result with its report, where `again` repeats it."""
+        from tuning import kinds
+
+        return kinds.write(
+            found, self.out, begun=begun, origin=origin(self.name, again), figures=self.output.figures,
+            sections=self.sections, stage=self.stage, settings=self.settings,
+        )  # fmt: skip
+
     def result(self, found: "Result", again: str, begun: "Begun | None" = None, *, before: str = "") -> None:
         """Write a result with its report, where `again` repeats it, and print its tables, or that of its walks."""
-        from tuning import kinds
         from tuning.pages import comparison
 
-        how: dict[str, Any] = {"figures": self.output.figures, "stage": self.stage, "begun": begun}
-        how["sections"] = self.sections
-        how |= {"origin": origin(self.name, again), "settings": self.settings}
-        written, problem = kinds.write(found, self.out, **how), found.problem
+        written, problem = self.write(found, again, begun), found.problem
         if written.tables:
             self.show(*written.tables)
         else:

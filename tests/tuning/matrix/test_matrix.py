@@ -233,28 +233,37 @@ def test_a_value_of_the_part_is_fitted_or_refused_in_one_line(scenario, part, na
             check_parts(own, held=True)
 
 
-def fitted(changes, *keys):
-    """The values at two keys that fit a sway of a robot in MuJoCo."""
+def problem_of(changes, *keys):
+    """The fit of two keys to a sway of a robot in MuJoCo."""
     scenario = mc.load_scenario("case_1_1").with_overrides(changes)
     log = log_of(dataclasses.replace(TRUTH, stiffness=3e3, damping=30.0, armature=0.0), 1.5)
     windows = cut_gripped(log, load_robot("hubrobo_v3_2"), scenario.time_step, 0.0)
     model = gripped_model(scenario, log, windows, variables(scenario, keys, held=False))
-    at = fits.Problem(model, np.array([NOISE[KINDS[kind]] for kind in windows.kind]))
-    with Parts(None, dict) as kept:
-        found = Searches(kept).search(at, begin(model.variables), 12, "fit")
-    chosen = model.variables[:2]
-    return [np.exp(x) if v.log else x for v, x in zip(chosen, found.x[:2], strict=True)]
+    return fits.Problem(model, np.array([NOISE[KINDS[kind]] for kind in windows.kind]))
 
 
 @pytest.mark.nightly
 def test_a_contact_and_a_drive_are_fitted_as_grippers_and_servos_are():
-    """They are the same springs by other names."""
+    """They are the same springs by other names: where the fit of these ends, residuals and derivatives are the same."""
     parts = PARTS["contact"].changes | PARTS["drive"].changes
     parts |= {"contact.hardness": 4e3, "contact.loss": 30.0, "contact.spread": 0.3, "hardware.servo.tension": 45.0}
-    shipped = {"contact.stiffness": 3400.0, "contact.damping": 30.0, "control.kp": 45.0}
-    spread, tension = fitted(parts, "contact.spread", "hardware.servo.tension")
-    stiffness, kp = fitted(shipped, "contact.stiffness", "control.kp")
-    assert 4e3 * (1 - spread / 2) == pytest.approx(stiffness, rel=0.03) and tension == pytest.approx(kp, rel=0.005)
+    own = problem_of(parts, "contact.spread", "hardware.servo.tension")
+    shipped = problem_of(
+        {"contact.stiffness": 3400.0, "contact.damping": 30.0, "control.kp": 45.0}, "contact.stiffness", "control.kp"
+    )
+    with Parts(None, dict) as kept:
+        found = Searches(kept).search(shipped, begin(shipped.model.variables), 12, "fit")
+    stiffness = np.exp(found.x[0])
+    spread = 2 * (1 - stiffness / 4e3)
+    (mine, theirs) = (
+        problem.evaluate(np.r_[first, found.x[1:], found.start.ravel()])
+        for problem, first in ((own, spread), (shipped, found.x[0]))
+    )
+    np.testing.assert_allclose(mine.scaled, theirs.scaled, rtol=1e-6, atol=1e-6)
+    scale = np.abs(theirs.along).max(0)
+    along = theirs.along / scale
+    along[:, 0] *= -2e3 / stiffness
+    np.testing.assert_allclose(mine.along / scale, along, atol=1e-6)
     assert stiffness == pytest.approx(3e3, rel=0.05)
 
 
