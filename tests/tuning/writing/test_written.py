@@ -37,6 +37,16 @@ def test_a_report_names_the_function_that_gives_its_result():
     assert len(kinds) == 9 and kinds <= set(public)
 
 
+def test_each_kind_of_result_has_its_page():
+    """`tuning.write` finds a page by the line in which it names the result."""
+    results, pages = (
+        "".join(file.read_text() for file in sorted((ROOT / "tuning" / room).glob("*.py")))
+        for room in ("results", "pages")
+    )
+    classes = re.findall(r"^class (\w+)\(\w+\):\n(?:(?!class ).*\n)*?    KIND = ", results, re.MULTILINE)
+    assert sorted(classes) == sorted(re.findall(r"^def contents\(found: (\w+), ", pages, re.MULTILINE))
+
+
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
