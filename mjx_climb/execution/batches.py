@@ -127,8 +127,7 @@ def run(
                 each = jax.device_put([v[rows] for v, own in zip(flat, batched, strict=True) if own], sharding)
                 by_kind = {True: iter(each), False: iter(_same_for_all(known, sharding))}
                 leaves = [next(by_kind[own]) for own in batched]
-                found: dict[str, Array] = program(call._replace(path=path), *jax.tree.unflatten(tree, leaves))
-                return found
+                return program(call._replace(path=path), *jax.tree.unflatten(tree, leaves))
 
         return devices.in_smaller_shares(lambda share: devices.spread(of_rows, count, share, progress, on), share)
 

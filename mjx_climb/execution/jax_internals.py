@@ -200,5 +200,4 @@ def launched(ptx: str, name: str, blocks: int, threads: int, made: jax.ShapeDtyp
     launch = {"grid_x": blocks, "block_x": threads, "shared_mem_bytes": 0}
     launch |= dict.fromkeys(("grid_y", "grid_z", "block_y", "block_z"), 1)
     numbers = {name: np.int32(number) for name, number in launch.items()}
-    found: Array = jax.ffi.ffi_call(LAUNCH, made)(*arguments, name=name, kernel_type="ptx", kernel_data=ptx, **numbers)
-    return found
+    return jax.ffi.ffi_call(LAUNCH, made)(*arguments, name=name, kernel_type="ptx", kernel_data=ptx, **numbers)

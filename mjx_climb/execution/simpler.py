@@ -97,19 +97,16 @@ def _is_real(array: Array) -> bool:
 
 def _is_after(a: Array, b: Array) -> Array:
     """Return whether a number belongs behind another in rising order; not-a-numbers are last."""
-    after: Array = ~(a <= b) & (b == b) if _is_real(a) else a > b
-    return after
+    return ~(a <= b) & (b == b) if _is_real(a) else a > b
 
 
 def _is_less(a: Array, b: Array) -> Array:
     """Return whether a number belongs behind another in falling order; not-a-numbers are first."""
-    less: Array = ~(a >= b) & (a == a) if _is_real(a) else a < b
-    return less
+    return ~(a >= b) & (a == a) if _is_real(a) else a < b
 
 
 def _is_same(a: Array, b: Array) -> Array:
-    same: Array = (a == b) | ((a != a) & (b != b)) if _is_real(a) else a == b
-    return same
+    return (a == b) | ((a != a) & (b != b)) if _is_real(a) else a == b
 
 
 def _in_order(

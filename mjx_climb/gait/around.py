@@ -44,8 +44,7 @@ class AroundGait(OwnSwings):
 
     def lift_off(self, memory: Swings, now: Schedule, base_path: Array, body: Body) -> Swings:
         """The memory with new swings."""
-        swings: Swings = self.gait.lift_off(memory, now, base_path, body)
-        return swings
+        return self.gait.lift_off(memory, now, base_path, body)
 
     def after_contacts(self, memory: Swings, now: Schedule, step: Array, grip: Grip) -> Swings:
         """The memory after a step whose contacts are known."""

@@ -100,8 +100,7 @@ def parse(text: str, source: str, key: str = "") -> object:
         ConfigError: no such YAML.
     """
     try:
-        data: object = yaml.load(text, Loader=Loader)
-        return data
+        return yaml.load(text, Loader=Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"

@@ -88,8 +88,7 @@ def limits_of(law: mc.Law) -> dict[str, float]:
 def with_limits(law: mc.Law, limits: Mapping[str, float]) -> mc.Law:
     """Return a law with some of its `limits_of` replaced, as it is where it has them already."""
     changes = {name: value for name, value in limits.items() if value != getattr(law, name)}
-    changed: mc.Law = dataclasses.replace(law, **changes) if changes else law
-    return changed
+    return dataclasses.replace(law, **changes) if changes else law
 
 
 def check_reference(law: mc.Law | None, stored: str | None, source: str) -> None:

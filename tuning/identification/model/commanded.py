@@ -43,8 +43,7 @@ Simulate = Callable[..., Carried]  # pure, of one robot, of a `Robot`, `Paramete
 @functools.cache
 def in_batch(simulate: Simulate) -> Simulate:
     """Return the compiled simulation of a batch of commands."""
-    compiled: Simulate = jax.jit(jax.vmap(simulate, (None, None, 0)))
-    return compiled
+    return jax.jit(jax.vmap(simulate, (None, None, 0)))
 
 
 @functools.cache
@@ -73,8 +72,7 @@ def held(stages: Stages, time_step: float, kind: str = COMMANDS[0]) -> Simulate:
         first = jnp.asarray(commands.sent.targets[0] if begin is None else begin)
         stand = stands.Stand(robot, hardware_of(parameters, stages, time_step, robot))
         start = stands.begin(stand, first, jnp.zeros_like(first))
-        done: Carried = jax.lax.scan(functools.partial(fast, robot, parameters, lead), start, commands)[1]
-        return done
+        return jax.lax.scan(functools.partial(fast, robot, parameters, lead), start, commands)[1]
 
     return carried_out
 
@@ -101,7 +99,6 @@ def standing(scenario: mc.Scenario, stages: Stages) -> Simulate:
 
     def carried_out(_: Robot, parameters: Parameters, commands: Commands) -> Carried:
         start = simulation.reset(None, parameters, stages=stages)
-        done: Carried = jax.lax.scan(one_step, start, commands.sent.targets)[1]
-        return done
+        return jax.lax.scan(one_step, start, commands.sent.targets)[1]
 
     return carried_out
