@@ -60,8 +60,7 @@ def batch_shape(*trees: PyTree, others: Mapping[str, tuple[int, ...]] = MappingP
     """
     names: dict[tuple[int, ...], str] = {}  # of the first value of each shape
     for tree in trees:
-        pairs = zip(jax.tree.leaves_with_path(tree), jax.tree.leaves(own_axes(tree)), strict=True)
-        for (path, value), own in pairs:
+        for (path, value), own in zip(jax.tree.leaves_with_path(tree), jax.tree.leaves(own_axes(tree)), strict=True):
             names.setdefault(jnp.shape(value)[: max(0, jnp.ndim(value) - own)], _name(path))
     for name, shape in others.items():
         names.setdefault(shape, name)

@@ -208,8 +208,7 @@ class _Program(NamedTuple):
         varies = self._vary(equation, given)
 
         def taken(branch: int) -> list[Array]:
-            made = self.results(equation.params["branches"][branch], operands)
-            return [*map(self._wide, made, varies)]
+            return [*map(self._wide, self.results(equation.params["branches"][branch], operands), varies)]
 
         def chosen(branch: int, before: list[Array]) -> list[Array]:
             takes = [self._wide((which == branch, own), has) for has in varies]

@@ -193,8 +193,7 @@ def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[
     shape = jax.ShapeDtypeStruct((rows + kernel.kept * kernel.threads, walks), np.int32)
     blocks = -(-walks * kernel.threads // THREADS)
     made = launched(source, NAME, blocks, THREADS, shape, *(jnp.concatenate(each) for each in words if each))
-    made = made[:rows]
-    parts, found = jnp.split(made, list(itertools.accumulate(aval.size for aval in outputs))[:-1]), []
+    parts, found = jnp.split(made[:rows], list(itertools.accumulate(aval.size for aval in outputs))[:-1]), []
     for part, aval in zip(parts, outputs, strict=True):
         if aval.dtype.kind != "b" and aval.dtype.itemsize != 4:
             raise Unsupported(f"a function to {aval.dtype}")

@@ -215,8 +215,7 @@ def _tangents_made(*values: Array, **how: Unpack[_Linear]) -> list[Array]:
     batch, varies, regions = how["batch"], how["varies"], how["regions"]
     made = _program.bind(*values, program=both, batch=batch, varies=varies, regions=regions)
     count = len(how["moved"])
-    has = _results_vary(both, varies, len(batch))[count:]
-    each = zip(made[count:], has, _tangents_vary(how), strict=True)
+    each = zip(made[count:], _results_vary(both, varies, len(batch))[count:], _tangents_vary(how), strict=True)
     return [_with_axes(value, own, wanted, batch) for value, own, wanted in each]
 
 

@@ -194,8 +194,7 @@ def _scattered(combine: Callable[[Array, Array], Array]) -> Rule:
             starts: dict[int, Array | int] = {axis: 0 for axis in axes if sizes[axis] < operand.shape[axis]}
             batching = zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True)
             starts |= {axis: row[of] for axis, of in batching}
-            given = _parts(places[row], 0)
-            starts |= dict(zip(numbers.scatter_dims_to_operand_dims, given, strict=True))
+            starts |= dict(zip(numbers.scatter_dims_to_operand_dims, _parts(places[row], 0), strict=True))
             whole: Array | bool = True
             for axis in numbers.scatter_dims_to_operand_dims:
                 most = operand.shape[axis] - sizes[axis]
@@ -235,8 +234,7 @@ def _convolved(p: Parameters, left: Array, right: Array) -> list[Array]:
         total = product if total is None else total + product
     assert total is not None
     total = jnp.swapaxes(total, 0, 1)
-    back = [numbers.out_spec.index(axis) for axis in range(spatial + 2)]
-    return [lax.transpose(total, back)]
+    return [lax.transpose(total, [numbers.out_spec.index(axis) for axis in range(spatial + 2)])]
 
 
 # --- small matrices, taken apart into rows of numbers, with any axes before

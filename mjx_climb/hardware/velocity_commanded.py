@@ -63,5 +63,4 @@ class VelocityCommanded(Actuator):
         asked = self.velocity_gain * (rate - joints.rates)
         torque = jnp.clip(asked, -self.torque_limit, self.torque_limit)
         armature = self.armature + jnp.where(jnp.abs(asked) < self.torque_limit, self.velocity_gain * period, 0.0)
-        memory = Commanded(rate, jnp.where(now, error, memory.error), age)
-        return memory, Drive(torque, torque, armature)
+        return Commanded(rate, jnp.where(now, error, memory.error), age), Drive(torque, torque, armature)

@@ -155,8 +155,7 @@ def named(scenario: mc.Scenario, laws: Laws) -> dict[str, Place]:
             found[name] = own, law
         elif law in CONTROLLERS:
             reading = scenario.control.reading if law == "base_admittance" else "virtual_model"
-            changes = {"control.controller": law, "control.reading": reading}
-            found[name] = own.with_overrides(changes), None
+            found[name] = own.with_overrides({"control.controller": law, "control.reading": reading}), None
         else:
             try:
                 found[name] = own, load_law(law)

@@ -131,8 +131,7 @@ class Margin:
 
     def falls_short(self, what: str, reached: float | None) -> list[str]:
         """Return a line on a margin that is short of the values that gains should hold at, none otherwise."""
-        down = self.worst < self.own
-        if reached is not None and (reached <= self.needed if down else reached >= self.needed):
+        if reached is not None and (reached <= self.needed if self.worst < self.own else reached >= self.needed):
             return []
         limit = "at no value" if reached is None else f"up to {self.with_unit(reached)} only"
         has, safe = self.with_unit(self.own), self.with_unit(self.needed)

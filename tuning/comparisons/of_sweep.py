@@ -122,8 +122,7 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
                 future = pool.submit(work, ignore)
                 return lambda _: future.result()
 
-            walking = walks_together(walkers, problem.engine, start)
-            walked = {name: each(ignore) for name, each in walking.items()}
+            walked = {name: each(ignore) for name, each in walks_together(walkers, problem.engine, start).items()}
         with stage("stability limit"):
             radius = stability_limit.on_map(others.limit(ignore), found.data)
         histories = found.data

@@ -505,8 +505,7 @@ def verdict(
         unsettled: those with a search that had not converged when it ended.
         joint: the gains of the baseline.
     """
-    base = verdicts.in_words(table.attrs["baseline"], joint)
-    said = _verdict(table, laws, sensor, hardware, outside, base)
+    said = _verdict(table, laws, sensor, hardware, outside, verdicts.in_words(table.attrs["baseline"], joint))
     if not unsettled:
         return said
     return said._replace(in_words=f"{said.in_words}; not every search of {', '.join(unsettled)} had converged")

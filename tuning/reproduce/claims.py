@@ -45,8 +45,7 @@ class Method(NamedTuple):
     @property
     def changes(self) -> dict[str, str]:
         """The changed keys."""
-        keys = ("control.controller", "control.reading", "gait.base_reference")
-        return dict(zip(keys, self[1:], strict=True))
+        return dict(zip(("control.controller", "control.reading", "gait.base_reference"), self[1:], strict=True))
 
 
 BASELINE, BASELINE_ACTUAL = "pd", "pd_actual"

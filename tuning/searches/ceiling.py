@@ -173,8 +173,7 @@ def ceiling(
     every = jax.tree.map(lambda *each: np.concatenate(each), *begun)
     under = walks_of(scenario, goal, every, **how)
     step = asked.step * float(found[PD].metrics["peak_joint_torque"].mean()) / scenario.control.kp
-    robot = load_robot(scenario.robot)
-    contest = Contest(scenario, robot, asked, under, draws, step, progress or (lambda *_: None))
+    contest = Contest(scenario, load_robot(scenario.robot), asked, under, draws, step, progress or (lambda *_: None))
     with background() as begin:  # programs are compiled beside each other, and beside the first search
         for work in _prepared(contest, every):
             begin(work)

@@ -194,8 +194,7 @@ def find(folders: Sequence[Path]) -> list[Kept]:
     first, by_number = found[0], dict[int, Kept]()
     for each in found:
         if each.shard.count != first.shard.count:
-            wanted = f"a shard of {first.shard.count} as {first.folder}"
-            raise ConfigError(each.folder, "", wanted, each.shard)
+            raise ConfigError(each.folder, "", f"a shard of {first.shard.count} as {first.folder}", each.shard)
         if differs := finished_parts.differences(first.work, each.work):
             got = f"one that differs in {', '.join(differs)}"
             raise ConfigError(each.folder, "", f"a shard of the same as {first.folder}", got)
