@@ -18,7 +18,7 @@ from tuning.methods.gradient import CANDIDATES
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal
-from tuning.problem.spaces import kind_of
+from tuning.problem.spaces import Space, kind_of
 from tuning.results.tuned import Tuned
 from tuning.searches.sweep import sweep
 from tuning.searches.tune import problem_of
@@ -80,7 +80,16 @@ def map_with(
     problem: Problem, scenario: mc.Scenario, law: mc.Law | None, *, progress: Callable[[int, int], None] | None = None
 ) -> xr.Dataset | None:
     """Return a problem's map as `map_of` does; gains that it does not sweep are as scenario and law have them."""
-    box, space = {}, problem.space
+    box = axes_of(problem.space, law)
+    if not box:
+        return None
+    how: dict[str, Any] = {"law": law, "engine": problem.engine}
+    walks = sweep(scenario, box, progress=progress, metrics=problem.metrics, **how).data
+    return maps.with_stability(maps.judged_by(walks, problem), scenario, **how)
+
+
+def axes_of(space: Space, law: mc.Law | None) -> dict[str, np.ndarray]:
+    """Return the two gains of a map, each with its values; none where there are no two that a grid can have."""
     of_kinds = {kind: np.array([kind_of(name) == kind for name in space.names]) for kind in space.gains}
     # a map has positive gains that are the same on all axes
     drawn = [
@@ -88,14 +97,13 @@ def map_with(
         for kind, own in of_kinds.items()
         if kind not in GAIT and not (space.of_arrays | (space.units > 0))[own].any()
     ]
+    box: dict[str, np.ndarray] = {}
     for kind in drawn[:2]:
         low, high = np.exp([space.lower[of_kinds[kind]].min(), space.upper[of_kinds[kind]].max()])
         box[kind] = np.geomspace(low, high, GRID)
     if len(box) < 2 or (law is None and set(box) != {"stiffness", "damping"}):
-        return None
-    how: dict[str, Any] = {"law": law, "engine": problem.engine}
-    walks = sweep(scenario, box, progress=progress, metrics=problem.metrics, **how).data
-    return maps.with_stability(maps.judged_by(walks, problem), scenario, **how)
+        return {}
+    return box
 
 
 def _problem_of(found: Tuned) -> Problem:

@@ -122,3 +122,33 @@ def test_a_walk_without_a_metric_that_counts_keeps_no_limit():
     missing, there = (maps.score_of(goal, {**HELD, "cost_of_transport": cost}) for cost in (None, 3.0))
     assert not missing.feasible and not missing.value < np.inf
     assert there.feasible and there.value == 1.5
+
+
+@pytest.mark.parametrize(("law", "settings", "names"), [
+    (None, {"space": "split"}, ["stiffness", "damping"]),
+    (None, {"pins": {"damping": 20.0}, "also": ("gait.cycle", "gait.duty")}, []),
+    (None, {"pins": {"damping": 20.0}, "inertia": True}, []),  # of the paper's gains these two
+    (mc.control.LoadTransfer(), {}, ["normal_damping", "tangential_damping"]),
+])  # fmt: skip
+def test_a_map_has_the_first_two_gains_over_the_whole_of_their_bounds(law, settings, names):
+    space = spaces.space(mc.Scenario(), Search.make(settings), law)
+    box = verification.axes_of(space, law)
+    assert list(box) == names
+    for kind, values in box.items():
+        own = [spaces.kind_of(name) == kind for name in space.names]
+        low, high = np.exp([space.lower[own].min(), space.upper[own].max()])
+        np.testing.assert_allclose(values, np.geomspace(low, high, 12))
+
+
+def test_slopes_of_a_result_are_by_the_size_of_a_gain():
+    """A gain's is by its logarithm, an array's that of all its entries; along times of the gait there is none."""
+    smooth, units = np.array([True, False, True, True]), np.array([0.0, 0.0, 2.0, 3.0])
+    parts = {"a": [0], "gait.cycle": [1], "array": [2, 3]}
+    space = types.SimpleNamespace(size=4, smooth=smooth, units=units, parts=parts)
+
+    def evaluate(theta, directions):
+        return types.SimpleNamespace(sharp=(np.array([1.0, 10.0, 100.0, 1000.0]) @ directions.T)[None])
+
+    problem = types.SimpleNamespace(space=space, evaluate=evaluate)
+    found = verification.slopes_at(problem, np.array([0.5, 2.0, 3.0, -2.0]))
+    np.testing.assert_allclose(found, [1.0, np.nan, 3 * 100 - 2 * 1000])
