@@ -171,8 +171,7 @@ class Operations:
         lanes = {operand.lane for operand in operands if isinstance(operand, OfLane)}
         if len(lanes) == 1:  # the other lanes may be asked for the same, and have done it then
             values = [operand.value if isinstance(operand, OfLane) else operand for operand in operands]
-            made = self._alike(primitive, parameters, *values)
-            return self.of_lane(made, *lanes)
+            return self.of_lane(self._alike(primitive, parameters, *values), *lanes)
         return self._alike(primitive, parameters, *map(self.same_for_all, operands))
 
     def _alike(self, primitive: core.Primitive, parameters: Parameters, *operands: Shared) -> Shared:
@@ -192,8 +191,7 @@ class Operations:
             return cases[0]
         if which.dtype != bool:
             ends = [self.typed_like(which, end) for end in (0, len(cases) - 1)]
-            within = self.each(lax.clamp_p, {}, ends[0], which, ends[1])
-            which = self.converted(within, np.int32)
+            which = self.converted(self.each(lax.clamp_p, {}, ends[0], which, ends[1]), np.int32)
         return self.each(lax.select_n_p, {}, np.broadcast_to(which, shape), *cases)
 
     def typed_like(self, array: Elements, number: int) -> np.ndarray:

@@ -79,5 +79,4 @@ def _lacking(robot: Robot, gait: Gait, ground: Ground, turned: bool) -> tuple[st
 def _own(position: AnyArray, feet: AnyArray) -> AnyArray:
     """Return whether points (..., limb, 3) m are nearer to a limb's own foot (limb, 3) m than to another's."""
     away = ((position[..., None, :] - feet) ** 2).sum(-1)
-    own = ((position - feet) ** 2).sum(-1)
-    return own <= away.min(-1)
+    return ((position - feet) ** 2).sum(-1) <= away.min(-1)

@@ -200,8 +200,7 @@ def _shared_gait(parameters: Parameters, own: Gait) -> Gait:
 
 def _words(system: System, parameters: Parameters, place: int) -> str:
     """Return how the feet and joints of one of the robots are held, for a refusal."""
-    leaves = jax.tree.leaves(_held(parameters, 1.0))
-    shape = np.broadcast_shapes(*map(np.shape, leaves))
+    shape = np.broadcast_shapes(*map(np.shape, jax.tree.leaves(_held(parameters, 1.0))))
 
     def value(path: str) -> float:
         return float(np.broadcast_to(np.asarray(parameters.at(path), float), shape).ravel()[place])

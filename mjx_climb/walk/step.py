@@ -275,8 +275,7 @@ def _external(walk: Walk, body: Body, step: Array) -> External:
 def _accelerations(walk: Walk, actual: control_loop.Actual, drive: Drive, external: External) -> Acceleration:
     """Return the accelerations by the equations of motion, paper Eq. 1."""
     robot, torque = driven_robot(walk.robot, drive, actual.state.joint_angles, walk.parameters.mass_scale)
-    loads = _loads(walk, actual, torque, external)
-    return ENGINES[walk.structure.engine](robot)(actual.state, *loads)
+    return ENGINES[walk.structure.engine](robot)(actual.state, *_loads(walk, actual, torque, external))
 
 
 def _loads(walk: Walk, actual: control_loop.Actual, torque: Array, external: External) -> Loads:

@@ -90,8 +90,7 @@ class Recorded(Options):
 
     def settings(self, log: "Log") -> dict[str, Any]:
         """Return all that is asked for, as plain JSON values, with the log's samples in place of its file."""
-        asked = self.model_dump(mode="json", exclude={"log", "signals"})
-        return {**asked, "log": log.digest}
+        return {**self.model_dump(mode="json", exclude={"log", "signals"}), "log": log.digest}
 
     def say_read(self, log: "Log", shell: "Session") -> None:
         """Say where each signal was found, where that was guessed, and faults of the log."""

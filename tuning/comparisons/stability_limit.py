@@ -370,8 +370,7 @@ def _moved(shape: Structure, off: Array, law: Law, parameters: mc.Parameters, st
     def advanced(samples: dict[str, Any], leaves: list[Array]) -> tuple[dict[str, Any], list[Array]]:
         state, memory = jax.tree.unflatten(tree, leaves)
         state = execution.of_limbs(state)  # a row of single numbers until now
-        before = carry._replace(state=state, memory=_put(memory, samples))
-        after, _ = advance(walk, before, step)
+        after, _ = advance(walk, carry._replace(state=state, memory=_put(memory, samples)), step)
         samples, memory = _taken(after.memory, walk.structure)
         return samples, jax.tree.leaves((after.state, memory))
 

@@ -140,7 +140,6 @@ def whole_periods(periods: ArrayLike, step: float) -> np.ndarray:
 
 def refused(path: str, parameters: mc.Parameters, key: str) -> ConfigError:
     """Return the refusal of a change, which a key asks for, of a value that a walk does not have."""
-    place = path.rpartition(".")[0]
-    owner = parameters.components.get(place)
+    owner = parameters.components.get(path.rpartition(".")[0])
     got = "none" if owner is None else f"{type(owner).__name__} without {path.rpartition('.')[2]}"
     return ConfigError("", key, f"a value at {path} to change", got)

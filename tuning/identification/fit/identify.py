@@ -128,8 +128,7 @@ def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
 
 
 def _gripped(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float) -> Problem:
-    windows = cut_gripped(log, robot, scenario.time_step, held_out)
-    model = gripped_model(scenario, log, windows, chosen)
+    model = gripped_model(scenario, log, cut_gripped(log, robot, scenario.time_step, held_out), chosen)
     return Problem(model, rough_noise(model))
 
 

@@ -259,8 +259,7 @@ def whiteness(problem: Problem, found: Fitted) -> list[Whiteness]:
         lags = min(_LAGS, count // 5)
         if lags < 1:
             continue
-        scaled = np.clip(found.scaled[own], -_CLIP, _CLIP)
-        sums = _sums(scaled, count // 5)
+        sums = _sums(np.clip(found.scaled[own], -_CLIP, _CLIP), count // 5)
         every = sums[1:] / (sums[0] or 1.0)
         correlation = every[:lags]
         statistic = count * (count + 2) * float((correlation**2 / (count - np.arange(1, lags + 1))).sum())

@@ -42,8 +42,7 @@ def contents(found: Identified, place: Path, origin: Origin | None) -> tuple[Fil
 
 
 def _files(found: Identified, place: Path, asked: str) -> Files:
-    scenario = write_config(found.scenario, place)
-    identified = identified_scenario(found, scenario, place)
+    identified = identified_scenario(found, write_config(found.scenario, place), place)
     texts = {
         "identified.yaml": portable_yaml(identified, place),
         "hardware.yaml": _yaml({"hardware": identified.hardware.model_dump(mode="json")}),

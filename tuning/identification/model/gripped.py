@@ -196,8 +196,7 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
     stages = stages_for(scenario, chosen)._replace(
         force_delay=0, force_noise=False, force_resolution=False, force_dead=False, base_delay=0, base_noise=False
     )
-    places = tuple(v.place for v in every)
-    structure = structure_of(scenario, places, stages, windows)
+    structure = structure_of(scenario, tuple(v.place for v in every), stages, windows)
     angles = windows.start[~windows.abuts, :, :, 0]
     position, orientation = _posed(log, robot, windows.begin[0])
     feet = position + limb_frames(robot, np.asarray(quaternion_to_matrix(orientation), float), angles[0]).foot

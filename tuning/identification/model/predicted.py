@@ -460,8 +460,7 @@ def model_of(scenario: mc.Scenario, windows: Windows, chosen: Sequence[Variable]
     A `mass` in kg hung on each foot while the log was made.
     """
     places = tuple(each.place for each in chosen)
-    stages = stages_for(scenario, chosen)
-    structure = structure_of(scenario, places, stages, windows, mass)
+    structure = structure_of(scenario, places, stages_for(scenario, chosen), windows, mass)
     own = own_parameters(scenario)
     own = with_options_of(own, _with_all(scenario, chosen)[0])
     return Model(windows, tuple(chosen), structure, own)

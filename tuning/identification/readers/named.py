@@ -71,8 +71,7 @@ def _renamed(field: str, word: str) -> str:
     """Return a column's name with a word in place of its last number, or behind it."""
     if (found := _LAST.fullmatch(field)) is None:
         return f"{field}.{word}"
-    tail = words_of(found[4])
-    return ".".join(filter(None, (found[1], word, *tail)))
+    return ".".join(filter(None, (found[1], word, *words_of(found[4]))))
 
 
 def _split(field: str) -> tuple[tuple[str, ...], int | None, tuple[str, ...]]:
