@@ -76,9 +76,23 @@ def test_repeats_are_stale_unless_the_robot_is_at_rest(values, left):
     ([0, 3, 3, 6, 9, 10.3, 12], 7),  # less than that
     ([0, 3, 6, 6, 3, 0, 0.5], 7),  # turns round
     ([0, 3, 6, 6, 9, 6, 5.5], 6),
+    ([12, 9, 6, 6, 3, 0, -0.5], 6),
 ])  # fmt: skip
 def test_a_single_repeat_is_stale_where_it_moves_by_more_than_steps_of_an_encoder_and_onwards(value, left):
     assert len(kept(ANGLE, *value)) == left
+
+
+def test_joints_feet_and_base_of_a_message_are_stale_each_by_themselves():
+    still, moves = [1, 4, 4, 7, 11, 12, 16], [1, 4, 6, 7, 11, 12, 16]
+    given = {
+        ANGLE: still, "LF.femur.position": moves, "LF.force.x": still, "LF.force.y": np.zeros(7),
+        "base.position.x": still, "base.force.x": still, "base.moment.x": still,
+    }  # fmt: skip
+    found, said = cleaned({name: (signal(*values), "a") for name, values in given.items()}, Signals())
+    dropped = {name for name in given if len(found[name].value) == 6}
+    assert dropped == {"LF.force.x", "LF.force.y", "base.position.x"}
+    words = "1 of 7 samples repeat the one before to the last bit: suspected to be stale, dropped"
+    assert [line.partition(" (")[0] for line in said] == [f"LF.force.x and 2 more: {words}"]
 
 
 @pytest.mark.parametrize(("values", "found"), [
@@ -115,8 +129,10 @@ def test_a_position_whole_turns_off_its_command_is_brought_back(off, few, mended
     (0.021, 0.0, True), (0.019, 0.0, False), (0.021, 1e-99, False), (0.021, 0.9e-100, True),
 ])  # fmt: skip
 def test_what_is_0_all_along_while_its_joint_moves_is_not_measured(moves, effort, left_out):
-    read = {COMMAND: signal(0, moves, 0), "LF.coxa.effort": signal(0, effort, 0)}
-    assert ("LF.coxa.effort" not in without_unmeasured(read, ROBOT)[0]) == left_out
+    read = {COMMAND: signal(0, moves, 0), ANGLE: signal(1, 1, 1), "LF.coxa.effort": signal(0, effort, 0)}
+    found, said = without_unmeasured(read, ROBOT)
+    assert ("LF.coxa.effort" not in found) == left_out
+    assert said == ("LF.coxa.effort: 0 all along while the joint moves, not measured: left out",) * left_out
 
 
 def slope(count=40, **jumps):
@@ -171,3 +187,13 @@ def dropped(values, name=ANGLE):
 ])  # fmt: skip
 def test_samples_far_from_both_beside_them_are_outliers(values, out):
     assert dropped(values) == out
+
+
+def test_a_quaternion_jumps_and_a_rate_of_0_is_one_unless_its_whole_message_is():
+    assert dropped(slope(_20=2.5), "base.orientation.w") == [20]
+    names = [ANGLE, "LF.femur.position", "LF.coxa.velocity"]
+    values = np.stack([slope(_20=0), slope(_20=0), slope(_10=0, _20=0)])
+    signals = Signals(outliers="drop", signals={name: Source(column="a") for name in names})
+    read, _ = without_outliers({n: signal(*v) for n, v in zip(names, values, strict=True)}, ROBOT, signals)
+    assert [len(read[name].value) for name in names] == [39, 39, 39]
+    assert read["LF.coxa.velocity"].value[10] == 0
