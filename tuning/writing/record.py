@@ -101,7 +101,7 @@ def begin(folder: Path, settings: Settings) -> frozenset[Path]:
 
 
 def give_up(folder: Path, there: Collection[Path]) -> None:
-    """Remove what was written since `begin`, where it only says whose folder it is: no work was done."""
+    """Remove the files written since `begin` if they only say whose folder it is: no work was done."""
     new = [path for path in folder.glob("[!.]*") if path not in there]
     files = {file.name for path in new for file in (path, *path.rglob("*")) if not file.is_dir()}
     if files <= {FILE, parts.IDENTITY}:
