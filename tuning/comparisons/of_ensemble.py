@@ -13,7 +13,7 @@ from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.comparisons import verdicts
 from tuning.comparisons.side_by_side import VARIATION, planned, retuned
-from tuning.comparisons.worth import BesidePd, Ends, Worth, between, over_walks
+from tuning.comparisons.worth import BesidePd, Ends, Worth, better_of, between, over_walks
 from tuning.gains.gains_file import Whole
 from tuning.problem.objectives import Objective
 from tuning.results.tuned import Robust, Tuned
@@ -62,8 +62,11 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None, *_: o
         "robust": found.gains,
         "config": problem.law or scenario_gains(found.scenario),
     }
+    by_plan = retuned_pd.by_plan(problem)
     if plan is not None:
         rivals[retuned_pd.PLANNED] = Whole(plan.law, plan.gains)
+    elif rival is not None and by_plan is not None:
+        rivals[retuned_pd.UNSEARCHED] = Whole(by_plan, retuned_pd.joint_of(rival))
     fresh = judging.fresh(ensemble.model_copy(update={"members": found.judges}))
     draws = {
         "fresh draw": judging.through(walked, rivals, fresh, pd),
@@ -95,19 +98,26 @@ def conclusions(
     problem, goal, (rival, plan) = found.problem, found.problem.objective, rivals
     assert isinstance(goal, Objective)
     joint = {} if rival is None else retuned_pd.joint_of(rival)
-    broken, scores = judging.broken(walks, goal), judging.scores(walks, goal)
+    scores = judging.scores(walks, goal)
+    value = {name: float(scores.sel(gains=name)) for name in scores["gains"].values.tolist()}
+    without, of_rival = retuned_pd.NAME, None
+    if rival is not None:
+        without, of_rival = better_of(retuned_pd.rival_of(rival, step), value)
+    kept = [name for name in value if name != retuned_pd.UNSEARCHED or name == without]
+    walks, scores = walks.sel(gains=kept), scores.sel(gains=kept)
+    broken = judging.broken(walks, goal)
     summed = judging.summary(walks).assign(objective=scores, broken=broken)
     worth, over = None, None
-    if rival is not None:
+    if rival is not None and of_rival is not None:
         means = judging.plain(summed, shown(problem.metrics))
-        without, of_rival, searched = retuned_pd.NAME, retuned_pd.rival_of(rival, step), rival
+        searched: Tuned | None = rival if without == retuned_pd.NAME else None
         beside = None if plan is None else BesidePd(float(scores.sel(gains=without)), of_rival)
-        if plan is not None and scores.sel(gains=retuned_pd.PLANNED) < scores.sel(gains=without):
+        if plan is not None and value[retuned_pd.PLANNED] < value[without]:
             without, of_rival, searched = retuned_pd.PLANNED, retuned_pd.rival_of(plan, step), plan
         both = {name: means[name]["mean"] for name in ("robust", without)}
-        values = [{"objective": float(scores.sel(gains=n)), VARIATION: mean[VARIATION]} for n, mean in both.items()]
+        values = [{"objective": value[name], VARIATION: mean[VARIATION]} for name, mean in both.items()]
         over = over_walks(walks, "robust", goal, without)
-        ends = Ends(found.ends, searched.ends)
+        ends = None if searched is None else Ends(found.ends, searched.ends)
         worth = between(both.values(), values, of_rival, problem, over=over, pd=beside, ends=ends)
     most = broken.max("limit") if broken.size else xr.zeros_like(scores)
     reached = {

@@ -8,6 +8,7 @@ from mjx_climb.walk.metrics import failed
 from tuning.comparisons import maps, verdicts
 from tuning.comparisons.worth import of_schedule
 from tuning.results.scheduled import Scheduled
+from tuning.searches.retuned_pd import UNSEARCHED
 
 
 class ScheduleComparison(NamedTuple):
@@ -33,7 +34,10 @@ def compare(found: Scheduled, *_: object) -> ScheduleComparison:
     points = f"{held.sum()} of {held.size} operating points" if not there.all() else f"{held.size} operating points"
     outside = int((~feasible["tuned"]).sum())
     ours = "gains tuned for each point" + (f", which break a limit at {outside}" if outside else "")
+    by_plan = np.full(data["value"].shape, np.nan)
+    if UNSEARCHED in values:
+        by_plan = np.where(feasible[UNSEARCHED], values[UNSEARCHED], np.nan).reshape(by_plan.shape)
     return ScheduleComparison(
-        of_schedule(data),
+        of_schedule(data, by_plan),
         verdicts.against_best(ours, walked, f"mean objective at {points}", breaks="breaks a limit at a point"),
     )

@@ -25,7 +25,7 @@ from tuning.comparisons.side_by_side import (
     planned,
     retuned,
 )
-from tuning.comparisons.worth import BesidePd, Ends, Worth, between
+from tuning.comparisons.worth import BesidePd, Ends, Worth, better_of, between
 from tuning.gains.gains_file import replaced
 from tuning.methods import method_of
 from tuning.numbers import failed
@@ -80,8 +80,8 @@ def load_tests(problem: Problem, search: Search, start: Begin) -> None:
 class TuneComparison:
     """A result beside the scenario's own gains and pd, walked in double precision, and its tests."""
 
-    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd, planned_transfer
-    rows: Compared  # tuned, retuned_pd, planned_transfer, config, pd
+    walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd, and load transfer by plan, searched or not
+    rows: Compared  # tuned, retuned_pd, load transfer by plan, config, pd
     over: xr.Dataset | None  # the map around it
     hardware: margins.Found  # on worse hardware
     checked: verification.Verification
@@ -117,7 +117,9 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         rivals = {"config": margins.Walker(problem.law, {})}
         joint, step = {} if rival is None else retuned_pd.joint_of(rival), None
         if rival is not None:
-            beside = beside_retuned(scenario, joint, ours)
+            beside = beside_retuned(problem, joint, ours)
+            if plan is not None:
+                del beside[retuned_pd.UNSEARCHED]
             walking |= {name: start(one_walk(*walker, engine)) for name, walker in beside.items()}
             if LEVEL in beside:
                 step = beside[LEVEL][0].time_step
@@ -146,6 +148,8 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
     each = {name: (with_joint_gains(walk, problem), mc.metrics(walk, problem.metrics)) for name, walk in walks.items()}
     at_step = None if step is None else (step, mc.metrics(leveled, problem.metrics))
     rows, worth, said, apart = conclusions(found, each, (rival, plan), at_step)
+    if retuned_pd.UNSEARCHED not in rows:
+        walks.pop(retuned_pd.UNSEARCHED, None)
     return TuneComparison(walks, rows, over, hardware, checked, worth, said, apart)
 
 
@@ -161,21 +165,30 @@ def conclusions(
         at_step: the time step of pd retuned, s, where it has one of its own, and the metrics of the result there.
     """
     problem, (rival, plan), worth, apart = found.problem, rivals, None, None
-    order = [name for name in ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, "config", "pd") if name in walked]
-    rows, joint = {name: walked[name] for name in order}, {} if rival is None else retuned_pd.joint_of(rival)
+    names = ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, retuned_pd.UNSEARCHED, "config", "pd")
+    rows = {name: walked[name] for name in names if name in walked}
+    joint = {} if rival is None else retuned_pd.joint_of(rival)
     scores = {name: scores_of(problem.objective, metrics) for name, (_, metrics) in rows.items()}
     if rival is not None:
-        gains, theirs = rows[retuned_pd.NAME]
-        both, scored = (rows["tuned"][1], theirs), [scores["tuned"], scores[retuned_pd.NAME]]
+        kept = {
+            name: scores[name]["objective"] for name, (_, metrics) in rows.items()
+            if name == retuned_pd.NAME or not verification.broken_limits(problem.objective, metrics)
+        }  # fmt: skip
+        without, better = better_of(retuned_pd.rival_of(rival), kept)
+        both, scored = (rows["tuned"][1], rows[without][1]), [scores["tuned"], scores[without]]
         if at_step is not None:
             there = scores_of(problem.objective, at_step[1])
             apart = AtOneStep(at_step[0], there["objective"] / scored[1]["objective"] - 1)
         if plan is None:
-            ends = Ends(found.ends, rival.ends)
-            worth = between(both, scored, retuned_pd.rival_of(rival), problem, level=apart, ends=ends)
+            ends = Ends(found.ends, rival.ends) if without == retuned_pd.NAME else None
+            worth = between(both, scored, better, problem, level=apart, ends=ends)
         else:
             worth = beside_plan(found, both, scored, (rival, plan), rows[retuned_pd.PLANNED][1], apart)
-        rows[retuned_pd.NAME] = joint | {**(gains or {})}, theirs
+        joint_gains = joint | {**(rows[retuned_pd.NAME][0] or {})}
+        for name in dict.fromkeys((retuned_pd.NAME, without)):
+            rows[name] = joint_gains, rows[name][1]
+        if without == retuned_pd.NAME:
+            rows.pop(retuned_pd.UNSEARCHED, None)
     reached = {
         name: verdicts.Walked(scores[name]["objective"], not verification.broken_limits(problem.objective, metrics))
         for name, (_, metrics) in rows.items()

@@ -26,7 +26,7 @@ from tuning.comparisons.side_by_side import (
     gains_of,
     walks_together,
 )
-from tuning.comparisons.worth import Worth, between
+from tuning.comparisons.worth import Worth, better_of, between
 from tuning.gains.gains_file import replaced
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
@@ -79,12 +79,12 @@ class SweepComparison:
 
     data: xr.Dataset  # the grid, with the limit of stability
     best: xr.Dataset | None  # its cell, None where all failed
-    # best, pd retuned, gains file, config (or paper), pd: as far as there are such
+    # best, pd retuned, load transfer by plan, gains file, config (or paper), pd: as far as there are such
     walks: Mapping[str, mc.Trajectory]
     rows: Compared  # gains and metrics of these
     failed: int  # walks of the grid
     at_edge: list[str]  # gains whose end of the axis the best cell lies on
-    worth: Worth | None  # of a force sensor: the best against pd retuned
+    worth: Worth | None  # of a force sensor: the best against the better rival without one
     verdict: str  # the best against the best of the others
     level: AtOneStep | None  # where pd retuned walks at a time step of its own
     histories: xr.Dataset  # a grid with time histories: this one, or a coarser one of a large one
@@ -112,7 +112,7 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
                 rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
         walkers, level = _walkers(found, best), None
         if rival is not None:
-            walkers |= beside_retuned(problem.scenario, rival.joint, walkers.get("best"))
+            walkers |= beside_retuned(problem, rival.joint, walkers.get("best"))
             own_step = walkers[retuned_pd.NAME][0].time_step
             level = None if own_step == problem.scenario.time_step else AtOneStep(own_step, np.nan)
         # side by side: most of the time goes to the compiler, where each has a program of its own
@@ -129,7 +129,8 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
         if walking_again is not None:
             with stage("histories"):
                 histories = walking_again(ignore)
-    names = [name for name in ("best", retuned_pd.NAME, GIVEN, own_name(problem), "pd") if name in walked]
+    order = ("best", retuned_pd.NAME, retuned_pd.UNSEARCHED, GIVEN, own_name(problem), "pd")
+    names = [name for name in order if name in walked]
     paths = [name for name in found.axes if is_path(name)]
     rows: dict[str, tuple[Values | None, Values]] = {}
     for name in names:
@@ -139,7 +140,7 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
     data = found.data.assign(spectral_radius=radius)
     at_step = mc.metrics(walked[LEVEL], problem.metrics) if LEVEL in walked else None
     worth, level, said = conclusions(found, best, rows, rival, level, at_step)
-    walks = {name: walked[name] for name in names}
+    walks = {name: walked[name] for name in names if name in rows}
     remedied = []
     if best is None:
         with stage("what would help", compiles=False):
@@ -159,20 +160,24 @@ def conclusions(
     Arguments:
         found: the grid.
         best: its best cell, None where all failed.
-        rows: gains and metrics of the walks by name; pd retuned gets its joint gains.
+        rows: gains and metrics of the walks by name; rivals get joint gains, a plan that is no better goes.
         rival: pd retuned.
         level: its time step, where it has one of its own.
         at_step: metrics of the best at that step.
     """
     worth = None
     if rival is not None:
-        rows[retuned_pd.NAME] = dict(rival.joint), (theirs := rows[retuned_pd.NAME][1])
+        without, better = better_of(rival, {name: variation_of(metrics) for name, (_, metrics) in rows.items()})
+        for name in dict.fromkeys((retuned_pd.NAME, without)):
+            rows[name] = dict(rival.joint), rows[name][1]
+        if without == retuned_pd.NAME:
+            rows.pop(retuned_pd.UNSEARCHED, None)
         if best is not None:
-            both = rows["best"][1], theirs
+            both = rows["best"][1], rows[without][1]
             scored = [{VARIATION: variation_of(each)} for each in both]
             if level is not None and at_step is not None:
                 level = level._replace(change=variation_of(at_step) / scored[1][VARIATION] - 1)
-            worth = between(both, scored, rival, found.problem, " on this grid", level=level)
+            worth = between(both, scored, better, found.problem, " on this grid", level=level)
     walks = found.data["diverged"].size
     if best is None:
         return worth, level, f"none of the {walks} walks held: every one lost a gripper or diverged"
@@ -197,7 +202,7 @@ def _help(walks: Mapping[str, mc.Trajectory], law: mc.Law | None) -> list[str]:
     """Return the remedies that would keep the grippers of the config's walk shut, none where they hold."""
     from mjx_climb.viz import plots  # which imports matplotlib
 
-    name = next(name for name in walks if name not in (retuned_pd.NAME, GIVEN, "pd"))
+    name = next(name for name in walks if name not in (retuned_pd.NAME, retuned_pd.UNSEARCHED, GIVEN, "pd"))
     torn = plots.detachments(walks[name])
     return [f"{name}: {remedies(walks[name].scenario, torn[0][0], law)}"] if torn else []
 

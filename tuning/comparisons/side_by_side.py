@@ -72,13 +72,16 @@ def walks_together(walkers: Mapping[str, Walker], engine: str, begin: Begin) -> 
     return {name: begin(walking(*walker)) for name, walker in walkers.items()}
 
 
-def beside_retuned(scenario: mc.Scenario, joint: Mapping[str, float], ours: Walker | None) -> dict[str, Walker]:
-    """Return pd with joint gains of its own, at as short a time step as it needs, and as `LEVEL` ours at that step.
+def beside_retuned(problem: Problem, joint: Mapping[str, float], ours: Walker | None) -> dict[str, Walker]:
+    """Return the rivals with joint gains of pd, at as short a time step as these need, and as `LEVEL` ours at it.
 
-    It tells how much of a difference comes from the step. There is no `LEVEL` where that step is the scenario's.
+    They are pd and `retuned_pd.by_plan`. `LEVEL` tells how much of a difference comes from the step; there is none
+    where that step is the scenario's.
     """
-    alone = retuned_pd.walker(scenario, joint)
+    scenario = problem.scenario
+    alone, plan = retuned_pd.walker(scenario, joint), retuned_pd.by_plan(problem)
     found: dict[str, Walker] = {retuned_pd.NAME: (alone, None)}
+    found |= {} if plan is None else {retuned_pd.UNSEARCHED: (alone, plan)}
     if ours is not None and alone.time_step != scenario.time_step:
         own, law = ours
         found[LEVEL] = own.with_overrides({"time_step": alone.time_step}), law

@@ -10,11 +10,12 @@ from mjx_climb.inputs.resolve import AnyGains
 from tuning.gains.gains_file import by_name
 from tuning.numbers import number
 from tuning.problem.evaluation import Problem
-from tuning.searches.retuned_pd import NAME
+from tuning.searches.retuned_pd import NAME, PLANNED, UNSEARCHED
 
 OWN_SEARCH = "pd with its own kp and kd searched"
 _NAMES = {"pd": "pd as the config has it", "config": "the config's gains", "paper": "the paper's gains",
-          "gains file": "the gains file"}  # fmt: skip
+          "gains file": "the gains file", PLANNED: f"load transfer by plan ({PLANNED})",
+          UNSEARCHED: f"load transfer by plan, not searched, on kp and kd of pd ({UNSEARCHED})"}  # fmt: skip
 _EQUAL = 5e-4  # relative; closer values have the same first three digits
 
 
@@ -42,8 +43,13 @@ def named(word: str, gains: AnyGains, problem: Problem) -> str:
 
 
 def explained(names: Iterable[str]) -> str:
-    """Return the meaning of the column `retuned_pd`, to end a caption; nothing where a table has none."""
-    return f"; {NAME}: {OWN_SEARCH}" if NAME in names else ""
+    """Return the meaning of the columns of rivals, to end a caption; nothing where a table has none."""
+    words = {
+        NAME: OWN_SEARCH,
+        UNSEARCHED: "load transfer by plan, without a force sensor, with its default gains there",
+    }
+    there = set(names)
+    return "".join(f"; {name}: {each}" for name, each in words.items() if name in there)
 
 
 def against_best(

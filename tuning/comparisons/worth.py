@@ -8,14 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from mjx_climb.control import PlannedTransfer
 from mjx_climb.gait.recovery import recovery_of
 from tuning.comparisons import judge, paired
 from tuning.comparisons.side_by_side import VARIATION, AtOneStep, Values, differences
 from tuning.comparisons.verdicts import more_or_less
+from tuning.numbers import number
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
 from tuning.results.front import Front, without_sensor
-from tuning.searches.retuned_pd import NAME, ON_A_GRID, Rival
+from tuning.searches.retuned_pd import NAME, ON_A_GRID, UNSEARCHED, Rival
 
 LEVEL = 0.05  # chance at most, of a claim that searches of equal laws make
 
@@ -105,7 +107,7 @@ def worth_of(
         pd: pd retuned; None where no other law without a force sensor was searched, so that there is no verdict.
         ends: of the searches; None of grids, which another search does not change.
     """
-    than = f"{_named(rival)}, which needs none"
+    than = f"{_named(rival)}, which needs none" + (f" ({rival.beside})" if rival.beside else "")
     than += "" if rival.feasible else " (and breaks a limit)"
     changes = {name: values[name] / without[name] - 1 for name in values}
     if not all(map(math.isfinite, changes.values())):
@@ -145,6 +147,21 @@ def worth_of(
     return Worth(changes, "; ".join([f"{verdict}: {said} than {than}{step}", *rest]))
 
 
+def better_of(rival: Rival, values: Mapping[str, float]) -> tuple[str, Rival]:
+    """Return the better of pd retuned and of `retuned_pd.by_plan` on its joint gains: its name among walks, the rival.
+
+    `values` by these names are of a goal that should be small, NaN where a walk failed.
+    """
+    if UNSEARCHED not in values:
+        return NAME, rival
+    pd, plan = values[NAME], values[UNSEARCHED]
+    if math.isnan(plan) or plan >= pd:
+        found = "the walk failed" if math.isnan(plan) else number(plan)
+        return NAME, rival._replace(beside=f"load transfer by plan on these, not searched: {found}")
+    found = "the walk failed" if math.isnan(pd) else number(pd)
+    return UNSEARCHED, rival._replace(value=plan, name=PlannedTransfer.__name__, beside=f"pd on these: {found}")
+
+
 def _named(rival: Rival) -> str:
     own = ", ".join(f"{name.removeprefix('gait.').replace('_', ' ')} {v:.4g}" for name, v in rival.joint.items())
     return f"{rival.name} with {own}"
@@ -170,23 +187,36 @@ def of_front(found: Front) -> str:
     better, against = (metrics.in_words(name) for name in (found.asked.better, found.asked.against))
     if without is None:
         return f"pd has more {against} than the knee with any kp and kd of its grid"
+    name = "pd" if law_without(without) == NAME else PlannedTransfer.__name__
     ours = {better: found.data[found.asked.better].values[found.knee].item()}
     theirs = {better: without[f"without_{found.asked.better}"].item()}
     joint = {name: without[f"without_{name}"].item() for name in ("kp", "kd")}
-    rival = Rival(joint, theirs[better], lacks=ON_A_GRID)
+    rival = Rival(joint, theirs[better], lacks=ON_A_GRID, name=name)
     worth = worth_of(ours, theirs, rival, larger=metrics[found.asked.better].larger_is_better)
     return f"{worth.in_words}, at no more {against}"
 
 
-def of_schedule(table: xr.Dataset) -> str:
-    """Return the worth of a force sensor in a sentence: the gains against pd with joint gains for each point."""
-    ratio = (table["value"] / table["retuned_value"]).values
+def law_without(point: xr.Dataset) -> str:
+    """Return the law of a point of a front without a force sensor."""
+    return str(point["without_law"].item()) if "without_law" in point else NAME
+
+
+def of_schedule(table: xr.Dataset, by_plan: np.ndarray | float = math.nan) -> str:
+    """Return the worth of a force sensor in a sentence: the gains against the better rival without one at each point.
+
+    `by_plan` are the values of `retuned_pd.by_plan` on the kp and kd of pd, NaN where it breaks a limit.
+    """
+    best = np.fmin(table["retuned_value"].values, by_plan)
+    ratio = table["value"].values / best
     known = ratio[np.isfinite(ratio)]
     if not known.size:
-        there = "with pd, which keeps" if np.isnan(table["retuned_value"]).all() else "with pd: the gains keep"
+        there = "with pd, which keeps" if np.isnan(best).all() else "with pd: the gains keep"
         return f"the force sensor: not to be compared {there} the limits at no operating point"
     none = f"no verdict on the force sensor, since pd was searched {ON_A_GRID}"
     verdict = none if (known < 1).any() else "the force sensor does not pay"
     span = " to ".join(dict.fromkeys(f"{end:.3f}" for end in (known.min(), known.max())))
     found = f"{verdict}: less objective at {(known < 1).sum()} of {known.size} operating points"
-    return f"{found}, {span} times that of pd with kp and kd for each, which needs none"
+    name = "that of pd with kp and kd for each, which needs none"
+    if np.isfinite(by_plan).any():
+        name = f"the least of pd with kp and kd for each and of load transfer by plan on these ({UNSEARCHED})"
+    return f"{found}, {span} times {name}"

@@ -10,6 +10,7 @@ import mjx_climb as mc
 from mjx_climb.viz import plots
 from tuning.comparisons.of_front import FrontComparison
 from tuning.comparisons.of_front import compare as compare
+from tuning.comparisons.worth import law_without
 from tuning.numbers import gain, number, unit
 from tuning.pages import comparison
 from tuning.pages.contents import Contents, Picture, contents_of
@@ -17,7 +18,6 @@ from tuning.pages.explorer import explorer, listed_points
 from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import COLORS, scaled
 from tuning.results.front import Front, knee, without_sensor
-from tuning.searches.retuned_pd import NAME
 
 FRONT = "The front, and all that was walked on the way."
 
@@ -31,9 +31,10 @@ def contents(found: Front, compared: FrontComparison, name: str) -> Contents:
         return [{n: data[f"{prefix}{n}"].values[i] for n in columns} for i in range(data.sizes[along])]
 
     config, pd = ({n: data[f"reference_{n}"].sel(reference=name).item() for n in metrics} for name in ("config", "pd"))
+    law = ("law",) if "without_law" in data else ()  # older files have none
     summary = {
         "front": rows((*metrics, *names), "front"), "knee": found.knee, "config": config, "pd": pd,
-        "pd_over_kp_and_kd": rows(("kp", "kd", *metrics), "without", "without_"),
+        "without_force_sensor": rows((*law, "kp", "kd", *metrics), "without", "without_"),
         "force_sensor": {"in_words": compared.worth},
     }  # fmt: skip
     page, picture = page_of(found, compared), Picture(FRONT, lambda: plot_front(data))
@@ -49,7 +50,7 @@ def verdict(found: Front, compared: FrontComparison) -> str:
     rival, texts = without_sensor(front, knee, about), []
     for name in (found.asked.better, found.asked.against):
         walked = {"knee": {name: front[name].values[knee].item()}}  # nothing fails on a front
-        walked |= {} if rival is None else {NAME: {name: rival[f"without_{name}"].item()}}
+        walked |= {} if rival is None else {law_without(rival): {name: rival[f"without_{name}"].item()}}
         texts.append(f"{about.in_words(name)} {comparison.against(name, 'knee', walked | walks, about)}")
     return f"the front of {front.sizes['front']} points bends at {'; '.join(texts)}"
 
@@ -92,14 +93,14 @@ def front_table(front: xr.Dataset, knee: int, points: int, about: mc.MetricTable
     rival = without_sensor(front, knee, about)
     if rival is not None:
         joint = ", ".join(f"{name} {number(rival[f'without_{name}'].item())}" for name in ("kp", "kd"))
-        below.append(row(f"pd, {joint}", rival, "without_"))
+        below.append(row(f"{law_without(rival)}, {joint}", rival, "without_"))
     caption = f"The front: {len(on)} of its {count} points, all of them in front.nc"
     return Table(caption, columns, [("", on), ("", [[*cells, *("" for _ in names)] for cells in below])], 1)
 
 
 @plots.style()
 def plot_front(front: xr.Dataset) -> Figure:
-    """Draw a Pareto front, all that was walked on the way, its knee, the config's gains, pd, and the front of pd."""
+    """Draw a Pareto front, all that was walked, its knee, the config's gains, pd, and the front without a sensor."""
     metrics = front.attrs["against"], front.attrs["better"]
     (x_factor, x_label), (y_factor, y_label) = (scaled(front[name]) for name in metrics)
 
@@ -113,7 +114,7 @@ def plot_front(front: xr.Dataset) -> Figure:
     walked = places("walked_")[front["held"].values.astype(bool)]
     panel.plot(*walked.T, ".", color="0.75", ms=2.5, label="walked", zorder=1)
     panel.plot(*on.T, "-o", color=plots.BLUE, ms=2.5, label="front")
-    panel.plot(*places("without_").T, "--.", color=plots.BLACK, ms=3, lw=0.8, label="pd over kp, kd")
+    panel.plot(*places("without_").T, "--.", color=plots.BLACK, ms=3, lw=0.8, label="no force sensor")
     bend = on[knee(*(front[name].values for name in metrics))]
     panel.plot(*bend, "*", color=plots.ORANGE, ms=9, mec="black", mew=0.5, ls="", label="knee")
     named = dict(zip(front["reference"].values.tolist(), references, strict=True))

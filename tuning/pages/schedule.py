@@ -47,7 +47,9 @@ def contents(found: Scheduled, compared: ScheduleComparison, name: str) -> Conte
 
 def table_of(data: xr.Dataset) -> Table:
     """Return the gains of each operating point, and the force variation beside the config's, retuned pd's and pd's."""
-    names, beside = data.attrs["searched"].split(), {"config": "config", retuned_pd.NAME: "retuned", "pd": "pd"}
+    names = data.attrs["searched"].split()
+    words = {"config": "config", retuned_pd.NAME: "retuned", retuned_pd.UNSEARCHED: "planned", "pd": "pd"}
+    beside = {name: words[name] for name in words if name in data["walk"]}
     columns = ["gravity\nG", "cargo\nkg", *names, "variation\nN", *(f"vs\n{word} %" for word in beside.values()), ""]
     lines = []
     for row in rows(data):

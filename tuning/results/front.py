@@ -19,8 +19,8 @@ class Front(Result):
     `data` holds along `point` both metrics of all that was walked in the search, nothing torn off. Along `front` the
     gains on the front (those of six axes along `six`, of three along `three`) and all their metrics, in float64 with
     grippers that tear off. Along `reference` the metrics of the law's own gains (`config`) and of `pd`, likewise. Along
-    `without` the front of pd over kp and kd, which needs no force sensor, from a grid of them (`without_kp`,
-    `without_kd`, and both metrics).
+    `without` the front of what needs no force sensor (`without_law`): pd on a grid of kp and kd, and load transfer by
+    plan on those of pd's front (`without_kp`, `without_kd`, and both metrics).
     """
 
     FILE = "front.nc"
@@ -54,7 +54,7 @@ def gains_of(front: xr.Dataset, index: int) -> AnyGains:
 
 
 def without_sensor(front: xr.Dataset, index: int, about: mc.MetricTable = mc.METRICS) -> xr.Dataset | None:
-    """Return the point of pd's front that costs no more than a point of the front, None where all cost more."""
+    """Return the point without a force sensor that costs no more than one of the front, None where all cost more."""
     against, better = front.attrs["against"], front.attrs["better"]
     cost = sign(about[against]) * front[f"without_{against}"].values
     within = np.flatnonzero(cost <= sign(about[against]) * front[against].values[index])

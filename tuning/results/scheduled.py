@@ -16,9 +16,10 @@ class Scheduled(Result):
     """Gains for pairs of gravity and cargo.
 
     `data` holds over `gravity` and `cargo` the gains, `value` (1 for pd at that point), `feasible`; with `walk` (tuned,
-    config, retuned_pd, pd) every metric, in float64 with grippers that tear off; `retuned_kp`, `retuned_kd` and
-    `retuned_value` of pd with the best of a grid of joint gains at each point; with `gravity_of` and `cargo_of` the
-    `value` (`transfer`) that the gains of another operating point have here, NaN where they break a constraint.
+    config, retuned_pd, planned_unsearched, pd) every metric, in float64 with grippers that tear off; `retuned_kp`,
+    `retuned_kd` and `retuned_value` of pd with the best of a grid of joint gains at each point; with `gravity_of` and
+    `cargo_of` the `value` (`transfer`) that the gains of another operating point have here, NaN where they break a
+    constraint.
     """
 
     FILE = "schedule.nc"

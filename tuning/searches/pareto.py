@@ -186,7 +186,7 @@ def front_dataset(problem: Problem, asked: Pareto, walked: Walked, widest: float
         name, about = metric.name, dataset.metric_attributes(metric)
         data[name] = ("front", exact[name][on], about)
         data[f"reference_{name}"] = ("reference", np.array([m[name] for m in own]), about)
-    data |= _front_of_pd(problem, asked)
+    data |= _front_without(problem, asked)
     for name, values in walked.values.items():
         data[f"walked_{name}"] = ("point", values, dataset.metric_attributes(table[name]))
     data["held"] = ("point", walked.held, {"units": "1", "long_name": "all constraints met"})
@@ -202,15 +202,33 @@ def _front(table: mc.MetricTable, asked: Pareto, walks: Mapping[str, np.ndarray]
     return nondominated(*(np.where(held, sign(table[n]) * walks[n], np.inf) for n in (asked.against, asked.better)))
 
 
-def _front_of_pd(problem: Problem, asked: Pareto) -> dict[str, Any]:
-    """Return the pairs of joint gains under pd that no other beats in both metrics, all limits but the rows' met."""
+def _front_without(problem: Problem, asked: Pareto) -> dict[str, Any]:
+    """Return the walks without a force sensor that no other beats in both metrics, all limits but the rows' met.
+
+    They are pd on a grid of joint gains, and `retuned_pd.by_plan` on those of its front.
+    """
     how: dict[str, Any] = {"metrics": problem.metrics, "dtype": np.float64, "engine": problem.engine}
+
+    def front(walks: Mapping[str, np.ndarray]) -> np.ndarray:
+        kept = [objectives.violation(limit, walks[limit.metric]) <= 0 for limit in problem.objective.limits]
+        return _front(problem.metrics, asked, walks, np.all([~failed(walks), *kept], axis=0))
+
     joint, walks = retuned_pd.walked_on_grid(problem.scenario, retuned_pd.FINE, **how)
-    kept = [objectives.violation(limit, walks[limit.metric]) <= 0 for limit in problem.objective.limits]
-    on = _front(problem.metrics, asked, walks, np.all([~failed(walks), *kept], axis=0))
-    found: dict[str, Any] = {}
+    on = front(walks)
+    joint, walks = ({name: each[on] for name, each in own.items()} for own in (joint, walks))
+    laws, plan = [retuned_pd.NAME] * len(on), retuned_pd.by_plan(problem)
+    if plan is not None and len(on):
+        planned = mc.rollout_metrics(under_pd(problem.scenario), joint, law=plan, unsteady=True, **how)
+        walks = {name: np.concatenate([each, planned[name]]) for name, each in walks.items()}
+        joint, laws = {name: np.tile(each, 2) for name, each in joint.items()}, laws + [retuned_pd.UNSEARCHED] * len(on)
+        on = front(walks)
+        joint, walks = ({name: each[on] for name, each in own.items()} for own in (joint, walks))
+        laws = [laws[place] for place in on]
+    found: dict[str, Any] = {
+        "without_law": ("without", np.array(laws, str), {"long_name": "law without a force sensor"})
+    }
     for (name, values), unit in zip(joint.items(), ("N m/rad", "N m s/rad"), strict=True):
-        found[f"without_{name}"] = ("without", values[on], {"units": unit})
+        found[f"without_{name}"] = ("without", values, {"units": unit})
     for name in (asked.against, asked.better):
-        found[f"without_{name}"] = ("without", walks[name][on], dataset.metric_attributes(problem.metrics[name]))
+        found[f"without_{name}"] = ("without", walks[name], dataset.metric_attributes(problem.metrics[name]))
     return found

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.control import PD
+from mjx_climb.control import PD, PlannedTransfer
 from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
 from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
@@ -28,6 +28,7 @@ from tuning.searches import tune
 
 NAME = "retuned_pd"  # in tables and files
 PLANNED = "planned_transfer"
+UNSEARCHED = "planned_unsearched"  # see `by_plan`
 _COARSE = (12, 9)  # values of kp and kd
 FINE = (24, 18)
 _SEEN = mc.MetricTable(mc.METRICS[name] for name in ("force_variation", "peak_utilization", "diverged"))
@@ -49,6 +50,7 @@ class Rival(NamedTuple):
     feasible: bool = True  # it keeps all limits
     step: float | None = None  # s, the time step of a comparison, where it is not the scenario's
     name: str = "pd"
+    beside: str = ""  # another one with the same joint gains, in words
 
 
 def search(
@@ -99,6 +101,14 @@ def can_plan(problem: Problem) -> bool:
     gait = problem.scenario.gait
     on_all_feet = "gait.duty" in problem.space.gains or len(gait.places) * (1 - gait.duty) < 1 - _ROUNDING
     return on_all_feet and reads_forces(problem)
+
+
+def by_plan(problem: Problem) -> mc.Law | None:
+    """Return load transfer by plan with its default gains, a rival on kp and kd of pd; None where no forces are read.
+
+    It walks where a search of its own would take longer than what it is compared with.
+    """
+    return PlannedTransfer() if reads_forces(problem) else None
 
 
 def walked_on_grid(

@@ -176,7 +176,11 @@ def _dataset(points: OperatingPoints, theta: np.ndarray, merit: np.ndarray, tran
     own = {name: np.full(len(theta), float(getattr(scenario.control, name))) for name in joint}  # pd's one program
     walkers: dict[str, tuple[mc.Scenario, AnyGains | None, mc.Law | None]]
     walkers = {"tuned": (scenario, gains, law), "config": (scenario, None, law)}
-    walkers |= {retuned_pd.NAME: (pd, joint, None), "pd": (pd, own, None)}
+    plan = retuned_pd.by_plan(problem)
+    walkers |= {retuned_pd.NAME: (pd, joint, None)} | (
+        {} if plan is None else {retuned_pd.UNSEARCHED: (pd, joint, plan)}
+    )
+    walkers |= {"pd": (pd, own, None)}
     how: dict[str, Any] = {"metrics": table, "dtype": np.float64, "engine": problem.engine, "unsteady": True}
     metrics = [mc.rollout_metrics(s, g, problem.parameters, law=own, **how) for s, g, own in walkers.values()]
     values = {name: value.reshape(*shape, *value.shape[1:]) for name, value in by_name(gains).items()}

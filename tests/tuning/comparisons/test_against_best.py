@@ -100,6 +100,8 @@ def test_a_word_that_nobody_knows_is_explained():
     assert in_words("retuned_pd", JOINT | {"gait.duty": 0.8}).endswith("kp 16.95, kd 0.996, duty 0.8)")
     assert explained(["tuned", "retuned_pd"]) == "; retuned_pd: pd with its own kp and kd searched"
     assert explained(["tuned"]) == "" and in_words("mine") == "mine"
+    assert "planned_unsearched: load transfer by plan, without a force sensor" in explained(["planned_unsearched"])
+    assert in_words("planned_unsearched").startswith("load transfer by plan, not searched, on kp and kd of pd (")
 
 
 @pytest.mark.parametrize("walks", [1, 63, 64, 199, 200])

@@ -12,7 +12,7 @@ from mjx_climb.control.foot_offsets import FootOffsets
 from mjx_climb.control.recovering import Recovering
 from mjx_climb.inputs.time_step import short_enough
 from tuning.comparisons import of_search, side_by_side
-from tuning.comparisons.worth import BesidePd, Ends, OverWalks, between, worth_of
+from tuning.comparisons.worth import BesidePd, Ends, OverWalks, better_of, between, worth_of
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
@@ -245,10 +245,42 @@ def test_rivals_share_a_time_step_that_the_joint_gains_of_each_can_follow():
 
 @pytest.mark.parametrize(("kd", "expected"), [(0.2, None), (1.0, 5e-4)])
 def test_what_is_compared_with_pd_walks_at_the_time_step_that_it_needs_too(kd, expected):
-    found = side_by_side.beside_retuned(CASE, {"kp": 17.0, "kd": kd}, (CASE, None))
+    found = side_by_side.beside_retuned(Problem(CASE), {"kp": 17.0, "kd": kd}, (CASE, None))
     steps = {name: scenario.time_step for name, (scenario, _) in found.items()}
-    both = (retuned_pd.NAME, side_by_side.LEVEL)
-    assert steps == (dict.fromkeys(both, expected) if expected else {retuned_pd.NAME: CASE.time_step})
+    rivals = (retuned_pd.NAME, retuned_pd.UNSEARCHED)
+    level = (side_by_side.LEVEL,) if expected else ()
+    assert steps == dict.fromkeys((*rivals, *level), expected or CASE.time_step)
+
+
+def test_load_transfer_by_plan_walks_beside_pd_on_its_joint_gains_where_forces_are_read():
+    """With its default gains: the walk of one law more."""
+    joint = {"kp": 17.0, "kd": 0.2}
+    scenario, law = side_by_side.beside_retuned(Problem(CASE), joint, None)[retuned_pd.UNSEARCHED]
+    assert type(law) is PlannedTransfer and (scenario.control.kp, scenario.control.kd) == (17.0, 0.2)
+    blind = side_by_side.beside_retuned(Problem(CASE, law=PlannedTransfer()), joint, None)
+    assert list(blind) == [retuned_pd.NAME]
+
+
+@pytest.mark.parametrize(
+    ("pd", "plan", "better", "beside"),
+    [
+        (40.0, 35.0, "PlannedTransfer", "pd on these: 40"),
+        (40.0, 50.0, "pd", "load transfer by plan on these, not searched: 50"),
+        (40.0, np.nan, "pd", "load transfer by plan on these, not searched: the walk failed"),
+        (np.nan, 50.0, "PlannedTransfer", "pd on these: the walk failed"),
+    ],
+)
+def test_a_sensor_is_worth_what_it_betters_the_better_rival_by(pd, plan, better, beside):
+    name, rival = better_of(RIVAL, {retuned_pd.NAME: pd, retuned_pd.UNSEARCHED: plan})
+    assert (rival.name, rival.beside) == (better, beside) and rival.joint == JOINT
+    assert (name == retuned_pd.UNSEARCHED) == (better != "pd")
+    said = worth_of(OURS, {"force_variation": min(each for each in (pd, plan) if each == each)}, rival).in_words
+    assert said.endswith(f"less force variation than {better} with kp 17, kd 1, which needs none ({beside})")
+    assert said.startswith("no verdict on the force sensor, since of the laws without one pd alone was searched: ")
+
+
+def test_of_a_law_that_reads_no_forces_pd_is_the_one_rival():
+    assert better_of(RIVAL, {retuned_pd.NAME: 40.0, "pd": 30.0}) == (retuned_pd.NAME, RIVAL)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.control import PlannedTransfer
 from mjx_climb.files import dataset
 from mjx_climb.scenario.shipped import config_path
 from tuning.gains.gains_file import by_name
@@ -153,7 +154,10 @@ POINTS = [
 
 @pytest.mark.parametrize("widest, on", [(0.6, [0, 2, 6]), (0.01, [0, 2, 6, 7])])
 def test_a_front_is_what_no_other_beats_in_its_exact_walk(few, monkeypatch, widest, on):
-    """Within the widest limit where there is any; beside it the config, pd, and pd's joint gains on their own front."""
+    """Within the widest limit where there is any; beside it config and pd, and the front without a force sensor.
+
+    Load transfer by plan walks on the joint gains of pd's front: as pd does with the first, better with the second.
+    """
     scenario, asked = mc.Scenario(), Pareto()
     limits = tuple(Limit(name, 0.55, 1.0, 0.02, "") for name in ("peak_foot_force", "base_deviation"))
     goal = Objective((Term("force_variation", 1.0, 1.0, 1.0),), limits)
@@ -172,6 +176,9 @@ def test_a_front_is_what_no_other_beats_in_its_exact_walk(few, monkeypatch, wide
         if "kp" in own:
             stiffer, damped = (np.log(own[name] / getattr(scenario.control, name)) for name in ("kp", "kd"))
             rows = np.stack([0.5 - 0.1 * stiffer, 0.4 + 0.1 * stiffer + 0.01 * np.abs(damped)], -1)
+            if isinstance(how.get("law"), PlannedTransfer):
+                assert of.control.controller == "pd" and len(rows) == 2
+                rows[:, 1] -= 0.1 * (stiffer < -0.01)
         elif own:
             points = np.log(np.stack([own[name][:, 0] for name in problem.space.names], -1))
             number = np.abs((points - problem.space.lower)[:, None] / span - shares).sum(2).argmin(1)
@@ -202,7 +209,10 @@ def test_a_front_is_what_no_other_beats_in_its_exact_walk(few, monkeypatch, wide
     np.testing.assert_allclose(data["without_kp"], kp)
     np.testing.assert_allclose(data["without_kd"], scenario.control.kd)
     np.testing.assert_allclose(data["without_base_deviation"], 0.5 - 0.1 * np.log(kp / kp[0]))
-    np.testing.assert_allclose(data["without_force_variation"], 0.4 + 0.1 * np.log(kp / kp[0]))
+    np.testing.assert_allclose(data["without_force_variation"], 0.4 + 0.1 * np.log(kp / kp[0]) - [0.0, 0.1])
+    assert data["without_law"].values.tolist() == ["retuned_pd", "planned_unsearched"]
+    _, (_, below) = front_table(data, data.sizes["front"] - 1, 6).sections
+    assert below[-1][0].startswith("planned_unsearched, kp 44.7")
 
 
 @pytest.mark.slow

@@ -122,10 +122,10 @@ def valleys(scenario, highest=(2.0, 2.0, 2.0, -1.0)):
     return schedule.OperatingPoints(dataclasses.replace(problem, objective=goals[0]), search, asked, goals)
 
 
-def who_walks(scenario, gains=None, parameters=None, **_):
+def who_walks(scenario, gains=None, parameters=None, law=None, **_):
     """Return metrics that tell the law, the cargo and the first gain."""
     mass, given = parameters.disturbances[0].mass, by_name(gains) if gains is not None else {}
-    of_law = {"pd": 100.0, "base_admittance": 200.0}[scenario.control.controller]
+    of_law = {"pd": 100.0, "base_admittance": 200.0}[scenario.control.controller] if law is None else 300.0
     first = next(iter(given.values()), np.zeros(1))
     first = first[..., 0] if first.ndim > 1 and first.shape[-1] == 6 else first
     found = dict.fromkeys(mc.METRICS.names, np.zeros(np.broadcast_shapes(np.shape(first), mass.shape)))
@@ -178,11 +178,12 @@ def test_every_point_keeps_the_best_of_its_walks_and_goes_on_from_there(searched
 
 def test_each_walk_of_a_schedule_has_the_gains_and_the_cargo_of_its_point(scenario, searched):
     _, found, _ = searched
-    laws = {"tuned": 200.0, "config": 200.0, "retuned_pd": 100.0, "pd": 100.0}
+    laws = {"tuned": 200.0, "config": 200.0, "retuned_pd": 100.0, "planned_unsearched": 300.0, "pd": 100.0}
     for walk, law in laws.items():
         np.testing.assert_array_equal(found["travel"].sel(walk=walk), law + np.array([[0.0, 1.0]] * 2))
     first = found.attrs["gains"].split()[0]
     own = {"tuned": found[first].values[..., 0], "config": 0.0, "retuned_pd": found["retuned_kp"].values}
+    own["planned_unsearched"] = found["retuned_kp"].values
     for walk, gain in (own | {"pd": scenario.control.kp}).items():
         np.testing.assert_allclose(found["cost_of_transport"].sel(walk=walk), np.broadcast_to(gain, (2, 2)))
 
@@ -276,6 +277,13 @@ def test_what_a_force_sensor_is_worth_over_the_points(ours, theirs, expected):
     assert expected in of_schedule(xr.Dataset({"value": ("gravity", ours), "retuned_value": ("gravity", theirs)}))
 
 
+def test_load_transfer_by_plan_is_a_rival_at_the_points_where_it_keeps_the_limits():
+    table = xr.Dataset({"value": ("gravity", [0.8, 0.9]), "retuned_value": ("gravity", [1.0, 1.0])})
+    said = of_schedule(table, np.array([0.5, np.nan]))
+    assert "less objective at 1 of 2 operating points, 0.900 to 1.600 times the least of pd" in said
+    assert said.endswith("and of load transfer by plan on these (planned_unsearched)")
+
+
 def test_gains_between_operating_points_are_linear_in_log_gravity_and_cargo():
     """Logarithms are, of gains above 0 at all points; beyond the ends the gains stay."""
     stiffness, damping = np.array([[100.0, 400.0], [900.0, 2500.0]]), np.array([[0.0, 2.0], [4.0, 10.0]])
@@ -320,6 +328,6 @@ def test_tables(table, tmp_path):
     assert there == [(0.01, 0.0), (0.01, 1.0), (1.0, 0.0), (1.0, 1.0)]
     assert float(lines[3]["stiffness_rz"]) == pytest.approx(table["stiffness"].values[1, 1, 5], rel=1e-5)
     read = yaml.safe_load(pages.to_yaml(table))["operating_points"]
-    assert read[0]["force_variation"].keys() == {"tuned", "config", "retuned_pd", "pd"}
+    assert read[0]["force_variation"].keys() == {"tuned", "config", "retuned_pd", "planned_unsearched", "pd"}
     dataset.save(table, tmp_path / "schedule.nc")
     assert plot_schedule(dataset.load(tmp_path / "schedule.nc")).axes

@@ -114,15 +114,16 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkey
     scenario = mc.load_scenario("case_1_2")
     for module, name, value in (
         (verification, "tests", nothing), (of_search, "replaced", lambda *_: (scenario, None)),
+        (verification, "broken_limits", lambda *_: []),
         (verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
         (margins, "find", nothing), (of_search, "with_joint_gains", nothing), (worths, "differences", nothing),
         (of_search, "scores_of", lambda _, metrics: {"objective": metrics}), (retuned_pd, "joint_of", lambda _: joint),
-        (retuned_pd, "rival_of", nothing), (worths, "worth_of", worth),
+        (retuned_pd, "rival_of", lambda _: retuned_pd.Rival(joint, 0.5)), (worths, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
     found = types.SimpleNamespace(
-        scenario=scenario, problem=types.SimpleNamespace(law=None, engine="limb", objective=None, metrics=None),
+        scenario=scenario, problem=Problem(scenario),
         law=None, gains=None, ends=[0.5],
     )  # fmt: skip
     begun = of_search.Begun(lambda _: types.SimpleNamespace(feasible=True, ends=[0.6]), None, {}, nothing, {})
