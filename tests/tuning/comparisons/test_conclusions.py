@@ -80,6 +80,15 @@ def test_the_best_cell_is_the_least_of_those_that_hold_and_beside_its_rivals():
     assert of_sweep.at_edge(found, None) == []
 
 
+@pytest.mark.parametrize(("planned", "than", "known"), [(35.0, "PlannedTransfer", True), (45.0, "pd", False)])
+def test_beside_a_grid_the_better_of_pd_and_the_plan_on_its_joint_gains_is_the_rival(planned, than, known):
+    found, own = grid(VALUES, lost=[(1, 0)]), rows() | {"planned_unsearched": (None, walk(planned))}
+    worth, _, said = of_sweep.conclusions(found, best_cell(found.data), own, RIVAL, None, None)
+    assert worth.changes["force_variation"] == pytest.approx(30 / min(planned, 40.0) - 1)
+    assert f"less force variation than {than} with kp 17, kd 1, which needs none" in worth.in_words
+    assert ("planned_unsearched" in own) == ("planned_unsearched" in said) == known
+
+
 def test_the_change_at_one_time_step_is_that_of_the_walk_at_that_step():
     found = grid(VALUES, lost=[(1, 0)])
     level = AtOneStep(5e-4, np.nan)
@@ -194,6 +203,19 @@ def test_of_a_search_the_better_of_pd_and_the_plan_is_the_rival(planned, than):
     )
 
 
+@pytest.mark.parametrize(("planned", "than"), [(35.0, "PlannedTransfer"), (45.0, "pd")])
+def test_of_a_search_a_plan_that_was_not_searched_is_a_rival_on_the_joint_gains_of_pd(planned, than):
+    walked = {"tuned": (OURS, walk(30.0)), "retuned_pd": (None, walk(40.0)), "pd": (None, walk(100.0))}
+    walked["planned_unsearched"] = None, walk(planned)
+    rows, worth, _, _ = of_search.conclusions(searched(), walked, (PD, None), None)
+    assert rows.get("planned_unsearched", ({}, 0))[0] == (JOINT if planned < 40.0 else {})
+    assert worth.changes["objective"] == pytest.approx(30 / min(planned, 40.0) - 1)
+    assert f"less force variation than {than} with kp 17, kd 1" in worth.in_words
+    walked["planned_unsearched"] = None, walk(planned, peak_pull_force=12.5)  # it breaks a limit
+    rows, worth, _, _ = of_search.conclusions(searched(), walked, (PD, None), None)
+    assert "than pd with" in worth.in_words and "planned_unsearched" not in rows
+
+
 # ----------------------------------------------------------------------------------------------------- of an ensemble
 
 NAMES = ["robust", "retuned_pd", "planned_transfer", "config", "pd"]
@@ -241,6 +263,15 @@ def test_over_an_ensemble_the_plan_is_the_rival_where_it_is_better(level, than):
     found = of_ensemble.conclusions(robust(), walks, walks.isel(gains=[0]), (PD, PLAN), None)
     assert found.worth.changes["objective"] == pytest.approx(30 / min(level[1:3]) - 1, abs=0.01)
     assert f"than {than} with" in found.worth.in_words and "the force sensor pays" in found.worth.in_words
+
+
+@pytest.mark.parametrize(("level", "than"), [([30, 40, 35, 60, 100], "PlannedTransfer"), ([30, 40, 45, 60, 100], "pd")])
+def test_over_an_ensemble_a_plan_that_was_not_searched_is_a_rival_too(level, than):
+    walks = draw(level, names=["robust", "retuned_pd", "planned_unsearched", "config", "pd"])
+    found = of_ensemble.conclusions(robust(), walks, walks.isel(gains=[0]), (PD, None), None)
+    assert found.worth.changes["objective"] == pytest.approx(30 / min(level[1:3]) - 1, abs=0.01)
+    assert f"than {than} with" in found.worth.in_words and "the force sensor pays" not in found.worth.in_words
+    assert ("planned_unsearched" in found.walks["gains"]) == (than == "PlannedTransfer")
 
 
 def test_over_an_ensemble_rivals_that_break_a_limit_in_more_walks_come_last():
