@@ -433,7 +433,7 @@ def test_the_page_of_a_front(swept, named):
     assert compared.worth.endswith(", at no more base deviation")
     (_, on), (_, below) = made.tables[0].sections
     assert [row[0] for row in on] == ["knee" if i == bend else "" for i in range(9)] and len(on[0]) == 5
-    assert [row[0] for row in below] == ["config", "pd", "pd, kp 30, kd 0.5"]
+    assert [row[0] for row in below] == ["config", "pd", "retuned_pd, kp 30, kd 0.5"]
     points = made.explorers["The front"]["points"]
     assert points["trade"] == ["base_deviation", "force_variation"] and points["begin"] == bend
 
