@@ -7,10 +7,13 @@ prints the pieces of text that each page must have, and which it lacks; `tests/p
 
 import csv
 import itertools
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
+
+from scipy.stats import binomtest
 
 HERE = Path(__file__).parent
 README = HERE.parents[1] / "README.md"
@@ -135,7 +138,9 @@ def texts() -> dict[Path, list[str]]:
         HERE / "which_law.md": [*_laws()],
         HERE / "worse_hardware.md": [*_worse()],
         HERE / "robust_gains.md": [*_robust()],
+        HERE / "identification.md": [*_covered()],
         HERE.parent / "explanation" / "statistics.md": [claims()],
+        HERE.parent / "guides" / "from_log_to_gains.md": [*_identified()],
     }  # fmt: skip
 
 
@@ -186,6 +191,38 @@ def _robust() -> Iterator[str]:
             means = (sum(float(row[column]) for row in own) / len(own) for column in ("mean", "worst 5 %"))
             cells.append(" / ".join(_three(mean) for mean in means))
         yield f"| {' | '.join(cells)} |"
+
+
+def _identified() -> Iterator[str]:
+    """Yield what the notebook printed: values with intervals, the held-out error, and forces of walks."""
+    cells = json.loads((HERE.parents[1] / "notebooks" / "from_log_to_gains.ipynb").read_text(encoding="utf-8"))["cells"]
+    printed = "".join(line for cell in cells for each in cell.get("outputs", []) for line in each.get("text", []))
+    _, second = printed.split("tells 4 of 4 parameters")
+    for value, low, high in re.findall(r"-> +(\S+) +(\S+) to (\S+)", second):
+        yield f"| {value} | {low} to {high} |"
+    yield f"within {re.findall(r'within ([0-9.]+) of the noise', second)[-1]} of the noise"
+    forces = dict(re.findall(r"(\w+) +force_variation (\S+)", printed))
+    yield (
+        f"{forces['found']} N of force variation on the robot that was found, {forces['truth']} N on the true one, and "
+        f"{forces['profile']} N on the profile's"
+    )
+
+
+def _covered() -> Iterator[str]:
+    """Yield shares of intervals that hold the truth, and of these or "the model is wrong", with exact intervals."""
+    kinds = ("inside", "inside", "short: inside", *("stribeck", "cogging", "backlash", "flexible joint"),
+             "sagging supply", "short: stribeck")  # fmt: skip
+    for kind, step in zip(kinds, ("0.00025", *["0.001"] * 8), strict=True):
+        rows = [
+            row for row in table("identification_benches") if (row["logs"], row["step of the fit, s"]) == (kind, step)
+        ]
+        cells, logs = [], int(rows[0]["count"])
+        for column in ("inside, %", "inside or wrong, %"):
+            held = sum(round(logs * float(row[column]) / 100) for row in rows)
+            low, high = binomtest(held, logs * len(rows)).proportion_ci()
+            cells.append(f"{held / logs / len(rows):.1%} ({low:.1%} to {high:.1%})".replace("%", ""))
+        yield f"| {logs} "
+        yield f" | {' | '.join(cells)} |"
 
 
 def _three(value: float) -> str:

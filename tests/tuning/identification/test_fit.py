@@ -122,26 +122,6 @@ def test_a_search_that_ends_beside_the_lowest_minimum_of_a_friction_goes_on_ther
     assert [text for _, text, *_ in seen].count("from another friction") == 1
 
 
-class InPieces(Line):
-    in_pieces = property(lambda self: Line(self.windows, self.variables, self.structure, self.parameters))
-
-
-class Stalling(Recorded):
-    """The first search of the whole log ends at its first point, off the optimum."""
-
-    def search(self, problem, point, most, text, tolerance=1e-5):
-        first = text == "the whole log" and text not in [each[1] for each in self.seen]
-        return super().search(problem, point + 0.02 * first, 1 if first else most, text, tolerance)
-
-
-def test_a_search_of_the_whole_log_that_stalls_begins_once_more():
-    searches = Stalling(Parts(None, dict))
-    vars(searches)["seen"] = []
-    found, _ = searched(problem_of(kind=InPieces), 1, searches)
-    assert [text for _, text, *_ in searches.seen].count("the whole log") == 3
-    np.testing.assert_allclose(found.x[:2], TRUTH, atol=1e-4)
-
-
 def test_what_moves_nothing_is_held_at_its_nominal_value(line):
     found, problem, _ = line
     np.testing.assert_array_equal(problem.free, [True, True, False])

@@ -40,7 +40,6 @@ _GUESSED = "the log has base or foot forces: base free, all grippers shut (--bas
 _DIVERGES = "the model diverges at the values that it begins with (--set others)"
 _OTHERS = 4  # starts, where all those that were asked for diverge
 _SPREAD = 0.7  # sd of the starts, of the prior's
-_STALLED = 1e-3  # relative gain, below which a search of the whole log does not begin once more
 _HOP = 3.0  # times a friction, where the search begins once more
 _REFUTED = 0.1  # of the residuals' variance of a signal, unmodelled: beyond it other profiles are tried
 
@@ -157,7 +156,10 @@ def searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted,
     _, *better = hops(trial, min(ends, key=lambda end: end.cost), searches)
     best, costs = min((*ends, *better), key=lambda end: end.cost), tuple(end.cost for end in (*ends, *better))
     if pieces is not model:
-        best = _whole(dataclasses.replace(problem, noise=louder), best.x, searches)
+        whole, point = dataclasses.replace(problem, noise=louder), np.r_[best.x, model.guess.ravel()]
+        if (end := searches.search(whole, point, _MOST, "the whole log", _COARSE)) is None:
+            raise ConfigError(reason=_DIVERGES)
+        best = end
     noise = noise_of(best.residuals, best.rate, samples, Noise(problem.noise, 0.0))
     problem = dataclasses.replace(problem, noise=noise.signals, clock=noise.clock, rate=best.rate)
     if (settled := _settled(problem, best, searches, _PASSES)) is None:
@@ -170,19 +172,6 @@ def searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted,
         at = found._replace(x=np.where(held, begin(model.variables), found.x))
         settled = _settled(dataclasses.replace(problem, held=held), at, searches, 1)  # None: it diverges there
     return found._replace(costs=costs), problem
-
-
-def _whole(problem: Problem, x: np.ndarray, searches: Searches) -> Fitted:
-    """The end of searches of the whole log, each from the end of the one before, until one gains nothing.
-
-    Where joints stick by a hair the cost has kinks, at which a search stalls: the next one takes long steps again.
-    """
-    best, point = None, np.r_[x, problem.model.guess.ravel()]
-    while (end := searches.search(problem, point, _MOST, "the whole log", _COARSE)) is not None:
-        if best is not None and end.cost > (1 - _STALLED) * best.cost:
-            return min(best, end, key=lambda each: each.cost)
-        best, point = end, np.r_[end.x, end.start.ravel()]
-    raise ConfigError(reason=_DIVERGES)
 
 
 def hops(problem: Problem, best: Fitted, searches: Searches) -> list[Fitted]:
