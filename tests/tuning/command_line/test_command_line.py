@@ -355,11 +355,11 @@ def test_a_sweep_from_python_writes_what_the_command_writes(swept, tmp_path):
 def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch, tmp_path):
     walk, walked = mc.rollout_histories, []
 
-    def stopped(scenario, gains, **options):
+    def stopped(scenario, gains, *robots, **options):
         walked.append(len(gains["stiffness"]))
         if len(walked) == 1:
             signal.raise_signal(signal.SIGTERM)
-        return walk(scenario, gains, **options)
+        return walk(scenario, gains, *robots, **options)
 
     command = ("sweep", CONFIG, *SHORT, *GRID, "--out", tmp_path)
     monkeypatch.setattr(mc, "rollout_histories", stopped)
@@ -374,7 +374,7 @@ def test_interrupted_sweep_keeps_its_parts_and_goes_on(call, swept, monkeypatch,
     code, out, err = call(*command)
     # the config's gains and pd by the program of the grid, whose size they take; then what the grid lacks
     assert (code, walked) == (0, [4, 4, 2])
-    assert "4 are there already" in err and "best: stiffness" in out
+    assert "4 are there already" in err and "best of 6 walks, stiffness" in out
     same_grids(tmp_path, swept[0])
 
 
