@@ -7,7 +7,9 @@ from PIL import Image
 import mjx_climb as mc
 from mjx_climb.ground.from_scenario import holds_of
 from mjx_climb.ground.height_map import grid_of, holdable
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.model import HoldMap
+from mjx_climb.walk.structure import planning_steps
 
 SLOPE = np.add.outer(0.2 * np.arange(4.0), 0.1 * np.arange(5.0))  # along y, along x
 
@@ -78,3 +80,10 @@ def test_diagonals_of_a_truss_rise_and_fall_from_bay_to_bay():
 def test_a_planning_period_is_the_nearest_number_of_steps_that_divides_the_walk(period, steps):
     case = mc.load_scenario("case_1_2").with_overrides({"duration": 0.3, "gait.planning_period": period})
     assert case.planning_steps == steps
+
+
+@pytest.mark.parametrize(("key", "value"), [("gait.waiting.waits", True), ("control.recovery.shift", 0.01)])
+def test_a_gait_that_waits_or_recovers_decides_once_a_planning_period(key, value):
+    plain, case = (mc.load_scenario("case_1_2", each) for each in ({}, {key: value}))
+    assert planning_steps(plain, own_parameters(plain)) == 0
+    assert planning_steps(case, own_parameters(case)) == case.planning_steps > 1

@@ -47,6 +47,9 @@ def test_the_points_of_a_list():
     np.testing.assert_array_equal(made.valid, [1, 1, 0])
     assert found(points=listed[1:]).limit_bound.shape == (1, 0)
     np.testing.assert_array_equal(found(points=listed).limit_bound, [[5], [np.inf]])
+    np.testing.assert_array_equal(
+        found(points=[{"at": [0, 0, 0], "limit": 0.0}]).limit_bound, [[0]]
+    )  # it bears nothing
 
 
 def test_a_polyhedron_is_a_share_of_each_limit():

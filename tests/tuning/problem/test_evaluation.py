@@ -97,6 +97,18 @@ def test_derivatives_of_both_modes_are_central_differences(asked, count, mode):
             np.testing.assert_allclose(getattr(found, name)[:, k], slope, rtol=1e-5, atol=1e-8)
 
 
+def test_gains_are_feasible_that_keep_the_limits_in_all_walks(monkeypatch):
+    def of_two_members(scenario, gains, parameters, **how):
+        one = walked({name: jnp.asarray(getattr(gains, name), float) for name in ("stiffness", "damping")})
+        pulls = {"peak_pull_force": 0 * one["peak_pull_force"] + jnp.array([[39.0], [41.0]])}
+        return {name: jnp.broadcast_to(each, (2, 3)) for name, each in (one | pulls).items()}
+
+    monkeypatch.setattr(mc, "rollout_metrics", of_two_members)
+    problem = problem_of("isotropic")
+    with jax.enable_x64(True):
+        assert not problem.evaluate(problem.space.draw(np.random.default_rng(0), 3)).feasible.any()
+
+
 def test_a_step_with_tangents_costs_as_many_more_and_the_reverse_mode_no_more_than_some():
     problem = dataclasses.replace(problem_of("isotropic"), members=4)
     steps = CASE.steps

@@ -11,7 +11,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files.dataset import OutputError
-from mjx_climb.walks import LINES
+from mjx_climb.walks import LINES, stretches
 from tuning.methods import parts
 from tuning.problem.evaluation import Problem
 from tuning.results.swept import best_cell
@@ -63,6 +63,15 @@ def test_each_cell_has_the_walk_with_its_values(scenario, axes, monkeypatch):
             assert (data[metric[name]].sel({name: value}) == value).all()
     grid = sweeps.grid_of(Problem(scenario), axes)
     assert grid.name(1) == f"{first} {axes[first][0]:.4g} {second} {axes[second][1]:.4g}"
+
+
+def test_a_stretch_of_time_begins_where_the_one_before_ends():
+    scenario, name = mc.load_scenario(CONFIG, ["duration=2"]), next(iter(LINES))
+    count, steps = stretches(scenario.steps)
+    assert steps > 1
+    arrays = {metric: np.zeros(6) for metric in mc.METRICS.names} | {name: np.zeros((6, 2, count))}
+    begins = sweeps.grid_of(Problem(scenario), AXES).result(arrays).data[name]["stretch"]
+    np.testing.assert_allclose(begins, np.arange(count) * steps * scenario.time_step)
 
 
 @pytest.mark.slow
