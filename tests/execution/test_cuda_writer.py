@@ -18,6 +18,7 @@ from jaxtyping import Float
 from mjx_climb.control import law_of
 from mjx_climb.execution import of_limbs
 from mjx_climb.execution.adjoint import with_gradients
+from mjx_climb.execution.cuda_writer import FUNCTIONS
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import tangents_of
 from mjx_climb.execution.gpu_kernel import body_of, written
@@ -137,6 +138,19 @@ def exchanges(step, size=1):
         program = jax.make_jaxpr(function)(np.ones((4, size), "f4"), np.ones(4, "f4"))
     text = written(body_of(program), (False, False)).text
     return text.split("#pragma unroll 1")[1].count("__shfl_")
+
+
+def test_an_extreme_keeps_a_nan_on_either_side(tmp_path):
+    """Also on its left, where no comparison holds: else a walk that diverged would have finite metrics."""
+    lines = (line for line in FUNCTIONS.splitlines() if re.search(r" (larger|smaller)\(float a, float b\) \{", line))
+    (tmp_path / "two.cpp").write_text("\n".join(f'extern "C" {line}' for line in lines))
+    command = ["c++", "-D__device__=", "-D__forceinline__=", "-shared", "-fPIC", "-o", "two.so", "two.cpp"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
+    library = ctypes.CDLL(str(tmp_path / "two.so"))
+    for function in (library.larger, library.smaller):
+        function.argtypes, function.restype = [ctypes.c_float] * 2, ctypes.c_float
+        assert math.isnan(function(math.nan, 1.0)) and math.isnan(function(1.0, math.nan))
+    assert (library.larger(1.0, 2.0), library.smaller(1.0, 2.0)) == (2.0, 1.0)
 
 
 def test_a_sum_over_joints_and_limbs_is_first_of_each_limbs_own():

@@ -101,6 +101,14 @@ def test_encoders_as_a_topic_each_at_ten_hertz_without_efforts(tmp_path, form):
     assert "  LF.coxa.position: {topic: /LF/Joint1}\n" in log.guessed.to_yaml()
 
 
+def test_one_message_without_a_stamp_leaves_a_topic_the_times_of_its_headers(tmp_path):
+    stamps = [EPOCH, 0, EPOCH + 2 * 10**7]
+    messages = [(EPOCH + 10**7 * n, joint_state(stamp, JOINTS, np.zeros(12))) for n, stamp in enumerate(stamps)]
+    path = bag(tmp_path / "bag", {"/joint_states": ("sensor_msgs/msg/JointState", messages)})
+    time = record(path).tables["/joint_states"].times["header"]
+    assert time[2] - time[0] == pytest.approx(0.02)
+
+
 def states_and_wrenches():
     """Joint states by number, whose recorder hears them late and unevenly, and wrenches at 60 Hz."""
     columns = recorded()

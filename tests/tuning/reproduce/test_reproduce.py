@@ -145,6 +145,13 @@ def test_base_moves_with_the_push(baseline, proposed, holds):
     assert judged("moves_with_push", walk(), walk(), "1.1").holds is None
 
 
+def test_a_base_that_was_off_before_a_push_moves_no_further_with_it():
+    base, further = pushed(0.001, 0.001), pushed(0.002, 0.003)
+    off = dataclasses.replace(further, base_position=further.base_position + 0.01)
+    shifts = [judged("moves_with_push", base, each).measured["shifts"]["proposed"] for each in (further, off)]
+    np.testing.assert_allclose(*shifts, atol=1e-6)
+
+
 def test_levels_are_compared_without_detachment():
     """A baseline that lost a gripper early looks calm; without detachment it is rough."""
     baseline = Walk(torn(2, 0.5), rippling(1.0))
