@@ -10,6 +10,7 @@ from mjx_climb.control import PD, law_of
 from mjx_climb.execution.batch_axes import over_batch, own_axes
 from mjx_climb.gait import schedule as gait
 from mjx_climb.gait.base_path import sway_of, swayed
+from mjx_climb.gait.periodic import Periodic
 from mjx_climb.gait.swing import COUNT, added_shapes
 from mjx_climb.hardware.stages import hardware_of, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -179,6 +180,18 @@ def test_the_base_sways_towards_the_feet_that_stand_and_feet_land_with_a_speed(s
         np.testing.assert_allclose((3 * height[2] - 4 * height[1] + height[0]) / (2 * STEP), -0.1, rtol=0.05)
     np.testing.assert_allclose(sway[1000:], sway[:1000], atol=1e-12)
     assert not sway[:, 2].any() and np.abs(np.diff(sway, axis=0)).max() < 2e-3
+
+
+def test_a_cycle_that_begins_where_a_swaying_base_is_goes_on_from_there():
+    """Its sway is no part of the way: else the base would move on by it with every cycle."""
+    feet = np.array([[0.2, 0.1, 0.0], [-0.1, 0.2, 0.0], [-0.2, -0.1, 0.0], [0.1, -0.1, 0.0]])
+    case, lift_off = mc.load_scenario("case_1_2"), [0.25, 0.0, 0.5, 0.75]
+    with jax.enable_x64(True):
+        made = plan_of(case, own_parameters(case))._replace(sway=sway_of(jnp.asarray(feet), lift_off, 0.75, 0.3))
+        whole = Periodic(made, STEP, from_actual=True)
+        now, way = whole.schedule(None, made.cycle_steps), np.array([0.3, 0.01, 0.1])
+        start = whole.cycle_start(0 * way, now, way + swayed(made.sway, 0.0))
+    np.testing.assert_allclose(start, [way, way], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,16 @@ def test_any_number_of_limbs(saved, limbs, joints):
     assert (scenario.contact.rotational_stiffness > 0) == (limbs <= 3)
 
 
+def test_grips_of_a_biped_resist_turns_by_the_square_of_its_reach(saved):
+    """As moments do of robots alike, of which only the lengths differ."""
+    stiffness, reaches = [], []
+    for reach in (0.3, 0.6):
+        proposal = propose(saved(climbers.mjcf(2, 3, reach=reach)))
+        stiffness.append(proposal.sections["contact"]["rotational_stiffness"])
+        reaches.append(float(re.search(r"in proportion to \S+ kg and (\S+) m", told(proposal))[1]))
+    assert stiffness[1] / stiffness[0] == pytest.approx((reaches[1] / reaches[0]) ** 2, rel=0.1)
+
+
 def test_room_to_joint_limits_counts_for_a_stance_up_to_a_share_of_their_range(saved):
     """Beyond it the worth is the smallest singular value alone; it falls to nothing towards the limits."""
     text = climbers.mjcf(4, 3)

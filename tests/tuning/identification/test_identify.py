@@ -6,6 +6,7 @@ import html
 import json
 import re
 import shlex
+from unittest.mock import Mock
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,9 @@ from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile, validated
 from tests.tuning.identification.coverage import counted
+from tests.tuning.identification.recorded import recorded
 from tests.tuning.identification.stand_in_mujoco import NOISE, TRUTH, columns_of, log_of
+from tuning.identification.fit import identify as fits
 from tuning.identification.fit import robot_files
 from tuning.identification.fit.problem import Problem
 from tuning.identification.fit.report import SHOWN, plot_prediction
@@ -27,7 +30,7 @@ from tuning.identification.model.predicted import model_of, with_nuisances
 from tuning.identification.model.variables import Place, applied, begin, variables
 from tuning.identification.model.windows import KINDS, UNITS, cut
 from tuning.identification.readers import write_csv
-from tuning.identification.readers.log import Signal
+from tuning.identification.readers.log import Log, Signal
 from tuning.problem import ensemble as ensembles
 
 pytestmark = pytest.mark.usefixtures("optimised")
@@ -44,6 +47,21 @@ ROBOT = load_robot("hubrobo_v3_2")
 @functools.cache
 def identified(truth=TRUE, duration=4.0, fit=tuple(VALUES), starts=1, **how):
     return tuning.identify(SCENARIO, log_of(truth, duration, **how), fit, starts=starts)
+
+
+@pytest.mark.parametrize(("fit", "late"), [("control.kp", 0.014), ("hardware.command_delay", None)])
+def test_windows_begin_once_commands_have_passed_both_delays(fit, late, monkeypatch):
+    """The delays in a row; of one that is fitted, its upper bound."""
+    own = SCENARIO.with_overrides({"hardware.command_delay": 0.004, "hardware.servo.delay": 0.01})
+    columns = recorded(duration=1.0)
+    time = columns.pop("time")
+    log = Log({name: Signal(time, value) for name, value in columns.items()}, "log.csv")
+    cut_at = Mock(side_effect=InterruptedError)
+    monkeypatch.setattr(fits, "cut", cut_at)
+    with pytest.raises(InterruptedError):
+        tuning.identify(own, log, [fit])
+    (variable,) = variables(own, [fit], held=True)
+    assert cut_at.call_args.kwargs["late"] == pytest.approx(late or variable.upper + 0.01)
 
 
 def problem(fit, duration=2.0, kinds=("position", "velocity", "effort")):
