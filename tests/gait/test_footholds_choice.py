@@ -9,6 +9,7 @@ from mjx_climb.gait.chosen_footholds import middle_of
 from mjx_climb.gait.footholds.choice import Candidates
 from mjx_climb.gait.footholds.footholds import Candidate, Situation
 from mjx_climb.gait.footholds.least_use import LeastUse, resting_forces
+from mjx_climb.gait.footholds.nearest import Nearest
 from mjx_climb.ground import Holds
 from mjx_climb.inputs.own_objects import class_of
 from mjx_climb.scenario.model import FootholdsKind
@@ -99,6 +100,13 @@ def test_rules_choose_as_their_references():
 
 def situation_of(case):
     return Situation(**{key: jnp.asarray(case[key]) for key in Situation._fields})
+
+
+def test_a_limb_may_go_where_it_stands_and_not_where_another_one_does():
+    case = ground(np.random.default_rng(0), 6)
+    points = case["feet"][[0, 0, 2, 5, 4, 5]] + np.array([0, 0, 0, 0, 0.1, 0])[:, None]
+    found = Nearest().apart(situation_of(case), jnp.asarray(points))
+    np.testing.assert_array_equal(found, [True, False, True, False, True, True])
 
 
 def test_resting_forces_bear_the_weight_with_the_least_squares():
