@@ -29,7 +29,7 @@ from mjx_climb.execution.jax_types import Atom, Function, Parameters
 from mjx_climb.execution.simpler import is_made_simpler, simpler
 
 
-def flat(program: core.ClosedJaxpr, *, in_kernel: bool = False) -> core.ClosedJaxpr:
+def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
     """Return a program without calls, and the bodies of its loops without calls; no two equations share a variable."""
     constants: dict[int, tuple[core.Var, Array]] = {}  # by id
     equations: list[core.JaxprEqn] = []
@@ -48,11 +48,11 @@ def flat(program: core.ClosedJaxpr, *, in_kernel: bool = False) -> core.ClosedJa
             given = [read(atom) for atom in equation.invars]
             if called_at is not None and not line_of(equation):  # of a function of JAX's: the line that calls it
                 equation = equation.replace(source_info=called_at.source_info)
-            inner = inner_program(equation) or simpler(equation, differentiated=False, in_kernel=in_kernel)
+            inner = inner_program(equation) or simpler(equation, differentiated=False)
             if inner is not None:
                 atoms |= zip(equation.outvars, written_out(inner, given, equation), strict=True)
                 continue
-            parameters = with_inner(functools.partial(flat, in_kernel=in_kernel), equation)
+            parameters = with_inner(flat, equation)
             made = [core.Var(variable.aval) for variable in equation.outvars]
             atoms |= zip(equation.outvars, made, strict=True)
             equations.append(equation.replace(invars=given, outvars=made, params=parameters))

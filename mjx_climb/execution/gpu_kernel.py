@@ -151,7 +151,7 @@ def _moved(program: core.ClosedJaxpr, moving: int) -> tuple[core.ClosedJaxpr, tu
 @functools.lru_cache(_KEPT)
 def body_of(program: core.ClosedJaxpr) -> Body:
     """Return the body of the kernel of a program of one robot."""
-    whole = flat(program, in_kernel=True)
+    whole = flat(program)
     return Body(whole, LimbAxes(whole))
 
 

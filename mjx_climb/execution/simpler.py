@@ -20,22 +20,23 @@ from mjx_climb.execution.jax_types import Parameters, aval_of
 
 MOST_IN_ORDER = 24  # numbers that are sorted
 MOST_CASES = 2048  # numbers that a scatter chooses, or products of a convolution
-MOST_OF_MATRICES = 216  # products of three sizes of a matrix, in rows
-MOST_PRODUCTS = 18**3  # the same in a kernel, which calls no library: of two inertias of a robot of twelve joints
+MOST_OF_MATRICES = 216  # products of three sizes of a matrix
+# The same of symmetric matrices: the inertia of a robot of twelve joints.
+# jaxlib 0.10's LAPACK shares a batch among XLA's threads and waits on one of them: two calls at once never end.
+MOST_PRODUCTS = 18**3
 
 Rule = Callable[..., list[Array]]
 Matrix = list[list[Array]]
 
 
-def simpler(equation: core.JaxprEqn, *, differentiated: bool, in_kernel: bool = False) -> core.ClosedJaxpr | None:
+def simpler(equation: core.JaxprEqn, *, differentiated: bool) -> core.ClosedJaxpr | None:
     """Return an operation as a program of simpler ones, None where it has no rule or is too large.
 
     Arguments:
         equation: of a traced program.
         differentiated: whether the derivative is taken of the simpler program; JAX's own rules are better for matrices.
-        in_kernel: whether no library can be called.
     """
-    if (rule := _rule_of(equation, differentiated, in_kernel)) is None:
+    if (rule := _rule_of(equation, differentiated)) is None:
         return None
     given = [jax.ShapeDtypeStruct(aval_of(atom).shape, aval_of(atom).dtype) for atom in equation.invars]
 
@@ -52,13 +53,13 @@ def is_made_simpler(equation: core.JaxprEqn, *, differentiated: bool) -> bool:
     return _rule_of(equation, differentiated) is not None
 
 
-def _rule_of(equation: core.JaxprEqn, differentiated: bool, in_kernel: bool = False) -> Rule | None:
+def _rule_of(equation: core.JaxprEqn, differentiated: bool) -> Rule | None:
     name = equation.primitive.name
     rule = _CHOICES.get(name) or (None if differentiated else _MATRICES.get(name))
-    return rule if rule is not None and _is_small(equation, in_kernel) else None
+    return rule if rule is not None and _is_small(equation) else None
 
 
-def _is_small(equation: core.JaxprEqn, in_kernel: bool) -> bool:
+def _is_small(equation: core.JaxprEqn) -> bool:
     avals = [aval_of(atom) for atom in (*equation.invars, *equation.outvars)]
     name, first, last = equation.primitive.name, avals[0], avals[-1]
     if any(jnp.issubdtype(aval.dtype, jnp.complexfloating) for aval in avals) or not first.size:
@@ -74,7 +75,7 @@ def _is_small(equation: core.JaxprEqn, in_kernel: bool) -> bool:
         return bool(groups == 1 and last.size * avals[1].size <= MOST_CASES)
     if name in ("lu", "qr", "cholesky", "triangular_solve"):
         pivoting = equation.params.get("pivoting", False)
-        most = MOST_PRODUCTS if in_kernel and name in ("cholesky", "triangular_solve") else MOST_OF_MATRICES
+        most = MOST_PRODUCTS if name in ("cholesky", "triangular_solve") else MOST_OF_MATRICES
         return bool(not pivoting and first.size * max(aval.shape[-1] for aval in avals) <= most)
     return bool(first.size <= MOST_CASES)
 

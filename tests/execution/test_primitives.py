@@ -91,3 +91,10 @@ def test_operations_on_numbers_alone_compile_nothing(name):
     for mine, xla in zip(found, expected, strict=True):
         assert mine.dtype == xla.dtype and mine.tobytes() == np.asarray(xla).tobytes()
     assert not [event for event in heard if "compile" in event]
+
+
+def test_no_library_factors_the_inertia_of_a_robot():
+    """Two calls of jaxlib's LAPACK at once wait for each other for ever, over batches on a CPU."""
+    program = flat(jax.make_jaxpr(primitives.EVERY["inertia of a robot"])(jnp.ones(3), jnp.eye(3), 1.0))
+    names = {equation.primitive.name for equation in program.jaxpr.eqns}
+    assert names & {"sqrt", "cholesky", "triangular_solve"} == {"sqrt"}
