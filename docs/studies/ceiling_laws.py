@@ -236,7 +236,7 @@ def main():
 
         own_limits = {"also": (*ALSO, *(("pull_limit",) if "pull_limit" in law.GAINS else ()))}
         cycle = changed.gait.cycle  # a walk has a whole one
-        own_limits["bounds"] = {"gait.cycle": (cycle / 2, min(2 * cycle, asked.seconds))}
+        own_limits["bounds"] = {"gait.cycle": (cycle / 2, max(cycle, min(2 * cycle, asked.seconds)))}
         wanted = Search(**how, **(own_limits if kind in LAWS else {}))
         space = spaces.space(changed, wanted, law)
         fresh = Problem(changed, space, objective=judges, parameters=ensembles.draw(changed, unseen), law=law,

@@ -9,7 +9,9 @@ They begin at the config's gains, at the best that are known and at pd's, and be
 or from another start; their best points walk once more on other walks of that seed, and the best of these on 512 walks
 that no search saw. Each round is kept, so that a study that was stopped goes on. The second puts all results into one
 table, the gains of each law into another, and prints the page's. `--varied` draws the hardware too, and `--own-gait`
-searches no gait; with `--grips closing` grippers take 0.1 s to close. `which_law.py` makes tables of all metrics.
+searches no gait; with `--grips closing` grippers take 0.1 s to close. `--nominal` searches on the case's own walk, and
+with `--worse` what was found walks on worse hardware too. `which_law.py`, `worse_hardware.py` and `robust_gains.py` make
+tables of all metrics.
 """
 
 import argparse
@@ -39,7 +41,7 @@ from mjx_climb.control import shipped
 from mjx_climb.execution import devices
 from mjx_climb.inputs.gait_values import own_gait
 from mjx_climb.scenario.load import load_hardware, with_hardware
-from tuning.comparisons import paired
+from tuning.comparisons import degraded, paired
 from tuning.gains import gains_file
 from tuning.methods import cmaes
 from tuning.problem import ensemble as ensembles
@@ -70,6 +72,7 @@ GRIPS = {"at once": {}, "closing": {"contact.closing_time": 0.1, "contact.captur
 ON_ALL_FEET = 0.78  # duty at which transfers begin: at 0.75 there is no time in which loads can be handed over
 RAN_OFF = 1.0  # m, base deviation: a mean with a walk that ran off says nothing
 METRICS = ("objective", *searched.KEPT[:-2])  # of a row
+WORSE, WORSE_MEMBERS = "worse", 128
 OF_WALKS = (*METRICS[1:], "peak_utilization", "diverged")  # kept of each unseen walk
 # of a population, of one that begins anew, and of the first one about each start, relative to the width of the box
 SPREAD, WIDE, NEAR = 0.12, 0.25, 0.06
@@ -98,9 +101,10 @@ class Walks:
 
     def __init__(self, scenario, law, own_gait=False):
         """Take the space from the settings of the ceiling's laws."""
-        cycle, duration = scenario.gait.cycle, scenario.duration
+        cycle = scenario.gait.cycle
+        longest = max(cycle, min(2 * cycle, scenario.duration))  # a walk has a whole one
         also = (*(() if own_gait else searched.ALSO), *(("pull_limit",) if "pull_limit" in law.GAINS else ()))
-        bound = JOINT | ({} if own_gait else {"gait.cycle": (cycle / 2, min(2 * cycle, duration))})
+        bound = JOINT | ({} if own_gait else {"gait.cycle": (cycle / 2, longest)})
         wanted = Search(space="isotropic", joint_gains=True, also=also, bounds=bound)
         self.scenario, self.law, self.space = scenario, law, spaces.space(scenario, wanted, law)
 
@@ -152,6 +156,8 @@ class Cell:
             draw = draw.model_copy(update={"hardware": varied})
         self.draws = [draw.model_copy(update={"seed": seed}) for seed in range(asked.seeds)]
         self.checks = [ensembles.fresh(own, ensembles.Use.CHECK) for own in self.draws]
+        if asked.nominal:
+            self.draws = self.checks = [None] * asked.seeds
         self.unseen = ensembles.fresh(draw).model_copy(update={"members": asked.unseen})
         self.file = asked.out / f"{hardware}_{case}.json"
         self.rows = json.loads(self.file.read_text()) if self.file.exists() else []
@@ -164,6 +170,15 @@ class Cell:
         """Keep metrics (M, S) of unseen walks."""
         kept = {metric: np.asarray(metrics[metric], np.float32) for metric in OF_WALKS}
         np.savez_compressed(self.asked.out / f"{self.file.stem}_{name}.npz", **kept)
+
+    def keep_worse(self, name, walks, theta):
+        """Keep metrics (setting, M, S) of some unseen walks on worse hardware, as drawn the first."""
+        some = self.unseen.model_copy(update={"members": min(self.asked.unseen, WORSE_MEMBERS)})
+        drawn = jax.tree.map(lambda values: values[:, 0], of_draws(walks.scenario, [some]))
+        each = (degraded.worsened(walks.scenario, drawn, degraded.setting(text)) for text in self.asked.worse)
+        found = walks.metrics(walks.gains(theta), degraded.together([drawn, *each], some.members))
+        kept = {metric: found[metric].reshape(-1, some.members, len(theta)) for metric in OF_WALKS}
+        np.savez_compressed(self.asked.out / f"{self.file.stem}_{name}_{WORSE}.npz", settings=self.asked.worse, **kept)
 
     @functools.cached_property
     def goal(self):
@@ -200,6 +215,8 @@ class Cell:
             halved = changed(unseen, dict.fromkeys(friction, Factor(0.5)))
             better = walks.metrics(walks.gains(theta[None]), halved)
             self.keep("pd on half the friction", {metric: value[:, 0] for metric, value in better.items()})
+        if self.asked.worse:
+            self.keep_worse(name, walks, theta)
         with devices.on_host():
             objective = np.asarray(self.goal.score(fresh).value)
         fails = np.asarray(searched.lost(fresh))
@@ -381,6 +398,8 @@ def main():
     parser.add_argument("--laws", nargs="+", default=list(LAWS)[:5], help=f"of {', '.join(LAWS)}; pd first")
     parser.add_argument("--varied", action="store_true", help="draw the hardware, as configs/ensemble_*.yaml does")
     parser.add_argument("--own-gait", action="store_true", help="walk with the config's gait")
+    parser.add_argument("--nominal", action="store_true", help="search on the case's own walk alone")
+    parser.add_argument("--worse", nargs="+", default=[], help="settings as of `mjx-climb evaluate --worse`")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--minutes", type=float, default=8.0, help="from `--began` on, in which searches end")
     parser.add_argument("--began", type=float, default=time.time(), help="s since 1970")

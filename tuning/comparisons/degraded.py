@@ -99,7 +99,7 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
     return checked(scenario, drawn, found, "worse: {}")
 
 
-def _together(draws: Sequence[mc.Parameters], members: int) -> mc.Parameters:
+def together(draws: Sequence[mc.Parameters], members: int) -> mc.Parameters:
     """Return the members of all draws behind one another, so that a law is compiled once for all of them."""
 
     def joined(own: int, *values: Any) -> np.ndarray:
@@ -142,7 +142,7 @@ def draw_of(
         raise ConfigError("", "worse", "settings that differ", ", ".join(names[1:]))
     own = drawn.problem.parameters
     assert own is not None
-    parameters = _together([own, *(worsened(problem.scenario, own, each) for each in settings)], members)
+    parameters = together([own, *(worsened(problem.scenario, own, each) for each in settings)], members)
     rows = members * len(names)
     walked = dataclasses.replace(drawn.problem, parameters=parameters, members=rows)
     size = default_batch_size(rows, problem.scenario.steps)
