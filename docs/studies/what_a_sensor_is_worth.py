@@ -10,8 +10,8 @@ or from another start; their best points walk once more on other walks of that s
 that no search saw. Each round is kept, so that a study that was stopped goes on. The second puts all results into one
 table, the gains of each law into another, and prints the page's. `--varied` draws the hardware too, and `--own-gait`
 searches no gait; with `--grips closing` grippers take 0.1 s to close. `--nominal` searches on the case's own walk, and
-with `--worse` what was found walks on worse hardware too. `which_law.py`, `worse_hardware.py` and `robust_gains.py` make
-tables of all metrics.
+with `--worse` what was found walks on worse hardware too. `which_law.py`, `worse_hardware.py` and `robust_gains.py`
+make tables of all metrics.
 """
 
 import argparse
