@@ -263,7 +263,9 @@ def _joint_names(limbs: Sequence[Sequence[str]]) -> list[str]:
         return head, beginning([name[len(head) :][::-1] for name in names])[::-1]
 
     if len(limbs) == 1:
-        return list(limbs[0])
+        # a body is called limb_joint
+        names = [name.replace("_", " ") for name in limbs[0]]
+        return names if len(set(names)) == len(names) else [f"joint{n + 1}" for n in range(len(names))]
     places = [[re.split(r"[\W_]+", name) for name in place if name] for place in itertools.zip_longest(*limbs)]
     words = [list(itertools.chain(*shared(place))) for place in places]
     head, tail = shared(words)
