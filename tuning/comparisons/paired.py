@@ -592,8 +592,10 @@ def _none_better(table: xr.Dataset, laws: Sequence[str], told: Mapping[str, _Gai
     open_ones = [name for name in laws if not own["real"].sel(gains=name) and not _loses(table, name)]
     if not open_ones:
         nearest = max(laws, key=lambda name: told[name].size)
-        how = f": the nearest, {nearest}, has {-told[nearest].size:.1%} more objective, {_beside(table, [nearest])}"
-        return f"none is better than {base}{how if np.isfinite(told[nearest].size) else ''}"
+        size = told[nearest].size
+        change = f"{abs(size):.1%} {'less' if size > 0 else 'more'} objective"
+        how = f": the nearest, {nearest}, has {change}, {_beside(table, [nearest])}" if np.isfinite(size) else ""
+        return f"none is better than {base}{how}"
     said = f"{', '.join(open_ones)} cannot be told apart from {base} in the objective with {_walks(table)}: "
     said += _beside(table, open_ones)
     seeming = [name for name in open_ones if own["difference"].sel(gains=name) < 0]
