@@ -1,30 +1,35 @@
 """Forward dynamics behind one seam: state, torques and forces in, accelerations out.
 
-An engine is one module with `build(robot) -> ForwardDynamics`, for one robot; nothing outside this package knows which
-one runs.
+An engine NAME is the file NAME_engine.py of this package, with `build(robot) -> ForwardDynamics`, for one robot;
+nothing outside this package knows which one runs.
 """
 
+import importlib
 from collections.abc import Callable
 
 from jax import Array
 
-from mjx_climb.physics import limb_engine
 from mjx_climb.physics.state import Acceleration, State
 from mjx_climb.robot.constants import Robot
+from mjx_climb.scenario import kinds
+from mjx_climb.scenario.kinds import DEFAULT_ENGINE as DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 
 # state, joint torque (limb, joint), foot force (limb, 3), base wrench (6,), cargo mass (), gravity (3,)
 ForwardDynamics = Callable[[State, Array, Array, Array, Array, Array], Acceleration]
 
 
-def _mjx(robot: Robot) -> ForwardDynamics:
-    from mjx_climb.physics import mjx_engine  # takes longer to import than all the rest
+def _engine(name: str) -> Callable[[Robot], ForwardDynamics]:
+    def build(robot: Robot) -> ForwardDynamics:
+        # once it is used: MJX takes longer to import than all the rest
+        engine = importlib.import_module(f"{__package__}.{name}{kinds.ENGINE_FILE}")
+        dynamics: ForwardDynamics = engine.build(robot)
+        return dynamics
 
-    return mjx_engine.build(robot)
+    return build
 
 
-ENGINES: dict[str, Callable[[Robot], ForwardDynamics]] = {"mjx": _mjx, "limb": limb_engine.build}
-DEFAULT_ENGINE = "limb"
+ENGINES = {name: _engine(name) for name in kinds.ENGINES}
 
 
 def checked_engine(name: str) -> str:

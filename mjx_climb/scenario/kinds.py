@@ -1,4 +1,4 @@
-"""The shipped kinds of components, by the names that their classes give themselves as `KIND`.
+"""The shipped kinds of components, by the names that their classes give themselves as `KIND`, and the engines.
 
 The files of their rooms are read as text, since a config is checked before JAX is imported.
 """
@@ -10,6 +10,10 @@ from typing import Any, Literal
 
 Controller = Literal["pd", "base_admittance", "end_effector_admittance"]  # the paper's laws
 _PACKAGE = Path(__file__).parents[1]
+ENGINE_FILE = "_engine"  # the end of the name of an engine's file
+# engines of the equations of motion
+ENGINES = tuple(sorted(f.stem.removesuffix(ENGINE_FILE) for f in (_PACKAGE / "physics").glob(f"*{ENGINE_FILE}.py")))
+DEFAULT_ENGINE = "limb"
 ROOMS = {  # of the package, by the sections of a scenario
     "contact": "physics.contact",
     "hardware.servo": "hardware",

@@ -73,7 +73,7 @@ def test_no_array_over_time(scenario, simulate):
 @pytest.mark.parametrize("engine", ["lim", ""])
 def test_an_unknown_engine_is_refused_in_one_line(scenario, engine):
     for ask in (mc.simulator, mc.rollout, mc.rollout_metrics):
-        with pytest.raises(mc.ConfigError, match=rf"^engine: expected one of mjx, limb, got '{engine}'$"):
+        with pytest.raises(mc.ConfigError, match=rf"^engine: expected one of limb, mjx, got '{engine}'$"):
             ask(scenario, engine=engine)
 
 

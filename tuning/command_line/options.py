@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, model_validator
 
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
-from mjx_climb.scenario.kinds import Controller
+from mjx_climb.scenario.kinds import DEFAULT_ENGINE, ENGINES, Controller
 from tuning.command_line.from_models import in_options
 from tuning.command_line.program import InputError
 from tuning.problem.search import Search, check_metrics
@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from tuning.problem.evaluation import Problem
     from tuning.problem.spaces import Space
 
-EngineName = Literal["limb", "mjx"]
+    EngineName = str
+else:
+    EngineName = Literal[ENGINES]
+
 FORMATS = ("png", "svg", "pdf")  # those of `mjx_climb.viz.plots`, which the command line does not wait for
 
 
@@ -68,7 +71,7 @@ SHARD = setting(
 )
 SLOPE = setting(None, "slope of the ground, degrees; 90 is a cliff", metavar="DEG", ge=0, le=180)
 ROOF = setting(False, "walk under a roof: a slope of 180 degrees")
-ENGINE = setting("limb", "dynamics: limb (fast) or mjx (MJX's own stages)")
+ENGINE = setting(DEFAULT_ENGINE, "engine of the dynamics; limb is the fastest")
 
 
 class Walk(Options):

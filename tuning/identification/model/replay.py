@@ -14,6 +14,7 @@ from mjx_climb.execution import devices
 from mjx_climb.hardware.stages import stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.parameter_types import Parameters
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
@@ -82,7 +83,7 @@ class Prepared(NamedTuple):
 
 
 def replay(
-    log: Log, scenario: mc.Scenario, base: Base | None = None, engine: str = "limb", *, mass: float = 0.0
+    log: Log, scenario: mc.Scenario, base: Base | None = None, engine: str = DEFAULT_ENGINE, *, mass: float = 0.0
 ) -> Replay:
     """Return a log beside the simulation that its commands drive; see `prepare`."""
     return simulate(prepare(log, scenario, base, mass), engine)
@@ -146,7 +147,7 @@ def base_of(log: Log, base: Base | None, mass: float) -> Base:
     return found
 
 
-def simulate(prepared: Prepared, engine: str = "limb") -> Replay:
+def simulate(prepared: Prepared, engine: str = DEFAULT_ENGINE) -> Replay:
     """Return a log beside the simulation that its commands drive."""
     log, scenario, base, targets, said, _ = prepared
     robot = load_robot(scenario.robot)
