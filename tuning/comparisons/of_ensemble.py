@@ -13,7 +13,7 @@ from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.comparisons import verdicts
 from tuning.comparisons.side_by_side import VARIATION, planned, retuned
-from tuning.comparisons.worth import BesidePd, Ends, Worth, better_of, between, over_walks
+from tuning.comparisons.worth import Worth, best_without, between, over_walks
 from tuning.gains.gains_file import Whole
 from tuning.problem.objectives import Objective
 from tuning.results.tuned import Robust, Tuned
@@ -100,25 +100,18 @@ def conclusions(
     joint = {} if rival is None else retuned_pd.joint_of(rival)
     scores = judging.scores(walks, goal)
     value = {name: float(scores.sel(gains=name)) for name in scores["gains"].values.tolist()}
-    without, of_rival = retuned_pd.NAME, None
-    if rival is not None:
-        without, of_rival = better_of(retuned_pd.rival_of(rival, step), value)
-    kept = [name for name in value if name != retuned_pd.UNSEARCHED or name == without]
+    best = None if rival is None else best_without(found, (rival, plan), value, step)
+    kept = [name for name in value if name != retuned_pd.UNSEARCHED or (best is not None and name == best.name)]
     walks, scores = walks.sel(gains=kept), scores.sel(gains=kept)
     broken = judging.broken(walks, goal)
     summed = judging.summary(walks).assign(objective=scores, broken=broken)
     worth, over = None, None
-    if rival is not None and of_rival is not None:
+    if best is not None:
         means = judging.plain(summed, shown(problem.metrics))
-        searched: Tuned | None = rival if without == retuned_pd.NAME else None
-        beside = None if plan is None else BesidePd(float(scores.sel(gains=without)), of_rival)
-        if plan is not None and value[retuned_pd.PLANNED] < value[without]:
-            without, of_rival, searched = retuned_pd.PLANNED, retuned_pd.rival_of(plan, step), plan
-        both = {name: means[name]["mean"] for name in ("robust", without)}
+        both = {name: means[name]["mean"] for name in ("robust", best.name)}
         values = [{"objective": value[name], VARIATION: mean[VARIATION]} for name, mean in both.items()]
-        over = over_walks(walks, "robust", goal, without)
-        ends = None if searched is None else Ends(found.ends, searched.ends)
-        worth = between(both.values(), values, of_rival, problem, over=over, pd=beside, ends=ends)
+        over = over_walks(walks, "robust", goal, best.name)
+        worth = between(both.values(), values, best.rival, problem, over=over, pd=best.pd, ends=best.ends)
     most = broken.max("limit") if broken.size else xr.zeros_like(scores)
     reached = {
         name: verdicts.Walked(float(scores.sel(gains=name)), bool(most.sel(gains=name) <= most.sel(gains="robust")))
@@ -126,6 +119,6 @@ def conclusions(
     }
     ours, what = verdicts.named("robust gains", found.gains, problem), f"objective over {found.judges} unseen walks"
     said = verdicts.against_best(ours, reached, what, joint=joint, breaks="breaks a limit in more walks")
-    if over is not None and not (over.low > 0 or over.high < 0):
-        said += f"; {over.walks} walks do not tell them from {without}"
+    if best is not None and over is not None and not (over.low > 0 or over.high < 0):
+        said += f"; {over.walks} walks do not tell them from {best.name}"
     return RobustComparison(walks, summed, worth, said, joint, judging.binding(seen, goal, "robust"))

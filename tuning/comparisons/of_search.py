@@ -25,7 +25,7 @@ from tuning.comparisons.side_by_side import (
     planned,
     retuned,
 )
-from tuning.comparisons.worth import BesidePd, Ends, Worth, better_of, between
+from tuning.comparisons.worth import Worth, best_without, between, give_joint_gains
 from tuning.gains.gains_file import replaced
 from tuning.methods import method_of
 from tuning.numbers import failed
@@ -167,48 +167,22 @@ def conclusions(
     problem, (rival, plan), worth, apart = found.problem, rivals, None, None
     names = ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, retuned_pd.UNSEARCHED, "config", "pd")
     rows = {name: walked[name] for name in names if name in walked}
-    joint = {} if rival is None else retuned_pd.joint_of(rival)
     scores = {name: scores_of(problem.objective, metrics) for name, (_, metrics) in rows.items()}
+    broken = {name: verification.broken_limits(problem.objective, metrics) for name, (_, metrics) in rows.items()}
+    joint = {} if rival is None else retuned_pd.joint_of(rival)
     if rival is not None:
-        kept = {
-            name: scores[name]["objective"] for name, (_, metrics) in rows.items()
-            if name == retuned_pd.NAME or not verification.broken_limits(problem.objective, metrics)
-        }  # fmt: skip
-        without, better = better_of(retuned_pd.rival_of(rival), kept)
-        both, scored = (rows["tuned"][1], rows[without][1]), [scores["tuned"], scores[without]]
+        sound = {n: each["objective"] for n, each in scores.items() if n != retuned_pd.UNSEARCHED or not broken[n]}
+        best = best_without(found, (rival, plan), sound)
         if at_step is not None:
-            there = scores_of(problem.objective, at_step[1])
-            apart = AtOneStep(at_step[0], there["objective"] / scored[1]["objective"] - 1)
-        if plan is None:
-            ends = Ends(found.ends, rival.ends) if without == retuned_pd.NAME else None
-            worth = between(both, scored, better, problem, level=apart, ends=ends)
-        else:
-            worth = beside_plan(found, both, scored, (rival, plan), rows[retuned_pd.PLANNED][1], apart)
-        joint_gains = joint | {**(rows[retuned_pd.NAME][0] or {})}
-        for name in dict.fromkeys((retuned_pd.NAME, without)):
-            rows[name] = joint_gains, rows[name][1]
-        if without == retuned_pd.NAME:
-            rows.pop(retuned_pd.UNSEARCHED, None)
-    reached = {
-        name: verdicts.Walked(scores[name]["objective"], not verification.broken_limits(problem.objective, metrics))
-        for name, (_, metrics) in rows.items()
-    }
+            pd = scores[retuned_pd.NAME if best.name == retuned_pd.PLANNED else best.name]["objective"]
+            apart = AtOneStep(at_step[0], scores_of(problem.objective, at_step[1])["objective"] / pd - 1)
+        level = None if best.name == retuned_pd.PLANNED else apart
+        both, scored = (rows["tuned"][1], rows[best.name][1]), (scores["tuned"], scores[best.name])
+        worth = between(both, scored, best.rival, problem, level=level, pd=best.pd, ends=best.ends)
+        give_joint_gains(rows, joint | {**(rows[retuned_pd.NAME][0] or {})}, best.name)
+    reached = {name: verdicts.Walked(scores[name]["objective"], not broken[name]) for name in rows}
     said = verdicts.against_best(verdicts.named("tuned gains", found.gains, problem), reached, "objective", joint=joint)
     return rows, worth, said, apart
-
-
-def beside_plan(
-    found: Tuned, both: tuple[Values, Values], scored: list[dict[str, float]], rivals: tuple[Tuned, Tuned],
-    by_plan: Values, apart: AtOneStep | None,
-) -> Worth:  # fmt: skip
-    """Return the worth of a force sensor beside the better of pd retuned and load transfer by plan."""
-    ours, pd = scored
-    problem, ends = found.problem, [Ends(found.ends, each.ends) for each in rivals]
-    planned, (retuned, plan) = scores_of(problem.objective, by_plan), (retuned_pd.rival_of(each) for each in rivals)
-    beside = BesidePd(pd["objective"], retuned)
-    if not planned["objective"] < pd["objective"]:
-        return between(both, scored, retuned, problem, level=apart, pd=beside, ends=ends[0])
-    return between((both[0], by_plan), (ours, planned), plan, problem, pd=beside, ends=ends[1])
 
 
 def with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:

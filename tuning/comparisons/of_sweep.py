@@ -26,7 +26,7 @@ from tuning.comparisons.side_by_side import (
     gains_of,
     walks_together,
 )
-from tuning.comparisons.worth import Worth, better_of, between
+from tuning.comparisons.worth import Worth, better_of, between, give_joint_gains
 from tuning.gains.gains_file import replaced
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
@@ -168,10 +168,7 @@ def conclusions(
     worth = None
     if rival is not None:
         without, better = better_of(rival, {name: variation_of(metrics) for name, (_, metrics) in rows.items()})
-        for name in dict.fromkeys((retuned_pd.NAME, without)):
-            rows[name] = dict(rival.joint), rows[name][1]
-        if without == retuned_pd.NAME:
-            rows.pop(retuned_pd.UNSEARCHED, None)
+        give_joint_gains(rows, dict(rival.joint), without)
         if best is not None:
             both = rows["best"][1], rows[without][1]
             scored = [{VARIATION: variation_of(each)} for each in both]

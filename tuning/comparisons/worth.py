@@ -17,7 +17,9 @@ from tuning.numbers import number
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
 from tuning.results.front import Front, without_sensor
-from tuning.searches.retuned_pd import NAME, ON_A_GRID, UNSEARCHED, Rival
+from tuning.results.tuned import Tuned
+from tuning.searches import retuned_pd
+from tuning.searches.retuned_pd import NAME, ON_A_GRID, PLANNED, UNSEARCHED, Rival
 
 LEVEL = 0.05  # chance at most, of a claim that searches of equal laws make
 
@@ -160,6 +162,44 @@ def better_of(rival: Rival, values: Mapping[str, float]) -> tuple[str, Rival]:
         return NAME, rival._replace(beside=f"load transfer by plan on these, not searched: {found}")
     found = "the walk failed" if math.isnan(pd) else number(pd)
     return UNSEARCHED, rival._replace(value=plan, name=PlannedTransfer.__name__, beside=f"pd on these: {found}")
+
+
+class Without(NamedTuple):
+    """The best rival without a force sensor of a search."""
+
+    name: str  # of its walk
+    rival: Rival
+    pd: BesidePd | None  # where a law that plans was searched too
+    ends: Ends | None  # of both searches; None where the rival was not searched
+
+
+def best_without(
+    found: Tuned, rivals: tuple[Tuned, Tuned | None], scores: Mapping[str, float], step: float | None = None
+) -> Without:
+    """Return the best of pd retuned and of load transfer by plan, searched or on pd's joint gains.
+
+    Arguments:
+        found: the gains.
+        rivals: pd retuned, and load transfer by plan, where it was searched.
+        scores: the goal in the walks of both, by name, NaN where one failed.
+        step: s, of the comparison, where it is not the scenario's.
+    """
+    retuned, plan = rivals
+    name, best = better_of(retuned_pd.rival_of(retuned, step), scores)
+    if plan is None:
+        return Without(name, best, None, Ends(found.ends, retuned.ends) if name == NAME else None)
+    pd = BesidePd(scores[name], best)
+    if scores[PLANNED] < scores[name]:
+        return Without(PLANNED, retuned_pd.rival_of(plan, step), pd, Ends(found.ends, plan.ends))
+    return Without(name, best, pd, Ends(found.ends, retuned.ends))
+
+
+def give_joint_gains(rows: dict[str, tuple[Values | None, Values]], joint: Values, rival: str) -> None:
+    """Give the joint gains of pd retuned to it and to the plan on them, which goes where it is not the best `rival`."""
+    for name in rows.keys() & {NAME, UNSEARCHED}:
+        rows[name] = joint, rows[name][1]
+    if rival != UNSEARCHED:
+        rows.pop(UNSEARCHED, None)
 
 
 def _named(rival: Rival) -> str:

@@ -12,7 +12,7 @@ from mjx_climb.control.foot_offsets import FootOffsets
 from mjx_climb.control.recovering import Recovering
 from mjx_climb.inputs.time_step import short_enough
 from tuning.comparisons import of_search, side_by_side
-from tuning.comparisons.worth import BesidePd, Ends, OverWalks, better_of, between, worth_of
+from tuning.comparisons.worth import BesidePd, Ends, OverWalks, best_without, better_of, between, worth_of
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
@@ -211,18 +211,23 @@ def test_one_search_makes_no_verdict_and_several_that_agree_do(ours, theirs, sai
 def test_the_rival_is_the_better_of_pd_and_the_plan(planned, lost, said, monkeypatch):
     """One that loses a gripper is none; the ends of the searches are those of the rival."""
     metrics = dict.fromkeys(mc.METRICS.names, 1.0) | {"diverged": False, "detached_limb": None, "stands_at": None}
-    both = tuple(metrics | {"force_variation": value} for value in (30.0, 40.0))
-    problem = Problem(CASE, objective=Objective((Term("force_variation", 1.0, 100.0, 100.0),), ()))
-    scored = [{"objective": each["force_variation"] / 100, "force_variation": each["force_variation"]} for each in both]
-    by_plan = metrics | {"force_variation": planned, "detached_limb": "LF" if lost else None}
-    monkeypatch.setattr(retuned_pd, "rival_of", lambda found: found.rival)
-    found = types.SimpleNamespace(problem=problem, ends=[0.3] * 4)
+    walks = {"tuned": metrics | {"force_variation": 30.0}, retuned_pd.NAME: metrics | {"force_variation": 40.0}}
+    walks[retuned_pd.PLANNED] = metrics | {"force_variation": planned, "detached_limb": "LF" if lost else None}
+    goal = Objective((Term("force_variation", 1.0, 100.0, 100.0),), ())
+    scores = {name: of_search.scores_of(goal, each) for name, each in walks.items()}
+    monkeypatch.setattr(retuned_pd, "rival_of", lambda found, step: found.rival)
+    found = types.SimpleNamespace(ends=[0.3] * 4)
     rivals = [types.SimpleNamespace(rival=RIVAL._replace(name=name), ends=[end] * 4)
               for name, end in (("pd", 0.4), ("PlannedTransfer", 0.35))]  # fmt: skip
-    assert of_search.beside_plan(found, both, scored, rivals, by_plan, None).in_words.startswith(said)
+
+    def told():
+        best = best_without(found, rivals, {name: each["objective"] for name, each in scores.items()})
+        both, scored = ([each[name] for name in ("tuned", best.name)] for each in (walks, scores))
+        return between(both, scored, best.rival, Problem(CASE), pd=best.pd, ends=best.ends).in_words
+
+    assert told().startswith(said)
     rivals[0 if lost or planned > 40 else 1].ends[2] = 0.2
-    told = of_search.beside_plan(found, both, scored, rivals, by_plan, None).in_words
-    assert "the 4 searches of each do not all agree" in told
+    assert "the 4 searches of each do not all agree" in told()
 
 
 @pytest.mark.parametrize(
