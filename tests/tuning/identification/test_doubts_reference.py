@@ -154,24 +154,20 @@ def rates_by_hand(read):
         if np.ptp(position.value) < 0.02 or np.ptp(velocity.value) == 0:
             continue
         rate = np.interp(velocity.time, position.time, np.gradient(position.value, position.time))
+        if max(rate) == min(rate):  # as where the two were not recorded at the same time
+            continue
         a, b = rate - rate.mean(), velocity.value - velocity.value.mean()
         if abs(a @ b) < 0.8 * np.sqrt((a @ a) * (b @ b)):
             continue
-        ratio = sum(rate * velocity.value) / sum(rate**2)
+        ratio, name = sum(rate * velocity.value) / sum(rate**2), f"{joint}.velocity"
         if 0.8 < -ratio < 1.25:
-            yield (
-                f"{joint}.velocity",
-                "the other way round than the angle's rate, suspected axis (sign: -1 in signals.yaml)",
-            )
+            yield name, "the other way round than the angle's rate, suspected axis (sign: -1 in signals.yaml)"
         if 0.8 < ratio / PER_DEGREE < 1.25:
             yield name, "57 times the angle's rate, suspected to be deg/s (unit: deg/s in signals.yaml)"
         if 0.8 < ratio / (60 / 2 / np.pi) < 1.25:
             yield name, "9.5 times the angle's rate, suspected to be rpm (unit: rpm in signals.yaml)"
         if 0.8 < ratio / 1000 < 1.25:
-            yield (
-                f"{joint}.velocity",
-                "1000 times the angle's rate, suspected times in ms (time_unit: ms in signals.yaml)",
-            )
+            yield name, "1000 times the angle's rate, suspected times in ms (time_unit: ms in signals.yaml)"
 
 
 def stuck_by_hand(read):

@@ -190,9 +190,9 @@ def _rates(read: Read, joints: Iterable[str]) -> Iterator[str]:
             position, velocity = read.get(f"{joint}.position"), read.get(f"{joint}.velocity")
             if position is None or velocity is None or np.ptp(position.value) < MOVES or len(position.time) < 10:
                 continue
-            if not np.ptp(velocity.value):
-                continue
             rate = np.interp(velocity.time, position.time, np.gradient(position.value, position.time))
+            if not np.ptp(velocity.value) or not np.ptp(rate):
+                continue
             ratio = float(rate @ velocity.value / (rate @ rate))
             if np.corrcoef(rate, velocity.value)[0, 1] ** 2 < FOLLOWS**2:
                 continue
