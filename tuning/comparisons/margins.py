@@ -61,7 +61,7 @@ class Quantity(NamedTuple):
         else:
             longest = max(min(worst, samples[0]) if late else worst, 2 * FACTOR * own)
             values = self.ideal + (longest - self.ideal) * np.linspace(0, 1, POINTS) ** 2
-        for wanted in (own, needed(own, worst)):  # the values asked of gains are walked themselves
+        for wanted in (own, needed(own, values[-1])):  # the values asked of gains are walked themselves
             if min(values) <= wanted <= max(values):
                 values[np.abs(values - wanted).argmin()] = wanted
         return self.on_steps(np.minimum(values, samples[1]) if late else values, scenario)
@@ -198,8 +198,7 @@ def find(
     between = np.stack([_between(each, scenario, coarse.sel(quantity=name)) for name, each in asked.items()])
     walks = xr.concat([coarse, walk(between, total // 2, {})], "point", coords="minimal", compat="override")
     own = {name: quantity.own(scenario) for name, quantity in asked.items()}
-    down = [[-1.0 if quantity.worst < own[name] else 1.0] for name, quantity in asked.items()]
-    badness = walks["value"] * down
+    badness = walks["value"] * np.where(grid[:, -1:] < grid[:, :1], -1.0, 1.0)
     walks = walks.isel(point=badness.copy(data=np.argsort(badness.values, axis=1, kind="stable")))
     walks = walks.transpose("gains", "quantity", "point").reset_coords("value")
     margins, units = {}, own_parameters(scenario).units
