@@ -1,0 +1,213 @@
+"""Folders of made-up results, whole: files, page and pictures against texts that were read and computed by hand."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import mjx_climb as mc
+from mjx_climb.files import dataset
+from tests import approved
+from tuning.comparisons import judge as judging
+from tuning.comparisons import margins as margins_of
+from tuning.comparisons.degraded import AS_DRAWN, Degradation
+from tuning.comparisons.degraded import METRICS as OF_HARDWARE
+from tuning.comparisons.linear_margins import Stable
+from tuning.comparisons.of_draw import DrawComparison
+from tuning.comparisons.of_ensemble import RobustComparison, shown
+from tuning.comparisons.worth import Worth
+from tuning.pages import degraded, judge, margins, page, pushes, robust
+from tuning.pages.contents import Contents, Written
+from tuning.problem.ensemble import Ensemble, Worst
+from tuning.problem.evaluation import Problem
+from tuning.problem.objectives import Limit, Objective, Term
+from tuning.problem.search import Search
+from tuning.problem.spaces import space
+from tuning.results.judged import Degraded, Judged
+from tuning.results.tuned import AGREEMENT, Robust
+
+HERE = Path(__file__).parent / "approved"
+ORIGIN = page.Origin("case", "mjx-climb ask", "mjx-climb again", "")
+CASE = mc.load_scenario("case_1_2", {"duration": 0.3})
+LIMITS = (Limit("base_deviation", 0.01, 0.01, 0.02, "as asked"),)
+GOAL = Objective((Term("force_variation", 1.0, 100.0, 100.0),), LIMITS, worst=Worst())
+PROBLEM = Problem(CASE, objective=GOAL, ensemble=Ensemble(members=5), space=space(CASE, Search()))
+
+
+def same(name, contents):
+    approved.check(HERE / f"{name}.txt", approved.of_contents(contents, ORIGIN))
+
+
+def walks_of(names, members=5, level=1.0):
+    """Walks of gains through a draw, with numbers that a reader can compute again: gains by members, in order."""
+    rows = np.arange(1, len(names) + 1)[:, None] + 0.1 * np.arange(members)
+    data = {}
+    for place, metric in enumerate(mc.METRICS):
+        data[metric.name] = (("gains", "member"), level * rows + place, dataset.metric_attributes(metric))
+    data["peak_utilization"] = (("gains", "member"), 0.3 * rows, data["peak_utilization"][2])
+    data["missed_grips"] = (("gains", "member"), (rows > 2.3).astype(int), data["missed_grips"][2])
+    for name in ("diverged", "detached_limb", "detached_at"):
+        data[name] = (("gains", "member"), np.full(rows.shape, 0 if name == "diverged" else -1), data[name][2])
+    data["stands_at"] = (("gains", "member"), np.full(rows.shape, np.nan), data["stands_at"][2])
+    lost = {judging.LOST_SENSORS: "mine ran without the force sensor of LF from 0.25 s in 1 of 5 walks"}
+    return xr.Dataset(data, {"gains": names, "member": np.arange(members)}, lost)
+
+
+def table_of(names, metrics, baseline, members=5):
+    """Differences from a baseline: of the metric m and gains g the value 10 m + g, the ends one below and above."""
+    metrics = ["objective", *metrics, "failed"]
+    shape = (len(metrics), 2, len(names))
+    value = 10.0 * np.arange(1, len(metrics) + 1)[:, None, None] + 3.0 * np.arange(len(names))
+    value = value + np.array([0.0, 5.0])[:, None]
+    value[-1, 0] = 0.2 * np.arange(len(names))
+    value[[0, -1], 1] = np.nan
+    difference = value - value[..., [names.index(baseline)]]
+    fields = {"value": value, "difference": difference, "low": difference - 4, "high": difference + 4}
+    fields["low"][1, 1] = fields["high"][1, 1] = np.nan
+    fields |= {"walks_needed": np.full(shape, np.inf), "seeds_needed": np.full(shape, np.inf)}
+    dims = ("metric", "statistic", "gains")
+    made = xr.Dataset(
+        {name: (dims, each) for name, each in fields.items()},
+        {"metric": metrics, "statistic": ["mean", "worst"], "gains": names},
+    )
+    made["real"] = (made["low"] > 0) | (made["high"] < 0)
+    made["larger_is_better"] = ("metric", np.array([name == "travel" for name in metrics]))
+    about = {"baseline": baseline, "members": members, "members_compared": members - 1, "seeds": 3, "resamples": 40}
+    return made.assign_attrs(about, lacks="", level=0.95, worst_share=0.05)
+
+
+def test_the_folder_of_evaluate():
+    names = ["mine", "config", "pd"]
+    walks = walks_of(names)
+    found = Judged(walks, PROBLEM, ensemble=Ensemble(members=5, seed=3))
+    table = table_of(names, shown(mc.METRICS), "pd")
+    compared = DrawComparison(judging.summary(walks), table, "a sensor is worth nothing")
+    same("evaluate", judge.contents(found, compared, "case.yaml"))
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_the_folder_of_a_search_over_an_ensemble(told):
+    names = ["robust", "retuned_pd", "config", "pd"]
+    walks, count = walks_of(names), 6
+    points = {
+        "value": [0.9, 0.8, np.nan, 0.7, 0.75, 2.0], "penalty": [0.0, 0.1, np.inf, 0.0, 0.0, 0.0],
+        "feasible": [True, False, False, True, True, True], "env_steps": np.arange(1, 7) * 1000,
+        "gradient_norm": [np.nan, 3.0, np.nan, 2.0, 1.0, np.nan] if told else [np.nan] * 6, "phase": ["population"] * 6,
+    }  # fmt: skip
+    data = xr.Dataset({name: ("point", np.array(each)) for name, each in points.items()}, {"point": np.arange(count)})
+    data["theta"] = (("point", "coordinate"), np.zeros((count, 2)))
+    data = data.assign_coords(coordinate=["stiffness", "damping"]).assign_attrs(interrupted=0)
+    data = data.assign_attrs({AGREEMENT: "2 seeds agree"} if told else {})
+    gains = mc.Gains(np.asarray(1.0), np.asarray(50.0), np.asarray(2e3))
+    found = Robust(data, PROBLEM, Search(seed=4), Ensemble(members=5), gains, judges=5)
+    if not told:
+        found = dataclasses.replace(found, data=data.assign(feasible=("point", np.zeros(count, bool))))
+    summed = judging.summary(walks)
+    shares = [[0.25, 0.0, 0.5, 1.0]] if told else [[0.0] * 4]
+    broken = xr.DataArray(shares, {"limit": ["a limit"], "gains": names}, ("limit", "gains"))
+    summed = summed.assign(objective=("gains", [0.6, 0.7, 0.9, 1.0]), broken=broken)
+    worth = Worth({"objective": -0.1}, "the force sensor pays") if told else None
+    binding = ["base deviation at most 0.01 (as asked)"] if told else []
+    joint = {"kp": 17.0, "kd": 1.0} if told else {}
+    compared = RobustComparison(walks, summed, worth, "the verdict", joint, binding)
+    same(f"robust_{told}", robust.contents(found, compared, "case.yaml"))
+
+
+@pytest.mark.parametrize("baseline", ["retuned_pd", "pd"])
+def test_the_folder_of_worse_hardware(baseline):
+    names = ["mine", *dict.fromkeys([baseline, "pd"])]
+    settings = [AS_DRAWN, "delay=x2", "noise=x3"][: 3 if baseline == "pd" else 2]
+    one = walks_of(names)
+    each = [one.assign(force_variation=one["force_variation"] * (1 + place)) for place in range(len(settings))]
+    walks = xr.concat(each, xr.Variable("setting", settings))
+    found = Degraded(walks.assign_attrs(one.attrs), PROBLEM, ensemble=Ensemble(members=5, seed=2))
+    losses = {name: table_of(settings, OF_HARDWARE, AS_DRAWN) for name in names}
+    losses["pd"] = losses["pd"].assign(value=losses["pd"]["value"] * 0)  # nothing that per cent could be of
+    lead = {each: table_of(names, OF_HARDWARE, baseline) for each in settings}
+    same(f"worse_{baseline}", degraded.contents(found, Degradation(losses, lead, baseline), "case.yaml"))
+
+
+def test_the_worst_setting_is_that_which_is_known_to_take_most():
+    """What seems worse without being real is not named; where nothing is real the last setting stands for all."""
+    settings = [AS_DRAWN, "a", "b"]
+    found = Degraded(xr.Dataset(coords={"member": range(5)}), PROBLEM)
+    losses = table_of(settings, OF_HARDWARE, AS_DRAWN)
+    lead = {each: table_of(["mine", "pd"], OF_HARDWARE, "pd") for each in settings}
+    said = {}
+    for name, real in {"both": [0, 1, 1], "first": [0, 1, 0], "none": [0, 0, 0]}.items():
+        own = losses.copy(deep=True)
+        own["real"].loc[{"metric": "force_variation", "statistic": "mean"}] = np.array(real, bool)
+        said[name] = degraded.in_words(found, Degradation({"mine": own}, lead, "pd"))
+    beside = "; b loses 2 walks; beside pd as the config has it its force variation is ~-13 % as drawn and ~-13 % "
+    assert said == {
+        "both": f"5 walks in each of 2 settings: b takes most from mine, +30 % force variation{beside}b",
+        "first": f"5 walks in each of 2 settings: a takes most from mine, +15 % force variation{beside}a",
+        "none": f"5 walks in each of 2 settings: none takes force variation from mine that can be told{beside}b",
+    }
+    own["difference"] = -own["difference"]
+    own["real"][:] = True
+    own["value"].loc[{"metric": "failed"}] = 0.0
+    said = degraded.in_words(found, Degradation({"pd": own}, lead, "pd"))
+    assert said == (
+        "5 walks in each of 2 settings: none takes force variation from pd that can be told; "
+        "none of their walks is lost"
+    )
+
+
+@pytest.mark.parametrize("wide", [True, False])
+def test_the_files_of_margins(wide):
+    """Of gains whose walks fail at known values: one quantity in s, one as a factor, one at a path."""
+    asked = {"force_delay": ("force delay", "s", 0.004), "joint_gains": ("share of the joint gains", "x", 1.0),
+             "contact.spread": ("contact.spread", "N", 0.25)}  # fmt: skip
+    names, points = ["given", "pd", "config", "other"], 6
+    value = np.array(
+        [[0.0, 2e-3, 4e-3, 8e-3, 16e-3, 30e-3], [1, 0.8, 0.5, 0.3, 0.2, 0.05], [0.25, 0.3, 0.4, 0.5, 0.6, 0.7]]
+    )
+    force = np.arange(1, 5)[:, None, None] * (10.0 ** np.linspace(0, 1 if wide else 0.2, points)) * np.ones((1, 3, 1))
+    detached, diverged = np.full(force.shape, np.nan), np.zeros(force.shape, bool)
+    detached[0, 0, 4:], diverged[2, 0, 3:], diverged[1, 1, 5], force[2, 0, 3] = 1.0, True, True, np.nan
+    detached[0, 2, 0] = 0.5
+    dims = ("gains", "quantity", "point")
+    walks = xr.Dataset(
+        {"force_variation": (dims, force), "detached_at": (dims, detached), "diverged": (dims, diverged)},
+        {"gains": names, "quantity": [*asked]},
+    )
+    walks["value"] = (("quantity", "point"), value)
+    each = {
+        name: margins_of.Margin(own, *how, float(value[row, -1]), title, unit)
+        for row, ((name, (title, unit, own)), how) in enumerate(
+            zip(asked.items(), [(8e-3, 4e-3), (0.05, None), (None, None)], strict=True)
+        )
+    }
+    found = margins_of.Found(each, True, False, walks)
+    stable = {
+        "force_delay": Stable(7e-3, 16e-3),
+        "joint_gains": Stable(0.05, 0.05),
+        "contact.spread": Stable(None, 1.0),
+    }
+    written = Written(tables=[margins.margins_table(found, stable)])
+    files = margins.files(found, stable, ["a warning"], "soft gains")
+    same(f"margins_{wide}", Contents(written, PROBLEM, files, lambda _: _page(written.tables)))
+
+
+def _page(tables):
+    return page.Page("", page.Findings(""), CASE, tables=tables)
+
+
+def test_the_files_and_the_page_of_pushes():
+    """Draws that bear forces one above the other; one direction bears more than any, another less."""
+    low = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
+    ways = {"up": low, "down": np.zeros(6), "left": np.full(6, 60.0), "right": np.repeat([0.0, 8.0], 3)}
+    shape = (2, 2, 4, 6)
+    survived = np.broadcast_to(np.stack([*ways.values()]), shape).copy()
+    survived[1] = np.where(survived[1] < 60, survived[1] / 2, survived[1])
+    beyond = np.where(survived >= 60, np.inf, np.where(survived > 0, 2 * survived, 60 / 64))
+    dims = ("walker", "length", "direction", "draw")
+    coordinates = {"walker": ["mine", "pd"], "length": [0.2, 1.0], "direction": [*ways]}
+    found = xr.Dataset({"survived": (dims, survived), "lost": (dims, beyond)}, coordinates,
+                       {"smallest": 60 / 64, "largest": 60.0})  # fmt: skip
+    written = Written(summary="", outcome=[pushes.verdict(found)])
+    contents = Contents(written, PROBLEM, pushes.files(found), pushes.page_of(found, CASE).at)
+    same("pushes", contents)
