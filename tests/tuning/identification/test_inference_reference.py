@@ -21,7 +21,7 @@ Z = 1.959964
 class Given(Problem):
     """A problem of random rows; nothing is simulated."""
 
-    def __init__(self, draw, clock=0.0):
+    def __init__(self, draw, clock=0.0, delayed=False):
         signals, blocks, per = int(draw.integers(1, 4)), int(draw.choice([3, 9, 14])), int(draw.choice([6, 25]))
         window, signal = (each.ravel() for each in np.mgrid[:blocks, :signals])
         window, signal = np.repeat(window, per), np.repeat(signal, per)
@@ -30,7 +30,7 @@ class Given(Problem):
         )
         count = len(step)
         keys = [f"control.k{n}" if draw.random() < 0.5 else f"hardware.servo.{n}_friction" for n in range(4)]
-        keys = [DELAY, "log.velocity.delay", *keys] if draw.random() < 0.5 else keys
+        keys = [DELAY, "log.velocity.delay", *keys] if delayed or draw.random() < 0.5 else keys
         sd = draw.uniform(0.1, 3, len(keys))
         variables = tuple(
             Variable(key, "1", 1.0, 0.0, s, 1e-9, 9, log=bool(draw.random() < 0.3), beside=key.startswith("log."))
@@ -167,9 +167,10 @@ def posterior_by_hand(problem, found, tests, ahead):
 @pytest.mark.parametrize("seed", range(12))
 def test_a_posterior_is_that_of_dense_algebra(seed):
     draw = np.random.default_rng(seed)
-    problem = Given(draw, clock=float(draw.choice([0.0, 1e-3])))
-    if seed % 3 == 0:
-        problem.x[1:2] = 2.5  # as a delay of velocities that is surely there
+    problem = Given(draw, clock=float(draw.choice([0.0, 1e-3])), delayed=seed % 3 < 2)
+    if seed % 3 < 2:
+        problem.model.windows.time_step = 30.0
+        problem.x[1] = 9.0 if seed % 3 else 1.0  # a delay of velocities that is surely there, or may be
     found, ahead = problem.found(), float(draw.choice([0.7, 1.0, 2.0]))
     tests = inference.whiteness(problem, found)
     known = inference.posterior(problem, found, tests, ahead)
@@ -273,7 +274,7 @@ def test_noise_without_shared_stamps_is_hubers(seed):
     assert found.clock == 0.0 and not samples.shared
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_noise_and_clock_are_those_of_the_largest_likelihood_of_normal_samples(seed):
     """Of samples without outliers, by the dense covariance of each stamp; held-out rows count for nothing."""
     draw = np.random.default_rng(seed)

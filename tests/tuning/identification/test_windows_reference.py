@@ -33,9 +33,10 @@ def drawn(draw, count=None):
     signals, limbs = {}, draw.permutation(ROBOT.limbs)[: draw.integers(1, 5)]
     together = draw.random() < 0.4
     measured = times(float(draw.choice([rate, 37.0])), silences)
+    slower = times(9.0, silences) if draw.random() < 0.3 else measured
     for joint in JOINTS:
         limb, _, number = *joint.split("."), JOINTS.index(joint)
-        if limb not in limbs or draw.random() < 0.06:
+        if limb not in limbs or (limb != limbs[0] and draw.random() < 0.06):
             continue
         sent = measured if together else times(rate, silences + lost)
         if draw.random() < 0.05:
@@ -44,8 +45,9 @@ def drawn(draw, count=None):
         signals[f"{joint}.command"] = Signal(sent, np.sin((1 + 0.1 * number) * sent) * still)
         for kind in MEASURED:
             if draw.random() < 0.6:
-                value = np.cos((2 + 0.1 * number) * measured) * (draw.random() < 0.9)
-                signals[f"{joint}.{kind}"] = Signal(measured, value)
+                own = slower if kind == "effort" else measured
+                value = np.cos((2 + 0.1 * number) * own) * (draw.random() < 0.9)
+                signals[f"{joint}.{kind}"] = Signal(own, value)
     if draw.random() < 0.4:
         off = np.arange(0.0, duration, 0.05)
         signals[OFF] = Signal(off, 1.0 * (np.sin(3 * off + draw.uniform(0, 6)) > 0))
@@ -152,6 +154,7 @@ def test_windows_are_where_nothing_is_missing(seed):
     found = list(zip(windows.begin, windows.abuts, windows.held_out, strict=True))
     np.testing.assert_allclose(np.array(found, float), np.array(expected, float), atol=1e-12)
     np.testing.assert_array_equal(windows.begins_stretch, [not abuts for _, abuts, _ in expected])
+    assert windows.stretch[0] == 0
     np.testing.assert_array_equal(np.diff(windows.stretch), [0 if abuts else 1 for _, abuts, _ in expected[1:]])
     assert windows.kinds == tuple(kind for kind in KINDS if any(name.endswith(kind) for name in names))
     own = windows.rows
