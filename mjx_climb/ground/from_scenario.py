@@ -1,7 +1,8 @@
 """The points of a scenario that can be held, from a list, a file, a height map or a rule."""
 
+import difflib
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -99,17 +100,27 @@ def _from_file(cloud: model.HoldCloud, random: np.random.Generator, turn: np.nda
     if (far := np.abs(position) > _FARTHEST).any():
         expected = f"{_FARTHEST:g} m at most, or nan for a gap"
         raise ConfigError(cloud.file, "x, y, z", expected, f"{position[far][0]:g}")
-    there = ~np.isnan(position).any(1)
-    position = position[there]
+    there, origin = ~np.isnan(position).any(1), (position == 0).all(1)
     named = next((names for names in _NORMALS if {*names} <= {*table.names}), None)
+    doubts = [*_misspelt(table.names, cloud.limit, named)]
+    if origin.sum() > 1:
+        there &= ~origin
+        doubts.append(f"{origin.sum()} of {len(position)} points are at 0, 0, 0, as of no echo: left out")
+    position = position[there]
     normal = table.values(*named)[there] if named else np.zeros_like(position)
     # programs write zeros or nan where they know none
     lacking = ~np.isfinite(normal).all(1) | (normal == 0).all(1)
     if lacking.any():
-        normal[lacking] = _fitted(position, cloud.neighbours, turn, table.viewpoint)[lacking]
+        fitted, side = _fitted(position, cloud.neighbours, turn, table.viewpoint)
+        normal[lacking] = fitted[lacking]
+        level = lacking & (side < _LEVEL)
+        if level.any() and table.viewpoint is None:
+            text = "fitted normals are level, so that their side is a guess (turn, or nx, ny, nz in the file)"
+            doubts.append(f"{level.sum()} of {len(position)} {text}")
     if inward := _inward(position @ turn.T, normal @ turn.T):
-        text = f"{inward} of {len(position)} normals look down, into the ground"
-        # once for all copies of a file
+        doubts.append(f"{inward} of {len(position)} normals look down, into the ground")
+    # once for all copies of a file
+    for text in doubts:
         warnings.warn(f"{Path(cloud.file).name}: ground.holds.cloud: {text}", stacklevel=2)
     limit = np.full(len(position), np.nan)
     if cloud.limit is not None or "limit" in table.names:
@@ -142,24 +153,36 @@ _FOUND: dict[str, Callable[..., _Found]] = {
 }
 
 
-def _fitted(position: np.ndarray, neighbours: int, turn: np.ndarray, viewpoint: np.ndarray | None) -> np.ndarray:
-    """Normals (n, 3) of planes through the nearest points, out of the ground; up where these are on a line.
+def _misspelt(names: Sequence[str], limit: str | None, normals: tuple[str, ...] | None) -> Iterator[str]:
+    """A line for each column whose name is nearly one that would be read."""
+    known = [name for each in ([] if normals else _NORMALS) for name in each] + ["limit"] * (limit is None)
+    for name in names:
+        near = difflib.get_close_matches(name.lower(), known, 1, 0.8)
+        if near and name != "limit":
+            yield f"column {name} is not read: expected {', '.join(next((n for n in _NORMALS if near[0] in n), near))}"
 
-    Out is towards the viewpoint, or else up after the turn (3, 3). On ground that the turn makes a wall it is also
-    along the file's z.
+
+def _fitted(
+    position: np.ndarray, neighbours: int, turn: np.ndarray, viewpoint: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (n, 3) of planes through the nearest points, out of the ground, and cosines (n,) to there.
+
+    They are up where these points are on a line. Out is towards the viewpoint, or else up after the turn (3, 3). On
+    ground that the turn makes a wall it is also along the file's z.
     """
     from scipy.spatial import cKDTree
 
     up = np.tile(turn[2], (len(position), 1))
     if min(neighbours, len(position)) < 3:
-        return up
+        return up, np.ones(len(position))
     _, near = cKDTree(position).query(position, min(neighbours, len(position)))
     around = position[near] - position[near].mean(1, keepdims=True)
     spread, axes = np.linalg.eigh(around.mT @ around)
     normal = np.where(spread[:, 1:2] > 1e-6 * spread[:, 2:], axes[..., 0], up)
     ahead = np.array([0.0, 0.0, turn[2, 2] > -_LEVEL])
     out = up + ahead if viewpoint is None else viewpoint - position
-    return np.where((normal * out).sum(1, keepdims=True) < 0, -normal, normal)
+    cosine = (normal * out).sum(1) / np.linalg.norm(out, axis=1)
+    return np.where(cosine[:, None] < 0, -normal, normal), np.abs(cosine)
 
 
 def _inward(position: np.ndarray, normal: np.ndarray) -> int:

@@ -13,8 +13,8 @@ from mjx_climb.mujoco_import import mujoco
 from mjx_climb.reading import check_regular
 from mjx_climb.robot.constants import RobotError
 from mjx_climb.robot_import.markup import (
+    check_names,
     check_numbers,
-    first_line,
     fixed_by_limits,
     is_urdf,
     line_of,
@@ -40,7 +40,6 @@ _SIZES = {  # numbers that a plain shape's size has, and how many where its ends
     mujoco.mjtGeom.mjGEOM_BOX: (3, 2),
 }
 _NUMBER = re.compile(r"[Ll]ine (?:number=)?(\d+)")
-_NAME = r"[^<>]*?\bname\s*=\s*[\"']"
 _DROPPED = ("actuators", "sensors", "pairs", "excludes", "skins", "tendons", "cameras", "lights", "flexes", "hfields")
 
 
@@ -95,6 +94,7 @@ def _read(file: str, looks: bool) -> mujoco.MjSpec:
         place = f"{file}:{text.count(chr(10), 0, macro.start()) + 1}"
         raise RobotError(f"{place}: expected a URDF that xacro has written out, got {macro[0]}>")
     check_numbers(file)
+    check_names(file)
     mujoco.set_mju_user_warning(lambda message: None)  # the error that is raised says it once
     try:
         if is_urdf(file):
@@ -339,7 +339,5 @@ def _unreadable(file: str, error: Exception) -> RobotError:
                 place = lines[int(number[1]) - 1][0]
     if place is None and (found := re.search(r"(?:[Ee]lement name|opening file) '([^']+)'", reason)):
         place = line_of(file, found[1])
-    if place is None and "repeated URDF name" in reason:
-        place = first_line(file, rf"<\s*(link|joint)\s{_NAME}([^\"']*)[\"'].*?<\s*\1\s{_NAME}(\2)[\"']")
     reason = reason.removesuffix(" line 0").removesuffix(",")
     return RobotError(f"{place or file}: expected an MJCF or URDF that MuJoCo loads, got {reason[:300]}")

@@ -152,6 +152,22 @@ def check_numbers(file: str) -> None:
                 raise RobotError(f"{place}: {of}: expected numbers of up to {most:g}, got {token}")
 
 
+def check_names(file: str) -> None:
+    """Refuse a URDF with two links of one name, or two joints.
+
+    Raises:
+        RobotError: in one line, the place of the second.
+    """
+    lines = lines_of(Path(file))
+    found = elements("\n".join(text for _, text in lines)) if is_urdf(file) else []
+    seen: dict[tuple[str, str], int] = {}
+    for each in found:
+        name = (each.tag, each.attributes.get("name", ""))
+        if each.tag in ("link", "joint") and each.parent == 0 and seen.setdefault(name, each.line) != each.line:
+            expected = f"one {each.tag} {name[1]!r}"
+            raise RobotError(f"{lines[each.line - 1][0]}: expected {expected}, got another in line {seen[name]}")
+
+
 def _around(element: Element, found: list[Element]) -> Iterator[Element]:
     """Yield an element and those around it, from the inside out."""
     yield element

@@ -2,6 +2,7 @@
 
 import json
 import struct
+import warnings
 
 import numpy as np
 import pytest
@@ -311,6 +312,43 @@ def test_normals_of_a_file_that_look_into_the_ground_are_counted(tmp_path):
         found(cloud={"file": str(tmp_path / "pipe.csv")})
 
 
+def test_fitted_normals_of_a_wall_that_no_turn_tells_of_are_counted(tmp_path):
+    """A scan in the camera's own axes, whose turn was forgotten: their sides come out by chance."""
+    source = seen(tmp_path / "scan.pcd", LEVEL)
+    with pytest.warns(UserWarning, match="200 of 200 fitted normals are level, so that their side is a guess .turn"):
+        found(**source | {"turn": [0, 0, 0]})
+    eye = " ".join(map(repr, (np.array([0.5, 0.5, 1.0]) @ Rotation.from_euler("xyz", LEVEL).as_matrix()).tolist()))
+    made = found(**seen(tmp_path / "eye.pcd", LEVEL, viewpoint=eye) | {"turn": [0, 0, 0]})
+    assert (made.normal @ Rotation.from_euler("xyz", LEVEL).as_matrix().T > 0.99)[:, 2].all()
+
+
+def test_points_at_the_sensor_itself_are_no_ground(tmp_path):
+    """As drivers write directions from which nothing came back; one such point may be one."""
+    (tmp_path / "a.csv").write_text("x,y,z,limit\n0,0,0,0\n0,0,0,0\n1,0,0,3\n-0.0,0,0,0\n0,0,1,4\n")
+    with pytest.warns(UserWarning, match="a.csv: ground.holds.cloud: 3 of 5 points are at 0, 0, 0, as of no echo"):
+        made = found(cloud={"file": str(tmp_path / "a.csv")})
+    np.testing.assert_array_equal(made.position, [[1, 0, 0], [0, 0, 1]])
+    np.testing.assert_array_equal(made.limit_bound[:, 0], [3, 4])
+
+
+@pytest.mark.parametrize(("names", "limit", "said"), [
+    ("limt", None, "column limt is not read: expected limit"),
+    ("Limit", None, "column Limit is not read: expected limit"),
+    ("normals_x,normals_y,normals_z", None, "column normals_y is not read: expected normal_x, normal_y, normal_z"),
+    ("nx,ny", None, "column ny is not read: expected nx, ny, nz"),
+    ("limt", "limt", None),
+    ("nx,ny,nz,normal_x", None, None),
+    ("intensity,limit", None, None),
+])  # fmt: skip
+def test_columns_that_are_nearly_known_are_told(names, limit, said, tmp_path):
+    (tmp_path / "a.csv").write_text(f"x,y,z,{names}\n" + "1,2,3" + ",1" * (names.count(",") + 1) + "\n")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found(cloud={"file": str(tmp_path / "a.csv"), "limit": limit})
+    lines = [str(each.message).partition("cloud: ")[2] for each in caught]
+    assert (said in lines) if said else (lines == [])
+
+
 def test_a_column_of_limits_that_the_config_names_must_be_there(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,z,limit\n0,0,0,3\n")
     source = {"file": str(tmp_path / "a.csv")}
@@ -431,7 +469,7 @@ BAD = {
     "normals.csv": (b"x,y,z,nx,ny,nz,nx\n1,2,3,0,0,1,1\n", "normals.csv: nx: expected one column of this name, got 2"),
     "inf.csv": (b"x,y,z\n0,inf,0\n", "inf.csv: x, y, z: expected 1e+09 m at most, or nan for a gap, got inf"),
     "far.csv": (b"x,y,z\n0,0,-1e300\n", "far.csv: x, y, z: expected 1e+09 m at most, or nan for a gap, got -1e+300"),
-    "nan.csv": (b"x,y,z,limit\n0,0,0,1\n0,0,0,nan\n", "nan.csv: limit: expected limits of 0 or above, got nan at 1"),
+    "nan.csv": (b"x,y,z,limit\n0,0,0,1\n0,0,1,nan\n", "nan.csv: limit: expected limits of 0 or above, got nan at 1"),
     "minus.csv": (b"x,y,z,limit\n0,0,0,-2\n", "minus.csv: limit: expected limits of 0 or above, got -2"),
     "cut.ply": (b"ply\nformat ascii 1.0\nelement vertex 3\n", "cut.ply: expected a whole file of points"),
     "cut.pcd": (b"VERSION 0.7\n", "cut.pcd: expected a header that ends with DATA, got none"),

@@ -131,6 +131,42 @@ def test_a_foot_by_other_names(saved, foot):
     assert robot.limbs["LF"].foot == f"LF_{foot}" and "guessed" not in told(robot)
 
 
+def finger(limb, parent):
+    ends = f'<parent link="{limb}_{parent}"/><child link="{limb}_claw"/><origin xyz="0.1 0 0"/><axis xyz="0 1 0"/>'
+    joint = f'<joint name="{limb}_finger" type="revolute">{ends}{LIMITS_OF.format(-1, 1)}</joint>'
+    return f'<link name="{limb}_claw">{weighed(0.01, 1e-6)}</link>{joint}'
+
+
+@pytest.mark.parametrize("limbs", [("LF",), ("LF", "LH", "RH", "RF")])
+@pytest.mark.parametrize("parent", ["tibia", "foot"])
+def test_a_finger_beyond_a_foot_is_no_joint_of_the_limb(saved, plain_stance, limbs, parent):
+    """One is not told from a further link of the limb by itself; nor does one limb's make it another than the rest."""
+    fingers = "".join(finger(limb, parent) for limb in limbs)
+    proposal = propose(saved(plain_urdf().replace("</robot>", f"{fingers}</robot>"), "hand.urdf"))
+    assert proposal.sections["robot"]["limbs"] == plain_stance["limbs"]
+    assert proposal.sections["robot"]["locked"] == {f"{limb}_finger": 0.0 for limb in limbs}
+
+
+@pytest.mark.parametrize(("kind", "one", "other"), [("joint", "LF_yaw", "LH_yaw"), ("link", "LF_coxa", "LH_coxa")])
+def test_two_of_one_name_are_refused_with_both_lines(saved, kind, one, other):
+    text = plain_urdf()
+    lines = [text[: text.index(f'<{kind} name="{name}"')].count("\n") + 1 for name in (one, other)]
+    expected = f"twice.urdf:{lines[1]}: expected one {kind} '{one}', got another in line {lines[0]}"
+    with pytest.raises(mc.RobotError, match=expected):
+        propose(saved(text.replace(other, one), "twice.urdf"))
+
+
+@pytest.mark.parametrize(("old", "new", "said"), [
+    ('(xyz|rpy)="([0-9.-]+) ([0-9.-]+) 0"', r'\1="\g<2>e3 \g<3>e3 0"', "lengths a limb is 240 m long: units"),
+    ('mass value="([^"]*)"', r'mass value="\g<1>e3"', "masses 6.1e.04 kg in each cubic metre .*: units"),
+    ('(lower|upper)="([^"]*)"', r'\1="\g<2>e1"', "limits of 12 joints up to 30 rad apart, as if they were degrees"),
+])  # fmt: skip
+def test_other_units_are_suspected(saved, old, new, said):
+    notes = propose(saved(re.sub(old, new, plain_urdf()), "units.urdf")).notes
+    warnings = [f"{note.what} {note.why}" for note in notes if note.kind == "warning"]
+    assert any(re.search(said, each) for each in warnings), warnings
+
+
 def test_an_inertia_of_something_larger_is_told_by_its_radius_of_gyration(saved):
     """1 kg m^2 of 0.1 kg: 3.16 m, in limbs of 0.24 m; those of the same file that fit its size go without a word."""
     text = plain_urdf()

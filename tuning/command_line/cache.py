@@ -24,7 +24,9 @@ def cache() -> Iterator[Part]:
         text, facts = f"off ({VARIABLE}): every start compiles again", {"on": False, "folder": None}
         yield Part("cache", text, facts, [finding] if finding else [])
         return
-    sizes, findings = [file.stat().st_size for file in Path(folder).glob("*-cache")], []
+    # XLA's own, and executables beside them
+    files = [*Path(folder).glob("*-cache"), *(file for file in Path(folder).glob("programs/*") if file.is_file())]
+    sizes, findings = [file.stat().st_size for file in files], []
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -94,7 +94,12 @@ class Found:
     def _limbs(self, hub: int) -> list[Chain]:
         """Return the rows that end in feet, of about the commonest number of joints."""
         model = self.model
-        rows = self.tree.rows(hub)
+        sites = {int(model.site_bodyid[site]) for site in range(model.nsite) if _is_foot(model.site(site).name)}
+        # a link that moves by itself may be one of several in a foot
+        fixed = {
+            body for body in range(model.nbody) if self.tree.part[body] != body and _is_foot(model.body(body).name)
+        }
+        rows = self.tree.rows(hub, sites | fixed)
         names = {model.body(b).name for row in rows for b in self.tree.bodies[row[-1]]}
         try:
             shaped = compiled(self.path, bare(self.path, names))

@@ -35,6 +35,9 @@ _LEVEL, _SAME = 0.25, 1e-3
 _HALVINGS = 5  # of a stride that is too long
 _CRAWLING = 4  # limbs of a robot whose cycle has one second for each
 _NAMED = 5  # links in a note
+_SHORTEST, _LONGEST = 0.01, 10.0  # m, limbs of robots
+_DENSEST = 2e4  # kg/m^3: no metal is denser
+_WIDEST = 4 * np.pi  # rad between the limits of a joint
 # largest miss of footholds, as a share of the reach, by limbs of two joints
 _MISSED = 0.02
 
@@ -79,7 +82,7 @@ def propose(
     more = {"locked": _held(robot, key), "springs": _springs(robot, proportions["control"]), "base": robot.root}
     section |= {key: value for key, value in more.items() if value}
     _note_the_rest(robot)
-    _note_wide_inertias(robot, reach, float(np.linalg.norm(hips, axis=1).max()))
+    _note_units(robot, reach, float(np.linalg.norm(hips, axis=1).max()))
     stance = None if key is None else _of_keyframe(robot, key, section)
     if stance is None:
         robot.note("changed", "stance", "searched: joints off their limits, limbs as far from singular as they get")
@@ -197,13 +200,22 @@ def _note_the_rest(robot: Found) -> None:
             robot.note("taken", what, "as a point: the file gives it a mass alone")
 
 
-def _note_wide_inertias(robot: Found, reach: float, hips: float) -> None:
-    """Warn of links whose inertia is that of something larger than they can be.
+def _note_units(robot: Found, reach: float, hips: float) -> None:
+    """Warn of lengths, weights and angles that seem to be in other units, as are moments of inertia of larger things.
 
     A rod as long as a whole limb, `reach` m, has a radius of gyration of 0.29 times that; a base ends some way beyond
     the limbs' beginnings, `hips` m from its middle.
     """
     model = robot.model
+    if not _SHORTEST < reach < _LONGEST:
+        robot.note("warning", "lengths", f"a limb is {reach:.3g} m long: units?")
+    elif (density := model.body_subtreemass[robot.base] / (reach + hips) ** 3) > _DENSEST:
+        robot.note("warning", "masses", f"{density:.2g} kg in each cubic metre that the robot takes up: units?")
+    turning = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+    spans = np.ptp(model.jnt_range, axis=1) * (turning & (model.jnt_limited > 0))
+    if far := [joint for joint in robot.joints if spans[joint] > _WIDEST]:
+        why = f"up to {spans[far].max():.3g} rad apart, as if they were degrees"
+        robot.note("warning", f"limits of {len(far)} joints", why)
     limbs = {int(body) for body in model.jnt_bodyid[robot.joints]}
     own = np.flatnonzero((model.body_rootid == model.body_rootid[robot.base]) & (model.body_mass > SPECK))
     radii = {int(body): float(np.sqrt(model.body_inertia[body].max() / model.body_mass[body])) for body in own}

@@ -1,6 +1,6 @@
 """The tree of a robot: its rigid parts, the hub of its limbs, and rows of joints from there outwards."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -80,8 +80,11 @@ class Tree:
             return None
         return str(model.body(shared[-1]).name)
 
-    def rows(self, base: int) -> list[list[int]]:
-        """Return rows of bodies from the base outwards, at each fork along the longest branch, as far as to fingers."""
+    def rows(self, base: int, feet: Collection[int] = ()) -> list[list[int]]:
+        """Return rows of bodies from the base outwards, at each fork along the longest branch, as far as to fingers.
+
+        Those are of a hand with several, or beyond a part with one of the bodies `feet`, unless another is farther out.
+        """
 
         def count(row: list[int]) -> int:
             return sum(len(self.joints[body]) for body in row)
@@ -92,8 +95,10 @@ class Tree:
             inner[self.beyond[body]] = inner[body]
             outwards += self.beyond[body]
         longest: dict[int, list[int]] = {}
+        ends = {body for body in outwards if not {*feet}.isdisjoint(self.bodies[body])}
         for body in reversed(outwards):
             branches = [longest[branch] for branch in self.beyond[body]]
-            fingers = len(branches) > 1 and inner[body] >= _ARM and all(count(branch) <= _FINGER for branch in branches)
+            hand = len(branches) > 1 or (body in ends and not any(ends & {*branch} for branch in branches))
+            fingers = hand and inner[body] >= _ARM and all(count(branch) <= _FINGER for branch in branches)
             longest[body] = [body] if fingers else [body, *max(branches, key=count, default=[])]
         return [longest[body] for body in self.beyond[self.part[base]]]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mjx_climb.ground.table import Table
+from mjx_climb.scenario.messages import ConfigError
 
 SUFFIXES = (".csv",)
 
@@ -15,6 +16,8 @@ def read(path: Path, topic: str | None) -> Table:
     """The columns of the table by the names in its header."""
     header, *rows = cells(path) or [(1, [])]
     names = [name.strip() for name in header[1]]
+    if rows and len(names) == 1:
+        raise ConfigError(str(path), "", "names with commas between them in the first line", names[0])
     return Table(str(path), list(zip(names, numbers(rows, len(names)).T, strict=True)))
 
 

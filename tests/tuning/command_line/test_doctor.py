@@ -171,9 +171,11 @@ def test_a_mujoco_that_cannot_be_imported_is_one_line(tmp_path):
 def test_the_cache_is_counted(doctor, monkeypatch, tmp_path):
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
     (tmp_path / "jit_walk-1-cache").write_bytes(bytes(1000))
+    (tmp_path / "programs").mkdir()
+    (tmp_path / "programs" / "0d21").write_bytes(bytes(500))
     code, found = doctor()
     assert code == 0
-    cache = {"on": True, "folder": str(tmp_path), "programs": 1, "bytes": 1000, "writable": True, "findings": []}
+    cache = {"on": True, "folder": str(tmp_path), "programs": 2, "bytes": 1500, "writable": True, "findings": []}
     assert found["parts"]["cache"] == cache
 
 

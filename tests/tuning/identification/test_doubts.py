@@ -98,6 +98,17 @@ def lost_reads_of_one_joint(columns):
     return columns | {"RH.tibia.position": np.where(np.arange(1000) % 90 == 5, 0.0, columns["RH.tibia.position"])}
 
 
+def efforts_of_zero(columns):
+    """Beside positions that are measured."""
+    effort = 2.0 + np.sin(np.arange(1000) / 50)
+    return columns | {f"{joint}.effort": np.where(np.arange(1000) % 50 == 7, 0.0, effort) for joint in JOINTS}
+
+
+def frozen(columns):
+    """Its driver lost the joint after 7 s."""
+    return columns | {"RF.coxa.position": columns["RF.coxa.position"][np.minimum(np.arange(1000), 700)]}
+
+
 def spikes(columns):
     return columns | {"LF.coxa.position": columns["LF.coxa.position"] + 0.9 * (np.arange(1000) % 111 == 60)}
 
@@ -159,6 +170,8 @@ WRONG |= {
     zeros_before_the_first_read: "LF.coxa.position and 11 more: 30 of 1000 samples are 0 and none beside",
     lost_reads_of_one_joint: "RH.tibia.position: 12 of 1000 samples are 0 and none beside them is near",
     every_stamp_twice: "LF.coxa.command and 23 more: 1000 of 2000 samples come no later than one before them: left out",
+    efforts_of_zero: "LF.coxa.effort and 11 more: 20 of 1000 samples are 0 and none beside them is near",
+    frozen: "RF.coxa.position: the same from 7 to 9.99 s while its command moves, suspected to be stuck",
     spikes: "LF.coxa.position: 9 of 1000 samples jump away from those beside them and back, .*outliers: drop",
     two_publishers: "LF.coxa.position and 11 more: 9.. of 1000 samples .*suspected to be of two publishers .take one",
     **{of: f"LF.coxa.effort and 11 more: suspected to be numbers of {bits} bits read without .*bits: {bits} in"
@@ -280,6 +293,7 @@ def test_a_position_that_is_a_turn_off_its_command_is_named(tmp_path):
     (degrees, {f"{joint}.command": {"column": f"{joint}.command", "unit": "rad"} for joint in JOINTS}, {"unit": "deg"}),
     (zeros, {}, {"outliers": "drop"}),
     (zeros_every_other_row, {}, {"outliers": "keep"}),
+    (efforts_of_zero, {}, {"outliers": "drop"}),
     (spikes, {}, {"outliers": "drop"}),
     (two_publishers, {}, {"outliers": "keep"}),
     *((of, {f"{joint}.effort": {"bits": bits} for joint in JOINTS}, {}) for bits, of in CURRENTS.items()),
@@ -368,6 +382,14 @@ def test_one_unit_does_for_a_whole_file(tmp_path, form):
         np.testing.assert_allclose(log.signals[name].value, columns[name], rtol=1e-12, err_msg=name)
     np.testing.assert_array_equal(log.signals["LF.force.z"].value, columns["time"])
     assert log.guessed is None or log.guessed.to_yaml().startswith("time: time\nunit: deg\n")
+
+
+@pytest.mark.parametrize("late", [20, 40])
+def test_a_joint_that_follows_a_step_late_is_not_stuck_before_it(tmp_path, late):
+    time = np.arange(1000) / 100
+    columns = {"time": time, "LF.coxa.command": np.where(time < 5, 0.0, 0.5)}
+    said = read(tmp_path, columns | {"LF.coxa.position": np.where(time < 5 + late / 100, 0.0, 0.4)}).warnings
+    assert any("the same from 0 to" in line for line in said) == (late > 30)
 
 
 @pytest.mark.parametrize("steps", ["square", "rest"])

@@ -45,7 +45,7 @@ def test_csv_keeps_every_number_and_each_signal_has_its_own_times(tmp_path):
     ("time,LF.coxa.position\n0,1\n1\n2,3\n", r"log.csv: line 3: expected 2 cells as in line 1, got 1"),
     ("time,LF.coxa.position\n0,1\n1,x\n2,3\n", r"log.csv: LF.coxa.position, line 3: expected a number or .*, got 'x'"),
     ("time,LF.coxa.position\n", r"log.csv: expected a line of names and two samples or more, got 1 lines"),
-    ("when,LF.coxa.position\n0,1\n1,2\n", r"log.csv: time: expected a column of times in .*, got time"),
+    ("when,LF.coxa.position\n0,1\n1,2\n", r"log.csv: time: expected a column of times in .*, got no time with"),
     ("time,colour\n0,1\n1,2\n", r"log.csv: expected signals such as LF.coxa.command, .*, got time, colour"),
 ])  # fmt: skip
 def test_a_broken_table_is_told_in_one_line(tmp_path, text, expected):

@@ -197,3 +197,19 @@ def test_a_quaternion_jumps_and_a_rate_of_0_is_one_unless_its_whole_message_is()
     read, _ = without_outliers({n: signal(*v) for n, v in zip(names, values, strict=True)}, ROBOT, signals)
     assert [len(read[name].value) for name in names] == [39, 39, 39]
     assert read["LF.coxa.velocity"].value[10] == 0
+
+
+@pytest.mark.parametrize(("values", "out"), [
+    ((slope(_20=0), slope(_20=0)), [20]),
+    ((slope(_20=0), slope()), []),  # one alone passes 0
+    ((slope(_20=0),), []),
+    ((slope(_20=0), 0.3 * (slope() - slope()[20])), [20]),
+    ((np.where(np.arange(40) < 20, 0.0, slope()),) * 2, []),  # sets out
+    ((slope(_20=0, _21=0, _22=0, _23=0),) * 2, []),  # at rest
+])  # fmt: skip
+def test_rates_of_0_in_all_joints_between_others_are_not_measured(values, out):
+    names = ["LF.coxa.velocity", "LF.femur.velocity"][: len(values)]
+    signals = Signals(outliers="drop", signals={name: Source(column="a") for name in names})
+    read, _ = without_outliers({n: signal(*v) for n, v in zip(names, values, strict=True)}, ROBOT, signals)
+    for name in names:
+        assert [n for n in range(40) if n / 100 not in read[name].time.round(6)] == out

@@ -79,6 +79,31 @@ def test_lists_in_cells_are_of_the_joints_that_a_list_beside_them_names(tmp_path
             np.testing.assert_array_equal(log.signals[f"{IN_FILE[name]}.{what}"].value, angle)
 
 
+def test_entries_of_a_list_may_be_printed_with_their_type(tmp_path):
+    rows = [
+        (t, f'"{list(map(str, NAMES))}"', f'"[{", ".join(f"np.float64({angle})" for angle in angles.tolist())}]"')
+        for t, angles in zip(TIME, ANGLES, strict=True)
+    ]
+    check(read_log(written(tmp_path, ["time", "name", "position"], rows), ROBOT))
+
+
+@pytest.mark.parametrize("between", [";", "\t"])
+def test_a_comma_between_semicolons_or_tabs_is_a_decimal_point(tmp_path, between):
+    rows = [[t, *angles] for t, angles in zip(TIME, ANGLES, strict=True)]
+    lines = [between.join(f"{each!r}" for each in map(float, row)).replace(".", ",") for row in rows]
+    head = between.join(["time", *(f"{name}.position" for name in NAMES)])
+    (tmp_path / "log.csv").write_text("\n".join([head, *lines]))
+    check(read_log(tmp_path / "log.csv", ROBOT))
+
+
+@pytest.mark.parametrize(("before", "behind"), [([""], []), ([], ["", ""]), (["-"], [])])
+def test_columns_without_a_name_are_none_of_the_robots(tmp_path, before, behind):
+    """The number of a row, and the commas at the end of each line."""
+    rows = [[*[n] * len(before), t, *angles, *behind] for n, (t, angles) in enumerate(zip(TIME, ANGLES, strict=True))]
+    heads = [*before, "time", *(f"{name}.position" for name in NAMES), *behind]
+    check(read_log(written(tmp_path, heads, rows), ROBOT))
+
+
 def test_a_row_for_each_joint_is_read_by_its_column_of_names(tmp_path):
     rows = [
         (t, name, angle) for t, row in zip(TIME, ANGLES, strict=True) for name, angle in zip(NAMES, row, strict=True)
@@ -106,6 +131,7 @@ def date(stamp, form="{}Z", between="T"):
     (["header.stamp.sec", "header.stamp.nanosec"], lambda t: divmod(t, 10**9)),
     (["header.stamp.secs", "header.stamp.nsecs"], lambda t: divmod(t, 10**9)),
     (["sequence", "nanosec", "sec"], lambda t: (t // 10**7, t % 10**9, t // 10**9)),
+    (["sec", "msec"], lambda t: (t // 10**9, t % 10**9 // 10**6)),
     (["tv_sec", "tv_usec"], lambda t: (t // 10**9, t % 10**9 // 1000)),
     (["log_time"], lambda t: (date(t),)),
     (["recorded"], lambda t: (date(t, "{}+01:00", " "),)),
@@ -113,7 +139,7 @@ def date(stamp, form="{}Z", between="T"):
     (["nanoseconds"], lambda t: (t,)),
     (["stamp_ns"], lambda t: (t - EPOCH,)),
     (["utime"], lambda t: (t // 1000,)),
-], ids=range(10))  # fmt: skip
+], ids=range(11))  # fmt: skip
 def test_clocks_of_loggers_are_read_to_a_microsecond(tmp_path, heads, cells):
     rows = [(*cells(stamp), *angles) for stamp, angles in zip(STAMPS, ANGLES, strict=True)]
     log = read_log(written(tmp_path, [*heads, *(f"{name}.position" for name in NAMES)], rows), ROBOT)

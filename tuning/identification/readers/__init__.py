@@ -174,7 +174,7 @@ def _times(table: Table, source: Source, signals: Signals, recording: Recording,
         unit = SECONDS[source.time_unit or signals.time_unit]
         if clock not in table.times:
             expected = f"a column of times in {recording.source} (time: NAME in signals.yaml)"
-            got = f"{clock}{_nearest(clock, table.times)}"
+            got = f"no {clock} with numbers or dates{_nearest(clock, table.times)}"
             raise ConfigError(place if source.time else recording.source, "time", expected, got)
     return unit * table.times[clock] + source.shift, clock
 

@@ -223,6 +223,12 @@ def _stuck(read: Read, robot: Robot) -> Iterator[str]:
             by = moved(joint, "command")
             if by > MOVES and same(f"{joint}.position", STILL):
                 yield f"{joint}.position", f"the same all the time while its command moves by {by:.3g} rad, {_IS_STUCK}"
+            elif by > MOVES and (stretch := _frozen(read, joint)):
+                start, end = stretch
+                yield (
+                    f"{joint}.position",
+                    f"the same from {start:.4g} to {end:.4g} s while its command moves, {_IS_STUCK}",
+                )
         moving = [joint for joint in joints if moved(joint, "command", "position") > MOVES]
         for name in (f"{joint}.{kind}" for kind in ("velocity", "effort") for joint in moving):
             if same(name):
@@ -233,6 +239,21 @@ def _stuck(read: Read, robot: Robot) -> Iterator[str]:
                 yield name, f"the same all the time while its limb moves, {_IS_STUCK}"
 
     return _together(lines())
+
+
+def _frozen(read: Read, joint: str) -> tuple[float, float] | None:
+    """Return the longest stretch of time, s, in which a position is the same although its command moves far.
+
+    Far is half of all that the position moves by, and the last of a stretch does not count: a joint follows late.
+    """
+    if not {f"{joint}.command", f"{joint}.position"} <= read.keys() or OFF in read:
+        return None
+    command, position = read[f"{joint}.command"], read[f"{joint}.position"]
+    edges = np.flatnonzero(np.r_[True, np.diff(position.value) != 0, True])
+    start = int(np.argmax(np.diff(edges)))
+    begin, end = position.time[[edges[start], edges[start + 1] - 1]].tolist()
+    sent = command.value[(command.time >= begin) & (command.time <= end - LONGEST_LAG)]
+    return (begin, end) if sent.size and np.ptp(sent) > max(MOVES, float(np.ptp(position.value)) / 2) else None
 
 
 def _against_commands(read: Read, joints: Iterable[str]) -> Iterator[str]:

@@ -134,7 +134,8 @@ def _places(table: Table, robot: Robot, time: str) -> Iterator[_Place]:
             continue
         source = Source(topic=table.topic, field=field) if table.topic else Source(column=field)
         topic = words_of(table.topic)
-        words = (*topic, *words_of(field))
+        if not (words := (*topic, *words_of(field))):
+            continue
         unit = next((_UNITS[word] for word in words if word in _UNITS), None)
         source = source.changed({"unit": unit}) if unit else source
         numbers = [int(word) for word in words if word.isdecimal()]

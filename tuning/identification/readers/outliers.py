@@ -1,6 +1,6 @@
 """Samples that jump away from those beside them and back: messages of zeros, lost reads, two publishers."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -31,6 +31,7 @@ def without_outliers(
     together: dict[tuple[str, bytes], list[str]] = {}
     for name in filter(read.__contains__, jumping):
         together.setdefault((name.rpartition(".")[2], read[name].time.tobytes()), []).append(name)
+    rates = [f"{joint}.{what}" for what in ("velocity", "effort") for joint in joints_of(robot)]
     zeros: dict[str, Which] = {}
     others: dict[str, Which] = {}
     for (what, time), some in together.items():
@@ -43,9 +44,11 @@ def without_outliers(
             zeros[name] = lone | whole
             others[name] = np.zeros(len(row), bool)
             others[name][~zeros[name]] = _there_and_back(row[~zeros[name]])
-        for name in read.keys() - {*jumping}:  # of the same messages
-            if name.endswith((".velocity", ".effort")) and read[name].time.tobytes() == time and what == "position":
+        for name in filter(read.__contains__, rates):  # of the same messages
+            if what == "position" and read[name].time.tobytes() == time:
                 zeros[name] = whole & (read[name].value == zero[name])
+    for name, which in _unmeasured_rates(read, filter(read.__contains__, rates), zero):
+        zeros[name] = zeros.get(name, False) | which
     rare = {name: which for name, which in others.items() if which.mean() < _MANY}
     often = {name: which for name, which in others.items() if name not in rare}
     if signals.outliers == "drop":
@@ -63,6 +66,25 @@ def without_outliers(
          "the file; outliers: keep in signals.yaml takes both)"),
     )  # fmt: skip
     return dict(read), tuple(filter(None, (_line(which, words) for which, words in lines)))
+
+
+def _unmeasured_rates(
+    read: Mapping[str, Signal], rates: Iterable[str], zero: Mapping[str, float]
+) -> Iterator[tuple[str, Which]]:
+    """Yield which rates and efforts are 0 in a message in which all are, and one of them far from those beside it.
+
+    One alone may well pass 0, and all are 0 for longer where the robot is at rest.
+    """
+    together: dict[tuple[str, bytes], list[str]] = {}
+    for name in rates:
+        together.setdefault((name.rpartition(".")[2], read[name].time.tobytes()), []).append(name)
+    for some in together.values():
+        values = np.array([read[name].value for name in some])
+        whole = (values == np.array([[zero[name]] for name in some])).all(0) & (len(some) > 1)
+        none = np.zeros_like(whole)
+        for value in values:
+            none |= _lone(value, whole, True, none)
+        yield from ((name, none) for name in some)
 
 
 def _line(which: Mapping[str, Which], words: str) -> str:

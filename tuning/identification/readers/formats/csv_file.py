@@ -18,6 +18,8 @@ from tuning.identification.readers.table import Recording, Table
 SUFFIXES = (".csv", ".tsv")
 _LISTED = re.compile(r"[\[({](.*)[\])}]", re.DOTALL)  # a list in a cell, as programs print it
 _ENTRY = re.compile(r"""'([^']*)'|"([^"]*)"|([^\s,;\[\](){}'"]+)""")
+_TYPED = re.compile(r"np\.[a-z_]+\d*\(([^()]*)\)")  # np.float64(0.1), as NumPy 2 prints the entries of a list
+_DECIMAL_COMMA = re.compile(r"([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)")
 _MISSING = ("", "nan", "none", "null", "[]")
 _TRUTH = {"true": "1", "false": "0"}
 _MOST = 10_000  # numbers in one cell
@@ -28,6 +30,7 @@ _SECONDS = re.compile(r"(.*?)(?:secs?|seconds|s)", re.IGNORECASE)
 _PARTS = {  # of a second, in a column beside the whole ones
     1e-9: ("nanosec", "nanosecs", "nanoseconds", "nsec", "nsecs", "nanos", "ns"),
     1e-6: ("usec", "usecs", "microsec", "microseconds", "us"),
+    1e-3: ("msec", "msecs", "millisec", "milliseconds", "millis", "ms"),
 }
 
 
@@ -51,7 +54,7 @@ def read(path: Path) -> Recording:
     """Return the columns of a CSV file; a cell that packs a list gives columns `name.0`, `name.1` ...
 
     Columns that are named by others (`name0`, `position0`) are there by these names too. Dates, and seconds with
-    nanoseconds in a column beside them, are times.
+    parts of a second in a column beside them, are times. Between semicolons or tabs 0,5 is a number too.
 
     Raises:
         ConfigError: no table, no line of names, rows of another length than the names, or a text where the column
@@ -61,7 +64,8 @@ def read(path: Path) -> Recording:
         with path.open(newline="", encoding="utf-8-sig") as file:
             first = file.readline()
             file.seek(0)
-            rows = list(csv.reader(file, delimiter=max(",;\t", key=first.count), skipinitialspace=True))
+            between = max(",;\t", key=first.count)
+            rows = list(csv.reader(file, delimiter=between, skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "another file"
         raise ConfigError(str(path), "", "a table of text", reason.lower()) from None
@@ -70,7 +74,7 @@ def read(path: Path) -> Recording:
     names = [name.strip() for name in rows[0]]
     if (value := _value_in(names)) is not None:
         raise ConfigError(str(path), "line 1", "the names of the columns (time, ...)", f"the number {value}")
-    repeated = [name for name, count in Counter(names).items() if count > 1]
+    repeated = [name for name, count in Counter(filter(None, names)).items() if count > 1]
     if repeated:
         raise ConfigError(str(path), min(repeated), "one column of this name", "several")
     for number, row in enumerate(rows[1:], 2):
@@ -82,7 +86,12 @@ def read(path: Path) -> Recording:
     words: dict[str, Sequence[str]] = {}
     uneven: dict[str, ConfigError] = {}
     for name, column in zip(names, zip(*(rows[line - 1] for line in lines), strict=True), strict=True):
+        # a number of the row, or the comma at the end of each line
+        if not name:
+            continue
         cells = [_TRUTH.get(cell.lower(), cell) for cell in map(str.strip, column)]
+        if between != ",":
+            cells = [_DECIMAL_COMMA.sub(r"\1.\2", cell) if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
         place = f"{path}: {name}"
         filled = [cell for cell in cells if cell.lower() not in _MISSING]
         if filled and all(map(_DATE.fullmatch, filled)):
@@ -168,7 +177,7 @@ def _unpacked(place: str, cells: Sequence[str], lines: Sequence[int]) -> tuple[l
 
 def _entries(cell: str) -> list[str]:
     found = _LISTED.search(cell)
-    inner = cell if found is None else found[1]
+    inner = _TYPED.sub(r"\1", cell if found is None else found[1])
     inner = inner[inner.find("[") + 1 :]  # array('d', [0.1, 0.2])
     return [next(filter(None, each.groups()), "").strip() for each in _ENTRY.finditer(inner)]
 
