@@ -99,7 +99,7 @@ WRONG = {  # text of the robot's file, where it is and what is said, and text of
     "a stance of infinite angles": (POSED, r"t.xml:\d+: key 'home': key qpos: expected .* got inf"),
     "a number in an included file": (PART, r"part.xml:3: joint 'bad': .* got inf", LIMB.replace("0 0 z", "0 0 inf")),
     "a macro": ('<robot name="r">\n<xacro:leg/></robot>', r"t.urdf:2: .*written out, got <xacro:leg>"),
-    "two of a name": (TWICE, rf"t.urdf:{AGAIN}: .*repeated"),
+    "two of a name": (TWICE, rf"t.urdf:{AGAIN}: expected one link .LF_hip., got another in line 76"),
     "a mesh that weighs": (WEIGHS, r"t.xml:\d+: .*gone.stl"),
     "another kind": ("<sdf/>", r"t.sdf: expected a file whose name ends in .xml or .urdf"),
     "empty": ("", r"t.xml: expected an MJCF or URDF that MuJoCo loads"),
