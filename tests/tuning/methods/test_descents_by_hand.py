@@ -112,7 +112,7 @@ def boxed(names, lower, upper):
 
 
 SIX = boxed([f"{gain}.{axis}" for gain in ("stiffness", "damping") for axis in "xyz"], [-2.0] * 6, [3.0] * 6)
-GOAL = np.array([0.5, -1.0, 1.5, 0.0, 0.2, -0.3])
+GOAL = np.array([2.4, -1.0, 1.5, 0.0, 0.2, -0.3])
 
 
 def hills(theta, directions):
