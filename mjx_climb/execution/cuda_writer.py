@@ -5,6 +5,7 @@ arctangent are written out here: CUDA's own carry code for arguments beyond 1e5,
 """
 
 import collections
+import functools
 import itertools
 import re
 from collections.abc import Callable, Sequence
@@ -122,6 +123,7 @@ _ONE_WORD = frozenset({"shift_left", "shift_right_arithmetic", "shift_right_logi
 _COMPARISONS = frozenset({"eq", "ne", "lt", "le", "gt", "ge", "le_to", "lt_to", "is_finite"})
 
 
+@functools.cache
 def typed(dtype: DTypeLike) -> str:
     """Return the name of a type in CUDA C."""
     if (name := TYPES.get(np.dtype(dtype).name)) is None:

@@ -200,6 +200,8 @@ class Operations:
 
     def typed(self, number: Shared, dtype: DTypeLike) -> Shared:
         """Return a number in a precision, as it is where it has that."""
+        if number.dtype == dtype:
+            return number
         return cast(Shared, self.converted(as_array([number], ()), dtype)[()])
 
     def converted(self, array: Elements, dtype: DTypeLike) -> Elements:

@@ -258,7 +258,8 @@ def _loop(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> lis
         for array, axis in zip(read, axes[carry:], strict=True)
     ]
     read_of = _Shapes([aval_of(variable) for variable in body.jaxpr.invars[constants + carry :]], own)
-    rows = [read_of.numbers(do, [array[step, ...] for array in map(objects, read)]) for step in range(steps)]
+    each = [*map(objects, read)]
+    rows = [read_of.numbers(do, [array[step, ...] for array in each]) for step in range(steps)]
     rows = rows[::-1] if equation.params["reverse"] else rows
     totals: dict[int, Elements] = {}
 

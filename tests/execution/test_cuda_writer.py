@@ -7,6 +7,7 @@ import math
 import re
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import jax
@@ -216,6 +217,21 @@ def test_a_loop_in_a_loop_reads_rows_of_an_argument_from_memory():
 
 
 @pytest.mark.slow
+@pytest.mark.timing
+def test_four_times_the_steps_are_written_in_a_few_times_the_time():
+    """A loop that reads rows of an argument takes it apart once, not again in each step."""
+
+    def seconds(steps):
+        walk = lambda rows: jax.lax.scan(lambda total, row: (total + row.sum(), None), 0.0, rows)[0]  # noqa: E731
+        program = jax.make_jaxpr(walk)(jax.ShapeDtypeStruct((steps, 12), np.float32))
+        body, begin = body_of(program), time.process_time()
+        written(body, (1,))
+        return time.process_time() - begin
+
+    seconds(500)
+    assert seconds(4000) < 8 * seconds(1000)
+
+
 def test_directions_share_what_is_of_their_robot(carried_out):
     """Values of all, of each robot and of each direction meet in the tangents, in four lanes and two loops."""
     rng, robots, directions = np.random.default_rng(2), 2, 3
