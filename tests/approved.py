@@ -32,12 +32,10 @@ def of_contents(contents, origin) -> str:
     written = contents.written
     lines += ["--- summary", *of_json(json.loads(written.summary or "{}"))]
     lines += [f"--- shown: {table.caption}" for table in written.tables]
-    if contents.page is None:
-        return "\n".join([*lines, "--- outcome", *written.outcome, ""])
-    page = contents.page(origin)
-    assert list(written.outcome) in ([], page.findings.lines, page.findings.lines[-1:])
-    lines += of_page(page)
-    return "\n".join(lines) + "\n"
+    page = None if contents.page is None else contents.page(origin)
+    if page is None or list(written.outcome) != page.findings.lines:
+        lines += ["--- outcome", *written.outcome]
+    return "\n".join([*lines, *([] if page is None else of_page(page)), ""])
 
 
 def of_file(name, each) -> list[str]:
@@ -87,32 +85,40 @@ def _nests(value) -> bool:
 
 
 def of_figure(figure) -> list[str]:
-    """Return what a picture shows: panels, curves, marks, words."""
-    lines = [f"figure {_short(list(figure.get_size_inches()))} in"]
+    """Return what a picture shows: panels, curves, marks, words; of panels that look alike the first one's."""
+    lines, known = [f"figure {_short(list(figure.get_size_inches()))} in"], []
     for axes in figure.axes:
         if not axes.get_visible():
             lines.append("  panel hidden")
             continue
-        ends = _short([*axes.get_xlim(), *axes.get_ylim()], 3)
-        about = f"{axes.get_xlabel()!r} {axes.get_xscale()}, {axes.get_ylabel()!r} {axes.get_yscale()}, {ends}"
-        lines.append(f"  panel {axes.get_title()!r}: {about}")
-        for axis in (axes.xaxis, axes.yaxis):
-            words = [text.get_text() for text in axis.get_ticklabels()]
-            if any(word[:1].isalpha() for word in words):
-                lines.append(f"    {axis.axis_name}: {', '.join(words)}")
-        for line in axes.lines:
-            look = f"{to_hex(line.get_color())} {line.get_linestyle()} {line.get_marker()} {line.get_linewidth():g}"
-            size = f" {line.get_markersize():g} {line.get_markerfacecolor()}" if line.get_marker() != "None" else ""
-            lines.append(f"    line {look}{size}: {_points(line.get_xdata())} | {_points(line.get_ydata())}")
-        for patch in axes.patches:
-            corners = patch.get_extents().transformed(axes.transData.inverted()).get_points()
-            lines.append(f"    patch {to_hex(patch.get_facecolor())}: {_short(corners.ravel().tolist(), 3)}")
-        lines += [f"    {type(each).__name__}" for each in (*axes.collections, *axes.images)]
-        lines += [f"    text {text.get_text()!r}" for text in axes.texts]
-        lines += _legend(axes.get_legend())
+        title = axes.get_title() or axes.get_title("left")
+        about = f"{axes.get_xlabel()!r} {axes.get_xscale()}, {axes.get_ylabel()!r} {axes.get_yscale()}"
+        drawn = of_panel(axes)
+        lines.append(f"  panel {title!r}: {about}")
+        lines += ["    as one above"] if drawn in known else drawn
+        known.append(drawn)
     for legend in figure.legends:
         lines += _legend(legend)
     return lines
+
+
+def of_panel(axes) -> list[str]:
+    """Return the curves, marks and words of a panel."""
+    lines = [f"    from and to {_short([*axes.get_xlim(), *axes.get_ylim()], 3)}"]
+    for axis in (axes.xaxis, axes.yaxis):
+        words = [text.get_text() for text in axis.get_ticklabels()]
+        if any(word[:1].isalpha() for word in words):
+            lines.append(f"    {axis.axis_name}: {', '.join(words)}")
+    for line in axes.lines:
+        look = f"{to_hex(line.get_color())} {line.get_linestyle()} {line.get_marker()} {line.get_linewidth():g}"
+        size = f" {line.get_markersize():g} {line.get_markerfacecolor()}" if line.get_marker() != "None" else ""
+        lines.append(f"    line {look}{size}: {_points(line.get_xdata())} | {_points(line.get_ydata())}")
+    for patch in axes.patches:
+        corners = patch.get_extents().transformed(axes.transData.inverted()).get_points()
+        lines.append(f"    patch {to_hex(patch.get_facecolor())}: {_short(corners.ravel().tolist(), 3)}")
+    lines += [f"    {type(each).__name__}" for each in (*axes.collections, *axes.images)]
+    lines += [f"    text {text.get_text()!r}" for text in axes.texts]
+    return lines + _legend(axes.get_legend())
 
 
 def _legend(legend) -> list[str]:
@@ -136,8 +142,8 @@ def _points(values) -> str:
 
 def _short(value, digits=4) -> str:
     if isinstance(value, (list, tuple)):
-        text = " ".join(_short(each, digits) for each in value)
-        return f"[{text}]"
+        return f"[{' '.join(_short(each, digits) for each in value)}]"
     if isinstance(value, float):
-        return f"{value + 0.0:.{digits}g}"
-    return str(value)[:200]
+        return "0" if abs(value) < 1e-12 else f"{value:.{digits}g}"
+    text = str(value)
+    return text if " " in text or len(text) < 60 else f"{text[:40]}... of {len(text)}"
