@@ -1,0 +1,114 @@
+"""What a trajectory and the metrics of grips and sensors tell of made-up histories, against loops over their steps."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb.control.sensor_watch import SILENCE
+from mjx_climb.trajectory import Trajectory, named
+from mjx_climb.walk.metrics import GRIPS, SENSORS, Context, accumulate, failed, finish, start
+from mjx_climb.walk.sample import Sample, unknown
+
+STEP, STEPS, LIMBS = 0.01, 40, ("LF", "LH", "RH", "RF")
+
+
+def histories(seed):
+    """Histories of a robot whose feet let go, stand for want of a grip and lose their sensors at random."""
+    rng = np.random.default_rng(seed)
+    made = {name: rng.normal(size=values.shape) if values.dtype != bool else values
+            for name, values in unknown(STEPS, {"limb": 4, "joint": 3}).items()}  # fmt: skip
+    none = np.zeros((STEPS, 4), bool)
+    for name in ("support", "missed", "stands", "sensor_lost"):
+        share = {"support": 0.05, "missed": 0.02, "stands": 0.5, "sensor_lost": 0.01}[name]
+        made[name] = none | (rng.uniform(size=none.shape) < share * rng.integers(0, 2))
+    made["sensor_lost"] = np.maximum.accumulate(made["sensor_lost"], axis=0)
+    for limb in range(4):
+        if rng.uniform() < 0.5:  # stands at the walk's end
+            made["stands"][rng.integers(1, STEPS) :, limb] = True
+    if rng.uniform() < 0.3:
+        made["support"][-1, 2] = True
+    gap = np.abs(made["grip_gap"])
+    made["grip_gap"] = np.where(rng.uniform(size=gap.shape) < 0.3, np.nan, gap)
+    made["grip_gap"][0, 0] = 1e-3
+    made["time"] = STEP * np.arange(STEPS)
+    return made
+
+
+def by_loops(made):
+    """Sensors that are lost, from when on nothing holds, the largest gap, and who stands."""
+    lost, standing, falls, gap = {}, {}, None, 0.0
+    for n, limb in enumerate(LIMBS):
+        for step in range(STEPS):
+            if made["sensor_lost"][step, n]:
+                lost[limb] = max(step * STEP - SILENCE, 0.0)
+                break
+        for step in range(STEPS):
+            if all(made["stands"][later, n] for later in range(step, STEPS)):
+                standing[limb] = step * STEP
+                break
+    for step in range(STEPS):
+        if not any(made["support"][later].any() for later in range(step, STEPS)):
+            falls = step * STEP
+            break
+    for step in range(STEPS):
+        gap = np.nanmax([gap, *made["grip_gap"][step]])
+        if made["missed"][step].any():
+            break
+    return lost, standing, falls, gap
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_trajectory_tells_what_loops_over_its_steps_find(seed):
+    made = histories(seed)
+    scenario = mc.Scenario()
+    walk = Trajectory(**made, scenario=scenario, gains={}, parameters=mc.parameters(scenario), limbs=LIMBS)
+    lost, standing, falls, gap = by_loops(made)
+    assert walk.lost_sensors == pytest.approx(lost) and [*walk.lost_sensors] == [*lost]
+    assert walk.standing == pytest.approx(standing) and [*walk.standing] == [*standing]
+    assert walk.falls_at == (None if falls is None else pytest.approx(falls))
+    assert walk.gap == pytest.approx(gap)
+
+
+@jax.jit
+def evaluated(samples):
+    context = Context(None, jnp.zeros(3), jnp.zeros(()), STEP)
+    table = SENSORS + GRIPS
+
+    def one(running, sample):
+        return accumulate(table, running, sample, context), None
+
+    return finish(table, jax.lax.scan(one, start(table, jnp.result_type(samples.time)), samples)[0], context)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_metrics_of_sensors_and_grips_are_those_of_loops(seed):
+    """Gaps are known at each step there; the first of several limbs that lose their sensors in one step is named."""
+    made = histories(seed)
+    made["grip_gap"] = np.nan_to_num(made["grip_gap"])
+    found = evaluated(Sample(**made))
+    lost, _, _, gap = by_loops(made)
+    at = min(lost.values(), default=math.nan)
+    assert found["sensor_lost_at"] == pytest.approx(at, nan_ok=True)
+    steps = [made["sensor_lost"][:, n].argmax() if made["sensor_lost"][:, n].any() else STEPS for n in range(4)]
+    assert found["sensor_lost_limb"] == (int(np.argmin(steps)) if lost else -1)
+    assert found["grip_gap"] == pytest.approx(gap)
+
+
+def test_a_walk_fails_that_loses_a_gripper_diverges_or_stands():
+    for limb, diverged, stands in [(-1, 0, math.nan), (0, 0, math.nan), (-1, 1, math.nan), (-1, 0, 0.0), (2, 1, 3.0)]:
+        metrics = {"detached_limb": np.array([limb]), "diverged": np.array([diverged]), "stands_at": np.array([stands])}
+        assert failed(metrics)[0] == (limb >= 0 or bool(diverged) or stands >= 0)
+        del metrics["stands_at"]
+        assert failed(metrics)[0] == (limb >= 0 or bool(diverged))
+
+
+def test_values_for_json_have_names_of_limbs_and_nothing_for_what_is_undefined():
+    values = {"travel": 1.5, "cost_of_transport": math.nan, "detached_limb": 2, "diverged": True}
+    assert named(values, LIMBS) == {"travel": 1.5, "cost_of_transport": None, "detached_limb": "RH", "diverged": True}
+    assert named({"detached_limb": 0}, LIMBS) == {"detached_limb": "LF"}
+    assert named({"detached_limb": -1}, LIMBS) == {"detached_limb": None}
+    assert named({"travel": 1.0}, LIMBS) == {"travel": 1.0}
