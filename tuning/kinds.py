@@ -1,7 +1,7 @@
 """The rivals of each kind of result, and the contents of its folder: `tuning.write`.
 
 A kind's file of `tuning/pages/` says both: `compare(found, stage, folder, begun)`, of works begun before, and
-`contents(found: Kind, compared, name)`, of a config's name.
+`contents(found: Kind, compared, name)`, of a config's name. Results about a robot's log have no rivals.
 """
 
 import importlib
@@ -14,6 +14,7 @@ from mjx_climb.scenario.kinds import named_in
 from tuning import pages
 from tuning.background import Stage, silent
 from tuning.comparisons import of_search, of_sweep
+from tuning.identification import fit, plan
 from tuning.pages.contents import Contents, Written, files_of
 from tuning.pages.page import Origin
 from tuning.pages.section import SectionOf, load_section, sections_of
@@ -27,7 +28,11 @@ if TYPE_CHECKING:
 
 Begun = of_search.Begun | of_sweep.Begun
 # modules by the names of the classes of results
-_PAGES = named_in(Path(pages.__path__[0]), r"^def contents\(found: (\w+), ")
+_PAGES = {
+    name: f"{room.__name__}.{file}"
+    for room in (pages, fit, plan)
+    for name, file in named_in(Path(room.__path__[0]), r"^def contents\(found: (\w+), ").items()
+}
 
 
 def write(
@@ -61,30 +66,13 @@ def write(
         OutputError: a file cannot be written, or the folder holds another command's result.
     """
     home = Path(folder)
-    how: dict[str, Any] = {"origin": origin, "figures": figures, "stage": stage, "settings": settings}
-    own = [load_section(each) if isinstance(each, str) else each for each in sections]
-    if not isinstance(found, Result):
-        return _of_identification(found, home, sections=sections_of(own, found, None), **how)
     record.check_own(home, found.FILE)
-    kind = importlib.import_module(f"{pages.__name__}.{_PAGES[type(found).__name__]}")
-    compared = kind.compare(found, stage, home, begun)
+    kind = importlib.import_module(_PAGES[type(found).__name__])
+    own = [load_section(each) if isinstance(each, str) else each for each in sections]
+    compared = kind.compare(found, stage, home, begun) if isinstance(found, Result) else None
     made, told = kind.contents(found, compared, _name(origin)), sections_of(own, found, compared)
+    how: dict[str, Any] = {"origin": origin, "figures": figures, "stage": stage, "settings": settings}
     return folders.write(made, home, f"tuning.{found.KIND}(...)", sections=told, **how)
-
-
-def _of_identification(
-    found: "Identified | Excited", home: Path, settings: Mapping[str, Any] | None, origin: Origin | None, **how: Any
-) -> Written:
-    # imported here: the import takes a second, and searches do without
-    from tuning.identification.fit import output as of_fit
-    from tuning.identification.fit.result import Identified
-    from tuning.identification.plan import output as of_plan
-
-    made_by: Any = of_fit if isinstance(found, Identified) else of_plan
-    record.check_own(home, made_by.FILE)
-    with record.whole(home, settings) as place:
-        files, page, where = made_by.contents(found, place, origin)
-        return Written(folders.fill(place, files, page, where, **how))
 
 
 def write_found(

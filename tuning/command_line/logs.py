@@ -50,7 +50,7 @@ def excite(
 
         loaded = fitted(walk, "excite")
         rig = excitation.set_up(loaded.scenario, asked)
-        shell.take(walk, written.FILE, loaded, "excite", asked=asked)
+        shell.take(walk, excitation.Excited.FILE, loaded, "excite", asked=asked)
         shell.opening()
         found = excitation.chosen(rig, stage=shell.stage)
         options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
@@ -135,20 +135,20 @@ def identify(
     """
     with output.session() as shell:
         from tuning.identification.fit import identify as fitting
-        from tuning.identification.fit.output import FILE
         from tuning.identification.fit.report import findings, table
+        from tuning.identification.fit.result import Identified
         from tuning.methods.parts import FOLDER
         from tuning.writing.record import check_own, settings_of
 
         if output.out is not None:
-            check_own(output.out, FILE)  # before the log is read
+            check_own(output.out, Identified.FILE)  # before the log is read
         loaded = walk.load()
         scenario = loaded.scenario
         log = asked.read(scenario)
         asked.say_read(log, shell)
         if output.out is not None:
             settings = settings_of(loaded, "identify", asked=asked.settings(log))
-            if (shell.claim(FILE, walk.config.stem, settings=settings) / FOLDER).exists():
+            if (shell.claim(Identified.FILE, walk.config.stem, settings=settings) / FOLDER).exists():
                 shell.say(f"an interrupted fit is kept in {output.out}: goes on where it stopped")
         keeping = contextlib.nullcontext() if output.out is None else shell.keeping("iterations")
         with keeping, shell.stage("fit", unit="iterations", keeps=True) as show:

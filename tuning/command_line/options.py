@@ -1,7 +1,6 @@
 """Options that several commands share, each a model, and the objects that they load."""
 
 import contextlib
-import dataclasses
 import math
 import re
 import sys
@@ -214,13 +213,11 @@ class Walk(Options):
     def load_with_gains(self) -> "Problem":
         """Return the result of `load`, with the values of the gains file in the scenario or the law."""
         from mjx_climb.inputs.time_step import check_time_step
-        from tuning.gains import gains_file
 
         loaded = self.load()
         if (values := self.values(loaded.law)) is not None:
-            scenario, law = gains_file.replaced(loaded.scenario, loaded.law, values)
-            check_time_step(scenario, str(self.gains))
-            loaded = dataclasses.replace(loaded, scenario=scenario, law=law)
+            loaded = loaded.with_gains(values)
+            check_time_step(loaded.scenario, str(self.gains))
         return loaded
 
     def values(self, law: "mc.Law | None") -> "AnyGains | None":

@@ -162,7 +162,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
                 from tuning.comparisons import of_sweep
 
                 begin(gate.behind(lambda _: importlib.import_module("tuning.kinds")))  # matplotlib takes half a second
-                begun = of_sweep.begin(work.problem, work.gains, work.axes, lambda work: begin(gate.behind(work)))
+                begun = of_sweep.begin(work.problem, work.walked, work.axes, lambda work: begin(gate.behind(work)))
             with shell.stage(stage, unit=unit, keeps=True, traced=gate.open) as show:
                 arrays = rows.walk(show)
             gate.open()

@@ -26,7 +26,6 @@ from tuning.comparisons.side_by_side import (
     retuned,
 )
 from tuning.comparisons.worth import Worth, best_without, between, give_joint_gains
-from tuning.gains.gains_file import replaced
 from tuning.methods import method_of
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
@@ -100,7 +99,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         begun: the result of `begin`, where it was begun before the search.
     """
     scenario, problem = found.scenario, found.problem
-    ours, engine = (replaced(found.scenario, found.law, found.gains)[0], found.law), problem.engine
+    ours, engine = (problem.with_gains(found.gains).scenario, found.law), problem.engine
     with background() as start:
         tested = start(lambda _: verification.tests(found, problem))  # the longest to compile
         others = begun or begin(problem, found.search, start, seeds=found.seeds, out=out)
@@ -113,7 +112,8 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             with stage("load transfer by plan", unit="rounds") as told:
                 plan = others.planned(told)
         if plan is not None:
-            walking[retuned_pd.PLANNED] = start(one_walk(*replaced(plan.scenario, plan.law, plan.gains), engine))
+            by_plan = plan.problem.with_gains(plan.gains)
+            walking[retuned_pd.PLANNED] = start(one_walk(by_plan.scenario, by_plan.law, engine))
         rivals = {"config": margins.Walker(problem.law, {})}
         joint, step = {} if rival is None else retuned_pd.joint_of(rival), None
         if rival is not None:

@@ -10,7 +10,6 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.execution import devices
-from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.walk.metrics import failed as walks_failed
 from tuning.background import Begin, Stage, Work, background, ignore, silent
 from tuning.comparisons import stability_limit, verdicts
@@ -27,11 +26,10 @@ from tuning.comparisons.side_by_side import (
     walks_together,
 )
 from tuning.comparisons.worth import Worth, better_of, between, give_joint_gains
-from tuning.gains.gains_file import replaced
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.variations import is_path
-from tuning.results.swept import HISTORIES, MOST_CELLS, Swept, axes_of, best_cell, coarser_grid
+from tuning.results.swept import HISTORIES, MOST_CELLS, Swept, best_cell, coarser_grid
 from tuning.searches import retuned_pd
 from tuning.searches import sweep as sweeps
 from tuning.searches.sweep import Axes
@@ -48,13 +46,11 @@ class Begun(NamedTuple):
     limit: Work[xr.DataArray]  # of stability
 
 
-def begin(problem: Problem, gains: AnyGains | None, axes: Axes, start: Begin) -> Begun:
-    """Begin the rivals of a grid; `gains` and `axes` are as of `tuning.sweep`."""
-    scenario, law, engine = problem.scenario, problem.law, problem.engine
-    simulated, own = (scenario, law) if gains is None else replaced(scenario, law, gains)
+def begin(problem: Problem, walked: Problem, axes: Axes, start: Begin) -> Begun:
+    """Begin the rivals of a grid with `axes` as of `tuning.sweep`; `walked` has the gains of the grid."""
     return Begun(
-        start(lambda _: retuned_pd.least(scenario, halvings=1, engine=engine)),
-        start(lambda _: stability_limit.over_axes(simulated, axes, law=own, engine=engine)),
+        start(lambda _: retuned_pd.least(problem.scenario, halvings=1, engine=problem.engine)),
+        start(lambda _: stability_limit.over_axes(walked.scenario, axes, law=walked.law, engine=problem.engine)),
     )
 
 
@@ -63,14 +59,6 @@ def own_name(problem: Problem) -> str:
     control = problem.scenario.control
     papers = problem.law is None and (control.inertia, control.damping, control.stiffness) in PAPER
     return "paper" if papers else "config"
-
-
-def _walkers(found: Swept, best: xr.Dataset | None) -> dict[str, Walker]:
-    """Return the walkers beside a grid: pd, config (or paper), gains file, best, as far as there are such."""
-    scenario, law = found.scenario, found.problem.law
-    walkers: dict[str, Walker] = {"pd": (under_pd(scenario), None), own_name(found.problem): (scenario, law)}
-    walkers |= {} if found.gains is None else {GIVEN: found.walker()}
-    return walkers | ({} if best is None else {"best": found.walker({n: best[n].item() for n in found.axes})})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,18 +87,22 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
         stage: opened for each longer work.
         begun: the result of `begin`, where it was begun before the grid walked.
     """
-    problem, best, (scenario, law) = found.problem, best_cell(found.data), found.walker()
+    problem, walked, own, best = found.problem, found.walked, own_name(found.problem), best_cell(found.data)
     axes = {name: found.data[name].values for name in found.axes}
     large = found.data["diverged"].size > HISTORIES
     with background() as beside:
-        others = begun or begin(problem, found.gains, axes, beside)
-        how = {**problem.walks, "law": law}
-        walking_again = beside(lambda _: with_histories(found.data, scenario, best, **how)) if large else None
+        others = begun or begin(problem, walked, axes, beside)
+        walking_again = beside(lambda _: with_histories(found.data, walked, best)) if large else None
         with stage("pd retuned"):
             rival = others.rival(ignore)
             if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
                 rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
-        walkers, level = _walkers(found, best), None
+        walkers: dict[str, Walker] = {"pd": (under_pd(problem.scenario), None), own: (problem.scenario, problem.law)}
+        walkers |= {} if found.gains is None else {GIVEN: (walked.scenario, walked.law)}
+        if best is not None:
+            at_best = walked.with_gains({name: best[name].item() for name in found.axes})
+            walkers["best"] = at_best.scenario, at_best.law
+        level = None
         if rival is not None:
             walkers |= beside_retuned(problem, rival.joint, walkers.get("best"))
             own_step = walkers[retuned_pd.NAME][0].time_step
@@ -122,29 +114,29 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
                 future = pool.submit(work, ignore)
                 return lambda _: future.result()
 
-            walked = {name: each(ignore) for name, each in walks_together(walkers, problem.engine, start).items()}
+            alone = {name: each(ignore) for name, each in walks_together(walkers, problem.engine, start).items()}
         with stage("stability limit"):
             radius = stability_limit.on_map(others.limit(ignore), found.data)
         histories = found.data
         if walking_again is not None:
             with stage("histories"):
                 histories = walking_again(ignore)
-    order = ("best", retuned_pd.NAME, retuned_pd.UNSEARCHED, GIVEN, own_name(problem), "pd")
-    names = [name for name in order if name in walked]
+    order = ("best", retuned_pd.NAME, retuned_pd.UNSEARCHED, GIVEN, own, "pd")
+    names = [name for name in order if name in alone]
     paths = [name for name in found.axes if is_path(name)]
     rows: dict[str, tuple[Values | None, Values]] = {}
     for name in names:
-        gains, there = gains_of(walked[name]), {path: walked[name].parameters.at(path) for path in paths}
+        gains, there = gains_of(alone[name]), {path: alone[name].parameters.at(path) for path in paths}
         gains = {**(gains or {}), **there} if there else gains
-        rows[name] = gains, mc.metrics(walked[name], problem.metrics)
+        rows[name] = gains, mc.metrics(alone[name], problem.metrics)
     data = found.data.assign(spectral_radius=radius)
-    at_step = mc.metrics(walked[LEVEL], problem.metrics) if LEVEL in walked else None
+    at_step = mc.metrics(alone[LEVEL], problem.metrics) if LEVEL in alone else None
     worth, level, said = conclusions(found, best, rows, rival, level, at_step)
-    walks = {name: walked[name] for name in names if name in rows}
+    walks = {name: alone[name] for name in names if name in rows}
     remedied = []
     if best is None:
         with stage("what would help", compiles=False):
-            remedied = _help(walks, law)
+            remedied = _help(walks, walked.law)
     failures = int(walks_failed(data).sum())
     return SweepComparison(
         data, best, walks, rows, failures, at_edge(found, best), worth, said, level, histories, remedied
@@ -204,8 +196,9 @@ def _help(walks: Mapping[str, mc.Trajectory], law: mc.Law | None) -> list[str]:
     return [f"{name}: {remedies(walks[name].scenario, torn[0][0], law)}"] if torn else []
 
 
-def with_histories(result: xr.Dataset, scenario: mc.Scenario, best: xr.Dataset | None, **how: Any) -> xr.Dataset:
+def with_histories(grid: xr.Dataset, walked: Problem, best: xr.Dataset | None) -> xr.Dataset:
     """Return a coarser grid of a sweep that has no time histories, with them and the best cell in it."""
     # out of the cells that the page shows
-    kept = coarser_grid(coarser_grid(result, best, MOST_CELLS), best, HISTORIES)
-    return sweeps.sweep(scenario, {name: kept[name].values for name in axes_of(kept)}, **how).data
+    kept = coarser_grid(coarser_grid(grid, best, MOST_CELLS), best, HISTORIES)
+    axes = {str(name): kept[name].values for name in grid["diverged"].dims}
+    return sweeps.sweep(walked.scenario, axes, **walked.walks).data

@@ -65,9 +65,9 @@ def walks_together(walkers: Mapping[str, Walker], engine: str, begin: Begin) -> 
     shared = ("base_admittance", "virtual_model") in laws
 
     def walking(scenario: mc.Scenario, law: mc.Law | None) -> Work[mc.Trajectory]:
-        if shared and law is None and scenario.control.controller == "pd":
-            return lambda _: walk_of_pd(scenario, engine)
-        return one_walk(scenario, law, engine)
+        if not shared or law is not None or scenario.control.controller != "pd":
+            return one_walk(scenario, law, engine)
+        return lambda _: walk_of_pd(scenario, engine)
 
     return {name: begin(walking(*walker)) for name, walker in walkers.items()}
 

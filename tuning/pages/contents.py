@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import xarray as xr
@@ -30,6 +31,8 @@ class Picture(NamedTuple):
 
 
 Files = Mapping[str, str | xr.Dataset | Picture]  # by name, of pictures without an ending
+# of the scenario that names the files in the folder, the folder, and the command
+FilesIn = Callable[[mc.Scenario, Path, str], Files]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Contents(NamedTuple):
 
     written: Written
     problem: Problem  # whose scenario, law, metrics and objective config.yaml names
-    files: Files
+    files: Files | FilesIn
     page: Callable[[Origin], Page] | None = None
     again: str = ""  # the command or call that repeats it in the folder
 

@@ -59,14 +59,13 @@ def _contents(
     found: Swept, written: Written, summary: dict[str, Any], page: Page, maps: Picture, again: str = ""
 ) -> Contents:
     """Return the contents of the folder of a grid, whose config has the gains that replace the scenario's."""
-    (scenario, law), text, data = found.walker(), to_json(summary), written.data
+    problem, text, data = found.walked, to_json(summary), written.data
     assert data is not None
     files: Files = {
-        found.FILE: data.assign_attrs(scenario=scenario.to_yaml()),
+        found.FILE: data.assign_attrs(scenario=problem.scenario.to_yaml()),
         "maps": maps,
         "comparison.json": text + "\n",
     }
-    problem = dataclasses.replace(found.problem, scenario=scenario, law=law)
     return Contents(dataclasses.replace(written, summary=text), problem, files, page.at, again)
 
 
@@ -78,11 +77,11 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     data, best = found.data, best_cell(found.data)
     if best is None:
         return None
-    (scenario, law), about = found.walker(), found.problem.metrics
+    scenario, about = found.walked.scenario, found.problem.metrics
     at = {axis: best[axis].item() for axis in found.axes}
     limbs = scenario.limbs
     own = trajectory.named({key: best[key].item() for key in about.names}, limbs)
-    configs = own_values(dataclasses.replace(found.problem, scenario=scenario), found.axes)
+    configs = own_values(found.walked, found.axes)
     gains = {"best": at, "pd": None}
     walks = {key: (gains.get(key, configs), metrics) for key, metrics in {"best": own, **named}.items()}
     rows = {own_name(found.problem) if key == "config" else key: walk for key, walk in walks.items()}
@@ -94,7 +93,7 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
         key: {"gains": values, "metrics": presentable(metrics, None)} for key, (values, metrics) in walks.items()
     }
     baseline = named["pd"]["force_variation"] if "pd" in named else None
-    table = comparison.table(rows, "Walks of the grid, in single precision", about, law)
+    table = comparison.table(rows, "Walks of the grid, in single precision", about, found.walked.law)
     again = f"{LACKS} are missing here; the same command, as it stands below, goes on with them"
     page = Page("Sweep of {}, not yet compared", Findings(outcome, [again]), scenario, tables=[table])
     how: dict[str, Any] = {"marks": marks(data, rows), "baseline": baseline}
@@ -105,7 +104,7 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
 def page_of(found: Swept, compared: SweepComparison, said: Findings) -> Page:
     """Return the page of a sweep: its maps with gains marked on them, and time histories."""
     grid, best, rows, about = compared.data, compared.best, compared.rows, found.problem.metrics
-    (scenario, _), histories = found.walker(), compared.histories
+    scenario, histories = found.walked.scenario, compared.histories
     axes, metrics = axes_of(grid), {walk: numbers for walk, (_, numbers) in rows.items()}
     count, kept, notes = grid["diverged"].size, histories["diverged"].size, [*said.notes]
     if kept < count:

@@ -14,9 +14,10 @@ from jaxtyping import Float
 import mjx_climb as mc
 from mjx_climb.execution import devices
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.resolve import by_name
+from mjx_climb.inputs.resolve import AnyGains, by_name
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.walk.structure import structure
+from tuning.gains.gains_file import replaced
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.objectives import NO_OBJECTIVE, Goal, OwnObjective
 from tuning.problem.spaces import NO_SPACE, Space, to_gains64
@@ -75,6 +76,13 @@ class Problem:
     def walks(self) -> dict[str, Any]:
         """The law, metrics and engine as arguments of `mc.rollout_metrics`."""
         return {"law": self.law, "metrics": self.metrics, "engine": self.engine}
+
+    def with_gains(self, gains: AnyGains | None) -> "Problem":
+        """The problem with some gains in place of the scenario's or the law's own."""
+        if gains is None:
+            return self
+        scenario, law = replaced(self.scenario, self.law, gains)
+        return dataclasses.replace(self, scenario=scenario, law=law)
 
     def env_steps(self, points: int, tangents: int = 0) -> int:
         """Return the cost of evaluating points: a step with k tangents counts 1 + k, `REVERSE_ABOVE` at most."""

@@ -5,11 +5,9 @@ import dataclasses
 import numpy as np
 import xarray as xr
 
-import mjx_climb as mc
 from mjx_climb.files.dataset import larger_is_better
-from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.walk.metrics import failed
-from tuning.gains.gains_file import replaced
+from tuning.problem.evaluation import Problem
 from tuning.results.result import Result
 
 HISTORIES = 256  # walks up to which a grid keeps time histories
@@ -33,12 +31,10 @@ class Swept(Result):
         """The names of both gains, that of the horizontal axis first."""
         return tuple(str(name) for name in self.data["diverged"].dims)
 
-    def walker(self, gains: AnyGains | None = None) -> tuple[mc.Scenario, mc.Law | None]:
-        """Return scenario and law of the grid, with further gains in place of theirs."""
-        walked = self.scenario, self.problem.law
-        for each in (self.gains, gains):
-            walked = walked if each is None else replaced(*walked, each)
-        return walked
+    @property
+    def walked(self) -> Problem:
+        """The problem of the grid: with the gains in place of the scenario's or the law's own."""
+        return self.problem.with_gains(self.gains)
 
 
 def holding(data: xr.Dataset, metric: str) -> xr.DataArray:

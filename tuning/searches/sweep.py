@@ -22,7 +22,6 @@ from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.walks import LINES, stretches
 from tuning.gains import gains_file
-from tuning.gains.gains_file import replaced
 from tuning.methods.parts import identity_of
 from tuning.problem.evaluation import RIGID, Problem
 from tuning.problem.search import Precision
@@ -262,11 +261,8 @@ def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_s
     if (walks := math.prod(values.size for values in lists.values())) > MOST:
         raise ValueError(f"axes: expected at most {MOST} walks in all, got {walks}")
     devices.check_batch_size(batch_size)
-    walked = problem
-    if gains is not None:
-        scenario, law = replaced(problem.scenario, problem.law, gains)
-        walked = dataclasses.replace(problem, scenario=scenario, law=law)
-    return Grid(problem, gains, walked, lists, walks, batch_size or default_batch_size(walks, problem.scenario.steps))
+    size = batch_size or default_batch_size(walks, problem.scenario.steps)
+    return Grid(problem, gains, problem.with_gains(gains), lists, walks, size)
 
 
 def default_batch_size(walks: int, steps: int, platform: str | None = None) -> int:

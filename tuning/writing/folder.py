@@ -56,10 +56,9 @@ def write(
         copied = write_config(
             problem.scenario, place, problem.law, problem.metrics, problem.own_objective, problem.own_method
         )
-        files = {
-            name: _naming(each, copied) if isinstance(each, xr.Dataset) else each for name, each in made.files.items()
-        }
         where = origin or Origin("the scenario", call, made.again or call)
+        asked = made.files(copied, place, where.asked) if callable(made.files) else made.files
+        files = {name: _naming(each, copied) if isinstance(each, xr.Dataset) else each for name, each in asked.items()}
         names = fill(place, files, made.page, where, figures, stage, sections)
     copied = at_home(copied, place, folder)
     walks = {

@@ -104,7 +104,7 @@ def test_an_axis_of_a_sweep_is_a_path(scenario, part):
     grid = grid_of(Problem(scenario), {part.path: list(part.span), "damping": [1e2, 1e3]})
     assert grid.rows == 4 and {*grid.axes} == {part.path, "damping"}
     found = grid.result({name: np.zeros(4) for name in grid.walked.metrics.names})
-    walked, _ = found.walker({part.path: part.span[1], "damping": 1e3})
+    walked = found.walked.with_gains({part.path: part.span[1], "damping": 1e3}).scenario
     assert own_parameters(walked).at(part.path) == part.span[1] and walked.control.damping == 1e3
 
 

@@ -113,12 +113,11 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkey
     nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
     scenario = mc.load_scenario("case_1_2")
     for module, name, value in (
-        (verification, "tests", nothing), (of_search, "replaced", lambda *_: (scenario, None)),
-        (verification, "broken_limits", lambda *_: []),
+        (verification, "tests", nothing), (verification, "broken_limits", lambda *_: []),
         (verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
         (margins, "find", nothing), (of_search, "with_joint_gains", nothing), (worths, "differences", nothing),
         (of_search, "scores_of", lambda _, metrics: {"objective": metrics}), (retuned_pd, "joint_of", lambda _: joint),
-        (retuned_pd, "rival_of", lambda _: retuned_pd.Rival(joint, 0.5)), (worths, "worth_of", worth),
+        (retuned_pd, "rival_of", lambda *_: retuned_pd.Rival(joint, 0.5)), (worths, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)

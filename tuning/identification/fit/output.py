@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,29 +24,24 @@ from tuning.identification.fit.report import (
     plot_residuals,
 )
 from tuning.identification.fit.result import Identified
-from tuning.pages.contents import Files, Picture
-from tuning.pages.page import Origin, Page
+from tuning.pages.contents import Contents, Files, Picture, Written
 from tuning.problem.ensemble import TILTS, Ensemble, Posterior
-from tuning.results.config_file import write_config
+from tuning.problem.evaluation import Problem
 from tuning.scenario_files import portable_yaml
 
-FILE = "result.json"
-CALL = "tuning.identify(...)"
+
+def contents(found: Identified, *_: object) -> Contents:
+    """Return the values, sections that other commands read, a posterior ensemble, pictures and page."""
+    return Contents(Written(), Problem(found.scenario), functools.partial(_files, found), page_of(found).at)
 
 
-def contents(found: Identified, place: Path, origin: Origin | None) -> tuple[Files, Callable[[Origin], Page], Origin]:
-    """Write the config and return the files beside it, the page, and where they come from."""
-    where = origin or Origin("the scenario", CALL, CALL)
-    return _files(found, place, where.asked), functools.partial(page_of, found), where
-
-
-def _files(found: Identified, place: Path, asked: str) -> Files:
-    identified = identified_scenario(found, write_config(found.scenario, place), place)
+def _files(found: Identified, scenario: mc.Scenario, place: Path, asked: str) -> Files:
+    identified = identified_scenario(found, scenario, place)
     texts = {
         "identified.yaml": portable_yaml(identified, place),
         "hardware.yaml": _yaml({"hardware": identified.hardware.model_dump(mode="json")}),
         **({"posterior.yaml": ensemble_of(found).to_yaml()} if found.known else {}),
-        FILE: json.dumps(_result(found, asked), indent=2) + "\n",
+        found.FILE: json.dumps(_result(found, asked), indent=2) + "\n",
     }
     return texts | {
         "residuals": Picture(RESIDUALS, lambda: plot_residuals(found)),

@@ -70,10 +70,10 @@ def findings(found: Identified) -> page.Findings:
     return page.Findings(found.sentence, [f"warning: {line}" for line in found.warnings], found.combined)
 
 
-def page_of(found: Identified, origin: page.Origin) -> page.Page:
+def page_of(found: Identified) -> page.Page:
     """Return the page of a result."""
     return page.Page(
-        title=f"Identified from {Path(found.log.source).name}", origin=origin, findings=findings(found),
+        title=f"Identified from {Path(found.log.source).name}", findings=findings(found),
         scenario=found.scenario, tables=[table(found), residual_table(found)],
         facts={
             "search": found.fitted.ended, "iterations": found.fitted.iterations,

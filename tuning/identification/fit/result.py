@@ -36,6 +36,9 @@ class Estimate:
 class Identified:
     """The result of `identify`."""
 
+    FILE = "result.json"  # by it the folder is known
+    KIND = "identify"
+
     scenario: mc.Scenario
     log: Log
     estimates: Mapping[str, Estimate]  # by key

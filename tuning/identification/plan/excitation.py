@@ -63,6 +63,9 @@ class Candidate(NamedTuple):
 class Excited:
     """Commands, and their forecast before anyone turns the robot on."""
 
+    FILE = "excitation.csv"  # by it the folder is known
+    KIND = "excite"
+
     scenario: mc.Scenario
     asked: Settings
     robot: Robot

@@ -1,15 +1,12 @@
 """The folder of an excitation: commands as CSV and as a trajectory for ROS 2, a picture, a page, JSON."""
 
-import functools
 import json
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-import mjx_climb as mc
 from mjx_climb.viz import plots
 from tuning.identification.plan.excitation import PLAIN, Excited, scale
 from tuning.identification.plan.information import SEEN
@@ -17,37 +14,31 @@ from tuning.identification.plan.rig import SPEED
 from tuning.identification.readers.formats.csv_file import csv_of
 from tuning.identification.readers.log import joints_of
 from tuning.numbers import to_json
-from tuning.pages.contents import Files, Picture
-from tuning.pages.page import Findings, Origin, Page, Table
-from tuning.results.config_file import write_config
+from tuning.pages.contents import Contents, Files, Picture, Written
+from tuning.pages.page import Findings, Page, Table
+from tuning.problem.evaluation import Problem
 
-FILE = "excitation.csv"  # by it the folder is known
 TRAJECTORY = "excitation_trajectory.yaml"
 APPROACH = 3.0  # s, in which a trajectory controller takes the robot to the first posture
 _EARTH = 9.81  # m/s^2
 BINS = 150  # of a picture's envelopes
 
 
-def contents(found: Excited, place: Path, origin: Origin | None) -> tuple[Files, Callable[[Origin], Page], Origin]:
-    """Write the config and return the files beside it, the page, and where they come from."""
+def contents(found: Excited, *_: object) -> Contents:
+    """Return the commands, the expectation, a picture and the page."""
     asked = found.asked.model_dump(exclude_unset=True)
-    call = f"tuning.excite(mjx_climb.load_scenario('config.yaml'), **{asked})"
     files: Files = {
-        FILE: csv_of(columns(found)), TRAJECTORY: trajectory(found), "excitation.json": to_json(summary(found)) + "\n",
+        found.FILE: csv_of(columns(found)), TRAJECTORY: trajectory(found),
+        "excitation.json": to_json(summary(found)) + "\n",
         "excitation": Picture("Commands, rates and torques of the nominal robot", lambda: plot(found)),
     }  # fmt: skip
-    report = functools.partial(page_of, found, write_config(found.scenario, place))
-    return files, report, origin or Origin("the scenario", call, call)
-
-
-def page_of(found: Excited, scenario: mc.Scenario, origin: Origin) -> Page:
-    """Return the page of an excitation."""
-    return Page(
-        title=f"What to command to identify {origin.name}", origin=origin,
-        findings=Findings(found.best.information.unseen(), notes=notes(found)), scenario=scenario,
+    page = Page(
+        "What to command to identify {}", Findings(found.best.information.unseen(), notes=notes(found)), found.scenario,
         tables=[table(found), limits(found)],
         facts={"seed": found.asked.seed, "candidates": len(found.candidates)},
     )  # fmt: skip
+    again = f"tuning.excite(mjx_climb.load_scenario('config.yaml'), **{asked})"
+    return Contents(Written(), Problem(found.scenario), files, page.at, again)
 
 
 def columns(found: Excited) -> dict[str, np.ndarray]:
