@@ -30,7 +30,6 @@ from mjx_climb.walk.metrics import peak
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.structure import Structure, structure
 from mjx_climb.walks import Scan, metrics_under, samples_of
-from tuning.problem.evaluation import REVERSE_ABOVE
 from tuning.problem.objectives import Limit, Objective, Term
 
 # robots of a call on one core: four take hardly longer than one, and more than 16 are done no sooner together
@@ -283,7 +282,7 @@ class Walks:
     ) -> tuple[Scored, Float[np.ndarray, "problem variable"]]:
         """Walk robots with parameters (N, ...), of `rows`, and return their scores and the derivatives of problems.
 
-        By the kernel of a GPU where it can, in forward mode where directions are few, else in reverse mode.
+        By the kernel of a GPU where it can.
 
         Arguments:
             sharp: 0 for derivatives of the objective with smooth companions of the extremes, 1 for those of the true
@@ -306,14 +305,11 @@ class Walks:
         return _scored(self._walked(judged, targets, parameters, 1.0, kernel=self.dtype == np.float32))
 
     def _derived(self, freedom: "Freedom") -> Callable[..., tuple[Scored, np.ndarray]]:
-        """Return which of the next three methods takes the least time."""
+        """Return which of the next two methods takes the least time."""
         if self.dtype != np.float32 or self.asked.structure.planning or freedom.knots.steps % freedom.knots.every:
             return self._reverse
-        count, few = math.prod(freedom.base.shape[:2]), freedom.directions <= REVERSE_ABOVE
-        on = paths.device_for(count, freedom.directions if few else paths.AN_ADJOINT, kernel=True)
-        if on is not None or paths.path_for(on, kernel=True) != "kernel":
-            return self._reverse
-        return self._forward if few else self._reverse_by_knots
+        on = paths.device_for(math.prod(freedom.base.shape[:2]), paths.AN_ADJOINT, kernel=True)
+        return self._by_knots if on is None and paths.path_for(on, kernel=True) == "kernel" else self._reverse
 
     def _reverse(
         self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
@@ -323,17 +319,7 @@ class Walks:
         slopes = found.pop("_slopes").reshape(targets.shape)
         return _scored(found), freedom.slopes(x, slopes)
 
-    def _forward(
-        self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
-    ) -> tuple[Scored, np.ndarray]:
-        robots, offsets = self._steered(freedom, x, parameters, sharp)
-        one = offsets[0]
-        directions: np.ndarray = np.eye(one.size, dtype=self.dtype).reshape(1, -1, *one.shape)
-        found, tangents = execution.run(steered, self.asked, robots._replace(directions={"offsets": directions}))
-        del found["_along"]
-        return _scored(found), freedom.slopes_of_sets(tangents["_along"].reshape(offsets.shape))
-
-    def _reverse_by_knots(
+    def _by_knots(
         self, freedom: "Freedom", x: np.ndarray, parameters: mc.Parameters, sharp: float
     ) -> tuple[Scored, np.ndarray]:
         robots, offsets = self._steered(freedom, x, parameters, sharp)
@@ -485,11 +471,6 @@ class Freedom:
         return starts, self.common + (0 if self.since is None else members), self.knots.count, *joints
 
     @property
-    def directions(self) -> int:
-        """How many offsets the walk of a member depends on."""
-        return (self.common + (self.since is not None)) * math.prod(self._parts[2:])
-
-    @property
     def _own(self) -> Bool[np.ndarray, "member time 1 1"]:
         """Where members have offsets of their own."""
         assert self.since is not None
@@ -528,29 +509,34 @@ class Freedom:
         return self.knots.at_knots(self._of_sets(sets)).reshape(self.none.shape)
 
     def steering(self, x: Float[np.ndarray, "problem variable"], dtype: type) -> tuple[np.ndarray, Steering]:
-        """Return the offsets of each walk, (walk, set, knot, limb, joint) rad, and its steering, (walk, ...)."""
+        """Return the offsets of each walk, (walk, 2, knot, limb, joint) rad, and its steering, (walk, ...).
+
+        Common ones come first, then a member's own; a set that there is not begins behind the last step, so that plans
+        of all kinds have one program.
+        """
         starts, members, steps = self.base.shape[:3]
-        offsets = x.reshape(self._parts)
-        sets = [np.broadcast_to(offsets[:, :1], (starts, members, *offsets.shape[2:]))] * self.common
-        begins = [np.zeros(members)] * self.common
+        offsets, begins = x.reshape(self._parts), np.full((2, members), steps)
+        sets = np.zeros((2, starts, members, *offsets.shape[2:]))
+        if self.common:
+            sets[0], begins[0] = offsets[:, :1], 0
         if self.since is not None:
-            sets.append(offsets[:, self.common :])
-            begins.append(np.minimum(np.ceil(self.since), steps))
+            sets[1], begins[1] = offsets[:, self.common :], np.minimum(np.ceil(self.since), steps)
 
         def of_walks(value: np.ndarray, dtype: type = dtype) -> np.ndarray:
             each = np.broadcast_to(value, (starts, members, *value.shape[2:]))
             return each.reshape(-1, *value.shape[2:]).astype(dtype)
 
         lower, upper = (of_walks(bound[:, :, 0]) for bound in self._bounds)
-        steering = Steering(of_walks(self.base), of_walks(np.stack(begins, 1)[None], np.int32), lower, upper)
-        return of_walks(np.stack(sets, 2)), steering
+        steering = Steering(of_walks(self.base), of_walks(begins.T[None], np.int32), lower, upper)
+        return of_walks(np.moveaxis(sets, 0, 2)), steering
 
     def slopes_of_sets(
-        self, of_offsets: Float[np.ndarray, "walk set knot limb joint"]
+        self, of_offsets: Float[np.ndarray, "walk 2 knot limb joint"]
     ) -> Float[np.ndarray, "problem variable"]:
         """Return derivatives of each problem's mean over its members, from those of each walk by its offsets."""
         each = of_offsets.reshape(*self.base.shape[:2], *of_offsets.shape[1:]).astype(float)
-        return self._of_sets([*np.moveaxis(each, 2, 0)]).reshape(self.none.shape)
+        sets = [each[:, :, 0]] * self.common + ([] if self.since is None else [each[:, :, 1]])
+        return self._of_sets(sets).reshape(self.none.shape)
 
     def _of_sets(self, sets: list[np.ndarray]) -> np.ndarray:
         """Return derivatives by sets of offsets, (start, set, ...), from those of each walk, (start, member, ...)."""

@@ -132,8 +132,9 @@ def test_derivatives_by_a_knot_are_central_differences():
 
 
 @pytest.mark.slow
-def test_forward_and_reverse_mode_agree():
-    """In double precision, two members from two starts, with offsets for all and own ones; one joint at its limit."""
+@pytest.mark.parametrize(("common", "since"), [(True, [30.5, 60.0]), (True, None), (False, [0.0, 0.0])])
+def test_slopes_by_knots_are_those_by_steps(common, since):
+    """In double precision, two members from two starts, with offsets for all or own ones or both; a joint's limit."""
     scenario = under_pd(mc.load_scenario("case_1_2")).with_overrides(SHORT)
     parameters = rows(scenario, PD(), None, mc.parameters(scenario), 2)
     parameters = jax.tree.map(lambda value: np.concatenate([value, value]), parameters)
@@ -144,14 +145,14 @@ def test_forward_and_reverse_mode_agree():
     base = np.asarray(walk.joint_targets) + 1e-3 * rng.normal(size=(2, 2, 1, 4, 3))
     upper = np.full((4, 3), np.pi)
     upper[1, 2] = base[..., 1, 2].max()
-    freedom = Freedom(base, Knots(100, 25), True, np.array([30.5, 60.0]), -upper - 9, upper)
+    freedom = Freedom(base, Knots(100, 25), common, since and np.array(since), -upper - 9, upper)
     x = 1e-3 * rng.normal(size=freedom.none.shape)
     assert 0 < (freedom.targets(x) == upper)[..., 1, 2].mean() < 0.9
-    ways = walks._forward, walks._reverse, walks._reverse_by_knots
-    (there, forward), (found, reverse), (_, by_knots) = (how(freedom, x, parameters, 0.3) for how in ways)
-    np.testing.assert_allclose(forward, reverse, rtol=1e-8, atol=1e-9 * abs(reverse).max())
-    np.testing.assert_allclose(by_knots, reverse, rtol=1e-8, atol=1e-9 * abs(reverse).max())
-    assert (reverse == 0).any() and np.isfinite(reverse).all() and (reverse != 0).mean() > 0.7
+    (found, by_steps), (there, by_knots) = (
+        how(freedom, x, parameters, 0.3) for how in (walks._reverse, walks._by_knots)
+    )
+    np.testing.assert_allclose(by_knots, by_steps, rtol=1e-8, atol=1e-9 * abs(by_steps).max())
+    assert np.isfinite(by_steps).all() and (by_steps != 0).mean() > 0.7
     np.testing.assert_allclose(there.merit, found.merit, rtol=1e-12)
 
 
