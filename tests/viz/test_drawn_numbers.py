@@ -1,0 +1,462 @@
+"""Numbers behind pictures of random walks: events, scales of colours, marks in the scene, the camera and the ground."""
+
+import dataclasses
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.colors import LogNorm, to_rgb
+
+import mjx_climb as mc
+from mjx_climb.viz import plots
+from mjx_climb.viz.plots import events, maps
+from mjx_climb.viz.plots.styling import CARGO, LIMB_COLORS, PUSH
+from mjx_climb.viz.rendering import canvas, captions, marks, surroundings
+from tests.trajectories import still
+
+PUSHES = [
+    {"force": [-5.0, 0.0, 0.0], "start": 0.02, "stop": 0.05},
+    {"force": [3.0, 4.0, 0.0], "moment": [0.0, 0.0, 0.25], "start": 0.03},
+    {"force": [0.0, 0.0, 0.0], "start": 0.01, "stop": 0.02},
+    {"force": [1.0, 0.0, 0.0], "start": 0.2, "stop": 0.3},
+]
+HOLDS = {"points": [
+    {"at": [0.2, 0.1, 0.01], "normal": [0, 0.6, 0.8], "limit": 3.0}, {"at": [0.1, 0.1, 0], "limit": 1.5},
+                    {"at": [0.15, -0.1, 0.0]}]}  # fmt: skip
+SCENARIO = mc.Scenario().with_overrides({
+    "duration": 0.06, "gait.cycle": 0.06, "disturbance.pushes": PUSHES,
+    "disturbance.cargo": {"mass": 0.5, "start": 0.01, "stop": 0.04}, "ground.holds": HOLDS,
+})  # fmt: skip
+ROWS = 60
+
+
+def drawn(seed=0, scenario=SCENARIO, **more):
+    """A walk of random numbers near a stance."""
+    draw, walk = np.random.default_rng(seed), still(scenario)
+    rows, feet = len(walk.time), 0.2 * np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0.1]])
+    base = np.column_stack([np.linspace(0, 0.02, rows), np.zeros(rows), np.full(rows, 0.1)])
+    series = {
+        "base_position": base + 0.002 * draw.normal(size=base.shape), "base_reference": base,
+        "base_orientation": np.tile([1.0, 0, 0, 0], (rows, 1)),
+        "foot_position": feet + 0.004 * draw.normal(size=(rows, 4, 3)),
+        "foot_force": 3 * draw.normal(size=(rows, 4, 3)),
+        "joint_angles": np.tile(walk.robot.stance_joints, (rows, 1, 1)),
+        "grip_point": np.tile(feet, (rows, 1, 1)), "support": draw.random((rows, 4)) < 0.9,
+    }  # fmt: skip
+    return dataclasses.replace(walk, **(series | more))
+
+
+# ----------------------------------------------------------------------------------------------------------- events
+
+
+def test_disturbances_are_named_by_their_axis_or_size():
+    found = events.disturbances(drawn())
+    minus = "\N{MINUS SIGN}"
+    assert found == [
+        (0.01, 0.04, "cargo 0.5 kg", CARGO), (0.02, 0.05, f"{minus}5 N x", PUSH),
+        (0.03, pytest.approx(0.06), "5 N, +0.25 N m z", PUSH), (0.01, 0.02, "push", PUSH),
+    ]  # fmt: skip
+    assert events.disturbances(drawn(scenario=mc.Scenario().with_overrides({"duration": 0.06}))) == []
+
+
+@pytest.mark.parametrize("series", ["base_position", "joint_angles", "joint_rates", "foot_position", "foot_force"])
+@pytest.mark.parametrize("at", [None, 0, 1, 30, 59])
+def test_a_walk_can_be_shown_up_to_its_first_number_that_is_none(series, at):
+    walk = drawn()
+    if at is not None:
+        values = getattr(walk, series).copy()
+        values.reshape(ROWS, -1)[at, -1] = np.nan
+        values.reshape(ROWS, -1)[min(at + 2, ROWS - 1), 0] = np.inf
+        walk = dataclasses.replace(walk, **{series: values})
+    rows = ROWS if at is None else at
+    assert (events.finite_rows(walk), events.whole(walk)) == (rows, max(rows, 1))
+    for time in (-1.0, 0.0, 0.0104, 0.0106, 0.03, 1.0):
+        assert events.row_at(walk, time) == min(max(round(time / 0.001), 0), max(rows, 1) - 1)
+    end = 0.06 if at is None else min(0.06, 1.1 * 0.001 * at)
+    assert events.end_of(walk) == pytest.approx(end)
+    assert events.failure_time(walk) == (math.inf if at is None else pytest.approx(0.5 * 0.001 * at))
+
+
+def test_grippers_are_torn_once_and_change_where_nobody_tore_them():
+    draw = np.random.default_rng(1)
+    torn, detached, support = (draw.random((ROWS, 4)) < share for share in (0.05, 0.05, 0.7))
+    walk = drawn(torn_off=torn, detached=detached, support=support)
+    expected = [
+        (0.001 * row, walk.limbs[n]) for row in range(ROWS) for n in range(4) if torn[row, n] and not detached[row, n]
+    ]
+    assert events.detachments(walk) == pytest.approx(expected) if not expected else True
+    assert [limb for _, limb in events.detachments(walk)] == [limb for _, limb in expected]
+    np.testing.assert_allclose([time for time, _ in events.detachments(walk)], [time for time, _ in expected])
+    assert events.failure_time(walk) == pytest.approx(expected[0][0])
+    holds = support | torn | detached
+    changes = [0.001 * row for row in range(1, ROWS) if any(holds[row, n] != holds[row - 1, n] for n in range(4))]
+    np.testing.assert_allclose(events.grip_changes(walk), changes)
+
+
+def test_sizes_are_those_of_vectors():
+    walk = drawn()
+    forces = [max(math.hypot(*force) for force in row) for row in walk.foot_force]
+    np.testing.assert_allclose(events.largest_foot_force(walk), forces)
+    apart = [math.dist(foot, walk.base_position[0]) for foot in walk.foot_position[0]]
+    assert events.size_of(walk) == pytest.approx(sum(apart) / 4 / 0.23)
+
+
+@pytest.mark.parametrize("count", [10, 1500, 1501, 4003])
+def test_a_thinned_line_has_both_extremes_of_every_stretch(count):
+    draw = np.random.default_rng(count)
+    time, values = np.arange(count) / 7.0, draw.normal(size=count)
+    values[draw.integers(count, size=3)] = np.nan
+    thin, kept = events.thin(time, values)
+    if count <= 1500:
+        assert thin is time and kept is values
+        return
+    rows, size = np.round(thin * 7).astype(int), math.ceil(2 * count / 1500)
+    np.testing.assert_array_equal(kept, values[rows])
+    expected = {0, count - 1}
+    for start in range(0, count, size):
+        part = [n for n in range(start, min(start + size, count)) if np.isfinite(values[n])]
+        expected |= {min(part, key=lambda n: values[n]), max(part, key=lambda n: values[n])} if part else set()
+    assert expected <= {*rows.tolist()} and len(rows) <= 1510 and (np.diff(rows) > 0).all()
+
+
+# ------------------------------------------------------------------------------------------------------------- maps
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_scale_of_colours_is_of_the_walks_that_held(seed):
+    draw = np.random.default_rng(seed)
+    values = 10.0 ** (draw.choice([0.02, 0.5, 2.0]) * draw.normal(size=(3, 4))) * draw.choice([1.0, -1.0, 1e-3])
+    values[draw.random((3, 4)) < 0.1] = np.nan
+    failed = draw.random((3, 4)) < draw.choice([0.2, 0.9])
+    baseline = draw.choice(
+        [None, float(np.nanmedian(values)), float(np.nanmax(values) * 1.2), float(np.nanmin(values)) - 9, math.nan]
+    )
+    larger = bool(draw.random() < 0.5)
+    norm, extend = plots.color_scale(values, failed, baseline, larger)
+    finite = [v for v in values.ravel() if math.isfinite(v)]
+    held = [v for v, f in zip(values.ravel(), failed.ravel(), strict=True) if math.isfinite(v) and not f]
+    low, high = np.percentile(held if len(held) > 3 else finite, [2, 98])
+    if baseline is not None and math.isfinite(baseline):
+        half = (high - low) / 2
+        if baseline > low - half:
+            low = min(low, baseline)
+        if baseline < high + half:
+            high = max(high, baseline)
+        if low < baseline < high:
+            low, high = (
+                (max(low, baseline - 3 * (high - baseline)), high)
+                if larger
+                else (low, min(high, baseline + 3 * (baseline - low)))
+            )
+    span = 0.05 * max(abs(low), abs(high))
+    if high - low < span:
+        low, high = (low + high) / 2 - span / 2, (low + high) / 2 + span / 2
+    assert (norm.vmin, norm.vmax) == pytest.approx((low, high))
+    passed = min(finite) < low - 1e-9 * abs(low), max(finite) > high + 1e-9 * abs(high)
+    assert (
+        extend == {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[passed]
+    )
+    assert isinstance(norm, LogNorm) == (low > 0 and high > 30 * low)
+
+
+def test_a_scale_of_no_values_is_from_0_to_1():
+    norm, extend = plots.color_scale(np.full((2, 2), np.nan), np.ones((2, 2), bool), 3.0)
+    assert (norm.vmin, norm.vmax, extend) == (0, 1, "neither")
+    norm, _ = plots.color_scale(np.zeros((2, 2)), np.zeros((2, 2), bool), None)
+    assert (norm.vmin, norm.vmax) == pytest.approx((-0.025, 0.025))
+
+
+def test_which_walks_failed_and_which_compare():
+    draw = np.random.default_rng(0)
+    dims, shape = ("stiffness", "damping"), (3, 4)
+    at = np.where(draw.random(shape) < 0.3, 1.5, np.nan)
+    limb, diverged = np.where(draw.random(shape) < 0.3, 2, -1), draw.random(shape) < 0.3
+    own = {"larger_is_better": 0}
+    data = xr.Dataset({
+        "peak_foot_force": (dims, draw.random(shape), own), "detached_at": (dims, at, own),
+        "diverged": (dims, diverged, own),
+        "detached_limb": (dims, limb), "other": (dims, draw.random(shape)),
+    }, {"stiffness": [1.0, 2.0, 3.0], "damping": [1.0, 2.0, 3.0, 4.0]})  # fmt: skip
+    torn = np.isfinite(at) | (limb >= 0)
+    np.testing.assert_array_equal(plots.failed_walks(data, "stiffness", "damping"), (torn | diverged).T)
+    np.testing.assert_array_equal(plots.failed_walks(data, "damping", "stiffness"), torn | diverged)
+    for left, expected in (
+        (["detached_limb", "diverged"], np.isfinite(at)), (["detached_at", "diverged"], limb >= 0),
+        (["detached_at", "detached_limb"], diverged),
+        (["detached_at", "detached_limb", "diverged"], np.zeros(shape, bool)),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(plots.failed_walks(data.drop_vars(left), "damping", "stiffness"), expected)
+    force = data["peak_foot_force"].values
+    np.testing.assert_array_equal(plots.comparable(data, "peak_foot_force"), np.where(diverged, np.nan, force))
+    for name in ("detached_at", "diverged", "other"):  # failures themselves, and what is no metric
+        np.testing.assert_array_equal(plots.comparable(data, name), data[name])
+    without = data.drop_vars("diverged")
+    np.testing.assert_array_equal(plots.comparable(without, "peak_foot_force"), force)
+
+
+@pytest.mark.parametrize(("attributes", "label"), [
+    ({"units": "N", "long_name": "a force"}, "a force [N]"), ({"units": "1"}, "some name"), ({}, "some name"),
+    ({"units": ""}, "some name"), ({"units": "m/s^2"}, "some name [m/s$^2$]"),
+])  # fmt: skip
+def test_a_quantity_has_its_unit_behind_it(attributes, label):
+    values = xr.DataArray(np.ones((2, 2)), {"x": [1.0, 2.0], "y": [1.0, 2.0]}, attrs=attributes)
+    figure = plots.plot_map(xr.Dataset({"some_name": values}), "some_name")
+    assert figure.axes[1].get_ylabel() == label and maps.larger_is_better(values) is False
+
+
+# ------------------------------------------------------------------------------------------------ marks in a scene
+
+
+def scene():
+    return mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), maxgeom=2000)
+
+
+def shapes(made):
+    return [
+        (g.type, np.array(g.pos), np.array(g.size), np.array(g.mat), np.array(g.rgba)) for g in made.geoms[: made.ngeom]
+    ]
+
+
+ARROW, CAPSULE, CYLINDER, BOX = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{n}")) for n in ("ARROW", "CAPSULE", "CYLINDER", "BOX")
+)
+
+
+def test_an_arrow_of_one_newton_is_as_long_as_the_largest_force_allows():
+    walk, size = drawn(), events.size_of(drawn())
+    forces = [max(math.hypot(*f) for f in row) for row in walk.foot_force]
+    assert marks.scale([walk]) == pytest.approx(0.24 * size / np.quantile(forces, 0.999))
+    push = np.zeros((ROWS, 6))
+    push[3, :3] = [0.0, 60.0, 80.0]
+    assert marks.scale([walk, drawn(push=push)]) == pytest.approx(0.24 * size / 100.0)
+    torn = np.zeros((ROWS, 4), bool)
+    torn[20:, 2] = True
+    early = np.quantile(forces[:21], 0.999)
+    assert marks.scale([drawn(detached=torn)]) == pytest.approx(0.24 * size / early)
+
+
+@pytest.mark.parametrize(("force", "limit", "expected"), [
+    ([0, 0, 1.0], 3.0, "press"), ([0, 5.0, 0.0], 3.0, "press"), ([0, 0, -1.5], 3.0, 0.5), ([3.0, 0, -4.0], 5.0, 1.0),
+    ([0, 0, -9.0], 3.0, 1.0), ([0, 0, -9.0], None, 0.0), ([0, 0, -0.75], 3.0, 0.25), ([0, 0, -0.375], 3.0, 0.125),
+])  # fmt: skip
+def test_a_pull_has_the_colour_of_its_share_of_the_limit(force, limit, expected):
+    tones = [to_rgb(tone) for tone in ("#FFF3A0", "#F0C020", plots.ORANGE, plots.VERMILLION, "#B00020")]
+    found = marks.color(np.array(force), limit)
+    if expected == "press":
+        assert found == to_rgb(plots.SKY)
+        return
+    below = min(int(expected * 4), 3)
+    share = expected * 4 - below
+    np.testing.assert_allclose(
+        found, [(1 - share) * a + share * b for a, b in zip(tones[below], tones[below + 1], strict=True)]
+    )
+
+
+def test_arrows_end_where_forces_act_and_crosses_are_on_torn_feet():
+    torn, detached, push = np.zeros((ROWS, 4), bool), np.zeros((ROWS, 4), bool), np.zeros((ROWS, 6))
+    torn[5, 1], detached[5, 2], push[5, :3] = True, True, [0.0, 3.0, 4.0]
+    force = np.zeros((ROWS, 4, 3))
+    force[5] = [[0, 0, 6.0], [0, 3.0, -4.0], [0, 0, 1e-9], [0, 0, 1e6]]  # one too small to be seen, one too large
+    walk, made = drawn(torn_off=torn, detached=detached, push=push, foot_force=force), scene()
+    size, scale, limit = events.size_of(walk), 0.01, SCENARIO.contact.holding_limit
+    marks.forces(made, walk, 5, scale)
+    found, feet = shapes(made), walk.foot_position[5]
+    assert [kind for kind, *_ in found] == [ARROW, ARROW, CAPSULE, CAPSULE, CAPSULE, CAPSULE, ARROW]
+    hit = walk.base_position[5] - 0.055 * size * np.array([0, 0.6, 0.8])
+    for (_, pos, sizes, mat, rgba), start, vector, rgb, width in (
+        (found[0], feet[0], scale * force[5, 0], to_rgb(plots.SKY), 1.0),
+        (found[1], feet[1], scale * force[5, 1], marks.color(force[5, 1], limit), 1.0),
+        (found[6], hit - scale * push[5, :3], scale * push[5, :3], to_rgb("#E24FB0"), 1.5),
+    ):
+        np.testing.assert_allclose(pos, start, atol=1e-6)
+        np.testing.assert_allclose(mat.reshape(3, 3)[:, 2], vector / np.linalg.norm(vector), atol=1e-5)
+        np.testing.assert_allclose(sizes, [width * 0.0045 * size] * 2 + [2 * np.linalg.norm(vector)], rtol=1e-4)
+        np.testing.assert_allclose(rgba[:3], np.array(rgb) / 2, atol=1e-6)
+    for number, foot in ((2, feet[1]), (4, feet[2])):
+        for across, (_, pos, sizes, mat, rgba) in zip(([1, 1, 0], [1, -1, 0]), found[number : number + 2], strict=True):
+            np.testing.assert_allclose(pos, foot, atol=1e-6)
+            np.testing.assert_allclose(np.abs(mat.reshape(3, 3)[:, 2] @ across), math.sqrt(2), rtol=1e-5)
+            np.testing.assert_allclose(sizes[[0, 2]], [0.004 * size, 0.028 * size * math.sqrt(2)], rtol=1e-4)
+            np.testing.assert_allclose(rgba[:3], to_rgb(plots.RED), atol=1e-6)
+    quiet = scene()
+    marks.forces(quiet, drawn(foot_force=0 * force), 5, scale)
+    assert quiet.ngeom == 0
+
+
+def test_grips_paths_cargo_and_holds_are_where_they_were():
+    grip, mass = drawn().grip_point.copy(), np.where(np.arange(ROWS) >= 10, 0.5, 0.0)
+    grip[:30, 0] += [0.05, 0.0, 0.0]
+    support = np.ones((ROWS, 4), bool)
+    support[:, 1], support[45:, 3] = False, False
+    feet = drawn().foot_position.copy()
+    feet[:, 0, 0] += 0.02 * (np.arange(ROWS) > 39)
+    walk, made = drawn(grip_point=grip, support=support, cargo_mass=mass, foot_position=feet), scene()
+    size, row = events.size_of(walk), 50
+    marks.around(made, walk, row)
+    found = shapes(made)
+    holds, rest = found[:3], found[3:]
+    away = sorted(HOLDS["points"], key=lambda each: math.dist(each["at"], walk.base_position[row]))
+    for (kind, pos, sizes, mat, rgba), point in zip(holds, away, strict=True):
+        assert kind == CYLINDER
+        np.testing.assert_allclose(pos, point["at"], atol=1e-6)
+        np.testing.assert_allclose(mat.reshape(3, 3)[:, 2], point.get("normal", [0, 0, 1]), atol=1e-6)
+        np.testing.assert_allclose(sizes[[0, 2]], [0.01 * size, 0.0008 * size], rtol=1e-5)
+        limit = point.get("limit")
+        rgb = [0.74] * 3 if limit is None else colormaps["viridis"](limit / 3.0)[:3]
+        np.testing.assert_allclose(rgba[:3], rgb, atol=1e-6)
+    discs = [shape for shape in rest if shape[0] == CYLINDER and shape[2][2] < 0.0021 * size]
+    expected = []
+    rows = sorted({*range(0, row + 1, 40), row})
+    for n in (0, 2, 3):
+        points = sorted({tuple(np.round(grip[r, n], 3)) for r in rows if support[r, n]})
+        for point in points:
+            now = support[row, n] and max(abs(np.array(point) - grip[row, n])) < 1e-3
+            expected += [
+                (point, 0.031 if now else 0.026, 0.0012, to_rgb(LIMB_COLORS[n])),
+                (point, 0.025 if now else 0.022, 0.0016, (0.95,) * 3),
+            ]
+    assert len(discs) == len(expected)
+    for (_, pos, sizes, _, rgba), (point, wide, high, rgb) in zip(discs, expected, strict=True):
+        np.testing.assert_allclose(pos, point, atol=1e-6)
+        np.testing.assert_allclose(sizes[[0, 2]], [wide * size, high * size], rtol=1e-5)
+        np.testing.assert_allclose(rgba[:3], rgb, atol=1e-6)
+    pieces = [shape for shape in rest if shape[0] == CYLINDER and shape[2][2] >= 0.0021 * size]
+    ways = []
+    for n in range(4):
+        start = feet[0, n]
+        for r in rows[1:]:
+            if math.dist(feet[r, n], start) > 0.004 * size:
+                ways.append((n, start, feet[r, n]))
+                start = feet[r, n]
+    assert len(pieces) == len(ways) > 3
+    for (_, pos, sizes, _, rgba), (n, start, end) in zip(pieces, ways, strict=True):
+        np.testing.assert_allclose(pos, (start + end) / 2, atol=1e-6)
+        np.testing.assert_allclose(sizes[[0, 2]], [0.0022 * size, math.dist(start, end) / 2], rtol=1e-4)
+        np.testing.assert_allclose(rgba[:3], to_rgb(LIMB_COLORS[n]), atol=1e-6)
+    half = (0.5 / 2600) ** (1 / 3) / 2
+    boxes = [shape for shape in rest if shape[0] == BOX]
+    assert len(boxes) == 3
+    for (_, pos, sizes, _, _), sides in zip(boxes, ([1, 1, 1], [1.03, 0.2, 1.03], [0.2, 1.03, 1.03]), strict=True):
+        np.testing.assert_allclose(pos, walk.base_position[row] + [0, 0, 0.036 * size + half], atol=1e-6)
+        np.testing.assert_allclose(sizes, half * np.array(sides), rtol=1e-5)
+
+
+# ---------------------------------------------------------------------------------------------- camera, ground, words
+
+
+@pytest.mark.parametrize("gravity", [[0, 0, -9.81], [1.0, 0.5, -1.4], [0, 0, 0]])
+def test_a_view_has_down_below(gravity):
+    view = canvas.View(np.zeros(3), 1.0, 30.0, np.array(gravity, float))
+    right, up, forward = axes = view.axes()
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.cross(right, up), -forward, atol=1e-12)
+    tilt, turn = math.radians(-38), math.radians(30)
+    np.testing.assert_allclose(
+        forward, [math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt)]
+    )
+    down = np.array(gravity if any(gravity) else [0, 0, -1.0])
+    assert right @ down == pytest.approx(0, abs=1e-12) and up @ down < 0
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 2.0])
+def test_the_camera_glides_with_the_reference_and_has_all_in_its_picture(aspect):
+    scenario = SCENARIO.with_overrides({"gait.heading": 0.5})
+    walk = drawn(
+        scenario=scenario,
+        base_reference=np.column_stack([np.sin(np.arange(ROWS) / 9), np.arange(ROWS) / 99, np.ones(ROWS)]),
+    )
+    walk = dataclasses.replace(
+        walk,
+        base_position=walk.base_reference + 0.01,
+        foot_position=np.repeat(walk.base_reference[:, None] + 0.1, 4, 1),
+    )
+    model = surroundings.model([walk])
+    view = canvas.follower([walk], model, aspect)
+    one, other = (view(walk, time) for time in (0.01, 0.04))
+    assert one.azimuth == pytest.approx(98 + math.degrees(0.5)) and one.distance == other.distance
+    # the mean over a cycle, whose ends hold
+    path = np.pad(walk.base_reference, ((30, 30), (0, 0)), mode="edge")
+    mean = lambda row: path[row + 1 : row + 61].mean(0)  # noqa: E731
+    np.testing.assert_allclose(other.target - one.target, mean(40) - mean(10), atol=1e-9)
+    data, half = mujoco.MjData(model), math.radians(float(model.vis.global_.fovy)) / 2
+    for row in range(0, ROWS, 7):
+        canvas.pose(model, data, walk, row)
+        now = view(walk, float(walk.time[row]))
+        right, up, forward = now.axes()
+        eye = now.target - now.distance * forward
+        for point in (*data.xpos[1:], *walk.foot_position[row]):
+            away = point - eye
+            assert abs(away @ up) < math.tan(half) * (away @ forward)
+            assert abs(away @ right) < math.tan(half) * aspect * (away @ forward)
+    strayed = dataclasses.replace(walk, base_position=np.add(walk.base_reference, [0.0, 0.0, 0.9]))
+    beyond = 1 - 0.15 * events.size_of(walk) / 0.9
+    lifted = view(strayed, 0.01).target - one.target
+    np.testing.assert_allclose(lifted, [0, 0, 0.9 * beyond], atol=1e-6)
+
+
+def test_what_flies_away_is_shown_as_long_as_it_is_near():
+    far = drawn().base_position.copy()
+    far[40:] += 31 * events.size_of(drawn())
+    assert canvas.shown_rows(drawn(base_position=far)) == 40 and canvas.shown_rows(drawn()) == ROWS
+    far[1:] += 100
+    assert canvas.shown_rows(drawn(base_position=far)) == 1
+
+
+def test_the_ground_passes_just_below_the_grips_and_rises_away_from_them():
+    grips = np.array([[0.0, 0.0, 0.05], [0.6, 0.3, -0.1], [-0.5, 0.2, 0.0]])
+    axis = np.linspace(-1.8, 1.8, 120)
+    flat = surroundings.relief_of(np.random.default_rng(0), 0.0, grips)
+    for at in ((10, 20), (60, 63), (100, 3)):
+        x, y = axis[at[1]], axis[at[0]]
+        weights = [1 / ((x - g[0]) ** 2 + (y - g[1]) ** 2 + 1e-3) ** 2 for g in grips]
+        expected = sum(w * g[2] for w, g in zip(weights, grips, strict=True)) / sum(weights) - 0.003
+        assert flat[at] == pytest.approx(expected)
+    rough = surroundings.relief_of(np.random.default_rng(0), 0.16, grips)
+    near = np.min([np.hypot(axis[None] - g[0], axis[:, None] - g[1]) for g in grips], axis=0)
+    assert (rough <= flat + 1e-12)[near < 0.16].all() and (rough >= flat - 0.03).all()
+    assert (rough - flat)[near > 1.0].mean() > 0.03 > np.abs(rough - flat)[near < 0.16].max()
+
+
+LEVEL = [[0, 0, 1.0], [0, 0.8, 0.6], [0.0, 0.954, 0.3]]
+
+
+@pytest.mark.parametrize(("normals", "rows"), [(LEVEL[:2] * 2, [0, 1, 2, 3]), (LEVEL + LEVEL[:1], [2])])
+def test_the_ground_lies_below_the_lowest_point_of_a_body_and_below_all_of_level_ground(normals, rows):
+    position = np.array([[0, 0, 1.0], [1, 0, 0.5], [2, 0, -1.0], [3, 0, 0.7]])
+    shown = surroundings.Shown(position, np.array(normals), np.ones(4))
+    np.testing.assert_array_equal(surroundings.below(shown), position[rows])
+
+
+@pytest.mark.parametrize(("value", "words"), [
+    (0.04, "0.0 N"), (999.94, "999.9 N"), (1000.0, "1.0 kN"), (9960.0, "10.0 kN"),
+    (10_000.0, "10.0 kN"), (10_001.0, "over 10 kN"),
+])  # fmt: skip
+def test_sizes_of_forces_in_words(value, words):
+    assert captions.newtons(value) == words
+
+
+@pytest.mark.parametrize(("keys", "words"), [
+    ({}, "gravity 9.81 m/s²"), ({"gravity": [0, 0, -0.01]}, "microgravity"),
+    ({"gravity": [0, 0, -0.02]}, "gravity 0.02 m/s²"),
+    ({"gravity": [1.0, 0, -1.0]}, "gravity 1.41 m/s², slope 45°"), ({"gravity": [0.01, 0, -1.5]}, "gravity 1.5 m/s²"),
+    ({"gravity": [0, 0, 1.62]}, "gravity 1.62 m/s², slope 180°"),
+    ({"disturbance.cargo.mass": 0.5, "disturbance.cargo.start": 1.5}, "gravity 9.81 m/s², cargo 0.5 kg from 1.5 s"),
+    ({"disturbance.cargo.mass": 0.5, "disturbance.cargo.start": 8.0}, "gravity 9.81 m/s²"),
+    ({"disturbance.pushes": PUSHES[:1]}, "gravity 9.81 m/s², 1 push"),
+    ({"disturbance.pushes": PUSHES}, "gravity 9.81 m/s², 4 pushes"),
+])  # fmt: skip
+def test_a_case_in_words(keys, words):
+    assert captions.case(mc.Scenario().with_overrides(keys)) == words
+
+
+def test_a_controller_in_words():
+    for keys, words in (
+        ({"control.controller": "pd"}, "pd"),
+        ({"control.controller": "end_effector_admittance"}, "end-effector admittance"),
+        ({"control.reading": "measured_pose"}, "base admittance, measured pose"), ({}, "base admittance"),
+    ):  # fmt: skip
+        assert captions.controller(drawn(scenario=mc.Scenario().with_overrides(keys | {"duration": 0.06}))) == words
+    assert captions.controller(dataclasses.replace(drawn(), law="own")) == "own"
