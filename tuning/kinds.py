@@ -1,7 +1,7 @@
 """The rivals of each kind of result, and the contents of its folder: `tuning.write`.
 
-A kind's file of `tuning/pages/` says both: `compare(found, stage, folder, begun)`, of works begun before, and
-`contents(found: Kind, compared, name)`, of a config's name. Results about a robot's log have no rivals.
+A kind's file of `tuning/pages/` says both: `compare(found, stage, folder, begun)`, of works begun before, where there
+are rivals, and `contents(found: Kind, compared, name)`, of a config's name.
 """
 
 import importlib
@@ -69,7 +69,7 @@ def write(
     record.check_own(home, found.FILE)
     kind = importlib.import_module(_PAGES[type(found).__name__])
     own = [load_section(each) if isinstance(each, str) else each for each in sections]
-    compared = kind.compare(found, stage, home, begun) if isinstance(found, Result) else None
+    compared = kind.compare(found, stage, home, begun) if hasattr(kind, "compare") else None
     made, told = kind.contents(found, compared, _name(origin)), sections_of(own, found, compared)
     how: dict[str, Any] = {"origin": origin, "figures": figures, "stage": stage, "settings": settings}
     return folders.write(made, home, f"tuning.{found.KIND}(...)", sections=told, **how)

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjx_climb.gait.swing import COUNT, added_shapes, lift, rest_to_rest
-from mjx_climb.reading import check_regular, until_edited
+from mjx_climb.ground.table import reading
+from mjx_climb.reading import until_edited
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Gait, SwingFile
 
@@ -72,15 +73,8 @@ def _read(file: str, frame: str) -> Swing:
     path = Path(file)
     if (reader := readers.get(path.suffix.lower())) is None:
         raise ConfigError(file, "gait.swing_file", f"a swing as {', '.join(readers)}", path.suffix or "no suffix")
-    try:
-        check_regular(path)
+    with reading(file, "gait.swing_file", "a whole file with a swing"):
         return reader(path, frame)
-    except ConfigError:
-        raise
-    # on damaged files libraries raise any error of their decoders
-    except Exception as error:
-        reason = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]
-        raise ConfigError(file, "gait.swing_file", "a whole file with a swing", reason) from None
 
 
 def _bezier(path: Path, frame: str) -> Swing:

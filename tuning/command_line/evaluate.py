@@ -65,7 +65,7 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
         from mjx_climb.scenario.messages import ConfigError
         from tuning.comparisons import linear_margins
         from tuning.comparisons import margins as evaluation
-        from tuning.gains.gains_file import apart, by_name
+        from tuning.gains.gains_file import Whole, apart, by_name
         from tuning.pages import margins as pages
         from tuning.results.config_file import write_config
 
@@ -80,9 +80,9 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
         if walk.gains is not None and law is None:
             config = walk.model_copy(update={"gains": None}).load().scenario
             known["config"] = config.control.model_dump(mode="json")
-            others["config"] = evaluation.Walker(None if config == loaded.scenario else law_of(config), {})
+            others["config"] = Whole(None if config == loaded.scenario else law_of(config), {})
         if joint := asked.joint_gains():
-            others["retuned pd"] = evaluation.Walker(PD(), joint)
+            others["retuned pd"] = Whole(PD(), joint)
         shell.take(walk, "margins.json", loaded, "margins", **known, retuned_pd=joint)
         how: dict[str, Any] = {"law": law, "asked": quantities, "engine": walk.engine}
         with shell.whole() as out:

@@ -22,7 +22,7 @@ from mjx_climb.parameter_types import path_of_gain
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
-from tuning.gains.gains_file import by_name
+from tuning.gains.gains_file import Whole, by_name
 from tuning.problem.variations import PERIOD, Factor, changed, checked, scalable, scaled, whole_periods
 
 POINTS = 16  # values of a quantity that are walked at a time
@@ -143,13 +143,6 @@ def needed(own: float, worst: float) -> float:
     return own * FACTOR if worst > own else own / FACTOR
 
 
-class Walker(NamedTuple):
-    """Whose walks are compared."""
-
-    law: mc.Law | None  # the scenario's where None
-    gains: AnyGains
-
-
 class Found(NamedTuple):
     """Margins by quantity, and their walks."""
 
@@ -164,7 +157,7 @@ def find(
     gains: AnyGains,
     *,
     law: mc.Law | None = None,
-    others: Mapping[str, Walker] = MappingProxyType({}),
+    others: Mapping[str, Whole] = MappingProxyType({}),
     walked: Mapping[str, xr.Dataset] = MappingProxyType({}),
     asked: Mapping[str, Quantity] = QUANTITIES,
     engine: str = DEFAULT_ENGINE,
@@ -181,7 +174,7 @@ def find(
         asked: the quantities, see `quantities` for those at other paths.
         progress: called with the number of walks done and of all.
     """
-    walkers = {"given": Walker(law, gains), "pd": pd_of(scenario), **others}
+    walkers = {"given": Whole(law, gains), "pd": pd_of(scenario), **others}
     grid = np.stack([quantity.values(scenario) for quantity in asked.values()])
     total = 2 * len(walkers) * grid.size
 
@@ -217,7 +210,7 @@ def find(
 
 def on_the_grid(
     scenario: mc.Scenario,
-    walker: Walker,
+    walker: Whole,
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
     values: np.ndarray | None = None,
@@ -245,9 +238,9 @@ def on_the_grid(
     return xr.Dataset(data, {"quantity": list(asked), "value": (dims, values)})
 
 
-def pd_of(scenario: mc.Scenario) -> Walker:
+def pd_of(scenario: mc.Scenario) -> Whole:
     """Return the rival of all gains: pd, with the scenario's joint gains."""
-    return Walker(PD(), joint_gains(scenario, {}))
+    return Whole(PD(), joint_gains(scenario, {}))
 
 
 def warnings(found: Found) -> list[str]:

@@ -12,7 +12,7 @@ from mjx_climb.inputs.resolve import AnyGains
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.comparisons import verdicts
-from tuning.comparisons.side_by_side import VARIATION, planned, retuned
+from tuning.comparisons.side_by_side import VARIATION, planned, retuned, rivals
 from tuning.comparisons.worth import Worth, best_without, between, over_walks
 from tuning.gains.gains_file import Whole
 from tuning.problem.objectives import Objective
@@ -46,30 +46,26 @@ class RobustComparison:
 def compare(found: Robust, stage: Stage = silent, out: Path | None = None, *_: object) -> RobustComparison:
     """Simulate a result and its rivals; `out` keeps the rounds of the search that retunes pd."""
     problem, ensemble = found.problem, found.ensemble
-    with stage("retuned pd", unit="rounds") as told:
-        rival = retuned(problem, found.search, found.seeds, out)(told)
-    plan = None
-    if (work := planned(problem, found.search, found.seeds, out)) is not None:
-        with stage("load transfer by plan", unit="rounds") as told:
-            plan = work(told)
+    how = problem, found.search, found.seeds, out
+    rival, plan = rivals(retuned(*how), planned(*how), stage)
     walked, pd, step = problem, {}, None
     if rival is not None:  # as short a time step as it needs, for all that are compared
         pd = {retuned_pd.NAME: rival.gains}
         shortest = retuned_pd.shared_step(found.scenario, [each for each in (rival, plan) if each is not None])
         step = None if shortest == found.scenario.time_step else shortest
         walked = dataclasses.replace(problem, scenario=found.scenario.with_overrides({"time_step": shortest}))
-    rivals: dict[str, AnyGains | Whole] = {
+    gains: dict[str, AnyGains | Whole] = {
         "robust": found.gains,
         "config": problem.law or scenario_gains(found.scenario),
     }
     by_plan = retuned_pd.by_plan(problem)
     if plan is not None:
-        rivals[retuned_pd.PLANNED] = Whole(plan.law, plan.gains)
+        gains[retuned_pd.PLANNED] = Whole(plan.law, plan.gains)
     elif rival is not None and by_plan is not None:
-        rivals[retuned_pd.UNSEARCHED] = Whole(by_plan, retuned_pd.joint_of(rival))
+        gains[retuned_pd.UNSEARCHED] = Whole(by_plan, retuned_pd.joint_of(rival))
     fresh = judging.fresh(ensemble.model_copy(update={"members": found.judges}))
     draws = {
-        "fresh draw": judging.through(walked, rivals, fresh, pd),
+        "fresh draw": judging.through(walked, gains, fresh, pd),
         # a search from another seed has a draw of its own
         "its own draw": dataclasses.replace(
             judging.through(problem, {"robust": found.gains}, ensemble), problem=problem
@@ -84,7 +80,7 @@ def compare(found: Robust, stage: Stage = silent, out: Path | None = None, *_: o
 
 
 def conclusions(
-    found: Robust, walks: xr.Dataset, seen: xr.Dataset, rivals: tuple[Tuned | None, Tuned | None], step: float | None
+    found: Robust, walks: xr.Dataset, seen: xr.Dataset, others: tuple[Tuned | None, Tuned | None], step: float | None
 ) -> RobustComparison:
     """Return the result beside its rivals, from their walks.
 
@@ -92,10 +88,10 @@ def conclusions(
         found: the result.
         walks: of the gains, pd retuned and pd, through a draw that no search saw.
         seen: of the gains through the draw of their search.
-        rivals: pd retuned, and load transfer by plan.
+        others: pd retuned, and load transfer by plan.
         step: the time step of all walks, s, where it is not the scenario's.
     """
-    problem, goal, (rival, plan) = found.problem, found.problem.objective, rivals
+    problem, goal, (rival, plan) = found.problem, found.problem.objective, others
     assert isinstance(goal, Objective)
     joint = {} if rival is None else retuned_pd.joint_of(rival)
     scores = judging.scores(walks, goal)

@@ -24,8 +24,10 @@ from tuning.comparisons.side_by_side import (
     one_walk,
     planned,
     retuned,
+    rivals,
 )
 from tuning.comparisons.worth import Worth, best_without, between, give_joint_gains
+from tuning.gains.gains_file import Whole
 from tuning.methods import method_of
 from tuning.numbers import failed
 from tuning.problem.evaluation import Problem, under_pd
@@ -64,7 +66,7 @@ def begin(problem: Problem, search: Search, start: Begin, *, seeds: int = 1, out
         start(lambda report: verification.map_with(problem, scenario, None, progress=report)) if on_the_map else None,
         {
             "pd": start(lambda report: margins.on_the_grid(scenario, margins.pd_of(scenario), engine, report)),
-            "config": start(lambda report: margins.on_the_grid(scenario, margins.Walker(law, {}), engine, report)),
+            "config": start(lambda report: margins.on_the_grid(scenario, Whole(law, {}), engine, report)),
         },
     )
 
@@ -105,16 +107,11 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         others = begun or begin(problem, found.search, start, seeds=found.seeds, out=out)
         mapped = others.over or start(lambda told: verification.map_of(found, problem, progress=told))
         walking = {**others.walks, "tuned": start(one_walk(*ours, engine))}
-        with stage("retuned pd", unit="rounds") as told:
-            rival = others.retuned(told)
-        plan = None
-        if others.planned is not None:
-            with stage("load transfer by plan", unit="rounds") as told:
-                plan = others.planned(told)
+        rival, plan = rivals(others.retuned, others.planned, stage)
         if plan is not None:
             by_plan = plan.problem.with_gains(plan.gains)
             walking[retuned_pd.PLANNED] = start(one_walk(by_plan.scenario, by_plan.law, engine))
-        rivals = {"config": margins.Walker(problem.law, {})}
+        beside_it = {"config": Whole(problem.law, {})}
         joint, step = {} if rival is None else retuned_pd.joint_of(rival), None
         if rival is not None:
             beside = beside_retuned(problem, joint, ours)
@@ -124,12 +121,12 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             if LEVEL in beside:
                 step = beside[LEVEL][0].time_step
             else:
-                rivals["retuned pd"] = margins.Walker(PD(), joint)
+                beside_it["retuned pd"] = Whole(PD(), joint)
 
         def find_margins(told: Callback) -> margins.Found:
             walked = {name: asked(ignore) for name, asked in others.on_hardware.items()}  # begun before this
             how: dict[str, Any] = {"law": found.law, "engine": engine}
-            return margins.find(scenario, found.gains, others=rivals, walked=walked, progress=told, **how)
+            return margins.find(scenario, found.gains, others=beside_it, walked=walked, progress=told, **how)
 
         margin, walks, level = start(find_margins), {}, walking.pop(LEVEL, walking["tuned"])
         for name, walk in walking.items():
@@ -154,17 +151,17 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
 
 
 def conclusions(
-    found: Tuned, walked: Compared, rivals: tuple[Tuned | None, Tuned | None], at_step: tuple[float, Values] | None
+    found: Tuned, walked: Compared, others: tuple[Tuned | None, Tuned | None], at_step: tuple[float, Values] | None
 ) -> tuple[Compared, Worth | None, str, AtOneStep | None]:
     """Return the rows of a table, the worth of a force sensor, the verdict, and the change at one time step.
 
     Arguments:
         found: the result.
         walked: gains and metrics of the walks by name.
-        rivals: pd retuned, and load transfer by plan.
+        others: pd retuned, and load transfer by plan.
         at_step: the time step of pd retuned, s, where it has one of its own, and the metrics of the result there.
     """
-    problem, (rival, plan), worth, apart = found.problem, rivals, None, None
+    problem, (rival, plan), worth, apart = found.problem, others, None, None
     names = ("tuned", retuned_pd.NAME, retuned_pd.PLANNED, retuned_pd.UNSEARCHED, "config", "pd")
     rows = {name: walked[name] for name in names if name in walked}
     scores = {name: scores_of(problem.objective, metrics) for name, (_, metrics) in rows.items()}

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import mjx_climb as mc
 from mjx_climb import METRICS, Gains, MetricTable, Trajectory
 from mjx_climb.control import PlannedTransfer
-from tuning.background import Begin, Work
+from tuning.background import Begin, Stage, Work
 from tuning.gains.gains_file import by_name
 from tuning.numbers import change, failed, is_number, number
 from tuning.problem.evaluation import Problem, walk_of_pd
@@ -90,16 +90,23 @@ def beside_retuned(problem: Problem, joint: Mapping[str, float], ours: Walker | 
 
 def planned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None] | None:
     """Return a work that searches `PlannedTransfer` as the gains were searched; None where it is no rival."""
-    if not retuned_pd.can_plan(problem):
-        return None
-    return lambda report: retuned_pd.search(
-        problem, search, seeds=seeds, out=out, law=PlannedTransfer(),
-        progress=lambda now: report(now.rounds, now.rounds_in_all),
-    )  # fmt: skip
+    return retuned(problem, search, seeds, out, PlannedTransfer()) if retuned_pd.can_plan(problem) else None
 
 
-def retuned(problem: Problem, search: Search, seeds: int, out: Path | None) -> Work[Tuned | None]:
-    """Return a work that searches kp and kd of pd as the gains were searched; `out` keeps its rounds."""
+def retuned(
+    problem: Problem, search: Search, seeds: int, out: Path | None, law: mc.Law | None = None
+) -> Work[Tuned | None]:
+    """Return a work that searches kp and kd of pd, or a `law`, as the gains were searched; `out` keeps its rounds."""
     return lambda report: retuned_pd.search(
-        problem, search, seeds=seeds, out=out, progress=lambda now: report(now.rounds, now.rounds_in_all)
+        problem, search, seeds=seeds, out=out, law=law, progress=lambda now: report(now.rounds, now.rounds_in_all)
     )
+
+
+def rivals(pd: Work[Tuned | None], plan: Work[Tuned | None] | None, stage: Stage) -> tuple[Tuned | None, Tuned | None]:
+    """Return pd retuned, and load transfer by plan where it is a rival, each searched in a stage of its own."""
+    with stage("retuned pd", unit="rounds") as told:
+        retuned = pd(told)
+    if plan is None:
+        return retuned, None
+    with stage("load transfer by plan", unit="rounds") as told:
+        return retuned, plan(told)

@@ -228,10 +228,6 @@ def plot_front(found: Bounded) -> Figure:
     return figure
 
 
-def compare(*_: object) -> None:
-    """Nothing walks beside the contestants."""
-
-
 def contents(found: Bounded, _: None, name: str) -> Contents:
     """Return every contestant's walks with the plans found, two pictures, the page."""
     pictures = {
