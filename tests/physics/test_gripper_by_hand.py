@@ -141,6 +141,20 @@ def test_grippers_do_in_any_order_what_one_foot_does(reach, closes, rotational, 
     assert 0.1 < held < 0.9 and missed + torn > 0 and (reach or not missed), (held, missed, torn)
 
 
+def test_a_robot_of_a_batch_without_a_value_does_as_without_its_stage():
+    """Others have a reach, a closing time and moments: the stages are there, and do nothing for it."""
+    values = {"stiffness": 1e4, "damping": 20.0, "holding_limit": 90.0, "capture_distance": np.inf,
+              "closing_time": 0.0, "closing_force": 15.0, "rotational_stiffness": 0.0, "rotational_damping": 0.0}  # fmt: skip
+    gripper = Gripper(**{name: jnp.asarray(value) for name, value in values.items()})
+    stages = gripper.compiled_for(["capture_distance", "closing_time", "rotational_stiffness"]).set_up(STEP)
+    own = values | {"reach": True, "closes": True, "rotational": True}
+    held, missed, torn = walked(stages, own, "level", 3)
+    assert 0.1 < held < 0.9 and not missed and torn > 0
+    assert walked(
+        gripper.compiled_for(), values | {"reach": False, "closes": False, "rotational": False}, "level", 3
+    ) == (pytest.approx([held, missed, torn]))
+
+
 def test_stages_of_a_gripper_are_those_of_some_robot():
     """Finite, above zero, or moving: a derivative along it is asked for."""
     plain = Gripper(capture_distance=jnp.asarray(jnp.inf)).compiled_for()
