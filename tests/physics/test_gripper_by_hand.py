@@ -144,7 +144,8 @@ def test_grippers_do_in_any_order_what_one_foot_does(reach, closes, rotational, 
 def test_a_robot_of_a_batch_without_a_value_does_as_without_its_stage():
     """Others have a reach, a closing time and moments: the stages are there, and do nothing for it."""
     values = {"stiffness": 1e4, "damping": 20.0, "holding_limit": 90.0, "capture_distance": np.inf,
-              "closing_time": 0.0, "closing_force": 15.0, "rotational_stiffness": 0.0, "rotational_damping": 0.0}  # fmt: skip
+              "closing_time": 0.0, "closing_force": 15.0, "rotational_stiffness": 0.0,
+              "rotational_damping": 0.0}  # fmt: skip
     gripper = Gripper(**{name: jnp.asarray(value) for name, value in values.items()})
     stages = gripper.compiled_for(["capture_distance", "closing_time", "rotational_stiffness"]).set_up(STEP)
     own = values | {"reach": True, "closes": True, "rotational": True}

@@ -12,6 +12,8 @@ from mjx_climb.control.sensor_watch import SILENCE
 from mjx_climb.trajectory import Trajectory, named
 from mjx_climb.walk.metrics import GRIPS, SENSORS, Context, accumulate, failed, finish, start
 from mjx_climb.walk.sample import Sample, unknown
+from mjx_climb.walks import LINES, STRETCHES, stretches, together
+from mjx_climb.walks import histories as extremes
 
 STEP, STEPS, LIMBS = 0.01, 40, ("LF", "LH", "RH", "RF")
 
@@ -112,3 +114,45 @@ def test_values_for_json_have_names_of_limbs_and_nothing_for_what_is_undefined()
     assert named({"detached_limb": 0}, LIMBS) == {"detached_limb": "LF"}
     assert named({"detached_limb": -1}, LIMBS) == {"detached_limb": None}
     assert named({"travel": 1.0}, LIMBS) == {"travel": 1.0}
+
+
+@pytest.mark.parametrize("steps", [1, 7, 200, 201, 399, 400, 401, 999, 8000])
+def test_stretches_of_a_walk_hold_all_its_steps(steps):
+    """As long as it takes for no more than so many, and none is empty."""
+    count, length = stretches(steps)
+    assert length == min(n for n in range(1, steps + 1) if n * STRETCHES >= steps)
+    assert count <= STRETCHES and (count - 1) * length < steps <= count * length
+
+
+@pytest.mark.parametrize(("steps", "of"), [(450, None), (100, None), (450, 150), (402, 201)])
+def test_lines_over_time_are_the_extremes_of_each_stretch(steps, of):
+    """Of a walk of steps that are as long, or a part of those of the stretches; the last stretch may be shorter."""
+    rng = np.random.default_rng(0)
+    made = unknown(steps, {"limb": 4, "joint": 3})
+    for name in ("foot_force", "base_position", "base_reference", "joint_torque"):
+        made[name] = rng.normal(size=made[name].shape)
+    scenario = mc.Scenario()
+    walk = Trajectory(**made, scenario=scenario, gains={}, parameters=mc.parameters(scenario), limbs=LIMBS)
+    found = extremes(walk, of)
+    count, length = stretches(of or steps)
+    length *= steps // (of or steps)
+    assert set(found) == set(LINES)
+    for stretch in range(count):
+        rows = slice(stretch * length, (stretch + 1) * length)
+        force = [max(np.linalg.norm(foot) for foot in feet) for feet in made["foot_force"][rows]]
+        off = np.linalg.norm(made["base_position"][rows] - made["base_reference"][rows], axis=1)
+        torque = np.abs(made["joint_torque"][rows]).reshape(len(off), -1).max(1)
+        for name, line in zip(LINES, (force, off, torque), strict=True):
+            assert found[name][:, stretch] == pytest.approx([np.min(line), np.max(line)]), name
+    assert all(value.shape == (2, count) for value in found.values())
+
+
+def test_extremes_of_a_batch_come_together_behind_its_axes():
+    rng = np.random.default_rng(1)
+    name = next(iter(LINES))
+    least, most, travel = rng.normal(size=(2, 3, 5)), rng.normal(size=(2, 3, 5)), rng.normal(size=(2, 3))
+    found = together({f"least of {name}": least, name: most, "travel": travel})
+    assert set(found) == {name, "travel"} and found[name].shape == (2, 3, 2, 5)
+    np.testing.assert_array_equal(found[name][..., 0, :], least)
+    np.testing.assert_array_equal(found[name][..., 1, :], most)
+    assert found["travel"] is travel
