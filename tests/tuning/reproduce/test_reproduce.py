@@ -1,6 +1,7 @@
 """The paper's claims: each judged on made-up walks both ways, and the whole command."""
 
 import dataclasses
+import itertools
 import json
 import re
 from pathlib import Path
@@ -10,8 +11,11 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from tests import approved
 from tests.trajectories import still
 from tuning.background import silent
+from tuning.numbers import to_json
+from tuning.pages.page import Origin
 from tuning.reproduce import claims, results
 from tuning.reproduce.claims import CASES, Pair, Verdict, Walk
 
@@ -194,6 +198,56 @@ def test_all_claims_are_judged_and_shown():
     plain = json.loads(numbers.to_json(results.as_json(found)["cases"]["1.1"]))
     assert plain["runs"]["pd"]["metrics_without_detachment"]["detached_at"] is None
     assert {claim["reading"] for claim in plain["claims"]} == set(claims.READINGS)
+
+
+def test_claims_and_their_report_are_those_that_were_read(monkeypatch):
+    """Every claim on walks of every kind, with its numbers and its sentence; then all that the command writes."""
+    spiked, support = rippling(0.5).joint_torque.copy(), np.ones((STEPS, 4), bool)
+    spiked[700:719, 0, 0] = 2.0
+    support[700:1200, 0] = False
+    weightless = {"tsm": np.full(STEPS, np.nan), "gia_margin": np.full(STEPS, np.nan)}
+    pulling = np.tile([3.0, 0.0, -4.0], (STEPS, 4, 1))
+    rough, calm, plain, swinging = rippling(1.0), rippling(0.5), walk(), ("force_oscillation", "torque_spikes")
+    swinging = (*swinging, "margin_fluctuation", "cost_of_transport")
+    pairs = {
+        "calmer": (rough, calm, swinging), "rougher": (calm, rough, swinging),
+        "hardly calmer": (rough, rippling(0.996), swinging[:3]),
+        "spiked": (rough, walk(joint_torque=spiked, support=support), ("torque_spikes",)),
+        "lost early": (torn(2, 0.5), plain, ("detachment", "margin_fluctuation")),
+        "lost late": (plain, torn(1, 1.5), ("detachment", "margin_fluctuation")),
+        "lost at once": (torn(3, 0.0), plain, ("detachment", "margin_fluctuation")),
+        "pushed further": (pushed(0.001, 0.002), pushed(0.003, 0.004), ("moves_with_push",)),
+        "pushed less": (pushed(0.001, 0.002), pushed(0.003, 0.001), ("moves_with_push",)),
+        "pulling": (walk(foot_force=pulling), walk(foot_force=0.5 * pulling), ("detachment", "moves_with_push")),
+        "weightless": (walk(**weightless), walk(**weightless), ("margin_fluctuation",)),
+        "nowhere": (plain, walk(base_position=0.11), ("cost_of_transport",)),
+    }  # fmt: skip
+    lines, known, compute = [], {}, mc.metrics
+    monkeypatch.setattr(mc, "metrics", lambda own: known.get(id(own)) or known.setdefault(id(own), compute(own)))
+    for name, (*pair, asked) in pairs.items():
+        for claim, case in itertools.product(asked, ("1.1", "1.2")):
+            if case == "1.1" or claim in ("detachment", "cost_of_transport"):
+                told = judged(claim, *pair, case)
+                lines += [f"{name}, {claim}, {case}: {told.holds}; {told.sentence}"]
+                lines += approved.of_json(json.loads(to_json(told.measured)), "  ") if told.measured else []
+    each = {
+        "1.1": dict.fromkeys(claims.METHODS, Walk(calm)) | {"pd": Walk(torn(2, 0.5), rough)},
+        "1.2": dict.fromkeys(claims.METHODS, Walk(plain)) | {"pd": Walk(rough), "measured_pose": Walk(calm)},
+        "2": dict.fromkeys(claims.METHODS, Walk(pushed(0.003, 0.004))) | {"pd": Walk(pushed(0.001, 0.002))},
+    }
+    found = {}
+    for case, walks in each.items():
+        metrics = {method: mc.metrics(own.trajectory) for method, own in walks.items()}
+        found[case] = results.Reproduction(CASES[case], walks, metrics, claims.judge_all(walks, CASES[case]))
+    lines += ["--- markdown", results.as_markdown(found), "--- terminal", *results.lines(found), results.verdict(found)]
+    one = {"1.2": found["1.2"]}
+    lines += ["--- json", *approved.of_json(json.loads(to_json(results.as_json(one))))]
+    page = results.page(one, Path("out"), Origin("", "ask", "again"))
+    lines += [f"--- page {page.title}", *page.findings.lines, *map(str, page.facts.items())]
+    lines += [f"{caption} {file}" for caption, file in page.origin.pictures.items()]
+    (shown,) = page.explorers.values()
+    lines += [f"shown: {', '.join(walk['name'] for walk in shown['walks'] if walk['shown'])}"]
+    approved.check(Path(__file__).parent / "approved_claims.txt", "\n".join([*lines, ""]))
 
 
 def test_the_verdict_on_the_paper_counts_claims():
