@@ -18,7 +18,9 @@ from scipy.stats import binomtest
 HERE = Path(__file__).parent
 README = HERE.parents[1] / "README.md"
 Row = Mapping[str, str]
-PD = {"paper_gait": "pd, kp and kd searched", "which_law": "pd, gains and gait"}  # the rival in each table
+TABLES = ("paper_gait", "which_law")  # of laws beside both rivals
+PD, PLAN, CONFIG = "pd, searched", "load transfer by plan", "pd as configured"
+BLIND = "the best without forces"
 EQ_3, TRANSFER = "Eq. 3, virtual model", "load transfer"
 CASES = ("1_1", "1_2", "2")
 GAITS = {"closing": "waits", "at once": "goes on"}  # of the climbs with each grip
@@ -31,17 +33,16 @@ def table(name: str) -> list[Row]:
         return list(csv.DictReader(rows))
 
 
-def changes(law: str, metric: str) -> list[tuple[str, str, float, float, float]]:
-    """Return servos, case, and change of a mean from searched pd with its interval, per cent, of all comparisons."""
+def changes(law: str, metric: str, rival: str = "pd") -> list[tuple[str, str, float, float, float]]:
+    """Return servos, case, and change of a mean from a rival with its interval, per cent, of all comparisons."""
     found = []
-    for name, pd in PD.items():
+    for name in TABLES:
         rows = [row for row in table(name) if row["metric"] == metric and row["of 512 walks"] == "mean"]
         values = {(row["servos"], row["case"], row["law"]): float(row["value"]) for row in rows}
-        for row in rows:
-            if row["law"] == law:
-                place = row["servos"], row["case"]
-                ends = (float(row[f"95 % {end}: difference from pd %"]) for end in ("low", "high"))
-                found.append((*place, 100 * (values[*place, law] / values[*place, pd] - 1), *ends))
+        for row in (row for row in rows if row["law"] == law):
+            place, base = (row["servos"], row["case"]), PD if rival == "pd" else row["best without forces"]
+            ends = (float(row[f"95 % {end}: difference from {rival} %"]) for end in ("low", "high"))
+            found.append((*place, 100 * (values[*place, law] / values[*place, base] - 1), *ends))
     return found
 
 
@@ -95,9 +96,6 @@ def arrived(robot: str, law: str, rule: str, density: float, contact: str = "clo
 
 def texts() -> dict[Path, list[str]]:
     """Return the sentences that each page must have."""
-    transfer, eq_3 = changes(TRANSFER, "objective"), changes(EQ_3, "objective")
-    servos = [row for row in eq_3 if row[0] == "dynamixel_x"]
-    weightless = next(change for where, case, change, *_ in eq_3 if (where, case) == ("ideal", "2"))
     closing, at_once = (
         [[each / 2.56 for each in arrived("hubrobo", "base_admittance", rule, 400, contact)] for rule in RULES]
         for contact in GAITS
@@ -107,11 +105,8 @@ def texts() -> dict[Path, list[str]]:
     return {
         README: [
             headline(),
-            f"Load transfer takes {span(real(transfer))} % off the objective of pd with its own gains tuned, in "
-            f"{len(real(transfer))} of {len(transfer)} comparisons.",
-            f"Under Eq. 3 on an ideal robot, {-weightless:.0f} % in microgravity; on Dynamixel X servos "
-            f"{max(real(servos)):.1f} % in {len(real(servos))} of {len(servos)}, and nothing that can be told in the "
-            "others.",
+            goal(),
+            beside(),
             f"load transfer takes {span(leads['dynamixel_x'])} % off that of pd on Dynamixel X servos. That is "
             f"{span(parts)} % of what joint targets take off that know all in advance.",
             f"arrives in {span([each for row in closing for each in row])} % of 256 climbs at every angle, by "
@@ -129,10 +124,10 @@ def texts() -> dict[Path, list[str]]:
         ],
         HERE / "climb.md": [" | ".join(each) for each in _climbs()],
         HERE / "does_the_sensor_pay.md": [
-            f"load transfer has {span(real(transfer))} % less objective in {WORDS[len(real(transfer))]} of "
-            f"{WORDS[len(transfer)]} comparisons",
             *_comparisons(),
             headline(),
+            goal(),
+            beside(),
             *(row.replace("*", "") for row in worth_rows(table("what_a_sensor_is_worth"))),
         ],
         HERE / "which_law.md": [*_laws()],
@@ -144,53 +139,65 @@ def texts() -> dict[Path, list[str]]:
     }  # fmt: skip
 
 
-WORDS = {7: "seven", 10: "ten"}
 OF_EACH = (("1.1", "dynamixel_x"), ("1.2", "dynamixel_x"), ("2", "dynamixel_x"), ("1.1", "mx_64"))  # columns
 METRICS = ("objective", "V N", "F N", "COT", "peak torque N m")
 
 
 def _laws() -> Iterator[str]:
-    """Yield the rows of the table of laws: changes from searched pd, ~ where the interval holds 0."""
+    """Yield the rows of the table of laws: changes from a rival, ~ where the interval holds 0; and lost walks."""
     rows = {(row["servos"], row["case"], row["law"], row["metric"]): row
             for row in table("which_law") if row["of 512 walks"] == "mean"}  # fmt: skip
-    for law in ("Eq. 3, virtual model", "Eq. 2, feet", "internal force", "Climb-SDK", "load transfer",
-                "load transfer, kd by phase", "Eq. 3 + load transfer", "pd on half the friction"):  # fmt: skip
-        cells = [", ".join(_change(rows, servos, case, law, metric) for metric in METRICS) for case, servos in OF_EACH]
-        yield f"{law} | {' | '.join(cells)} |"
+    for law, rival in (*((law, "pd") for law in (PLAN, TRANSFER, *OTHERS, HALVED)), (TRANSFER, BLIND)):
+        each = [
+            ", ".join(_change(rows[servos, case, law, metric], rival) for metric in METRICS) for case, servos in OF_EACH
+        ]
+        yield f"{f'{law} beside the plan' if rival == BLIND else law} | {' | '.join(each)} |"
+    for law in (PD, PLAN, TRANSFER, *OTHERS):
+        lost = (512 * float(rows[servos, case, law, "share lost"]["value"]) for case, servos in OF_EACH)
+        yield f"{law} | {' | '.join(f'{number:.1f}' for number in lost)} |"
 
 
-def _change(rows: Mapping[tuple[str, ...], Row], servos: str, case: str, law: str, metric: str) -> str:
-    own, pd = (rows[servos, case, name, metric] for name in (law, PD["which_law"]))
-    low, high = (float(own[f"95 % {end}: difference from pd %"]) for end in ("low", "high"))
-    return f"{100 * (float(own['value']) / float(pd['value']) - 1):+.0f}" if low > 0 or high < 0 else "~"
+OTHERS, HALVED = (EQ_3, "Eq. 2, feet", "internal force", "Climb-SDK"), "pd on half the friction"
+
+
+def _change(own: Row, rival: str) -> str:
+    """Return the middle of the interval of a difference in whole per cent, ~ where it holds 0."""
+    low, high = (float(own[f"95 % {end}: difference from {rival} %"]) for end in ("low", "high"))
+    middle = round((low + high) / 2)
+    return "~" if low <= 0 <= high else f"{middle:+d}" if middle else "0"
 
 
 def _worse() -> Iterator[str]:
-    """Yield the cells of the table of worse hardware: V of pd, and of load transfer beside it, by setting."""
-    settings = {"force 2 ms": "all forces 2 ms late", "30 ms": "all forces 30 ms late",
-                "1 kHz": "law and targets at 1 kHz", "50 Hz": "law and targets at 50 Hz",
-                "friction / 2": "half the friction", "x 2": "twice the friction", "noise 0.5 N": "0.5 N of noise",
-                "LF dead": "sensor of LF dead from 3 s on", "bias 1 N": "1 N of bias on all sensors"}  # fmt: skip
-    found = {(row["case"], row["law"]): row for row in table("worse_hardware") if row["metric"] == "V N"
-             and (row["law"] == "pd") == row["values"].startswith("change")}  # fmt: skip
+    """Yield the cells of the table of worse hardware: V of pd, and of load transfer beside it and beside the plan."""
+    settings = {"as drawn": "as drawn",
+                "force_sensor.delay=0.002": "all forces 2 ms late", "force_sensor.delay=0.03": "all forces 30 ms late",
+                "control_period=0.001": "law and targets at 1 kHz", "control_period=0.02": "law and targets at 50 Hz",
+                "friction=x0.5": "half the friction", "friction=x2": "twice the friction",
+                "force_sensor.noise=0.5": "0.5 N of noise", "force_sensor.dead.LF=3.0": "sensor of LF dead from 3 s on",
+                "force_sensor.bias=1.0": "1 N of bias on all sensors"}  # fmt: skip
+    rows = table("worse_hardware")
+    found = {(row["case"], row["values"].split(" in ")[0], row["law"]): row for row in rows if row["metric"] == "V N"}
+    own = "change from its own walks as drawn, %"
+    pairs = ((own, PD), ("difference from pd", TRANSFER), (f"difference from {PLAN}", TRANSFER))
     for column, words in settings.items():
-        cells = [
-            ", ".join(re.sub("~.*", "~", found[case, law][column]) for law in ("pd", "load transfer"))
-            for case in ("1.1", "1.2", "2")
-        ]
+        cells = []
+        for case in ("1.1", "1.2"):
+            cells.append(", ".join(re.sub("~.*", "~", found[case, *place][column]) for place in pairs))
+            cells[-1] = cells[-1].replace(",", " N,", 1) if column == "as drawn" else cells[-1]
+        lost = {(row["case"], row["law"]): row[column] for row in rows if row["metric"] == "lost"}
+        cells += [", ".join(lost[case, law] for law in (PD, PLAN, TRANSFER)) for case in ("1.1", "1.2")]
         yield f"{words} | {' | '.join(cells)} |"
 
 
 def _robust() -> Iterator[str]:
-    """Yield the rows of the table of robust gains: mean and worst of V, P, COT and base deviation over the seeds."""
-    rows = table("robust_gains")
-    for case, gains in itertools.product(("1.1", "1.2", "2"), ("robust", "nominal", "paper's")):
-        cells = []
-        for metric in ("V N", "P N", "COT", "dev mm"):
-            own = [row for row in rows if (row["case"], row["gains"], row["metric"]) == (case, gains, metric)]
-            means = (sum(float(row[column]) for row in own) / len(own) for column in ("mean", "worst 5 %"))
-            cells.append(" / ".join(_three(mean) for mean in means))
-        yield f"| {' | '.join(cells)} |"
+    """Yield the rows of the table of robust gains: lost walks, V and P, mean / worst 5 %, of either search."""
+    rows = {(row["case"], row["law"], row["gains"], row["metric"]): row for row in table("robust_gains")}
+    for case, law in itertools.product(("1.1", "1.2", "2"), (PD, PLAN, TRANSFER, EQ_3)):
+        cells = [f"{float(rows[case, law, gains, 'V N']['lost']):.0f}" for gains in ("robust", "nominal")]
+        for metric, gains in itertools.product(("V N", "P N"), ("robust", "nominal")):
+            own = rows[case, law, gains, metric]
+            cells.append(f"{_three(float(own['mean']))} / {_three(float(own['worst 5 %']))}")
+        yield f"{case} | {law} | {' | '.join(cells)} |"
 
 
 def _identified() -> Iterator[str]:
@@ -284,7 +291,8 @@ def headline() -> str:
     """Return in a sentence where a force sensor is worth something beside the best law without one."""
     found = list(worths(table("what_a_sensor_is_worth")))
     told = {servos: [each.size for each in found if each.told and each.servos == servos] for servos in WEIGHED}
-    said = " and ".join(f"{span(sizes)} % on {WEIGHED[servos]}" for servos, sizes in told.items())
+    sizes = {span(each): [WEIGHED[name] for name in told if span(told[name]) == span(each)] for each in told.values()}
+    said = " and ".join(f"{size} % on {' and '.join(names)} servos" for size, names in sizes.items())
     rest = len(found) - sum(map(len, told.values()))
     return (
         "Beside the best law without one, which hands loads over by plan, a force sensor is worth, of pd's objective, "
@@ -293,7 +301,42 @@ def headline() -> str:
     )
 
 
-WEIGHED = {"dynamixel_x": "Dynamixel X servos", "mx_64": "MX-64 servos"}
+WEIGHED = {"dynamixel_x": "Dynamixel X", "mx_64": "MX-64"}
+HELD = (
+    "force_variation", "peak_foot_force", "cost_of_transport", "peak_joint_torque", "peak_pull_force", "base_deviation",
+)  # fmt: skip
+
+
+def goal() -> str:
+    """Return in a sentence in how many cases a law with a force sensor leads by 5 %, with nothing worse by 2 %."""
+    rows, reached = table("what_a_sensor_is_worth"), 0
+    cases = list(worths(rows))
+    for each in cases:
+        blind = each.best[1]
+        own = [row for row in rows if (row["servos"], row["case"]) == (each.servos, each.case)]
+        reached += any(
+            float(row["objective"]) <= 0.95 * float(blind["objective"]) and float(row["lost"]) == 0
+            and all(float(row[name]) <= 1.02 * float(blind[name]) for name in HELD)
+            for row in own if "forces" in row["reads"]
+        )  # fmt: skip
+    return (
+        f"In {reached or 'none'} of these {len(cases)} is a law with a sensor 5 % ahead of it with no metric worse by "
+        "2 % and no walk lost."
+    )
+
+
+def beside() -> str:
+    """Return in a sentence what laws take off pd's objective where the hardware is drawn."""
+    plan, transfer, eq_3 = (changes(law, "objective") for law in (PLAN, TRANSFER, EQ_3))
+    both = changes(TRANSFER, "objective", BLIND)
+    worse = sum(low > 0 for *_, low, _ in both)
+    return (
+        f"Where hardware is drawn, the plan takes {span(real(plan))} % off the objective of searched pd in "
+        f"{len(real(plan))} of {len(plan)} comparisons, load transfer {span(real(transfer))} % in "
+        f"{len(real(transfer))}; "
+        f"beside the plan load transfer is ahead in {len(real(both))} and behind in {worse}. Eq. 3 takes "
+        f"{max(real(eq_3)):.0f} % off in {len(real(eq_3))} of {len(eq_3)}."
+    )
 
 
 def claims() -> str:
@@ -335,11 +378,15 @@ def _climbs() -> Iterator[list[str]]:
 
 
 def _comparisons() -> Iterator[str]:
-    """Yield the objective of both laws beside pd, a row each, as the table has them."""
-    for ours, theirs in zip(changes(TRANSFER, "objective"), changes(EQ_3, "objective"), strict=True):
-        first, second = (cell(*each[2:]) for each in (theirs, ours))
-        yield f"{first} | "
-        yield f"| {second} | "
+    """Yield the rows of the table of comparisons: objectives beside pd, and of load transfer beside the plan."""
+    each = (
+        changes(PLAN, "objective"),
+        changes(TRANSFER, "objective"),
+        changes(TRANSFER, "objective", BLIND),
+        changes(EQ_3, "objective"),
+    )
+    for laws in zip(*each, strict=True):
+        yield f"| {laws[0][1]} | {' | '.join(cell(*law[2:]) for law in laws)} |"
 
 
 def lacking() -> Iterator[tuple[Path, str]]:
