@@ -140,6 +140,39 @@ def test_bounds_of_joint_loop_and_gait_are_about_the_scenarios_own():
             np.testing.assert_allclose(ends[name], pair, rtol=1e-12, err_msg=name)
 
 
+class Signed(mc.Law):
+    """A law with a gain of either sign, and an array."""
+
+    tilt: object = mc.gain("1", bounds=(-3.0, 4.0), default=0.5, length=1)
+    weights: object = mc.gain("1", shape=(2, 2), bounds=(-1.0, 2.5), default=0.25)
+    damping: object = mc.gain("N s/m", length=3, bounds=(1.0, 1e3), default=10.0)
+
+    def init(self, start):
+        return ()
+
+    def step(self, state, measured, reference):
+        return state, mc.control.shifted(reference, 0 * measured.wrench)
+
+
+def test_a_gain_of_either_sign_is_a_coordinate_of_its_own_in_sevenths_of_its_bounds():
+    """As wide as the logarithm of a factor of a thousand; a pin of zero, or a bound below it, is none that is refused."""
+    settings = {
+        "joint_gains": False,
+        "space": "split",
+        "bounds": {"weights.1.0": (-0.7, 0.7)},
+        "pins": {"weights.0.1": 0.0},
+    }
+    space = spaces.space(CASE, Search.make(settings), Signed())
+    assert space.names == ("tilt", "weights.0.0", "weights.1.0", "weights.1.1", "damping.translation")
+    np.testing.assert_allclose(space.units, [1.0, 0.5, 0.2, 0.5, 0.0])
+    np.testing.assert_allclose(space.lower, [-3.0, -2.0, -3.5, -2.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(space.upper, [4.0, 5.0, 3.5, 5.0, math.log(1e3)])
+    gains = space.to_gains(np.array([2.0, 1.0, -1.0, 3.0, math.log(30.0)]))
+    assert gains["tilt"] == 2.0
+    np.testing.assert_allclose(gains["weights"], [[0.5, 0.0], [-0.2, 1.5]])
+    np.testing.assert_allclose(gains["damping"], np.full(3, 30.0))
+
+
 # --- points of a space
 
 
