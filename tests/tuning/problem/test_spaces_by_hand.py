@@ -155,7 +155,7 @@ class Signed(mc.Law):
 
 
 def test_a_gain_of_either_sign_is_a_coordinate_of_its_own_in_sevenths_of_its_bounds():
-    """As wide as the logarithm of a factor of a thousand; a pin of zero, or a bound below it, is none that is refused."""
+    """As wide as the logarithm of a factor of a thousand; it may be pinned at zero, and bounded below it."""
     settings = {
         "joint_gains": False,
         "space": "split",

@@ -1,0 +1,158 @@
+"""What a simulation hands to the walks of a batch and makes of their results, with sums of gains in place of walks."""
+
+import itertools
+
+import jax
+import numpy as np
+import pytest
+
+import mjx_climb as mc
+from mjx_climb import execution
+from mjx_climb.control import VirtualModelAdmittance
+from mjx_climb.walk.metrics import METRICS
+
+CASE = mc.load_scenario("case_1_2", {"duration": 0.3})
+SLOPES = {
+    "damping": np.arange(1.0, 7),
+    "stiffness": 10 * np.arange(1.0, 7),
+    "kp": 3.0,
+    "kd": 5.0,
+    "inertia": np.full(6, 0.5),
+}
+OF_METRICS = {"travel": 1.0, "min_tsm": -2.0}  # by how much each is the sum
+REAL = [name for name in METRICS.names if name not in ("detached_limb", "missed_grips", "diverged")]
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Have walks whose metrics are multiples of the sum of the gains, each times its slope."""
+    calls = []
+
+    def run(function, structure, robots, **how):
+        calls.append((function.__name__, structure, robots, how))
+        shape = robots.shape
+        first = robots.arguments[0]
+        if not isinstance(first, dict):
+            first = {name: np.asarray(getattr(first, name)) for name in first.GAINS}
+
+        def along(value, slope):
+            return (value * slope).sum(-1) if np.ndim(slope) else value * slope
+
+        def whole(value, name, extra=()):
+            return np.broadcast_to(along(value, SLOPES[name]), (*shape, *extra))
+
+        total = sum(whole(value, name) for name, value in first.items())
+        values = {name: share * total for name, share in OF_METRICS.items()}
+        if robots.directions is not None:
+            moved = sum(whole(value, name, (value.shape[len(shape)],)) for name, value in robots.directions.items())
+            return values, {name: share * moved for name, share in OF_METRICS.items()}
+        if robots.weights is not None:
+            weight = sum(OF_METRICS[name] * value for name, value in robots.weights.items())
+            return values, {name: np.multiply.outer(weight, SLOPES[name]) for name in first}
+        return values
+
+    monkeypatch.setattr(execution, "run", run)
+    return calls
+
+
+def drawn(*shapes):
+    rng = np.random.default_rng(sum(map(len, shapes)))
+    least = {"damping": 100.0, "stiffness": 1e4, "kp": 40.0, "kd": 0.2}
+    return {name: low * rng.uniform(1, 2, shape) for (name, low), shape in zip(least.items(), shapes, strict=True)}
+
+
+BATCHES = [
+    ((2, 6), (2, 6), (2,), (2,)), ((6,), (3, 6), (), (3,)),
+    ((2, 1, 6), (3, 6), (2, 3), ()), ((1, 6), (4, 6), (1,), (4,)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("shapes", BATCHES)
+def test_derivatives_of_a_batch_are_those_of_its_robots_one_by_one(shapes, asked):
+    """Of gains with axes that others lack, the derivatives of all robots that share a value are summed."""
+    gains = drawn(*shapes)
+    leads = {name: value.shape[: value.ndim - np.ndim(SLOPES[name])] for name, value in gains.items()}
+    batch = np.broadcast_shapes(*leads.values())
+    simulation, k = mc.Simulation(CASE), 2
+    rng = np.random.default_rng(3)
+    weights = {name: rng.normal(size=(k, *batch)) for name in OF_METRICS}
+    found = simulation.vjp(gains, weights, dtype=np.float64)
+    assert asked[-1][0] == "metrics_of_moved" and asked[-1][3]["over_time"] is False
+    assert set(found) == set(gains)
+    for name, value in gains.items():
+        expected = np.zeros((k, *value.shape))
+        lead = leads[name]
+        for row, robot in itertools.product(range(k), np.ndindex(batch)):
+            own = robot[len(batch) - len(lead) :]
+            place = tuple(0 if size == 1 else n for n, size in zip(own, lead, strict=True))
+            weight = sum(share * weights[metric][row][robot] for metric, share in OF_METRICS.items())
+            expected[(row, *place)] += weight * SLOPES[name]
+        np.testing.assert_allclose(found[name], expected, rtol=1e-12, err_msg=name)
+    ones = {name: (1,) * (len(batch) - len(lead)) for name, lead in leads.items()}
+    directions = {name: rng.normal(size=(k, *ones[name], *value.shape)) for name, value in gains.items()}
+    metrics, tangents = simulation.jvp(gains, directions, dtype=np.float64)
+    for row, robot in itertools.product(range(k), np.ndindex(batch)):
+        moved = 0.0
+        for name, rate in directions.items():
+            whole = np.broadcast_to(rate[row], (*batch, *rate.shape[1 + len(batch) :]))
+            moved += np.sum(whole[robot] * SLOPES[name])
+        for metric, share in OF_METRICS.items():
+            assert tangents[metric][row][robot] == pytest.approx(share * moved), metric
+    assert tangents["travel"].shape == (k, *batch) and metrics["travel"].shape == batch
+
+
+def test_times_of_the_gait_have_no_derivative_and_gains_that_a_law_lacks_neither(asked):
+    simulation = mc.Simulation(CASE)
+    gains = {"damping": np.full((3, 6), 1e2), "gait.cycle": np.full(3, 8.0), "gait.duty": np.array(0.9)}
+    found = simulation.vjp(gains, {"travel": np.ones((2, 3))}, dtype=np.float64)
+    assert found["gait.cycle"].shape == (2, 3) and found["gait.duty"].shape == (2,)
+    assert not found["gait.cycle"].any() and not found["gait.duty"].any() and found["damping"].all()
+    assert set(asked[-1][2].arguments[0]) == {"damping"}
+
+
+@pytest.mark.parametrize(
+    ("weights", "said"),
+    [
+        ({"travl": np.ones((2, 3))},
+         f"weights.travl: expected one of {', '.join(sorted(REAL))}, the metrics that are real numbers"),
+        ({"diverged": np.ones((2, 3))}, "weights.diverged: expected one of "),
+        ({"travel": np.ones(3)}, "weights: expected shapes (k, 3), got travel (3,)"),
+        ({"travel": np.ones((2, 4))}, "weights: expected shapes (k, 3), got travel (2, 4)"),
+        ({"travel": np.ones((2, 3)), "min_tsm": np.ones((1, 3))},
+         "weights: expected shapes (k, 3), got travel (2, 3), min_tsm (1, 3)"),
+        ({"travel": 1.0}, "weights: expected shapes (k, 3), got travel ()"),
+        ({}, "weights: expected shapes (k, 3), got none"),
+    ],
+)  # fmt: skip
+def test_weights_of_another_shape_or_metric_are_refused(weights, said, asked):
+    with pytest.raises(ValueError) as refused:
+        mc.Simulation(CASE).vjp({"damping": np.full((3, 6), 1e2)}, weights)
+    assert str(refused.value).startswith(said) and not asked
+
+
+def test_walks_get_the_options_that_are_asked_for(asked):
+    """Metrics of the law's gains, in the precision and the shares of the call; histories over time."""
+    simulation = mc.Simulation(CASE, VirtualModelAdmittance(np.ones(6), np.full(6, 2.0), np.full(6, 3.0)))
+    seen = lambda *_: None  # noqa: E731
+    found = simulation.metrics(dtype=np.float64, batch_size=7, progress=seen)
+    function, structure, robots, how = asked[-1]
+    assert function == "metrics_of" and how == {"over_time": False, "batch_size": 7, "progress": seen}
+    assert robots.shape == () and {leaf.dtype for leaf in jax.tree.leaves(robots.arguments)} == {np.dtype(np.float64)}
+    assert found["travel"] == pytest.approx(0.5 * 6 + 21 * 2 + 210 * 3) and structure.steps == CASE.steps
+    simulation.metrics({"damping": np.ones((2, 6))})
+    assert asked[-1][2].shape == (2,)
+    assert {leaf.dtype for leaf in jax.tree.leaves(asked[-1][2].arguments)} == {np.dtype(np.float32)}
+    simulation.histories()
+    assert asked[-1][0] == "histories_of" and asked[-1][3]["over_time"] is True
+    mc.rollout_metrics(CASE, {"damping": 1e2}, smooth=True, batch_size=3)
+    assert asked[-1][3]["batch_size"] == 3 and "smooth_peak_foot_force" in asked[-1][1].metrics.names
+
+
+def test_a_time_step_that_contacts_cannot_follow_walks_for_searches_alone(asked):
+    stiff = mc.parameters(CASE).replace({"contact.stiffness": np.asarray(1e9)})
+    simulation = mc.Simulation(CASE)
+    with pytest.raises(mc.ConfigError, match="time_step"):
+        simulation.metrics(parameters=stiff)
+    assert not asked
+    simulation.metrics(parameters=stiff, unsteady=True)
+    assert len(asked) == 1
