@@ -12,7 +12,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb import execution
-from mjx_climb.control import PD, PlannedTransfer
+from mjx_climb.control import PD, PlannedTransfer, law_of
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
@@ -217,28 +217,14 @@ def problem_of(scenario: mc.Scenario, laws: Mapping[str, Contestant], ensemble: 
 
 def _own(search: Search, scenario: mc.Scenario, law: mc.Law | None) -> Search:
     """Return the settings without the gains that a law does not have."""
-    bare = search.model_copy(update={"bounds": {}, "pins": {}, "frozen": ()})
-
-    def has(gain: str) -> bool:
-        try:
-            spaces.space(scenario, bare.model_copy(update={"also": (gain,)}), law)
-        except ConfigError as error:
-            return not (error.key == "also" and error.expected.startswith("gains of the law"))
-        return True
-
-    own = search.model_copy(update={"also": tuple(filter(has, search.also))})
-    while True:
-        try:
-            spaces.space(scenario, own, law)
-            return own
-        except ConfigError as error:
-            section, _, gain = error.key.partition(".")
-            if not error.expected.startswith("one of") or gain not in getattr(own, section, ()):
-                raise
-            named = getattr(own, section)
-            others = [name for name in named if name != gain]
-            left = {name: named[name] for name in others} if isinstance(named, dict) else tuple(others)
-            own = own.model_copy(update={section: left})
+    law = law or law_of(scenario)
+    own = search.model_copy(update={"also": tuple(gain for gain in search.also if gain in spaces.added(law))})
+    left: dict[str, Any] = {}
+    for section, known in spaces.named_by(scenario, own, law).items():
+        named = getattr(own, section)
+        kept = [name for name in named if name in known]
+        left[section] = {name: named[name] for name in kept} if isinstance(named, dict) else tuple(kept)
+    return own.model_copy(update=left)
 
 
 def run(

@@ -13,7 +13,7 @@ import functools
 import itertools
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -194,30 +194,18 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
         ConfigError: bounds or pins of a gain that is not there, a controller without gains, nothing left to search.
     """
     law = law_of(scenario) if law is None else law
-    # with a late force sensor or a servo with friction, which admittance is best depends on the joint loop
-    of_gait = {"height": False, "sway": False, "landing_speed": False}
-    given = own_parameters(scenario)
-    ideal = stages_of(given, scenario.time_step)._replace(**of_gait) == IDEAL and not given.contact.transmits_moments
-    joint_gains = not ideal if search.joint_gains is None else search.joint_gains
-    gait = [name for name in GAIT if name in search.also or name in search.pins]
-    if not law.GAINS and not joint_gains and INTEGRAL not in search.also and gait_of(dict.fromkeys(search.also)) == {}:
+    own, of_law, others = found = _gains(scenario, search, law)
+    if not law.GAINS and all(name in GAIT and name not in search.also for name in others):
         raise ConfigError("", "control.controller", "an admittance law", "pd, which has no gains to search")
-    asked = {*search.also, *(("inertia",) if search.inertia else ())}
-    if unknown := sorted({*search.also} - {*law.GAINS, *SEARCHED_GAIT, INTEGRAL}):
-        names = ", ".join([*law.GAINS, INTEGRAL, *SEARCHED_GAIT])
-        raise ConfigError("", "also", f"gains of the law, {names}", unknown[0])
+    if unknown := sorted({*search.also} - {*(names := added(law))}):
+        raise ConfigError("", "also", f"gains of the law, {', '.join(names)}", unknown[0])
     check_gait(scenario, search)
     defaults = default_bounds(scenario, law) | _integral_bounds(scenario) | _gait_bounds(scenario)
-    integral = INTEGRAL in search.also or (joint_gains and scenario.control.ki > 0)
-    joint = dict.fromkeys([*(JOINT if joint_gains else ()), *((INTEGRAL,) if integral else ()), *gait], 0.0)
-    own = own_values(scenario, law) | joint
-    bounds: dict[str, tuple[float, float]] = {}
-    known: set[str] = set()  # keys that the settings may name
-    used: set[str] = set()  # of these, those that decide about a number
+    keys_of_gains, bounds = of_law | others, dict[str, tuple[float, float]]()
+    used: set[str] = set()  # keys that decide about a number
 
     def number(keys: list[str], value: float, field: ValueField | None) -> str | float:
         """Return a number's name, or its value where that is held, by its keys: the most particular one decides."""
-        known.update(keys)
         named = next((key for key in reversed(keys) if key in {*search.pins, *search.frozen, *search.bounds}), "")
         used.add(named)
         if named in search.pins:
@@ -234,27 +222,67 @@ def space(scenario: mc.Scenario, search: Search, law: mc.Law | None = None) -> S
     entries: dict[str, list[str | float]] = {}
     for gain, value in own.items():
         values, field = np.ravel(value), law.GAINS.get(gain)
-        if gain in joint or (field is not None and (field.searched or gain in asked)):
-            keys = keys_of(gain, () if field is None else field.shape, search.space)
+        if (keys := keys_of_gains.get(gain)) is not None:
             # the rotations of a law that has none keep their values
             searched = [number(each, value, field) for each, value in zip(keys, values, strict=False)]
             entries[gain] = [*searched, *values[len(keys) :]]
         else:
-            known.update({gain} & search.pins.keys())
             used.add(gain)
             entries[gain] = [search.pins.get(gain, each) for each in values]
-    numbered = {key for key in known if key.rpartition(".")[2].isdigit()}
-    for section in ("bounds", "pins", "frozen"):
-        allowed = known - joint.keys() if section == "frozen" else known
+    for section, allowed in found.named_by(search).items():
         for key in getattr(search, section):
             if key not in allowed:
-                raise ConfigError("", f"{section}.{key}", f"one of {', '.join(sorted(allowed - numbered))}")
+                plain = sorted(each for each in allowed if not each.rpartition(".")[2].isdigit())
+                raise ConfigError("", f"{section}.{key}", f"one of {', '.join(plain)}")
             if key not in used:
                 raise ConfigError("", f"{section}.{key}", "a gain with numbers of no other setting", "none")
     for key, value in search.pins.items():
         if not (value > 0 or signed(law.GAINS.get(kind_of(key)))):
             raise ConfigError("", f"pins.{key}", "a number above 0", f"{value:g}")
     return _space(own, entries, bounds)
+
+
+class _Gains(NamedTuple):
+    """The gains around a search."""
+
+    own: dict[str, Any]  # values by name, 0 of joint loop and gait
+    of_law: dict[str, list[list[str]]]  # the keys of each number of those that are searched
+    others: dict[str, list[list[str]]]  # likewise, of joint loop and gait
+
+    def named_by(self, search: Search) -> dict[str, set[str]]:
+        """Return the keys that bounds, pins and frozen gains of a search may name."""
+        keys = ({key for each in some.values() for number in each for key in number} for some in self[1:])
+        (of_law, others), held = keys, self.own.keys() - self.of_law.keys() - self.others.keys()
+        every = of_law | others | (held & search.pins.keys())
+        return {"bounds": every, "pins": every, "frozen": every - others}
+
+
+def _gains(scenario: mc.Scenario, search: Search, law: mc.Law) -> _Gains:
+    # with a late force sensor or a servo with friction, which admittance is best depends on the joint loop
+    of_gait = {"height": False, "sway": False, "landing_speed": False}
+    given = own_parameters(scenario)
+    ideal = stages_of(given, scenario.time_step)._replace(**of_gait) == IDEAL and not given.contact.transmits_moments
+    joint_gains = not ideal if search.joint_gains is None else search.joint_gains
+    integral = INTEGRAL in search.also or (joint_gains and scenario.control.ki > 0)
+    gait = [name for name in GAIT if name in search.also or name in search.pins]
+    others = [*(JOINT if joint_gains else ()), *((INTEGRAL,) if integral else ()), *gait]
+    asked = {*search.also, *(("inertia",) if search.inertia else ())}
+    of_law = {
+        gain: keys_of(gain, field.shape, search.space)
+        for gain, field in law.GAINS.items()
+        if field.searched or gain in asked
+    }
+    return _Gains(own_values(scenario, law) | dict.fromkeys(others, 0.0), of_law, {name: [[name]] for name in others})
+
+
+def added(law: mc.Law) -> list[str]:
+    """Return what `also` may name, for a law."""
+    return [*law.GAINS, INTEGRAL, *SEARCHED_GAIT]
+
+
+def named_by(scenario: mc.Scenario, search: Search, law: mc.Law) -> dict[str, set[str]]:
+    """Return the gains that bounds, pins and frozen gains of a search may name around a law."""
+    return _gains(scenario, search, law).named_by(search)
 
 
 def signed(field: ValueField | None) -> bool:
