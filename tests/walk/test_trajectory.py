@@ -100,6 +100,17 @@ def test_metrics_of_sensors_and_grips_are_those_of_loops(seed):
     assert found["grip_gap"] == pytest.approx(gap)
 
 
+def test_metrics_of_a_trajectory_are_those_that_are_asked_for():
+    """Of the walk's samples, by the names of its limbs."""
+    made, scenario = histories(0), mc.load_scenario("case_1_2")
+    made |= {"base_position": np.cumsum(np.ones((STEPS, 3)), axis=0), "missed": np.ones((STEPS, 4), bool)}
+    made["torn_off"] = np.zeros((STEPS, 4), bool)
+    made["torn_off"][7, 2] = True
+    walk = Trajectory(**made, scenario=scenario, gains={}, parameters=mc.parameters(scenario), limbs=LIMBS)
+    found = mc.metrics(walk, [mc.METRICS[name] for name in ("travel", "missed_grips", "detached_limb")])
+    assert found == {"travel": pytest.approx(STEPS - 1), "missed_grips": 4 * STEPS, "detached_limb": "RH"}
+
+
 def test_a_walk_fails_that_loses_a_gripper_diverges_or_stands():
     for limb, diverged, stands in [(-1, 0, math.nan), (0, 0, math.nan), (-1, 1, math.nan), (-1, 0, 0.0), (2, 1, 3.0)]:
         metrics = {"detached_limb": np.array([limb]), "diverged": np.array([diverged]), "stands_at": np.array([stands])}

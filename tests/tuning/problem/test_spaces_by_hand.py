@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.control import VirtualModelAdmittance
+from mjx_climb.control import EndEffectorAdmittance, VirtualModelAdmittance
 from tuning.problem import ensemble, spaces, variations
 from tuning.problem.ensemble import Drawn, Ensemble, Hardware
 from tuning.problem.search import Search
@@ -106,6 +106,8 @@ def test_a_space_is_that_of_its_settings(seed):
 
 REFUSED = [
     ({"bounds": {"damping": (0.0, 1.0)}}, "bounds.damping: expected a low end above 0, got 0"),
+    ({"bounds": {"kp": (0.0, 1.0)}, "joint_gains": True}, "bounds.kp: expected a low end above 0, got 0"),
+    ({"pins": {"kp": 0.0}, "joint_gains": True}, "pins.kp: expected a number above 0, got 0"),
     ({"pins": {"damping": -1.0}}, "pins.damping: expected a number above 0, got -1"),
     ({"pins": {"damping": 0.0}}, "pins.damping: expected a number above 0, got 0"),
     ({"pins": {"damping.x": 1.0}}, "pins.damping.x: expected one of"),
@@ -144,6 +146,7 @@ class Signed(mc.Law):
     """A law with a gain of either sign, and an array."""
 
     tilt: object = mc.gain("1", bounds=(-3.0, 4.0), default=0.5, length=1)
+    share: object = mc.gain("1", bounds=(0.0, 7.0), default=0.0, length=1)
     weights: object = mc.gain("1", shape=(2, 2), bounds=(-1.0, 2.5), default=0.25)
     damping: object = mc.gain("N s/m", length=3, bounds=(1.0, 1e3), default=10.0)
 
@@ -163,14 +166,29 @@ def test_a_gain_of_either_sign_is_a_coordinate_of_its_own_in_sevenths_of_its_bou
         "pins": {"weights.0.1": 0.0},
     }
     space = spaces.space(CASE, Search.make(settings), Signed())
-    assert space.names == ("tilt", "weights.0.0", "weights.1.0", "weights.1.1", "damping.translation")
-    np.testing.assert_allclose(space.units, [1.0, 0.5, 0.2, 0.5, 0.0])
-    np.testing.assert_allclose(space.lower, [-3.0, -2.0, -3.5, -2.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(space.upper, [4.0, 5.0, 3.5, 5.0, math.log(1e3)])
-    gains = space.to_gains(np.array([2.0, 1.0, -1.0, 3.0, math.log(30.0)]))
-    assert gains["tilt"] == 2.0
+    assert space.names == ("tilt", "share", "weights.0.0", "weights.1.0", "weights.1.1", "damping.translation")
+    np.testing.assert_allclose(space.units, [1.0, 1.0, 0.5, 0.2, 0.5, 0.0])
+    np.testing.assert_allclose(space.lower, [-3.0, 0.0, -2.0, -3.5, -2.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(space.upper, [4.0, 7.0, 5.0, 3.5, 5.0, math.log(1e3)])
+    gains = space.to_gains(np.array([2.0, 0.0, 1.0, -1.0, 3.0, math.log(30.0)]))
+    assert gains["tilt"] == 2.0 and gains["share"] == 0.0
     np.testing.assert_allclose(gains["weights"], [[0.5, 0.0], [-0.2, 1.5]])
     np.testing.assert_allclose(gains["damping"], np.full(3, 30.0))
+
+
+def test_own_gains_of_a_law_of_translations_have_the_scenarios_rotations():
+    """As the paper's gains: six of each, of which the law says three; of another law they are its own."""
+    scenario = CASE.with_overrides({"control.damping": [1.0, 2, 3, 4, 5, 6]})
+    law = EndEffectorAdmittance(np.full(3, 7.0), np.full(3, 8.0), np.full(3, 9.0))
+    found = spaces.own_values(scenario, law)
+    np.testing.assert_array_equal(found["damping"], [8, 8, 8, 4, 5, 6])
+    assert {name: value.shape for name, value in found.items()} == dict.fromkeys(
+        ("inertia", "damping", "stiffness"), (6,)
+    )
+    own = spaces.own_values(scenario, Signed())
+    assert {name: np.shape(value) for name, value in own.items()} == {
+        "tilt": (), "share": (), "weights": (2, 2), "damping": (3,)
+    }  # fmt: skip
 
 
 # --- points of a space
@@ -364,11 +382,10 @@ def test_robots_of_a_grid_have_their_values_on_all_axes():
 
 
 def strata(values, low, high, logs=False):
-    """Whether one value falls into each part of a range."""
+    """Whether each member has a value, and one falls into each part of a range."""
     values, low, high = (np.log(v) if logs else np.asarray(v) for v in (values, low, high))
-    return sorted(np.floor((np.ravel(values) - low) / (high - low) * np.size(values)).tolist()) == list(
-        range(np.size(values))
-    )
+    count = np.size(values)
+    return count > 1 and sorted(np.floor((np.ravel(values) - low) / (high - low) * count)) == [*range(count)]
 
 
 def test_hardware_of_members_is_drawn_from_its_ranges():
