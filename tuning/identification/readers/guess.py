@@ -41,11 +41,8 @@ _TIME_UNITS: dict[str, TimeUnit] = {
     **dict.fromkeys(("us", "usec", "usecs", "utime", "micros", "microseconds"), "us"),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), "ns"),
 }
-_EPOCHS: tuple[tuple[float, TimeUnit], ...] = (
-    (1e17, "ns"),
-    (1e14, "us"),
-    (1e11, "ms"),
-)  # numbers beyond are so many since 1970
+# numbers beyond are so many since 1970
+_EPOCHS: tuple[tuple[float, TimeUnit], ...] = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 _NO_EPOCH = 1e20
 _SPARE = 4  # numbers for each joint, in a list with empty places
 _APART = 5.0  # s between the clocks of header and recording: not the same clock

@@ -8,21 +8,7 @@ from jaxtyping import Float
 
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+|[^\W\d_A-Za-z]+")
 _LAST = re.compile(r"(.*?)([\W_]*)(\d+)([^\d]*)$", re.DOTALL)  # of a column's name: the last number in it
-_NAMING = {
-    "name",
-    "names",
-    "joint",
-    "joints",
-    "id",
-    "ids",
-    "interface",
-    "motor",
-    "motors",
-    "servo",
-    "servos",
-    "actuator",
-    "actuators",
-}
+_NAMING = frozenset("name names joint joints id ids interface motor motors servo servos actuator actuators".split())
 _MOST = 1000  # names of one place: more are no names
 
 Words = Mapping[str, Sequence[str]]  # by column, a word for each row, "" for none

@@ -28,13 +28,10 @@ def without_outliers(
     zero = {name: source.factor * (0.0 - source.zero) for name, source in signals.signals.items()}
     jumping = [f"{joint}.{what}" for what in ("position", "command") for joint in joints_of(robot)]
     jumping += [f"base.position.{axis}" for axis in "xyz"] + ["base.orientation.w"]
-    together: dict[tuple[str, bytes], list[str]] = {}
-    for name in filter(read.__contains__, jumping):
-        together.setdefault((name.rpartition(".")[2], read[name].time.tobytes()), []).append(name)
     rates = [f"{joint}.{what}" for what in ("velocity", "effort") for joint in joints_of(robot)]
     zeros: dict[str, Which] = {}
     others: dict[str, Which] = {}
-    for (what, time), some in together.items():
+    for (what, time), some in _together(read, jumping).items():
         values = np.array([read[name].value for name in some])
         none = values == np.array([[zero[name]] for name in some])
         whole = none.all(0) & (len(some) > 1)
@@ -47,7 +44,7 @@ def without_outliers(
         for name in filter(read.__contains__, rates):  # of the same messages
             if what == "position" and read[name].time.tobytes() == time:
                 zeros[name] = whole & (read[name].value == zero[name])
-    for name, which in _unmeasured_rates(read, filter(read.__contains__, rates), zero):
+    for name, which in _unmeasured_rates(read, rates, zero):
         zeros[name] = zeros.get(name, False) | which
     rare = {name: which for name, which in others.items() if which.mean() < _MANY}
     often = {name: which for name, which in others.items() if name not in rare}
@@ -68,6 +65,14 @@ def without_outliers(
     return dict(read), tuple(filter(None, (_line(which, words) for which, words in lines)))
 
 
+def _together(read: Mapping[str, Signal], names: Iterable[str]) -> dict[tuple[str, bytes], list[str]]:
+    """Return those of some signals that were read, by their quantity and times."""
+    found: dict[tuple[str, bytes], list[str]] = {}
+    for name in filter(read.__contains__, names):
+        found.setdefault((name.rpartition(".")[2], read[name].time.tobytes()), []).append(name)
+    return found
+
+
 def _unmeasured_rates(
     read: Mapping[str, Signal], rates: Iterable[str], zero: Mapping[str, float]
 ) -> Iterator[tuple[str, Which]]:
@@ -75,10 +80,7 @@ def _unmeasured_rates(
 
     One alone may well pass 0, and all are 0 for longer where the robot is at rest.
     """
-    together: dict[tuple[str, bytes], list[str]] = {}
-    for name in rates:
-        together.setdefault((name.rpartition(".")[2], read[name].time.tobytes()), []).append(name)
-    for some in together.values():
+    for some in _together(read, rates).values():
         values = np.array([read[name].value for name in some])
         whole = (values == np.array([[zero[name]] for name in some])).all(0) & (len(some) > 1)
         none = np.zeros_like(whole)

@@ -1,7 +1,7 @@
 """`signals.yaml`: the place of each signal in a log, its unit and sign."""
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -19,10 +19,10 @@ UNITS: dict[str, tuple[str, float]] = {  # the SI unit, and how many of it one o
 }  # fmt: skip
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
-Unit = Literal[
-    "rad", "deg", "counts", "m", "mm", "rad/s", "deg/s", "rpm", "counts/s", "m/s", "mm/s", "N m", "mN m", "kgf cm",
-    "A", "mA", "N", "mN", "kgf", "N m/rad", "1",
-]  # fmt: skip
+if TYPE_CHECKING:
+    Unit = str
+else:
+    Unit = Literal[tuple(UNITS)]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
 
