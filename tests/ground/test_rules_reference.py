@@ -207,7 +207,7 @@ def test_normals_that_a_file_lacks_are_those_of_the_nearest_points(seed, tmp_pat
         made = holds_of(Ground.model_validate({"holds": {"cloud": cloud, "turn": turn.tolist()}}))
     points, normals, known, limits = points[~gap], given[~gap], known[~gap], limits[~gap]
     turned = Rotation.from_euler("xyz", turn).as_matrix()
-    out = turned[2] + [0, 0, 1.0 if turned[2, 2] > -0.1 else 0.0]
+    out, level = turned[2] + [0, 0, 1.0 if turned[2, 2] > -0.1 else 0.0], 0
     for n, point in enumerate(points):
         if known[n]:
             continue
@@ -217,6 +217,7 @@ def test_normals_that_a_file_lacks_are_those_of_the_nearest_points(seed, tmp_pat
             _, sizes, axes = np.linalg.svd(points[near] - points[near].mean(0))
             if sizes[1] ** 2 > 1e-6 * sizes[0] ** 2:
                 normals[n] = axes[2] if axes[2] @ out > 0 else -axes[2]
+                level += abs(axes[2] @ out) < 0.1 * np.linalg.norm(out)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     np.testing.assert_allclose(made.normal, normals @ turned.T, atol=1e-6)
     np.testing.assert_allclose(made.position, points @ turned.T, atol=1e-12)
@@ -226,7 +227,10 @@ def test_normals_that_a_file_lacks_are_those_of_the_nearest_points(seed, tmp_pat
         nearest = sorted(world, key=lambda other, at=at: math.dist(other[:2], at[:2]))[:9]
         above = any(other[2] - at[2] > 2 * math.dist(other[:2], at[:2]) + 1e-3 for other in nearest)
         down += normal[2] < -0.1 and not above
-    words = (
-        [f"cloud.csv: ground.holds.cloud: {down} of {len(world)} normals look down, into the ground"] if down else []
-    )
-    assert [str(each.message) for each in said] == words
+    count, words = len(world), []
+    if level:
+        text = "fitted normals are level, so that their side is a guess (turn, or nx, ny, nz in the file)"
+        words.append(f"{level} of {count} {text}")
+    if down:
+        words.append(f"{down} of {count} normals look down, into the ground")
+    assert [str(each.message) for each in said] == [f"cloud.csv: ground.holds.cloud: {each}" for each in words]

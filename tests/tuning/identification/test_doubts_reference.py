@@ -178,6 +178,19 @@ def stuck_by_hand(read):
         by = way(f"{joint}.command") or 0.0
         if by > 0.02 and f"{joint}.position" in read and way(f"{joint}.position") <= 1e-4:
             yield f"{joint}.position", f"the same all the time while its command moves by {by:.3g} rad, {STUCK}"
+        elif by > 0.02 and f"{joint}.position" in read:
+            position, command = read[f"{joint}.position"], read[f"{joint}.command"]
+            runs = [[0, 0]]  # of equal samples, from the first to the last
+            for n in range(1, len(position.value)):
+                if position.value[n] == position.value[n - 1]:
+                    runs[-1][1] = n
+                else:
+                    runs.append([n, n])
+            first, last = max(runs, key=lambda run: run[1] - run[0])
+            begin, end = position.time[first], position.time[last]
+            sent = [v for t, v in zip(command.time, command.value, strict=True) if begin <= t <= end - 0.3]
+            if sent and max(sent) - min(sent) > max(0.02, np.ptp(position.value) / 2):
+                yield f"{joint}.position", f"the same from {begin:.4g} to {end:.4g} s while its command moves, {STUCK}"
     moving = [j for j in ALL_JOINTS if max(way(f"{j}.command") or 0, way(f"{j}.position") or 0) > 0.02]
     for what in ("velocity", "effort"):
         for joint in moving:
@@ -335,6 +348,9 @@ def drawn(seed):
         other = clocks[1] + (time[-1] + draw.uniform(-1.7, 1) if seed % 29 == 0 else 0.0)
         seen = middles[n] + course(int(order[n]), other - lag) - middles[int(order[n])]
         plain = seen + noise * size * draw.standard_normal(count)
+        if draw.random() < 0.15:  # it hangs for a while
+            at, still = int(draw.integers(0, count // 2)), int(draw.integers(10, count // 2))
+            plain[at : at + still] = plain[at]
         sign = middles[n] - (plain - middles[n]) if sound and draw.random() < 0.15 else plain
         read[f"{joint}.position"] = Signal(other, sign if sound else changed(draw, plain, middles[n]))
         if draw.random() < 0.6:
