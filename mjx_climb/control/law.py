@@ -12,6 +12,7 @@ class Damped(mjx_climb.Law):
 import abc
 import dataclasses
 import functools
+import inspect
 import operator
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -26,6 +27,7 @@ from jaxtyping import PyTree
 from mjx_climb.component import Component
 from mjx_climb.execution import reached
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_multiply, quaternion_to_matrix
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.value_field import ValueField, value_field
 
 LONG = 1e3  # s, the times of a reference whose limbs are not said to swing
@@ -224,28 +226,33 @@ def beginning(law: Law, start: Start) -> Beginning:
     """Return the state of a law at the start of a walk, as arrays, real ones in the precision of the reference.
 
     Raises:
-        ValueError: `step`, traced once, returns another structure, shape or type than `init`, or no `Command`.
+        ConfigError: `step`, traced once, returns another structure, shape or type than `init`, or no `Command`.
     """
     position, _, feet = start.reference[:3]
 
     def as_array(leaf: ArrayLike) -> Array:
-        array = jnp.asarray(leaf)
+        try:
+            array = jnp.asarray(leaf)
+        except TypeError:
+            expected = "a state of arrays and numbers"
+            raise ConfigError(f"{type(law).__name__}.init", "", expected, f"{leaf!r}") from None
         # the type is given even where it is the same: an array of a Python number would be weakly typed
         return jnp.asarray(array, position.dtype if jnp.issubdtype(array.dtype, jnp.floating) else array.dtype)
 
-    state = jax.tree.map(as_array, law.init(start))
+    state = jax.tree.map(as_array, called(law, "init", start))
     joints = jnp.zeros_like(feet) if start.joint_angles is None else start.joint_angles
     measured = measurement_at(start.reference, joints)
-    program, found = jax.make_jaxpr(law.step, return_shape=True)(state, measured, start.reference)
-    one = jnp.ones_like(feet[:, 0])
+    step = functools.partial(called, law, "step")
+    program, found = jax.make_jaxpr(step, return_shape=True)(state, measured, start.reference)
+    one, place = jnp.ones_like(feet[:, 0]), f"{type(law).__name__}.step"
+    if not (isinstance(found, tuple) and len(found) == 2):
+        raise ConfigError(place, "", "a pair of state and command", in_words(found))
     own = getattr(found[1], "joint_gains", None)
     gains = JointGains(**dict.fromkeys(own.moved, one)) if isinstance(own, JointGains) else None
     wanted = {"a state like that of init": state, "the command": Command(*start.reference[:3], measured.wrench, gains)}
     for (what, expected), got in zip(wanted.items(), found, strict=True):
-        # maps whole trees, so that the message shows the names of their fields
-        own, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree) for tree in (expected, got))
-        if jax.tree.flatten(own) != jax.tree.flatten(other):
-            raise ValueError(f"{type(law).__name__}.step: expected {what}, {own}, got {other}")
+        if jax.tree.flatten(own := in_words(expected)) != jax.tree.flatten(other := in_words(got)):
+            raise ConfigError(place, "", f"{what}, {own}", other)
 
     def reads(names: Sequence[str]) -> bool:
         of_measured = [name in names for name in Measurement._fields]
@@ -253,6 +260,30 @@ def beginning(law: Law, start: Start) -> Beginning:
         return any(reached(program.jaxpr, jax.tree.leaves((none[0], of_measured, none[1]))))
 
     return Beginning(state, frozenset(name for name, fields in SENSORS.items() if reads(fields)), gains)
+
+
+def called(component: Component, method: str, *arguments: Any) -> Any:
+    """Call a method of a component.
+
+    Raises:
+        ConfigError: in one line, it takes other arguments.
+    """
+    function = getattr(component, method)
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError as error:
+        expected = f"{len(arguments)} arguments beside self"
+        raise ConfigError(f"{type(component).__name__}.{method}", "", expected, str(error)) from None
+    return function(*arguments)
+
+
+def in_words(tree: PyTree) -> PyTree:
+    """Return a tree with the type and shape of each array in its place, so that a message has the names of fields."""
+
+    def shaped(leaf: Any) -> str:
+        return f"{leaf.dtype}{list(leaf.shape)}" if hasattr(leaf, "dtype") else repr(leaf)
+
+    return jax.tree.map(shaped, tree)
 
 
 def constants(law: Law, begun: PyTree, measured: Measurement, reference: Reference) -> list[bool | Array]:

@@ -175,9 +175,13 @@ def _with(system: System, row: np.ndarray) -> System:
 
 
 def _held(parameters: Parameters, time_step: float) -> Held:
-    contact, drive, loop = parameters.contact.springs() or Springs(0.0, 0.0), parameters.drive, parameters.joint_loop
+    drive, loop = parameters.drive, parameters.joint_loop
+    contact = parameters.contact.springs() or Springs(0.0, 0.0)
+    _check_kind(parameters.contact, "springs", contact, Springs)
     if not isinstance(drive, Servos):
-        return Held(contact, drive.spring(time_step) or JointSpring(0.0, 0.0))
+        spring = drive.spring(time_step) or JointSpring(0.0, 0.0)
+        _check_kind(drive, "spring", spring, JointSpring)
+        return Held(contact, spring)
     richer: Any = 1.0
     if drive.drive == "voltage":
         known = np.isfinite(drive.supply_voltage) & np.isfinite(drive.rated_voltage)
@@ -185,6 +189,11 @@ def _held(parameters: Parameters, time_step: float) -> Held:
         richer = supply / rated
     kp, kd = (richer * np.asarray(gain) for gain in (loop.kp, loop.kd))
     return Held(contact, JointSpring(kp, kd + _back_emf(drive)), drive.armature, drive.viscous_friction)
+
+
+def _check_kind(component: object, method: str, found: object, kind: type) -> None:
+    if not isinstance(found, kind):
+        raise ConfigError(f"{type(component).__name__}.{method}", "", f"a {kind.__name__} or None", repr(found))
 
 
 def _back_emf(drive: Servos) -> Any:

@@ -23,6 +23,7 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot
 from mjx_climb.shapes import check_shape, dims_of
+from mjx_climb.walk.answers import driven
 
 
 class JointTargets(NamedTuple):
@@ -206,8 +207,8 @@ def control(
     sent = _sent(command.joint_gains, memory.sensor_watch)
     late_gains, gains = _joint_gains(hardware, memory.joint_gains, sent)
     actual_joints = Joints(state.joint_angles, state.joint_rates, load)
-    actuators, drive = controller.actuator.step(
-        memory.actuator, joints.joint_angles, gains, actual_joints, hardware.time_step
+    actuators, drive = driven(
+        controller.actuator, memory.actuator, joints.joint_angles, gains, actual_joints, hardware.time_step
     )
     reports = None if memory.reports is None else memory.reports._replace(torque=drive.motor_torque)
     memory = memory._replace(

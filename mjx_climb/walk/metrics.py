@@ -21,6 +21,7 @@ from jaxtyping import PyTree
 from mjx_climb.control.sensor_watch import SILENCE
 from mjx_climb.physics.spatial import norm
 from mjx_climb.robot.constants import Robot
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.sample import Sample
 
 PREFIX = "smooth_"  # of the name of a companion
@@ -421,7 +422,7 @@ def accumulate(metrics: MetricTable, running: Running, sample: Sample, context: 
     """Return the values with one more sample of the walk; they stay as they are from one that is not finite on.
 
     Raises:
-        ValueError: a metric whose running value changes its structure, its shapes or its types.
+        ConfigError: a metric whose running value changes its structure, its shapes or its types.
     """
     context = context._replace(first=running.steps == 0, diverged=running.finite < running.steps)
     # a sum is not finite as soon as one of its terms is not: cheaper than asking each
@@ -433,7 +434,7 @@ def accumulate(metrics: MetricTable, running: Running, sample: Sample, context: 
         result = jnp.where(taken, new, old)
         if result.shape != old.shape or result.dtype != old.dtype:
             expected, got = (f"{v.dtype} {v.shape}" for v in (old, result))
-            raise ValueError(f"metric {metric.name}: expected `update` to keep {expected}, got {got}")
+            raise ConfigError(f"metric {metric.name}", "", f"`update` to keep {expected}", got)
         return result
 
     values = []
@@ -441,7 +442,7 @@ def accumulate(metrics: MetricTable, running: Running, sample: Sample, context: 
         updated = metric.update(value, sample, context)
         before: object = jax.tree.structure(value)
         if before != jax.tree.structure(updated):
-            raise ValueError(f"metric {metric.name}: expected `update` to return a value structured as `init` does")
+            raise ConfigError(f"metric {metric.name}", "", "`update` to return a value structured as `init` does")
         values.append(jax.tree.map(choose, value, updated))
     return Running(running.steps + 1, running.finite + taken, tuple(values))
 
@@ -450,14 +451,14 @@ def finish(metrics: MetricTable, running: Running, context: Context) -> dict[str
     """Return the metrics () of a walk that has ended; a walk without a finite sample has NaN for all real ones.
 
     Raises:
-        ValueError: a metric that is not one number.
+        ConfigError: a metric that is not one number.
     """
     context = context._replace(first=running.steps == 0, diverged=running.finite < running.steps)
     result = {}
     for metric, value in zip(metrics, running.values, strict=True):
         found = jnp.asarray(metric.finish(value, context))
         if found.shape:
-            raise ValueError(f"metric {metric.name}: expected `finish` to return one number, got shape {found.shape}")
+            raise ConfigError(f"metric {metric.name}", "", "`finish` to return one number", f"shape {found.shape}")
         real = jnp.issubdtype(found.dtype, jnp.floating)
         result[metric.name] = jnp.where(running.finite > 0, found, jnp.nan) if real else found
     return result

@@ -54,6 +54,7 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.physics.state import Acceleration, Loads, State, integrate
 from mjx_climb.robot.constants import Robot
 from mjx_climb.walk import control_loop
+from mjx_climb.walk.answers import disturbed, gripped
 from mjx_climb.walk.sample import Sample, Step, sample_of
 from mjx_climb.walk.structure import Structure
 
@@ -247,7 +248,7 @@ def _evaluate_contacts(walk: Walk, carry: Carry, frames: LimbFrames, now: Schedu
     ground, surface = walk.gait.ground(carry.gait, now)
     feet = feet._replace(surface=surface)
     turning = foot_turning(walk.robot, frames, carry.state) if walk.contact.transmits_moments else None
-    contact, held = walk.contact.step(carry.contact, feet, turning, now.closed, ground)
+    contact, held = gripped(walk.contact, carry.contact, feet, turning, now.closed, ground)
     share = walk.gait.share_of_limits(carry.gait, now, held.foot_force)
     if share is not None:
         share = jnp.where(held.support, share, 0.0)
@@ -267,7 +268,7 @@ def _grip_gap(walk: Walk, carry: Carry, now: Schedule, actual: control_loop.Actu
 def _external(walk: Walk, body: Body, step: Array) -> External:
     """Return the sum of all disturbances in a step."""
     middle = (step + 0.5) * jnp.asarray(walk.structure.time_step, body.state.base_position.dtype)
-    found, nothing = sum_of(each.act(middle, body) for each in walk.parameters.disturbances), body.untouched()
+    found, nothing = sum_of(disturbed(each, middle, body) for each in walk.parameters.disturbances), body.untouched()
     wrench = nothing.base_wrench if found.base_wrench is None else found.base_wrench
     return External(wrench, found.joint_torque, nothing.cargo_mass if found.cargo_mass is None else found.cargo_mass)
 

@@ -217,9 +217,26 @@ class OfABatch(PD):
         return state, super().step(state, measured, reference)[1]._replace(base_displacement=jnp.zeros((6, 1)))
 
 
+class Silent(PD):
+    def step(self, state, measured, reference): ...
+
+
+class Spoken(PD):
+    def init(self, start):
+        return {"mode": "off"}
+
+
+class Deaf(PD):
+    def step(self, state, measured):
+        return super().step(state, measured, None)
+
+
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
+        (Silent, "Silent.step: expected a pair of state and command, got None"),
+        (Spoken, "Spoken.init: expected a state of arrays and numbers, got 'off'"),
+        (Deaf, "Deaf.step: expected 3 arguments beside self, got too many positional arguments"),
         (Forgetful, r"Forgetful.step: expected a state like that of init, VirtualMass.*, got \(\)"),
         (Growing, r"Growing.step: expected a state like that of init, float64\[3\], got float64\[6\]"),
         (Rounding, r"Rounding.step: expected a state like that of init, \('int64\[\]', 'float64\[\]'\), got \('float"),
@@ -227,7 +244,7 @@ class OfABatch(PD):
     ],
 )
 def test_a_state_or_command_of_another_shape_is_refused_in_one_line(kind, message):
-    with pytest.raises(ValueError, match=f"^{message}") as error:
+    with pytest.raises(mc.ConfigError, match=f"^{message}") as error:
         begin(kind(), Start(STEP, reference_of()))
     assert "\n" not in str(error.value)
 

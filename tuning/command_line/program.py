@@ -13,6 +13,7 @@ import os
 import re
 import shlex
 import sys
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
@@ -208,12 +209,30 @@ def user_error(error: Exception) -> str | None:
         message += f" (see {context.command_path} --help)" if context is not None else ""
     elif ours & _OF_THE_USER:
         message = str(error)
+    elif place := _own_place(error):
+        message = f"{place}: {type(error).__name__}: {_first_line(error)}"
     else:
         return None
     from mjx_climb.scenario.messages import printable
 
     line = printable(" ".join(message.split()))
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+
+
+def _own_place(error: BaseException) -> str:
+    """Return file:line of a user's own file that an error was raised in, or came through last; "" for none."""
+    objects = sys.modules.get("mjx_climb.inputs.own_objects")
+    own = {os.path.abspath(module.__file__ or "") for module, _ in objects.RUN} if objects else set()
+    lines = [
+        f"{frame.f_code.co_filename}:{line}"
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if os.path.abspath(frame.f_code.co_filename) in own
+    ]
+    return lines[-1] if lines else ""
+
+
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), "")
 
 
 def _raised_in(error: Exception) -> str:

@@ -239,7 +239,11 @@ def _with_companions(metrics: Metrics) -> Metrics:
 def _of_pd(function: Callable[[Metrics], Array], baseline: Mapping[str, Any]) -> float:
     known = _with_companions({name: jnp.asarray(each) for name, each in baseline.items()})
     with in_one_line("objective"):
-        value = np.asarray(function(known), float)
+        value = function(known)
+    shape = np.broadcast_shapes(*map(np.shape, known.values()))
+    if not isinstance(value, Array) or value.shape != shape:
+        got = f"shape {np.shape(value)}" if isinstance(value, Array) else repr(value)
+        raise ConfigError("", "objective", f"an array made of metrics, shape {shape} as theirs", got)
     if not np.isfinite(value).all():
         raise ConfigError("", "objective", "a number of pd's walk", value)
     return float(value.mean())

@@ -34,7 +34,8 @@ def end_of(trajectory: Trajectory) -> float:
     """Return where the time axis ends, s: with the walk, or soon after it diverged."""
     end = float(trajectory.time[-1]) + trajectory.scenario.time_step
     rows = finite_rows(trajectory)
-    return end if rows == trajectory.time.size else min(end, 1.1 * float(trajectory.time[rows]))
+    # one that diverged at once has no time to show
+    return end if rows == trajectory.time.size else min(end, 1.1 * float(trajectory.time[rows])) or end
 
 
 def failure_time(trajectory: Trajectory) -> float:

@@ -52,11 +52,11 @@ def plot_walk(trajectory: Trajectory) -> Figure:
         _Panel("TSM [m]", trajectory.tsm),
         _Panel("GIA margin\n[m/s$^2$]", trajectory.gia_margin),
     ]
-    (panels,) = _of_any_walk([every])
+    panels = every[:3] + _of_any_walk([every[3:]])[0]
     heights = [*(panel.height for panel in panels), 0.9]
     figure, axes = _over_time(heights, events.end_of(trajectory), 0.5 + 0.77 * len(heights))
     _draw_lines(axes, trajectory, panels)
-    of_base = axes[2]  # every walk has forces, torques and a base
+    of_base = axes[2]
     of_base.legend(
         handles=[key(name, color=color) for name, color in zip(AXES, AXIS_COLORS, strict=True)], loc="upper left",
         ncols=3, handlelength=1.0, columnspacing=0.7, handletextpad=0.3, borderaxespad=0.1, fontsize=6.5,
@@ -121,9 +121,9 @@ def _compared(walk: Trajectory, *, per_limb: bool) -> list[_Panel]:
 
 
 def _of_any_walk(walks: Sequence[Sequence[_Panel]]) -> list[list[_Panel]]:
-    """The panels of walks, without quantities that no walk has."""
+    """The panels of walks, without quantities that no walk has; all of walks that have none."""
     known = [any(np.isfinite(panel.lines).any() for panel in alike) for alike in zip(*walks, strict=True)]
-    return [list(itertools.compress(own, known)) for own in walks]
+    return [list(itertools.compress(own, known)) if any(known) else [*own] for own in walks]
 
 
 def limb_colors(trajectory: Trajectory) -> list[str]:

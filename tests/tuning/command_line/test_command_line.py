@@ -17,6 +17,7 @@ from jax import monitoring
 
 import mjx_climb as mc
 from mjx_climb.execution import devices
+from mjx_climb.inputs.own_objects import load
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.viz import plots
 from mjx_climb.walk.metrics import FAILURES
@@ -165,6 +166,19 @@ def test_a_gpu_without_the_cpu_beside_it_is_refused(monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
     line = user_error(RuntimeError("Unknown backend cpu. Available backends are ['cuda']"))
     assert line == "JAX_PLATFORMS: expected cpu among them, where what is exact is computed, got 'cuda'"
+
+
+@pytest.mark.parametrize("where", ["mine", "called"])
+def test_an_error_of_a_users_own_file_is_one_line_with_its_place(tmp_path, where):
+    """Also one of a library, or of ours, that it called; the rest of a traceback is no help."""
+    body = "    raise RuntimeError('first\\nsecond')" if where == "mine" else "    return np.stack([])"
+    (tmp_path / "own.py").write_text(f"import numpy as np\n\n\ndef mine():\n{body}\n")
+    mine, *_ = load(f"{tmp_path / 'own.py'}:mine", "function")
+    with pytest.raises((RuntimeError, ValueError)) as caught:
+        mine()
+    said = {"mine": "RuntimeError: first", "called": "ValueError: need at least one array to stack"}[where]
+    assert user_error(caught.value) == f"{tmp_path / 'own.py'}:5: {said}"
+    assert user_error(ZeroDivisionError("ours")) is None
 
 
 def test_a_long_line_is_shortened_in_the_middle():

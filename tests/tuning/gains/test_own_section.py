@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
@@ -191,6 +192,12 @@ def test_what_is_no_objective_is_refused_in_one_line(file, named, said):
     [
         (lambda metrics: metrics["nothing"], "objective: KeyError: 'nothing'"),
         (lambda metrics: metrics["travel"] * np.nan, "objective: expected a number of pd's walk, got nan"),
+        (lambda metrics: 1.0, "objective: expected an array made of metrics, shape () as theirs, got 1.0"),
+        (lambda metrics: None, "objective: expected an array made of metrics, shape () as theirs, got None"),
+        (
+            lambda metrics: jnp.stack([metrics["travel"], metrics["travel"]]),
+            "objective: expected an array made of metrics, shape () as theirs, got shape (2,)",
+        ),
     ],
 )
 def test_an_objective_that_fails_is_refused_in_one_line(objective, said):

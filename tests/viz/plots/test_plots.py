@@ -182,6 +182,15 @@ def test_a_walk_that_diverged_without_gravity_or_a_law(walk, tmp_path):
     plots.save_figure(figure, tmp_path / "diverged", dpi=50)
 
 
+@pytest.mark.parametrize("draw", [plots.plot_walk, lambda gone: plots.plot_comparison({"pd": gone})])
+def test_a_walk_that_diverged_at_once_is_drawn(walk, draw, tmp_path):
+    names = ("base_position", "foot_position", "foot_force", "joint_torque", "joint_angles", "joint_rates", "tsm")
+    names += ("gia_margin", "base_displacement")
+    figure = draw(dataclasses.replace(walk, **{name: np.full_like(getattr(walk, name), np.nan) for name in names}))
+    assert [label.get_text() for label in find(figure, "failure")] == ["diverged, 0.00 s"]
+    plots.save_figure(figure, tmp_path / "gone", dpi=50)
+
+
 def test_feet_go_where_they_went(walk, torn):
     """From the side and from above, in mm from where the base starts: four feet, then the base; up to a failure."""
     paths = 1e3 * np.concatenate([walk.foot_position, walk.base_position[:, None]], axis=1)

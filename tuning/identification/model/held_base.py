@@ -32,6 +32,7 @@ from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.inverse_dynamics import load_torque
 from mjx_climb.physics.state import Acceleration, Loads, State, integrate
 from mjx_climb.robot.constants import Robot
+from mjx_climb.walk import answers
 from mjx_climb.walk.step import driven_robot
 from tuning.identification.model.held_dynamics import held_accelerations, held_mobility
 from tuning.identification.readers.log import COMMANDS
@@ -127,7 +128,7 @@ def advance_by(
         elif isinstance(parameters.drive, servo.Servos):
             after, drive = servo.joint_loop(before, targets, joints, gains, smooth)
         else:
-            after, drive = parameters.drive.step(before, targets, gains, joints, step)
+            after, drive = answers.driven(parameters.drive, before, targets, gains, joints, step)
         return drive.motor_torque, (after, drive)
 
     rates, ahead = state.joint_rates, moving.change / 2
