@@ -1,0 +1,51 @@
+"""What tells two computations apart, and what is kept of one, by hand."""
+
+import numpy as np
+
+from tuning.methods import parts
+
+
+def differing(stored, wanted):
+    """Paths of mappings of the same keys, else the key itself, by recursion on the wanted one."""
+    found = []
+    for key in wanted:
+        one, other = stored.get(key), wanted[key]
+        if isinstance(one, dict) and isinstance(other, dict) and sorted(one) == sorted(other):
+            found += [f"{key}.{each}" for each in differing(one, other)]
+        elif one != other:
+            found += [key]
+    return found
+
+
+def test_differences_are_named_as_far_down_as_both_have_the_same_keys():
+    rng = np.random.default_rng(0)
+
+    def drawn(depth):
+        if depth == 0 or rng.uniform() < 0.3:
+            return int(rng.integers(0, 2))
+        keys = "abc"[: rng.integers(1, 4)]
+        return {key: drawn(depth - 1) for key in keys}
+
+    seen = set()
+    for _ in range(300):
+        one, other = {"x": drawn(2), "y": drawn(2)}, {"x": drawn(2), "y": drawn(2)}
+        found = parts.differences(one, other)
+        assert found == differing(one, other)
+        seen |= {len(each.split(".")) for each in found}
+        assert parts.differences(other, other) == []
+    assert seen == {1, 2, 3}
+    assert parts.differences({}, {"a": None, "b": 1}) == ["b"]
+
+
+def test_parts_are_loaded_as_they_were_saved_until_they_are_cleared(tmp_path):
+    kept = parts.Parts(tmp_path, {"a": 1})
+    arrays = {"x": np.arange(3.0), "name": np.array(["a", "b"])}
+    assert parts.identity_in(kept.folder) == {"a": 1} and kept.load(7) is None
+    kept.save(7, arrays)
+    again = parts.Parts(str(tmp_path), lambda: {"a": 1}).load(7)
+    assert set(again) == set(arrays)
+    for name, value in arrays.items():
+        np.testing.assert_array_equal(again[name], value)
+    for _ in range(2):  # nothing is there the second time
+        parts.clear(tmp_path)
+        assert not kept.folder.exists() and parts.identity_in(kept.folder) is None
