@@ -33,6 +33,7 @@ def of_contents(contents, origin) -> str:
     lines += ["--- summary", *of_json(json.loads(written.summary or "{}"))]
     lines += [f"--- shown: {table.caption}" for table in written.tables]
     page = None if contents.page is None else contents.page(origin)
+    assert page is None or page.origin is origin
     if page is None or list(written.outcome) != page.findings.lines:
         lines += ["--- outcome", *written.outcome]
     return "\n".join([*lines, *([] if page is None else of_page(page)), ""])

@@ -9,7 +9,7 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from tests import approved
 from tuning.comparisons import judge as judging
-from tuning.pages import page
+from tuning.pages import page, redrawn
 from tuning.problem.ensemble import Ensemble, Worst
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Limit, Objective, Term
@@ -25,7 +25,9 @@ PROBLEM = Problem(CASE, objective=GOAL, ensemble=Ensemble(members=5), space=spac
 
 
 def same(name, contents):
+    """Assert that a folder is the one that was approved, and return it."""
     approved.check(HERE / f"{name}.txt", approved.of_contents(contents, ORIGIN))
+    return contents
 
 
 def walks_of(names, members=5, level=1.0):
@@ -64,3 +66,17 @@ def table_of(names, metrics, baseline, members=5):
     made["larger_is_better"] = ("metric", np.array([name == "travel" for name in metrics]))
     about = {"baseline": baseline, "members": members, "members_compared": members - 1, "seeds": 3, "resamples": 40}
     return made.assign_attrs(about, lacks="", level=0.95, worst_share=0.05)
+
+
+def drawn_again(name, contents, folder):
+    """Assert that the pictures that a folder's files give are those that were approved."""
+    for file, each in contents.files.items():
+        if isinstance(each, xr.Dataset):
+            dataset.save(each, folder / file)
+        elif isinstance(each, str):
+            (folder / file).write_text(each)
+    text = (HERE / f"{name}.txt").read_text()
+    drawn = [(stem, "\n".join(approved.of_figure(figure))) for stem, figure in redrawn.figures(folder)]
+    assert drawn
+    for stem, lines in drawn:
+        assert lines in text.partition(f"--- {stem}\n")[2], stem

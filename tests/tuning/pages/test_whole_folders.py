@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
-from tests.tuning.pages.made_up import CASE, PROBLEM, same, table_of, walks_of
+from tests.tuning.pages.made_up import CASE, PROBLEM, drawn_again, same, table_of, walks_of
 from tuning.comparisons import judge as judging
 from tuning.comparisons import margins as margins_of
 from tuning.comparisons.degraded import AS_DRAWN, Degradation
@@ -16,7 +16,7 @@ from tuning.comparisons.linear_margins import Stable
 from tuning.comparisons.of_draw import DrawComparison
 from tuning.comparisons.of_ensemble import RobustComparison, shown
 from tuning.comparisons.worth import Worth
-from tuning.pages import degraded, judge, margins, page, pushes, robust
+from tuning.pages import degraded, judge, margins, page, pushes, redrawn, robust
 from tuning.pages.contents import Contents, Written
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.search import Search
@@ -24,13 +24,15 @@ from tuning.results.judged import Degraded, Judged
 from tuning.results.tuned import AGREEMENT, Robust
 
 
-def test_the_folder_of_evaluate():
+def test_the_folder_of_evaluate(tmp_path):
     names = ["mine", "config", "pd"]
     walks = walks_of(names)
     found = Judged(walks, PROBLEM, ensemble=Ensemble(members=5, seed=3))
     table = table_of(names, shown(mc.METRICS), "pd")
     compared = DrawComparison(judging.summary(walks), table, "a sensor is worth nothing")
-    same("evaluate", judge.contents(found, compared, "case.yaml"))
+    drawn_again("evaluate", same("evaluate", judge.contents(found, compared, "case.yaml")), tmp_path)
+    (one,) = (figure for _, figure in redrawn.figures(tmp_path, ["travel"]))
+    assert [panel.get_xlabel() for panel in one.axes] == ["travel [mm]"]
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -135,7 +137,7 @@ def test_the_files_of_margins(wide):
     }
     written = Written(tables=[margins.margins_table(found, stable)])
     files = margins.files(found, stable, ["a warning"], "soft gains")
-    same(f"margins_{wide}", Contents(written, PROBLEM, files, lambda _: _page(written.tables)))
+    same(f"margins_{wide}", Contents(written, PROBLEM, files, _page(written.tables).at))
 
 
 def _page(tables):

@@ -11,8 +11,9 @@ import mjx_climb as mc
 from mjx_climb.control import LoadTransfer
 from mjx_climb.files import dataset
 from mjx_climb.walks import LINES
+from tests import approved
 from tests.trajectories import still
-from tests.tuning.pages.made_up import CASE, PROBLEM, same, table_of
+from tests.tuning.pages.made_up import CASE, HERE, PROBLEM, drawn_again, same, table_of
 from tests.tuning.pages.test_ceiling import bounded
 from tuning.comparisons import verification
 from tuning.comparisons.of_front import FrontComparison
@@ -70,7 +71,7 @@ def found_by(law=None, seed=0, names=("stiffness", "damping"), **columns):
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_the_folder_of_laws(told):
+def test_the_folder_of_laws(told, tmp_path):
     names = ["base_admittance", "mine", "retuned_pd", "half the delay", "pd"]
     searches = {"base_admittance": (None, 3), "mine": (LoadTransfer(), 2), "retuned_pd": (None, 2)}
     searched = {name: tuple(found_by(law, seed) for seed in range(count)) for name, (law, count) in searches.items()}
@@ -86,11 +87,13 @@ def test_the_folder_of_laws(told):
         table.attrs["members_compared"] = table.attrs["members"]
     found = Comparison(data, PROBLEM, Search(seed=7), PROBLEM.ensemble, searched=searched)
     compared = LawsComparison(table, Verdict("mine" if told else None, "mine is better"), ["mine"])
-    same(f"laws_{told}", laws.contents(found, compared, "case.yaml"))
+    made = same(f"laws_{told}", laws.contents(found, compared, "case.yaml"))
+    if told:
+        drawn_again("laws_True", made, tmp_path)
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_the_folder_of_a_schedule(told):
+def test_the_folder_of_a_schedule(told, tmp_path):
     """Of three levels of gravity and two loads; gains that differ between axes, an array, one that breaks limits."""
     gravity, cargo = np.array([0.05, 0.5, 1.0]), np.array([0.0, 1.5])
     shape, walks = (3, 2), ["tuned", "config", "retuned_pd", *(["planned_unsearched"] if told else []), "pd"]
@@ -122,11 +125,14 @@ def test_the_folder_of_a_schedule(told):
     found = Scheduled(
         xr.Dataset(data, coordinates, {"searched": " ".join(names), "gains": " ".join(names)}), PROBLEM, Search(seed=2)
     )
-    same(f"schedule_{told}", schedule.contents(found, ScheduleComparison("the worth", "the verdict"), "case.yaml"))
+    compared = ScheduleComparison("the worth", "the verdict")
+    made = same(f"schedule_{told}", schedule.contents(found, compared, "case.yaml"))
+    if told:
+        drawn_again("schedule_True", made, tmp_path)
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_the_folder_of_a_front(told):
+def test_the_folder_of_a_front(told, tmp_path):
     """The knee of five points is the fourth; a rival without a sensor costs no more than it, or all cost more."""
     better, against, count = "force_variation", "base_deviation", 5
     x, y = np.array([1.0, 2.0, 3.0, 4.0, 40.0 if told else 8.0]) * 1e-3, np.array([90.0, 60.0, 40.0, 20.0, 15.0])
@@ -156,7 +162,9 @@ def test_the_folder_of_a_front(told):
     found = Front(xr.Dataset(data, coordinates, attrs), PROBLEM, Search(seed=3), gains=gains, asked=asked)
     kept = {name: np.zeros((count, 2, 3)) for name in LINES}
     compared = FrontComparison({"pd": STILL, "config": STILL}, kept, "what the sensor is worth")
-    same(f"front_{told}", pareto.contents(found, compared, "case.yaml"))
+    made = same(f"front_{told}", pareto.contents(found, compared, "case.yaml"))
+    if told:
+        drawn_again("front_True", made, tmp_path)
 
 
 def grid_of(lost=False):
@@ -186,7 +194,7 @@ def grid_of(lost=False):
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_the_folder_of_a_sweep(told):
+def test_the_folder_of_a_sweep(told, tmp_path):
     grid = grid_of(lost=not told)
     best = best_cell(grid)
     radius = 1 + 1e-4 * (np.log10(grid["stiffness"]) - 2.5) + 0 * grid["damping"]
@@ -206,7 +214,9 @@ def test_the_folder_of_a_sweep(told):
         grid, best, dict.fromkeys(rows, STILL), rows, 1 if told else 6, ["damping"] if told else [], worth,
         "the verdict", level, histories, [] if told else ["config: shorten the stride"],
     )  # fmt: skip
-    same(f"sweep_{told}", sweep.contents(Swept(grid, Problem(CASE)), compared, "case.yaml"))
+    made = same(f"sweep_{told}", sweep.contents(Swept(grid, Problem(CASE)), compared, "case.yaml"))
+    if told:
+        drawn_again("sweep_True", made, tmp_path)
 
 
 def test_the_folder_of_a_sweep_before_it_is_compared():
@@ -220,13 +230,13 @@ def test_the_folder_of_a_search(told):
     found = found_by()
     if told:
         found = dataclasses.replace(found, data=found.data.assign_attrs({AGREEMENT: "2 seeds agree"}))
+    held = metrics_of(30.0, base_deviation=0.001)
     rows = {
-        "tuned": (vars(mc.Gains(1.0, 50.0, 2e3)) | {"kp": None}, metrics_of(20.0)),
+        "tuned": ({"inertia": 1.0, "damping": 50.0, "stiffness": 2e3}, metrics_of(20.0)),
         "retuned_pd": ({"kp": 17.0, "kd": 1.0}, metrics_of(25.0)),
-        "config": ({"inertia": 1.0, "damping": 5e3, "stiffness": 5e4}, metrics_of(30.0, **TORN)),
+        "config": ({"inertia": 1.0, "damping": 5e3, "stiffness": 5e4}, metrics_of(30.0, **TORN) if told else held),
         "pd": (None, metrics_of(10.0)),
     }
-    rows["tuned"] = {"inertia": 1.0, "damping": 50.0, "stiffness": 2e3}, rows["tuned"][1]
     own = verification.Verification(
         metrics=metrics_of(20.0), value=0.71, search_value=0.7, broken_limits=["base deviation 0.02"] if told else [],
         binding_limits=[] if told else ["base deviation 0.0099"], less={"stiffness": None, "damping": -0.01},
@@ -256,6 +266,26 @@ def test_the_folder_of_a_search(told):
     contents = tune.contents(found, compared, "case.yaml")
     kept = {name: each for name, each in contents.files.items() if name not in ("walks", "margins")}
     same(f"tune_{told}", contents._replace(files=kept))
+
+
+def test_the_way_of_a_search_that_told_axes_apart():
+    """Translations and rotations go their own ways, and the result has a mark on each axis; crowds show their best."""
+    names = ["stiffness.translation", "stiffness.rotation", "damping.x", "damping.y", "damping.z", "damping.rotation"]
+    gains = mc.Gains(1.0, np.array([50.0, 60, 70, 5, 6, 7]), np.array([2e3] * 3 + [20.0] * 3))
+    found = dataclasses.replace(found_by(names=names), gains=gains)
+    grid = grid_of()
+    about = {"units": "1", "long_name": "objective, 1 for pd"}
+    grid = grid.assign(objective=(grid["force_variation"] / 100).assign_attrs(about), feasible=grid["diverged"] == 0)
+    lines = approved.of_figure(tune.plot_path(found, grid))
+    crowd = np.zeros(150, int)
+    many = found_by(
+        names=names, value=1 + 0.01 * np.arange(152), penalty=np.where(np.arange(152) < 40, 1.0, 0.0),
+        feasible=[True] * 152, env_steps=np.arange(152), gradient_norm=[np.nan] * 152, round=[*crowd, 1, 1],
+        row=[*crowd, 0, 1], phase=["population"] * 152,
+    )  # fmt: skip
+    found = dataclasses.replace(many, gains=gains)
+    lines += approved.of_figure(tune.plot_path(found, grid))
+    approved.check(HERE / "tune_path.txt", "\n".join([*lines, ""]))
 
 
 @pytest.mark.parametrize("told", [True, False])
