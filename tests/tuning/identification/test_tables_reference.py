@@ -1,7 +1,9 @@
 """Random tables in the dialects of loggers, written cell by cell here, are read to the last bit."""
 
 import datetime
+import hashlib
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 import mjx_climb as mc
 from tests.tuning.identification.recorded import ROBOT
 from tuning.identification.readers import read_log, record, write_csv
+from tuning.identification.readers.log import Log, Signal, commanded, names, unit_of
 from tuning.identification.readers.named import by_names, words_of
 from tuning.identification.readers.signals import Signals, Source
 
@@ -267,3 +270,46 @@ def test_times_of_which_a_third_increase_are_times(tmp_path, count, later, taken
         mc.ConfigError, match=rf"times that increase, got {count - 1 - later} of {count} that come no later"
     ):
         read_log(tmp_path / "log.csv", ROBOT)
+
+
+def test_a_log_is_known_by_all_its_samples_and_names_in_any_order():
+    time, value = np.arange(4.0), np.sin(np.arange(4.0))
+    signals = {"LF.coxa.position": Signal(time, value), "base.force.x": Signal(time[:3], value[1:])}
+    log = Log(signals, "a.csv")
+    assert Log(dict(reversed(signals.items())), "b.csv", ("warning",)).digest == log.digest and log.duration == 3.0
+    later = np.r_[time[:-1], 3.5]
+    for changed in (
+        {"LF.coxa.position": Signal(time, value + np.r_[0, 0, 0, 1e-16])}, {"LF.coxa.position": Signal(later, value)},
+        {"RF.coxa.position": signals["LF.coxa.position"]}, {"base.force.x": Signal(time[1:], value[1:])},
+    ):  # fmt: skip
+        other = (
+            {**signals, **changed}
+            if changed.keys() <= signals.keys()
+            else {**changed, "base.force.x": signals["base.force.x"]}
+        )
+        assert Log(other, "a.csv").digest != log.digest
+    content = b""
+    for name in ("LF.coxa.position", "base.force.x"):
+        numbers = [*signals[name].time, *signals[name].value]
+        content += name.encode() + struct.pack(f"<{len(numbers)}d", *numbers)
+    assert log.digest == hashlib.sha256(content).hexdigest()
+
+
+def test_signals_of_a_robot_have_their_units():
+    units = {"command": "rad", "velocity_command": "rad/s", "effort_command": "N m", "pwm_command": "1"}
+    units |= {"position": "rad", "velocity": "rad/s", "effort": "N m"}
+    expected = {}
+    for limb in ROBOT.limbs:
+        expected |= {f"{limb}.{joint}.{what}": unit for joint in ROBOT.joint_names for what, unit in units.items()}
+        expected |= {f"{limb}.force.{axis}": "N" for axis in "xyz"} | {f"{limb}.support": "1"}
+    of_base = {"position": "m", "orientation": "1", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
+    for what, unit in {**of_base, "force": "N", "moment": "N m"}.items():
+        axes = "wxyz" if what == "orientation" else "xyz"
+        expected |= {f"base.{what}.{axis}": unit for axis in axes}
+    expected |= {"control.kp": "N m/rad", "torque_off": "1"}
+    assert {name: unit_of(name) for name in names(ROBOT)} == expected and list(names(ROBOT)) == list(expected)
+    signal = Signal(np.arange(2.0), np.arange(2.0))
+    assert commanded(Log({"LF.coxa.pwm_command": signal, "LF.coxa.position": signal}, "a")) == "pwm_command"
+    assert commanded(Log({"LF.coxa.position": signal}, "a")) == "command"
+    with pytest.raises(mc.ConfigError, match=r"a: expected commands of one kind, got LF.coxa.command, RF.coxa.eff"):
+        commanded(Log({"LF.coxa.command": signal, "RF.coxa.effort_command": signal}, "a"))
