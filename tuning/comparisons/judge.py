@@ -116,8 +116,9 @@ class Draw:
     @property
     def _whole(self) -> dict[str, Whole]:
         """The gains by name with their law."""
-        own = self.problem.law
-        return {name: each if isinstance(each, Whole) else Whole(own, each) for name, each in self.gains.items()}
+        own, scenario = self.problem.law, self.problem.scenario
+        each = {name: each if isinstance(each, Whole) else Whole(own, each) for name, each in self.gains.items()}
+        return {name: Whole(law, gains_file.in_whole(scenario, law, gains)) for name, (law, gains) in each.items()}
 
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
         """Return the metrics of some members, (rows, gains)."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import mjx_climb as mc
-from mjx_climb.component import with_values
+from mjx_climb.component import in_full, with_values
 from mjx_climb.control import LAWS, PD, SHIPPED, is_shipped, law_of
 from mjx_climb.files.dataset import write_text_atomically
 from mjx_climb.inputs.gait_values import GAIT, gait_of, own_gait, scenario_with_gait
@@ -246,8 +246,18 @@ def replaced(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> tupl
     values = by_name(gains)
     if law is None:
         return applied(scenario, values), None
-    own = with_gains(law, {name: value for name, value in values.items() if "." not in name})
+    own = in_full(with_gains(law, {name: value for name, value in values.items() if "." not in name}))
     return applied(scenario, {name: value for name, value in values.items() if name not in law.GAINS}), own
+
+
+def in_whole(scenario: mc.Scenario, law: mc.Law | None, gains: AnyGains) -> AnyGains:
+    """Return some gains of a scenario, or of a law of your own, with all others that a file of theirs has."""
+    values = by_name(gains)
+    if law is None:
+        missing = [name for name in REQUIRED if name not in values]
+        return {name: getattr(scenario.control, name) for name in REQUIRED} | values if missing else gains
+    own = in_full(with_gains(law, {name: value for name, value in values.items() if name in law.GAINS}))
+    return values | {name: getattr(own, name) for name in law.GAINS}
 
 
 def registers_in_words(scenario: mc.Scenario, gains: AnyGains) -> str:

@@ -217,7 +217,8 @@ class Grid:
         """Write scenario, law and gains for `read_asked`."""
         write_config(self.problem.scenario, folder, self.problem.law, self.problem.metrics)
         if self.gains is not None:
-            gains_file.save(self.gains, folder / GAINS_FILE, "of the sweep in this folder", self.problem.law)
+            whole = gains_file.in_whole(self.problem.scenario, self.problem.law, self.gains)
+            gains_file.save(whole, folder / GAINS_FILE, "of the sweep in this folder", self.problem.law)
 
 
 def read_asked(kept: Kept, scenario: mc.Scenario, law: mc.Law | None, metrics: mc.MetricTable) -> Grid:

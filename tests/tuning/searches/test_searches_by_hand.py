@@ -11,6 +11,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance
 from mjx_climb.execution import devices
+from tuning.comparisons import judge
 from tuning.methods import Request
 from tuning.methods.rounds import Progress, settled
 from tuning.problem import spaces
@@ -19,6 +20,7 @@ from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Pareto, Search
 from tuning.searches import pareto, sweep, tune
+from tuning.searches.shards import Kept, Shard
 
 CASE = mc.load_scenario("case_1_2", {"control.ki": 3.0})
 
@@ -342,3 +344,35 @@ def test_the_expected_duration_goes_by_steps_a_second(monkeypatch):
     monkeypatch.setattr(devices, "usable_cores", lambda: 4)
     assert sweep.expected_duration(100, 8800, "cpu") == pytest.approx(0.1)
     assert sweep.expected_duration(1000, 1000, "gpu") == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("law", [None, VirtualModelAdmittance(np.ones(6), np.full(6, 2e2), np.full(6, 3e4))])
+@pytest.mark.parametrize("gains", [None, {"stiffness": 2e3}, {"kp": 30.0}])
+def test_a_shard_of_a_sweep_is_read_as_it_was_asked_for(gains, law, tmp_path):
+    """From the files beside it and its identity: some gains that are held, precision and size of a batch."""
+    problem = Problem(CASE, dtype=np.float64, law=law)
+    axes = {"damping": [10.0, 20.0], "contact.stiffness": [1e4, 2e4, 3e4]}
+    grid = sweep.grid_of(problem, axes, gains, 4)
+    grid.write_asked(tmp_path)
+    kept = Kept(tmp_path, Shard(1, 2), grid.identity() | {"shard": [1, 2]}, {})
+    again = sweep.read_asked(kept, CASE, law, mc.METRICS)
+    assert again.identity() == grid.identity() and again.size == 4 and again.problem.dtype == np.float64
+    assert (again.gains is None) == (gains is None)
+    for work in (grid, again):
+        held = {
+            name: getattr(work.walked.law or work.walked.scenario.control, name) for name in ("stiffness", "damping")
+        }
+        held["kp"] = work.walked.scenario.control.kp
+        own = {name: getattr(law or CASE.control, name) for name in ("stiffness", "damping")} | {"kp": CASE.control.kp}
+        for name, value in (own | (gains or {})).items():
+            np.testing.assert_array_equal(np.unique(held[name]), np.unique(value), err_msg=name)
+
+
+@pytest.mark.parametrize("law", [None, VirtualModelAdmittance(np.ones(6), np.full(6, 2e2), np.full(6, 3e4))])
+def test_a_shard_of_an_evaluation_is_read_as_it_was_asked_for(law, tmp_path):
+    """Some gains stand for all, beside gains that are whole."""
+    gains = {"some": {"stiffness": 2e3}, "joint": {"kp": 30.0}, "whole": mc.Gains(*np.ones((3, 6)))}
+    draw = judge.draw_of(Problem(CASE, law=law), gains, Ensemble(members=2), 2)
+    draw.write_asked(tmp_path)
+    kept = Kept(tmp_path, Shard(1, 2), draw.identity() | {"shard": [1, 2]}, {})
+    assert judge.read_asked(kept, CASE, law, mc.METRICS).identity() == draw.identity()
