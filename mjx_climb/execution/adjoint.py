@@ -18,10 +18,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.custom_derivatives import CustomVJPPrimal, SymbolicZero
 from jax.extend import core
 
 from mjx_climb.execution.flat import carried_on, depend, evaluated, flat, with_stable_choices
-from mjx_climb.execution.jax_internals import carried_out, inner_program, scan_sizes
+from mjx_climb.execution.jax_internals import carried_out, inner_program, scan_sizes, without_unread
 from mjx_climb.execution.jax_types import Parameters, aval_of
 
 MOST_KEPT = 256  # steps of a loop that keeps its carried values at each
@@ -57,7 +58,8 @@ def with_gradients(
 
     weights = itertools.compress(program.out_avals, weighed)
     given = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in (*program.in_avals, *weights)]
-    return flat(jax.make_jaxpr(of_robot)(*given))
+    both = jax.make_jaxpr(of_robot)(*given)
+    return flat(without_unread(both, [True] * len(both.out_avals))[0])
 
 
 def _results(program: core.ClosedJaxpr, arguments: Sequence[Array], moving: Sequence[bool]) -> list[Array]:
@@ -117,6 +119,18 @@ class _Loop(NamedTuple):
         both = [moves and is_real for moves, is_real in zip((*into, *found), real, strict=True)]
         return both[: len(into)], both[len(into) :]
 
+    def weighed(self, given: Sequence[bool]) -> tuple[list[bool], list[bool]]:
+        """Return which operands have gradients, and which results of a step weights, from those of the whole loop."""
+        (constants, carry), (into, _) = self.sizes, self.moves()
+        of_step = list(given)
+        while True:
+            read = without_unread(self.body, of_step)[1]
+            by = [moves and is_read for moves, is_read in zip(into, read, strict=True)]
+            carried = [a or b for a, b in zip(of_step, by[constants : constants + carry], strict=False)]
+            if carried == of_step[:carry]:
+                return [*by[:constants], *carried, *by[constants + carry :]], of_step
+            of_step[:carry] = carried
+
     def steps(self, values: Sequence[Array], length: int | None = None, *, keep: bool = False) -> list[Array]:
         """Return the last carry, the numbers written at each step, and with `keep` the carry into each step."""
         constants, carry = self.sizes
@@ -174,7 +188,7 @@ def _stretches(length: int) -> tuple[int, int]:
 
 def _kept(loop: _Loop, values: Sequence[Array]) -> list[Array]:
     """Return the results of a loop whose adjoint keeps the values carried into each step."""
-    (constants, carry), (into, out) = loop.sizes, loop.moves()
+    (constants, carry), (_, out) = loop.sizes, loop.moves()
     count = len(out)
     body = with_stable_choices(loop.body)
 
@@ -182,17 +196,20 @@ def _kept(loop: _Loop, values: Sequence[Array]) -> list[Array]:
     def walked(*given: Array) -> list[Array]:
         return loop.steps(given)
 
-    def forward(*given: Array) -> tuple[list[Array], tuple[list[Array], list[Array], list[Array]]]:
-        found = loop.steps(given, keep=True)
-        return found[:count], (list(given[:constants]), found[count:], list(given[constants + carry :]))
+    def forward(*given: CustomVJPPrimal) -> tuple[list[Array], tuple[list[Array], list[Array], list[Array]]]:
+        values: list[Array] = [each.value for each in given]
+        found = loop.steps(values, keep=True)
+        return found[:count], (values[:constants], found[count:], values[constants + carry :])
 
-    def backward(kept: tuple[list[Array], list[Array], list[Array]], weights: list[Array]) -> tuple[Array | None, ...]:
+    def backward(
+        kept: tuple[list[Array], list[Array], list[Array]], weights: list[Array | SymbolicZero]
+    ) -> tuple[Array | None, ...]:
         common, carried, read = kept
-        of_carry, of_written = (
-            [w for w, moves in zip(weights[part], out[part], strict=True) if moves]
-            for part in (slice(carry), slice(carry, None))
-        )
-        nothing = [jnp.zeros_like(value) for value in itertools.compress(common, into)]
+        given = [moves and not isinstance(weight, SymbolicZero) for moves, weight in zip(out, weights, strict=True)]
+        by, of = loop.weighed(given)
+        asked = [jnp.zeros(w.shape, w.dtype) if isinstance(w, SymbolicZero) else w for w in weights]
+        of_carry, of_written = (list(itertools.compress(asked[p], of[p])) for p in (slice(carry), slice(carry, None)))
+        nothing = [jnp.zeros_like(value) for value in itertools.compress(common, by)]
 
         def back(
             sums: tuple[list[Array], list[Array]], now: tuple[list[Array], ...]
@@ -202,12 +219,12 @@ def _kept(loop: _Loop, values: Sequence[Array]) -> list[Array]:
 
             def step(*some: Array) -> list[Array]:
                 rest = iter(some)
-                mixed = [next(rest) if moves else value for moves, value in zip(into, at_step, strict=True)]
-                return list(itertools.compress(_results(body, mixed, into), out))
+                mixed = [next(rest) if moves else value for moves, value in zip(by, at_step, strict=True)]
+                return list(itertools.compress(_results(body, mixed, by), of))
 
-            _, pull_back = jax.vjp(step, *itertools.compress(at_step, into))
+            _, pull_back = jax.vjp(step, *itertools.compress(at_step, by))
             found = pull_back([*weights, *of_written])
-            ends = list(itertools.accumulate((sum(into[:constants]), sum(into[constants : constants + carry]))))
+            ends = list(itertools.accumulate((sum(by[:constants]), sum(by[constants : constants + carry]))))
             more, before, of_read = found[: ends[0]], found[ends[0] : ends[1]], found[ends[1] :]
             return ([a + b for a, b in zip(so_far, more, strict=True)], list(before)), list(of_read)
 
@@ -219,7 +236,7 @@ def _kept(loop: _Loop, values: Sequence[Array]) -> list[Array]:
             reverse=not loop.parameters["reverse"],
         )
         found = iter([*of_common, *of_begun, *of_read])
-        return tuple(next(found) if moves else None for moves in into)
+        return tuple(next(found) if moves else None for moves in by)
 
-    walked.defvjp(forward, backward)
+    walked.defvjp(forward, backward, symbolic_zeros=True)
     return list(walked(*values))

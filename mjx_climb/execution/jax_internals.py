@@ -56,6 +56,13 @@ def from_line_of(equation: core.JaxprEqn) -> AbstractContextManager[None]:
     return source_info_util.user_context(equation.source_info.traceback)
 
 
+def without_unread(program: core.ClosedJaxpr, read: Sequence[bool]) -> tuple[core.ClosedJaxpr, list[bool]]:
+    """Return a program of the results that are read, its loops too, and which of the same arguments these depend on."""
+    _, used = partial_eval.dce_jaxpr(program.jaxpr, list(read))
+    less, _ = partial_eval.dce_jaxpr(program.jaxpr, list(read), instantiate=True)
+    return core.ClosedJaxpr(less, program.consts), list(used)
+
+
 OVER_ROBOTS = "over_robots"  # the name of this package's own operation
 CALLS = {
     OVER_ROBOTS: "program",

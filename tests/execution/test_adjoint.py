@@ -10,6 +10,7 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from mjx_climb.execution import of_limbs, over_robots
+from mjx_climb.execution.adjoint import with_gradients
 from mjx_climb.execution.gpu_kernel import gradients_over_robots
 from tests.execution.programs import SIZE, program
 
@@ -109,6 +110,23 @@ def test_gradients_in_the_kernel_are_jaxs(steps, interpreted):
     expected = jax.jit(jax.vmap(one))(*given[:2], weights)
     for mine, jaxs in zip(jax.tree.leaves((values, found)), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(mine, jaxs, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("steps", [30, 300])
+def test_what_has_no_weight_is_not_computed(steps):
+    """Of a sum that a loop carries beside, in one level of checkpoints and in two, on no way."""
+
+    def walk(gain):
+        step = lambda carry, _: ((jnp.sin(carry[0]) * gain, carry[1] + jnp.tanh(carry[0])), None)  # noqa: E731
+        (end, total), _ = lax.scan(step, (gain, gain), length=steps)
+        return {"end": end, "total": total}
+
+    program = jax.make_jaxpr(walk)(1.0)
+    one, both = (
+        str(with_gradients(program, (True,), weighed, values=False)) for weighed in ((True, False), (True,) * 2)
+    )
+    assert "tanh" in both
+    assert "tanh" not in one
 
 
 def test_results_that_do_not_move_have_no_gradient():

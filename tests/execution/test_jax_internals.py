@@ -73,6 +73,21 @@ def test_scan_sizes():
     assert equation.params["length"] == 4 and equation.params["reverse"] is False
 
 
+def test_without_unread():
+    """A loop carries no more than the results that are read depend on; all arguments stay."""
+
+    def loop(first, second):
+        return lax.scan(
+            lambda c, _: ((c[0] * 2, c[1] + jnp.sin(c[1]), c[2] + c[0]), None), (first, second, 0.0), length=3
+        )
+
+    program = jax.make_jaxpr(lambda *given: loop(*given)[0])(1.0, 2.0)
+    less, used = jax_internals.without_unread(program, [False, False, True])
+    assert used == [True, False]
+    assert "sin" in str(program) and "sin" not in str(less)
+    np.testing.assert_allclose(core.jaxpr_as_fun(less)(1.0, 2.0), [7.0])
+
+
 def test_with_inner():
     """The body of a loop and the branches of a condition are where they are looked for."""
     for function in (
