@@ -182,6 +182,11 @@ class Simulation:
         disturbances = given.disturbances + self.disturbances
         return dataclasses.replace(given, contact=contact, drive=drive, disturbances=disturbances, waiting=waiting)
 
+    @functools.cached_property
+    def _real_metrics(self) -> list[str]:
+        """The names of the metrics that have derivatives."""
+        return real_metrics(self.structure, own_parameters(self.scenario))
+
     def _structure(self, parameters: Parameters, called: Mapping[str, str]) -> Structure:
         """Return the structure of a walk under these parameters, which decide about the stages of hardware."""
         return structure(
@@ -318,7 +323,7 @@ class Simulation:
         """
         resolved, run = self._prepared(gains, parameters, over_time=False, **how)
         batch, dtype = resolved.shape, resolved.parameters.gravity.dtype
-        real = real_metrics(self.structure, own_parameters(self.scenario))
+        real = self._real_metrics
         if wrong := [name for name in weights if name not in real]:
             raise ValueError(
                 f"weights.{wrong[0]}: expected one of {', '.join(real)}, the metrics that are real numbers"
