@@ -20,8 +20,8 @@ from mjx_climb.execution.jax_types import Parameters, aval_of
 
 MOST_IN_ORDER = 24  # numbers that are sorted
 MOST_CASES = 2048  # numbers that a scatter chooses, or products of a convolution
-MOST_OF_MATRICES = 216  # products of three sizes of a matrix
-# The same of symmetric matrices: the inertia of a robot of twelve joints.
+MOST_PRODUCTS_OF_LU_AND_QR = 6**3  # of three sizes of a matrix
+# The same in a Cholesky factor, a triangular solve, a product of matrices: the inertia of a robot of twelve joints.
 # jaxlib 0.10's LAPACK shares a batch among XLA's threads and waits on one of them: two calls at once never end.
 MOST_PRODUCTS = 18**3
 
@@ -75,7 +75,7 @@ def _is_small(equation: core.JaxprEqn) -> bool:
         return bool(groups == 1 and last.size * avals[1].size <= MOST_CASES)
     if name in ("lu", "qr", "cholesky", "triangular_solve"):
         pivoting = equation.params.get("pivoting", False)
-        most = MOST_PRODUCTS if name in ("cholesky", "triangular_solve") else MOST_OF_MATRICES
+        most = MOST_PRODUCTS if name in ("cholesky", "triangular_solve") else MOST_PRODUCTS_OF_LU_AND_QR
         return bool(not pivoting and first.size * max(aval.shape[-1] for aval in avals) <= most)
     return bool(first.size <= MOST_CASES)
 
