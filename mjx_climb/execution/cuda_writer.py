@@ -184,19 +184,23 @@ def expression(name: str, parameters: Parameters, operands: Sequence[Number], na
 THREADS = 128  # in a block
 BLOCKS = 2  # of a kernel with functions, at once: else NVIDIA's assembler gives one of many numbers few registers
 REGISTERS = 255  # of a thread
-PACE = 500  # lines of a function after which the threads of a block wait for each other
+PACE = 1500  # lines of a function after which the threads of a block wait for each other
 SELDOM = 2  # lines of a step that read an argument: so many read it from memory
+FEW_READS = 64  # arguments that a step reads so seldom; fewer are read before it
 LONG_STEP = 150  # lines of a step, of a loop in a loop, from which it is a function of its own
 NAME = "walk"
 _WARP = "0xffffffffu"  # all threads of a warp
 _NAMES = re.compile(r"\bv\d+\b")
 _MADE = re.compile(r"const \S+ (v\d+)(?:\[\d+\])? = ")
+_OF_ROBOT = re.compile(r"(?:\(&)?\b(?:own|along)\[.*?\](?:\)\[.*?\])?")  # words of a robot's or walk's own
 _CHANGES = re.compile(r"\bc\d+\b|\bkept\b")  # names of what loops change
 
-# Arguments are words of 32 bits: `common` to all, first the numbers of robots and of directions of each; `own` (rows,
-# robots); `along` (rows, walks), one walk for each direction of a robot. Arguments that nothing reads are left out.
-# `made` (rows, walks) is written; behind it are the words that loops write, see `_KEPT`.
+# Arguments are words of 32 bits: `common` to all, first the numbers of robots and of directions of each; `own` of each
+# robot; `along` of each walk, one walk for each direction of a robot. Arguments that nothing reads are left out. `own`
+# and `along` are of `SIDE_BY_SIDE` robots or walks each (groups, rows, `SIDE_BY_SIDE`): the address of a row is that of
+# the first and a constant. `made` (rows, walks) is written; behind it are the words that loops write, see `_KEPT`.
 READ = ("common", "own", "along")
+SIDE_BY_SIDE = 32  # the threads of a warp
 _HEAD = """
 extern "C" __global__ void __launch_bounds__({threads}{blocks})
 {name}({arguments}, int *__restrict__ made) {{
@@ -205,15 +209,15 @@ const int thread = blockIdx.x * {threads} + threadIdx.x, lane = thread % {width}
 const bool there = thread / {width} < walks, mine = there && lane == 0;
 const int walk = there ? thread / {width} : walks - 1, robot = walk / directions;
 """
+_OF_ROW = "{of} += {each} / {side} * (size_t){words} + {each} % {side};\n"
 _TABLE = """__shared__ int table[{size}];
 for (int place = threadIdx.x; place < {size}; place += blockDim.x) table[place] = constants[place];
 __syncthreads();
 """
 
 
-# Behind the results: a row of words has one of each thread. Threads beyond the last walk read that of the last.
-_KEPT = """const size_t slots = (size_t)walks * {width}, slot = there ? thread : slots - {width} + lane;
-int *kept = made + {results} * (size_t)walks;
+# Behind the results: rows of words, each with one of each thread of a warp; threads beyond the last walk have theirs.
+_KEPT = """int *__restrict__ kept = made + ({results} * (size_t)walks + {side} - 1) / {side} * {side};
 """
 
 
@@ -238,6 +242,7 @@ class CudaWriter(Writer):
         self.lanes = lanes
         self.width = 1 << (lanes - 1).bit_length()  # threads of a robot
         self._lines: list[str] = []
+        self._reads: list[str] = []  # before these: words of arguments, of which each lane has its own row
         self._count = 0
         self._inside, self._branches = 0, 0  # loops, and branches that a warp takes alone
         self._functions = False  # whether there are any
@@ -266,7 +271,7 @@ class CudaWriter(Writer):
             rows.append(f"if (mine) made[{row} * (size_t)walks + walk] = {_as_word(number)};")
         # without values that nothing is made of: NVIDIA's compiler would leave them out, but not exchanges of lanes
         read, lines = set(_NAMES.findall("".join(rows))), rows[::-1]
-        for line in reversed(self._lines):
+        for line in reversed(self._reads + self._lines):
             made = _MADE.match(line)
             if made is None or made[1] in read:
                 lines.append(line)
@@ -277,8 +282,14 @@ class CudaWriter(Writer):
         blocks = f", {BLOCKS}" * self._functions
         head = _HEAD.format(threads=THREADS, blocks=blocks, name=NAME, width=self.width, arguments=arguments)
         table = _TABLE.format(size=size) if size else ""
-        kept = _KEPT.format(results=len(results), width=self.width) if self.kept else ""
-        return "\n".join([FUNCTIONS + constants + head + table + kept, *lines[::-1], "}\n"])
+        of_rows = {"own": ("robot", self._read["own"]), "along": ("walk", self._read["along"])}
+        if self.kept:
+            head += _KEPT.format(results=len(results), side=SIDE_BY_SIDE)
+            of_rows["kept"] = "thread", self.kept
+        for of, (each, count) in of_rows.items():
+            if count:
+                head += _OF_ROW.format(of=of, each=each, side=SIDE_BY_SIDE, words=count * SIDE_BY_SIDE)
+        return "\n".join([FUNCTIONS + constants + head + table, *lines[::-1], "}\n"])
 
     def operation(self, primitive: core.Primitive, parameters: Parameters, operands: Sequence[Number]) -> Value:
         name = primitive.name
@@ -288,6 +299,8 @@ class CudaWriter(Writer):
         return self._value(dtype, text)
 
     def each_its_own(self, numbers: Sequence[Number]) -> Value:
+        if (rows := self._rows_of(numbers)) is not None:
+            return self._read_by_lane(rows, numbers[0].dtype)
         padded = [*numbers, *[numbers[0]] * (self.width - self.lanes)]
         distinct = {_text(number): number for number in padded}
         known = all(isinstance(number, np.generic) for number in distinct.values())
@@ -304,6 +317,25 @@ class CudaWriter(Writer):
             where = f"lane == {lanes[0]}" if len(lanes) == 1 else f"({sum(1 << lane for lane in lanes)}u >> lane) & 1u"
             chosen = f"(({where}) ? {other} : {chosen})"
         return self._value(dtype, chosen)
+
+    def packs(self, numbers: Sequence[Shared]) -> bool:
+        return self._rows_of(numbers) is not None
+
+    def _rows_of(self, numbers: Sequence[Number]) -> _Rows | None:
+        """Return where each lane's number is, an argument's word outside of loops; None: not in such rows."""
+        names = {number.content if isinstance(number, Value) else None for number in numbers}
+        return self._in_rows(numbers) if len(names) > 1 and names <= self._arguments.keys() else None
+
+    def _read_by_lane(self, rows: _Rows, dtype: np.dtype) -> Value:
+        """Return the words of an argument that each lane reads in its own row."""
+        self._count += 1
+        lane = "lane" if self.lanes == self.width else f"(lane < {self.lanes} ? lane : 0)"
+        # the address of a lane's first row, the same for many, and a constant
+        word = f"(&{_word(rows.of, f'{rows.stride} * {lane}')})[{_words(rows.of) * rows.first}]"
+        name = f"v{self._count}"
+        self._reads.append(f"const {typed(dtype)} {name} = {_from_word(word, dtype)};")
+        self._arguments[name] = self._reads[-1]
+        return Value(name, np.dtype(dtype))
 
     def of_lanes(self, value: Value, lanes: Sequence[int]) -> Value:
         padded = [*lanes, *[lanes[0]] * (self.width - self.lanes)]
@@ -335,7 +367,7 @@ class CudaWriter(Writer):
         self.kept += steps * len(written)
         for row, number in enumerate(written, first):
             word = _word("kept", f"({row} + {len(written)} * {time})")
-            self._lines.append(f"if (there) {word} = {_as_word(number)};")
+            self._lines.append(f"__stcg(&{word}, {_as_word(number)});")
         self._assign(carried, made[: len(carried)])
         self._inside -= 1
         if self._inside:
@@ -343,7 +375,7 @@ class CudaWriter(Writer):
         self._lines[begin:begin] = ["#pragma unroll 1", f"for (int {time} = 0; {time} < {steps}; ++{time}) {{"]
         if self._inside and len(self._lines) - begin > LONG_STEP:
             self._lines[begin:] = self._as_function(time, self._lines[begin:], carried)
-        self._lines[begin:begin] = [f"if (there) {_word('kept', str(row))} = 0;" for row in self._sums]
+        self._lines[begin:begin] = [f"{_word('kept', str(row))} = 0;" for row in self._sums]
         self._begin, self._sums = around
         rows = [range(row, self.kept, len(written)) for row in range(first, first + len(written))]
         return carried, [[self._kept(row, n.dtype) for row in each] for each, n in zip(rows, written, strict=True)]
@@ -353,8 +385,8 @@ class CudaWriter(Writer):
         first, totals = len(self._lines), []
         for number in make():
             word = _word("kept", str(self.kept))
-            self._lines.append(f"if (there) atomicAdd((float *)&{word}, {_text(number)});")
-            totals.append(Value(_from_word(f"__ldcg(&{word})", np.float32), np.dtype(np.float32)))
+            self._lines.append(f"atomicAdd((float *)&{word}, {_text(number)});")
+            totals.append(Value(_from_word(_read_word("kept", str(self.kept)), np.float32), np.dtype(np.float32)))
             self._sums.append(self.kept)
             self.kept += 1
         self._move_up(first)
@@ -379,17 +411,17 @@ class CudaWriter(Writer):
         self._lines[begin:] = lines
 
     def _read_where_used(self, lines: list[str]) -> list[str]:
-        """Return the lines of a step that reads more arguments than there are registers: each in the step, where used.
+        """Return the lines of a step that reads `FEW_READS` arguments or more: each in the step, where it is used.
 
         NVIDIA's compiler would read all of them once, before the loop, and store them for each thread of a robot. A
         walk without an adjoint is faster that way.
         """
         read = collections.Counter(itertools.chain.from_iterable(set(_NAMES.findall(line)) for line in lines))
         seldom = {name for name in read if name in self._arguments and read[name] <= SELDOM}
-        if len(seldom) < REGISTERS:
+        if len(seldom) < FEW_READS:
             return lines
         words = {name: _MADE.sub("", self._arguments[name]).removesuffix(";") for name in seldom}
-        again = {name: re.sub(r"\b(?:own|along)\[.*?\]", r"again(&\g<0>)", word) for name, word in words.items()}
+        again = {name: _OF_ROBOT.sub(r"again(&\g<0>)", word) for name, word in words.items()}
         return [_NAMES.sub(lambda found: again.get(found[0], found[0]), line) for line in lines]
 
     def _as_function(self, time: str, lines: list[str], carried: Sequence[Value]) -> list[str]:
@@ -412,22 +444,28 @@ class CudaWriter(Writer):
             arrays += f", &{array}"
         unrolled, loop, *step = lines
         together = list if self._branches else _together
+        # As parameters, in global memory: captured ones would be read again behind each word that is written, and an
+        # addition through a pointer to any memory waits for its result.
+        pointers = [of for of, count in {**self._read, "kept": self.kept}.items() if count]
+        types = [f"{'' if of == 'kept' else 'const '}int *__restrict__ {of}" for of in pointers]
+        head, given = ", ".join(["int lane", *types]), ", ".join(["lane", *pointers])
+        read = [*(f"__builtin_assume(__isGlobal({of}));" for of in pointers), *read]
         if stay:
-            function = f"const auto step_{time} = [={arrays}](int {time}) __attribute__((noinline)) {{"
-            call = [unrolled, f"{loop.removesuffix('{')}step_{time}({time});"]
-            return [*before, function, *together([*begun, *read, *step[:-1]]), "};", *call, *after]
-        function = f"const auto loop_{time} = [={arrays}]() __attribute__((noinline)) {{"
+            function = f"const auto step_{time} = [={arrays}](int {time}, {head}) __attribute__((noinline)) {{"
+            call = [unrolled, f"{loop.removesuffix('{')}step_{time}({time}, {given});"]
+            return [*before, function, *together([*read, *begun, *step[:-1]]), "};", *call, *after]
+        function = f"const auto loop_{time} = [={arrays}]({head}) __attribute__((noinline)) {{"
         inside = together([*read, *step[:-1]])
-        return [*before, function, *begun, unrolled, loop, *inside, "}", *ended, "};", f"loop_{time}();", *after]
+        return [*before, function, *begun, unrolled, loop, *inside, "}", *ended, "};", f"loop_{time}({given});", *after]
 
     def _kept(self, row: int, dtype: np.dtype) -> Value:
         """Return a number that a loop has written: it is read where it is used."""
-        value = Value(_from_word(_word("kept", str(row)), dtype), dtype)
+        value = Value(_from_word(_read_word("kept", str(row)), dtype), dtype)
         self._rows[value.content] = "kept", "", row
         return value
 
-    def _table_of(self, numbers: Sequence[Shared]) -> str | _Rows:
-        """Return where a loop reads: in rows of an argument at equal distances, or else in an own array, by name."""
+    def _in_rows(self, numbers: Sequence[Number]) -> _Rows | None:
+        """Return the rows of an argument, at equal distances, that numbers are read from; None where they are not."""
         rows = [self._rows.get(number.content) if isinstance(number, Value) else None for number in numbers]
         known = [row for row in rows if row is not None]
         if len(known) == len(numbers) and len({row[:2] for row in known}) == 1:
@@ -435,6 +473,12 @@ class CudaWriter(Writer):
             stride = int(places[1] - first) if len(places) > 1 else 0
             if (np.diff(places) == stride).all():
                 return _Rows(of, outer, first, stride)
+        return None
+
+    def _table_of(self, numbers: Sequence[Shared]) -> str | _Rows:
+        """Return where a loop reads: in rows of an argument at equal distances, or else in an own array, by name."""
+        if (rows := self._in_rows(numbers)) is not None:
+            return rows
         self._count += 1
         name = f"v{self._count}"
         each = ", ".join(map(_text, numbers))
@@ -446,7 +490,7 @@ class CudaWriter(Writer):
         if isinstance(table, str):
             return self._value(dtype, f"{table}[{time}]")
         of, outer, first, stride = table
-        value = self._value(dtype, _from_word(_word(of, f"({outer}{first} + {stride} * {time})"), dtype))
+        value = self._value(dtype, _from_word(_read_word(of, f"({outer}{first} + {stride} * {time})"), dtype))
         self._rows[value.content] = of, f"{outer}{stride} * {time} + ", first
         return value
 
@@ -479,7 +523,7 @@ class CudaWriter(Writer):
 
     def _value(self, dtype: DTypeLike, text: str) -> Value:
         self._count += 1
-        self._lines.append(f"const {typed(dtype)} v{self._count} = {text};")
+        self._lines.append(f"const {typed(np.dtype(dtype))} v{self._count} = {text};")
         return Value(f"v{self._count}", np.dtype(dtype))
 
 
@@ -505,8 +549,17 @@ def _text(number: Number) -> str:
 
 def _word(of: str, row: str) -> str:
     """Return a word of the arguments."""
-    own, along = f"own[{row} * (size_t)robots + robot]", f"along[{row} * (size_t)walks + walk]"
-    return {"common": f"common[{row}]", "own": own, "along": along, "kept": f"kept[{row} * slots + slot]"}[of]
+    return f"{of}[{_words(of)} * {row}]"
+
+
+def _read_word(of: str, row: str) -> str:
+    """Return a word to be read: those that loops write pass the first cache by, which is for the arguments."""
+    return f"__ldcg(&{_word(of, row)})" if of == "kept" else _word(of, row)
+
+
+def _words(of: str) -> int:
+    """Return how many words there are from one row of an argument to the next."""
+    return 1 if of == "common" else SIDE_BY_SIDE
 
 
 def _as_word(number: Number) -> str:
@@ -514,5 +567,5 @@ def _as_word(number: Number) -> str:
 
 
 def _from_word(word: str, dtype: DTypeLike) -> str:
-    kind = typed(dtype)
+    kind = typed(np.dtype(dtype))
     return f"__int_as_float({word})" if kind == "float" else f"{word} != 0" if kind == "bool" else f"({kind}){word}"

@@ -63,7 +63,7 @@ class Operations:
             if not any(isinstance(element, OfLane) for row in rows for element in row):
                 return [self.element(primitive, parameters, *operands) for operands in zip(*rows, strict=True)]
             operands = [self.packed(row) for row in rows]
-            made = self._alike(primitive, parameters, *operands)
+            made = self.alike(primitive, parameters, *operands)
             for row, operand in zip(rows, operands, strict=True):
                 if made is operand:  # an operation that changes nothing
                     return row
@@ -146,10 +146,11 @@ class Operations:
         if len(parts) == lanes > 1 and not lanes & (lanes - 1) and combine.name in _IN_ANY_ORDER:
             values = [_in_order(row) for row in zip(*(part.reshape(-1) for part in parts), strict=True)]
             if values and all(values):
-                return as_array((self._total(combine, cast(Value, value)) for value in values), parts[0].shape)
+                return as_array((self.total(combine, cast(Value, value)) for value in values), parts[0].shape)
         return functools.reduce(functools.partial(self.each, combine, {}), parts)
 
-    def _total(self, combine: core.Primitive, value: Value) -> Value:
+    def total(self, combine: core.Primitive, value: Value) -> Value:
+        """Return a value reduced over all lanes."""
         writer, over_lanes = self.writer, self.writer.over_lanes
         name = combine.name, "over lanes", id(value)
         total = cast(Value | None, self._once(name, value, lambda: cast(Value, over_lanes(combine, value))))
@@ -171,10 +172,10 @@ class Operations:
         lanes = {operand.lane for operand in operands if isinstance(operand, OfLane)}
         if len(lanes) == 1:  # the other lanes may be asked for the same, and have done it then
             values = [operand.value if isinstance(operand, OfLane) else operand for operand in operands]
-            return self.of_lane(self._alike(primitive, parameters, *values), *lanes)
-        return self._alike(primitive, parameters, *map(self.same_for_all, operands))
+            return self.of_lane(self.alike(primitive, parameters, *values), *lanes)
+        return self.alike(primitive, parameters, *map(self.same_for_all, operands))
 
-    def _alike(self, primitive: core.Primitive, parameters: Parameters, *operands: Shared) -> Shared:
+    def alike(self, primitive: core.Primitive, parameters: Parameters, *operands: Shared) -> Shared:
         """Return an elementwise operation that each lane does with its own part."""
         if primitive.name in SHORTCUTS and (result := SHORTCUTS[primitive.name](*operands)) is not None:
             return cast(Shared, result)

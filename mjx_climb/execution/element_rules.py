@@ -5,10 +5,11 @@ raises `Unsupported`. A rule is a function of the operations, the equation and i
 """
 
 import collections
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +41,7 @@ MOST_OF_A_TABLE = 200_000  # numbers that a loop writes
 MANY_SUMS = 64  # numbers of sums that a loop carries, from which they stand in memory
 MOST_WRITTEN_OUT = 1000  # equations of all steps of a loop that reads something at each
 MOST_OF_BRANCHES = 100  # equations of a condition all of whose branches are computed
+SHARED_BY_LANES = 8  # terms of a sum, from which lanes share a product of a matrix and a vector out
 MOST_CHOICES = 64  # places of a table at which an operation may read or write
 
 # each result element depends on one element of each operand
@@ -222,8 +224,46 @@ def _product_of_matrices(do: Operations, equation: core.JaxprEqn, given: list[El
         raise Unsupported(f"a product of matrices of more than {MOST_PRODUCTS} products")
     if left.shape[2] == 0:
         return [np.zeros(result.shape, result.dtype)]
+    for one, other in ((0, 1), (1, 0)):  # the other is a vector
+        if len(left) == 1 and matrices[other].shape[1] == 1 and left.shape[2] >= SHARED_BY_LANES:
+            if (found := _in_lanes(do, matrices[one][0], matrices[other][0, 0])) is not None:
+                return [found.reshape(result.shape)]
     products = do.each(lax.mul_p, {}, left[:, :, None], right[:, None])  # (batch, row, column, term)
     return [do.together(lax.add_p, along(products, 3)).reshape(result.shape)]
+
+
+def _in_lanes(do: Operations, matrix: Elements, vector: Elements) -> Elements | None:
+    """Return a matrix times a vector, the products shared out among the lanes; None where that would not be less.
+
+    If the vector's elements are the lanes', each multiplies the columns of its own. If all lanes have the vector, each
+    multiplies as many rows as the others.
+    """
+    lanes, own = do.writer.lanes, [element.lane if isinstance(element, OfLane) else None for element in objects(vector)]
+    columns = [[place for place, lane in enumerate(own) if lane == each] for each in range(lanes)]
+    if lanes > 1 and None not in own and len({*map(len, columns)}) == 1:
+        groups = [list(group) for group in zip(*columns, strict=True)]  # a column of each lane
+        if (mine := _packed(do, [[row[group] for group in groups] for row in objects(matrix)])) is None:
+            return None
+        parts = [do.packed(vector[group]) for group in groups]
+        sums = (cast(Value, _sum_of_products(do, row, parts)) for row in mine)
+        return as_array((do.total(lax.add_p, each) for each in sums), [len(matrix)])
+    if lanes > 1 and len(matrix) % lanes == 0 and own.count(None) == len(own):
+        rows = objects(matrix).reshape(lanes, -1, len(vector))
+        if (mine := _packed(do, [list(np.moveaxis(rows[:, place], 1, 0)) for place in range(rows.shape[1])])) is None:
+            return None
+        found = [_sum_of_products(do, row, [*vector]) for row in mine]
+        return do.taken_apart(found, [lanes, len(found)], 0).reshape(len(matrix))
+    return None
+
+
+def _packed(do: Operations, rows: Sequence[Sequence[np.ndarray]]) -> list[list[Shared]] | None:
+    """Return values that give each lane its number, of the numbers of all lanes; None where that takes operations."""
+    return [[*map(do.packed, row)] for row in rows] if all(do.writer.packs([*g]) for row in rows for g in row) else None
+
+
+def _sum_of_products(do: Operations, left: Sequence[Shared], right: Sequence[Shared]) -> Shared:
+    products = (do.alike(lax.mul_p, {}, *both) for both in zip(left, right, strict=True))
+    return functools.reduce(functools.partial(do.alike, lax.add_p, {}), products)
 
 
 def _named(do: Operations, equation: core.JaxprEqn, given: list[Elements]) -> list[Elements]:

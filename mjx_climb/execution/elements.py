@@ -62,6 +62,10 @@ class Writer(Protocol):
     def each_its_own(self, numbers: Sequence[Shared]) -> Value:
         """Return a value that gives each lane the number of its place."""
 
+    def packs(self, numbers: Sequence[Shared]) -> bool:
+        """Return whether `each_its_own` of such numbers costs no more than one of them."""
+        return False
+
     def of_lanes(self, value: Value, lanes: Sequence[int]) -> Value:
         """Return a value that gives each lane another lane's part of `value`: of the lane at its place in `lanes`."""
 

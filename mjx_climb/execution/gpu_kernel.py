@@ -23,7 +23,7 @@ from jax import Array, lax
 from jax.extend import core
 
 from mjx_climb.execution.adjoint import with_gradients
-from mjx_climb.execution.cuda_writer import NAME, READ, THREADS, CudaWriter
+from mjx_climb.execution.cuda_writer import NAME, READ, SIDE_BY_SIDE, THREADS, CudaWriter
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import results
 from mjx_climb.execution.elements import Elements, Shared, Unsupported, Writer, as_array
@@ -156,11 +156,30 @@ def body_of(program: core.ClosedJaxpr) -> Body:
 
 
 class Kernel(NamedTuple):
-    """A kernel in CUDA C, and how many rows of words its loops write, each of `walks * threads` words."""
+    """A kernel in CUDA C, and how many words its loops write of each thread."""
 
     text: str
     kept: int
     threads: int  # of a walk
+
+    def blocks(self, walks: int) -> int:
+        """Return how many blocks of threads it takes."""
+        return -(-walks * self.threads // THREADS)
+
+    def words(self, rows: int, walks: int) -> int:
+        """Return how many words it writes: rows of results, and behind them those of its loops."""
+        return _rounded(rows * walks) + self.kept * self.blocks(walks) * THREADS
+
+
+def side_by_side(rows: Array) -> Array:
+    """Return words (n, rows) of robots or walks as a kernel reads them (groups, rows, `SIDE_BY_SIDE`)."""
+    count, size = rows.shape
+    whole = jnp.pad(rows, ((0, _rounded(count) - count), (0, 0)))
+    return whole.reshape(-1, SIDE_BY_SIDE, size).swapaxes(1, 2)
+
+
+def _rounded(count: int) -> int:
+    return -(-count // SIDE_BY_SIDE) * SIDE_BY_SIDE
 
 
 @functools.lru_cache(_KEPT)
@@ -181,19 +200,22 @@ def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[
     """
     arrays = [*map(jnp.asarray, arrays)]
     batch = next(array.shape[:count] for array, count in zip(arrays, axes, strict=True) if count == max(axes))
-    words: list[list[Array]] = [[jnp.array([*batch, 1][:2], np.int32)[:, None]], [], []]
+    words: list[list[Array]] = [[jnp.array([*batch, 1][:2], np.int32)[None]], [], []]
     for array, count in zip(arrays, axes, strict=True):
         if array.dtype.kind != "b" and (array.dtype.itemsize != 4 or array.dtype.kind not in "fiu"):
             raise Unsupported(f"a function of {array.dtype}")
         whole = array.astype(np.int32) if array.dtype.kind == "b" else lax.bitcast_convert_type(array, np.int32)
-        words[count].append(whole.reshape(math.prod(batch[:count]), -1).T)
+        words[count].append(whole.reshape(math.prod(batch[:count]), -1))
     kernel = written(body, tuple(axes))
     source, walks, outputs = ptx(kernel.text), math.prod(batch), body.program.out_avals
     rows = sum(aval.size for aval in outputs)
-    shape = jax.ShapeDtypeStruct((rows + kernel.kept * kernel.threads, walks), np.int32)
-    blocks = -(-walks * kernel.threads // THREADS)
-    made = launched(source, NAME, blocks, THREADS, shape, *(jnp.concatenate(each) for each in words if each))
-    parts, found = jnp.split(made[:rows], list(itertools.accumulate(aval.size for aval in outputs))[:-1]), []
+    # in two axes: there may be more words than 32 bits count
+    shape = jax.ShapeDtypeStruct((kernel.words(rows, walks) // SIDE_BY_SIDE, SIDE_BY_SIDE), np.int32)
+    common, *others = (jnp.concatenate(each, 1) for each in words if each)
+    given = [common[0], *map(side_by_side, others)]
+    made = launched(source, NAME, kernel.blocks(walks), THREADS, shape, *given)
+    made = made[: _rounded(rows * walks) // SIDE_BY_SIDE].reshape(-1)[: rows * walks].reshape(rows, walks)
+    parts, found = jnp.split(made, list(itertools.accumulate(aval.size for aval in outputs))[:-1]), []
     for part, aval in zip(parts, outputs, strict=True):
         if aval.dtype.kind != "b" and aval.dtype.itemsize != 4:
             raise Unsupported(f"a function to {aval.dtype}")

@@ -13,6 +13,7 @@
 #define __constant__ static
 #define __shared__ static
 #define __launch_bounds__(...)
+#define __builtin_assume(...)
 
 struct Place { unsigned x; };
 static thread_local Place threadIdx;
@@ -25,6 +26,7 @@ static int __float_as_int(float v) { int w; std::memcpy(&w, &v, 4); return w; }
 static float __int_as_float(int w) { float v; std::memcpy(&v, &w, 4); return v; }
 static void atomicAdd(float *sum, float v) { *sum += v; }
 static int __ldcg(const int *word) { return *word; }
+static void __stcg(int *word, int v) { *word = v; }
 static int __clz(int v) { return v ? __builtin_clz(v) : 32; }
 static int __popc(int v) { return __builtin_popcount(v); }
 static float rsqrtf(float v) { return 1.0f / sqrtf(v); }

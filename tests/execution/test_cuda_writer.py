@@ -19,10 +19,10 @@ from jaxtyping import Float
 from mjx_climb.control import law_of
 from mjx_climb.execution import of_limbs
 from mjx_climb.execution.adjoint import with_gradients
-from mjx_climb.execution.cuda_writer import FUNCTIONS
+from mjx_climb.execution.cuda_writer import FUNCTIONS, READ
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import tangents_of
-from mjx_climb.execution.gpu_kernel import body_of, written
+from mjx_climb.execution.gpu_kernel import body_of, side_by_side, written
 from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.walk.structure import structure
 from mjx_climb.walks import metrics_of
@@ -58,13 +58,20 @@ def carried_out(tmp_path):
         library, results = ctypes.CDLL(str(tmp_path / "kernels.so")), {}
         for name, (kernel, arguments, batch, avals) in kernels.items():
             ends = np.cumsum([aval.size for aval in avals])
-            made = np.zeros((ends[-1] + kernel.kept * kernel.threads, math.prod(batch)), np.int32)
+            made = np.zeros(kernel.words(ends[-1], math.prod(batch)), np.int32)
+            read = [name for name in READ if f"int *__restrict__ {name}" in kernel.text]
             words = ([np.ascontiguousarray(value).reshape(-1).view(np.int32) for value in each] for each in arguments)
-            given = [*map(np.concatenate, words), made]
+            columns = {"common": 1, "own": batch[0] if batch else 1, "along": math.prod(batch)}
+            rows = [np.concatenate(each).reshape(-1, columns[name]) for name, each in zip(read, words, strict=True)]
+            given = [
+                *(r if of == "common" else np.array(side_by_side(r.T)) for of, r in zip(read, rows, strict=True)),
+                made,
+            ]
             getattr(library, f"run_{name}")(*(array.ctypes.data_as(ctypes.c_void_p) for array in given))
+            found = made[: ends[-1] * math.prod(batch)].reshape(ends[-1], -1)
             results[name] = [
                 (part != 0 if aval.dtype == bool else part.view(aval.dtype)).T.reshape((*batch, *aval.shape))
-                for part, aval in zip(np.split(made[: ends[-1]], ends[:-1]), avals, strict=True)
+                for part, aval in zip(np.split(found, ends[:-1]), avals, strict=True)
             ]
         return results
 
@@ -175,6 +182,30 @@ def test_a_quaternion_is_no_four_limbs():
     assert exchanges(turned) == 0
 
 
+def test_lanes_share_a_matrix_times_a_vector_out():
+    """Each reads and multiplies a quarter: columns of the limbs' own numbers, then rows of numbers that all have."""
+
+    def function(start, inner, output):
+        limbs = of_limbs(Limbs(start)).values
+        step = lambda limbs, _: (jnp.sin(limbs + (output @ (inner @ limbs.ravel())).reshape(4, 3)), None)  # noqa: E731
+        return jax.lax.scan(step, limbs, length=3)[0]
+
+    with jax.enable_x64(False):
+        given = [np.ones(shape, "f4") for shape in ((4, 3), (8, 12), (12, 8))]
+        text = written(body_of(jax.make_jaxpr(function)(*given)), (0, 1, 1)).text
+    step = text.split("#pragma unroll 1")[1].split("\n}\n")[0]
+    assert text.count("(&own[") == step.count(" * ") == (8 * 12 + 12 * 8) / 4
+    assert step.count("__shfl_") == 2 * 8
+
+
+def test_words_of_robots_stand_side_by_side():
+    """As a kernel finds them: a row of 32 robots, behind it their next row."""
+    words = np.arange(40 * 3, dtype=np.int32).reshape(40, 3)
+    found, side = np.asarray(side_by_side(words)).reshape(-1), 32
+    for robot, row in ((0, 0), (31, 2), (32, 0), (39, 1)):
+        assert found[robot // side * 3 * side + side * row + robot % side] == words[robot, row]
+
+
 def test_what_nothing_is_made_of_is_not_written():
     """NVIDIA's compiler keeps exchanges that nothing reads."""
 
@@ -212,7 +243,7 @@ def test_a_loop_in_a_loop_reads_rows_of_an_argument_from_memory():
     with jax.enable_x64(False):
         text = written(body_of(jax.make_jaxpr(function)(np.ones((5, 7, 2), "f4"), np.float32(1))), (True, False)).text
     outer, inner = re.findall(r"for \(int (t\d+) = 0; \1 < [57];", text)
-    assert f"own[(14 * {outer} + 1 + 2 * {inner}) * (size_t)robots + robot]" in text
+    assert f"own[32 * (14 * {outer} + 1 + 2 * {inner})]" in text
     assert not re.search(r"const \S+ v\d+\[", text)
 
 
@@ -323,7 +354,7 @@ def test_gradients_in_cuda_c(carried_out, steps):
 
 @pytest.mark.slow
 def test_gradients_of_more_numbers_than_registers_in_cuda_c(carried_out):
-    """Their sums stand in memory, a share in each lane, and an argument that few lines read is read there."""
+    """Their sums stand in memory and arguments are read where they are used: a quarter of each by each lane."""
     rng, steps = np.random.default_rng(4), 300
     inner, output = rng.normal(size=(22, 12)).astype("f4"), rng.normal(size=(4, 23)).astype("f4")
     start = rng.normal(size=(4, 3)).astype("f4")
@@ -346,8 +377,11 @@ def test_gradients_of_more_numbers_than_registers_in_cuda_c(carried_out):
         given = [np.array([1, 1], np.int32), start], columns, [np.ones((1, 1), "f4")]
         found = carried_out({"kernel": (kernel, given, (1, 1), both.out_avals)})["kernel"]
     assert kernel.text.count("atomicAdd((float *)&kept") == 2 * (22 * 12 + 4 * 23) // 4  # in two loops
-    assert kernel.text.count("again(&") > 22 * 12 + 4 * 23
+    assert 3 * (22 * 12 + 4 * 22) // 4 < kernel.text.count("again(&") < 22 * 12 + 4 * 23
     assert "const auto step_" in kernel.text
+    # to a compiler that knows no better an addition waits for its result
+    writing = [part.split("\n};\n")[0] for part in kernel.text.split("noinline")[1:] if "atomicAdd" in part]
+    assert writing and all("__isGlobal(kept)" in function for function in writing)
     doubles = [jnp.asarray(each, float) for each in (inner, output, start)]
     expected = jax.grad(lambda *given: walk(*given)["end"], (0, 1))(*doubles)
     for mine, jaxs in zip(found, expected, strict=True):
