@@ -35,6 +35,7 @@ def test_resamples_are_as_many_walks_drawn_alike(monkeypatch):
     assert whole.var() == pytest.approx(39 / 40, rel=0.02)
     monkeypatch.setattr(paired, "_AT_ONCE", 400)
     np.testing.assert_array_equal(np.concatenate(list(paired.resamples(40, 3000, seed=1))), whole)
+    assert [len(some) for some in paired.resamples(40, 25)] == [10, 10, 5]
 
 
 def test_the_interval_of_normal_differences_is_the_analytic_one():

@@ -75,6 +75,8 @@ SHOW_NONE = f"show no worth of a force sensor: mine beside {BASE}, the best law 
      f"(more of both would, if the difference is what it seems){NO_HARDWARE}"),
     ({"changes": {**OPEN, "mine": {"objective": (0.81, -0.06, 0.08, 20, 3)}}}, {}, None,
      f"{CANNOT}0.81, 0.85 beside 0.8{NO_HARDWARE}"),
+    ({"changes": {**OPEN, "mine": {"objective": (0.8, -0.06, 0.06, 20, 3)}}}, {}, None,
+     f"{CANNOT}0.8, 0.85 beside 0.8{NO_HARDWARE}"),
     ({"changes": {**WORSE, "other": OPEN["other"]}}, {}, None,
      f"other cannot be told apart from {BASE} in the objective with 240 walks and 3 seeds: 0.85 beside 0.8"
      f"{NO_HARDWARE}"),

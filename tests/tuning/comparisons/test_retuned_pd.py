@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer, PlannedTransfer
@@ -282,6 +283,12 @@ def test_a_sensor_is_worth_what_it_betters_the_better_rival_by(pd, plan, better,
     said = worth_of(OURS, {"force_variation": min(each for each in (pd, plan) if each == each)}, rival).in_words
     assert said.endswith(f"less force variation than {better} with kp 17, kd 1, which needs none ({beside})")
     assert said.startswith("no verdict on the force sensor, since of the laws without one pd alone was searched: ")
+
+
+def test_of_a_front_of_an_older_file_pd_is_the_one_rival():
+    """Newer ones name the law of each point."""
+    assert law_without(xr.Dataset()) == retuned_pd.NAME
+    assert law_without(xr.Dataset({"without_law": retuned_pd.UNSEARCHED})) == retuned_pd.UNSEARCHED
 
 
 def test_of_a_law_that_reads_no_forces_pd_is_the_one_rival():
