@@ -8,6 +8,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 import mjx_climb as mc
 from mjx_climb.gait.base_path import planned_feet, raised, sway_of, swayed
+from mjx_climb.gait.footholds.footholds import level, pull_of_grip
 from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.terrain import foothold_heights, footholds
@@ -114,3 +115,13 @@ def test_planned_feet_swing_ahead_of_a_base_that_goes_on_sways_and_is_raised():
             ahead = 0.04 * (rest_to_rest(moved) - rest_to_rest(phase))
             wanted = STANCE[limb] + [ahead, 0, height] - above - swayed(sway, phase)
             np.testing.assert_allclose(feet[row, limb], wanted, atol=1e-9)
+
+
+def test_a_grip_on_a_hold_bears_what_the_weaker_one_bears():
+    """None of both names a limit: no pull that margins may count on."""
+    for hold in (0.0, 0.5, 3.0, math.inf):
+        for grip in (0.0, 0.25, 0.9, 5.0):
+            named = [each for each in (hold, grip if grip > 0 else math.inf) if each < math.inf]
+            found = pull_of_grip(np.array([hold, hold]), np.asarray(grip))
+            np.testing.assert_array_equal(found, [min(named, default=0.0)] * 2)
+    np.testing.assert_array_equal(level(np.array([[1.0, -2.0, 3.0]])), [[1.0, -2.0, 0.0]])

@@ -254,6 +254,19 @@ def test_a_metric_that_pd_does_not_have_is_not_weighed(changes, said):
         objective(Search(weights={"force_variation": 1.0, "travel": 1.0}), PD | changes)
 
 
+def test_a_metric_that_pd_does_not_have_in_all_members_is_not_weighed():
+    """By its mean over them; zero in some of them is no fault."""
+    members = {name: np.asarray(value) * np.ones(2) for name, value in PD.items()} | {"diverged": np.zeros(2, bool)}
+    search, worst = Search(weights={"travel": 1.0}), Worst(share=1.0)
+    assert objective(search, members | {"travel": np.array([0.0, 2.0])}, worst=worst).terms[0].baseline == 1.0
+    for changes, said in [
+        ({"travel": np.array([-1.0, 1.0])}, "0 in the mean"), ({"travel": np.array([np.nan, 1.0])}, "nan in the mean"),
+        ({"diverged": np.array([False, True])}, "a walk that diverges under pd"),
+    ]:  # fmt: skip
+        with pytest.raises(mc.ConfigError, match=rf"expected a metric that pd has in every member, got {said}$"):
+            objective(search, members | changes, worst=worst)
+
+
 def test_a_function_of_ones_own_takes_the_place_of_the_terms():
     """Its value under pd is the reference; it sees companions where a metric has none of its own."""
     search = Search(weights={"force_variation": 1.0, "travel": 1.0}, no_worse_than_pd=True)
