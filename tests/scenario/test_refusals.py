@@ -5,10 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 import mjx_climb as mc
 from mjx_climb.scenario import declared
-from mjx_climb.scenario.messages import ConfigError, printable, show
+from mjx_climb.scenario.messages import ConfigError, keys, printable, show
 from mjx_climb.scenario.model import validated
 from mjx_climb.scenario.registers import LoopGains, Registers, RegisterScale, gains_of, registers_of
 from mjx_climb.scenario.yaml_text import assign, pairs, parse
@@ -404,3 +405,33 @@ def test_a_message_has_its_parts_and_moves_elsewhere():
     assert printable("a\x1b\n\u2028é", keep="\n") == "a\\x1b\n\\u2028é"
     assert show("x" * 58) == '"' + "x" * 58 + '"' and show("x" * 59) == '"' + "x" * 56 + "..."
     assert show({1: {2}}) == '{"1": "{2}"}' and show({(1, 2): 3}) == "{(1, 2): 3}"
+
+
+def test_keys_are_those_of_all_sections_and_a_misspelt_one_is_told_in_any():
+    def leaves(model, place=""):
+        for name in type(model).model_fields:
+            value = getattr(model, name)
+            if isinstance(value, BaseModel):
+                yield from leaves(value, f"{place}{name}.")
+            else:
+                yield f"{place}{name}"
+
+    assert list(keys(mc.Scenario)) == list(leaves(PLAIN))
+    for data, said in (
+        ({"robot": ROBOT | {"limbs": {"a": LIMB | {"jonts": 1}}}}, "robot.limbs.a.jonts: expected a known key, got an "
+         "unknown one (did you mean joints?)"),
+        ({"robot": ROBOT | {"limbs": {"a": 3}}}, "robot.limbs.a: expected a mapping with keys joints, foot, "
+         "at, foothold, got 3"),
+        ({"robot": ROBOT | {"limbs": 3}}, "robot.limbs: expected a mapping from names, got 3"),
+        ({"ground": {"holds": {"points": [{"at": [0, 0, 0], "zzz": 1}]}}}, "ground.holds.points.0.zzz: expected one of "
+         "at, normal, limit, got an unknown one"),
+        ({"gait": {"armature": 1}}, "gait.armature: expected a known key, got an unknown one (did you mean "
+         "hardware.servo.armature?)"),
+        ({"contact": {"kind": "gripper", "stifness": 1}}, "contact.stifness: expected a known key, got an unknown one "
+         "(did you mean stiffness?)"),
+        ({"disturbance": {"pushes": [{"start": 1.0}]}}, "disturbance.pushes.0.force: expected a value, got none"),
+        ({"hardware": {"servo": 3}}, "hardware.servo: expected a mapping with keys kind, "),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError) as refused:
+            made(data)
+        assert str(refused.value).startswith(f"walk: {said}")
