@@ -13,7 +13,7 @@ from mjx_climb.control.foot_offsets import FootOffsets
 from mjx_climb.control.recovering import Recovering
 from mjx_climb.inputs.time_step import short_enough
 from tuning.comparisons import of_search, side_by_side
-from tuning.comparisons.worth import BesidePd, Ends, OverWalks, best_without, better_of, between, worth_of
+from tuning.comparisons.worth import BesidePd, Ends, OverWalks, best_without, better_of, between, law_without, worth_of
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
