@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import av
 import mujoco
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import mjx_climb as mc
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import events, maps
 from mjx_climb.viz.plots.styling import CARGO, LIMB_COLORS, PUSH
-from mjx_climb.viz.rendering import canvas, captions, marks, surroundings
+from mjx_climb.viz.rendering import canvas, captions, film, marks, surroundings
 from tests.trajectories import still
 
 PUSHES = [
@@ -460,3 +461,22 @@ def test_a_controller_in_words():
     ):  # fmt: skip
         assert captions.controller(drawn(scenario=mc.Scenario().with_overrides(keys | {"duration": 0.06}))) == words
     assert captions.controller(dataclasses.replace(drawn(), law="own")) == "own"
+
+
+@pytest.mark.parametrize("fps", [7, 30])
+def test_a_film_has_its_pictures_at_the_rate_that_is_asked_for(tmp_path, fps):
+    draw, done = np.random.default_rng(0), []
+    colors = draw.integers(40, 215, (9, 3)).astype(np.uint8)
+    shown = (np.broadcast_to(color, (16, 32, 3)).copy() for color in colors)
+    assert film.encode(tmp_path / "film.mp4", shown, fps, (32, 16), done.append) == tmp_path / "film.mp4"
+    assert done == list(range(1, 10)) and [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+    with av.open(str(tmp_path / "film.mp4")) as container:
+        (stream,) = container.streams
+        assert (stream.width, stream.height, stream.average_rate, stream.guessed_rate) == (32, 16, fps, fps)
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        found = list(container.decode(stream))
+    np.testing.assert_allclose([frame.time for frame in found], np.arange(9) / fps, atol=1e-6)
+    middles = [frame.to_ndarray(format="rgb24")[8, 16].astype(int) for frame in found]
+    assert np.abs(np.array(middles) - colors).max() < 12
+    content = (tmp_path / "film.mp4").read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat")  # a browser starts before all is there
