@@ -25,6 +25,7 @@ from mjx_climb.execution.flat import (
     Has,
     by_axis,
     carried_on,
+    chained,
     depend,
     flat,
     mapped,
@@ -100,14 +101,17 @@ def _rows_of(values: Sequence[Array]) -> Array:
 
 def _carrying(stacks: _Stacks, body: core.ClosedJaxpr, constants: int, carry: int) -> core.ClosedJaxpr:
     """Return a loop's body that carries stacks and the numbers behind them in place of `carry` values."""
-    avals = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in body.in_avals]
-    common, carried, read = avals[:constants], avals[constants : constants + carry], avals[constants + carry :]
 
-    def step(common: list[Array], carried: list[Array], read: list[Array]) -> list[Array]:
-        made = core.jaxpr_as_fun(body)(*common, *stacks.apart(carried), *read)
+    def apart(common: list[Array], carried: list[Array], read: list[Array]) -> list[Array]:
+        return [*common, *stacks.apart(carried), *read]
+
+    def together(made: list[Array]) -> list[Array]:
         return [*stacks.stacked(made[:carry], _rows_of), *made[carry:]]
 
-    return jax.make_jaxpr(step)(common, stacks.stacked(carried, lambda some: jax.eval_shape(_rows_of, some)), read)
+    avals = body.in_avals
+    carried = stacks.stacked(avals[constants : constants + carry], lambda some: jax.eval_shape(_rows_of, some))
+    before = jax.make_jaxpr(apart)(avals[:constants], carried, avals[constants + carry :])
+    return chained(before, body, jax.make_jaxpr(together)(body.out_avals))
 
 
 Varying = tuple[Array, Has]  # and which batch axes it has

@@ -234,22 +234,22 @@ def _in_order(elements: Sequence[Number] | np.ndarray) -> Value | None:
 def computed_now(
     primitive: core.Primitive, parameters: Parameters, given: Sequence[Elements | np.generic]
 ) -> list[np.ndarray]:
-    """Return the results of an operation on numbers alone: by NumPy where its bits are XLA's, else on the CPU.
+    """Return the results of an operation on numbers alone: by NumPy where it has them, else on the CPU.
 
     XLA would compile a program for each operation and shape.
     """
     with np.errstate(all="ignore"):
-        exact = _EXACT[primitive.name](parameters, *given) if primitive.name in _EXACT else None
-    if exact is not None:
-        return [*map(np.asarray, exact)]
+        found = _BY_NUMPY[primitive.name](parameters, *given) if primitive.name in _BY_NUMPY else None
+    if found is not None:
+        return [*map(np.asarray, found)]
     with jax.ensure_compile_time_eval(), jax.default_device(host()):
         return [*map(np.asarray, carried_out(primitive, parameters, given))]
 
 
-Exact = Callable[..., Sequence[object] | None]  # of the parameters and numbers: the results, None: those of XLA
+ByNumPy = Callable[..., Sequence[object] | None]  # of the parameters and numbers: the results, None: those of XLA
 
 
-def _each(function: Callable[..., object], kinds: str = "biuf") -> Exact:
+def _each(function: Callable[..., object], kinds: str = "biuf") -> ByNumPy:
     """Return an elementwise operation, for numbers of some kinds."""
     return lambda p, *x: [function(*x)] if x[-1].dtype.kind in kinds else None
 
@@ -276,11 +276,25 @@ def _padded(p: Parameters, x: Elements, value: Elements) -> Sequence[object]:
     return [result]
 
 
-def _reduced(function: np.ufunc, kinds: str) -> Exact:
+def _reduced(function: np.ufunc, kinds: str) -> ByNumPy:
     return lambda p, x: [function.reduce(x, tuple(p["axes"]), x.dtype)] if x.size and x.dtype.kind in kinds else None
 
 
-_EXACT: dict[str, Exact] = {
+def _product(p: Parameters, x: Elements, y: Elements) -> Sequence[object]:
+    (summed, summed_of_y), (batch, batch_of_y) = p["dimension_numbers"]
+    names = dict(zip((*summed_of_y, *batch_of_y), (*summed, *batch), strict=True))
+    of_y = [names.get(axis, x.ndim + axis) for axis in range(y.ndim)]
+    own = [axis for axis in (*range(x.ndim), *of_y) if axis not in (*summed, *batch)]
+    product = np.einsum(x, [*range(x.ndim)], y, of_y, [*batch, *own])
+    return [product.astype(p["preferred_element_type"] or product.dtype)]
+
+
+def _power(p: Parameters, x: Elements) -> Sequence[object] | None:
+    return [np.power(x, x.dtype.type(p["y"]))] if x.dtype.kind == "f" else None
+
+
+# The bits are XLA's but for those of sums, powers and functions, which are so to rounding.
+_BY_NUMPY: dict[str, ByNumPy] = {
     **{name: _each(function) for name, function in {
         "abs": np.abs, "add": np.add, "add_any": np.add, "and": np.bitwise_and, "eq": np.equal,
         "ge": np.greater_equal, "gt": np.greater, "le": np.less_equal, "lt": np.less, "max": np.maximum,
@@ -288,16 +302,19 @@ _EXACT: dict[str, Exact] = {
         "or": np.bitwise_or, "square": np.square, "sub": np.subtract,
     }.items()},
     **{name: _each(function, "f") for name, function in {
-        "ceil": np.ceil, "div": np.divide, "floor": np.floor, "sqrt": np.sqrt,
+        "ceil": np.ceil, "cos": np.cos, "div": np.divide, "exp": np.exp, "floor": np.floor, "log": np.log,
+        "sin": np.sin, "sqrt": np.sqrt, "tan": np.tan,
     }.items()},
     "convert_element_type": _converted,
+    "dot_general": _product,
+    "integer_pow": _power,
     "iota": _counted,
     "pad": _padded,
     "reduce_and": _reduced(np.bitwise_and, "biu"),
     "reduce_max": _reduced(np.maximum, "biu"),
     "reduce_min": _reduced(np.minimum, "biu"),
     "reduce_or": _reduced(np.bitwise_or, "biu"),
-    "reduce_sum": _reduced(np.add, "iu"),
+    "reduce_sum": _reduced(np.add, "iuf"),
     "rev": lambda p, x: [np.flip(x, tuple(p["dimensions"]))],
     "select_n": lambda p, which, *cases: [np.where(which, *cases[::-1])] if len(cases) == 2 else None,
     "split": lambda p, x: np.split(x, np.cumsum(p["sizes"])[:-1], p["axis"]),

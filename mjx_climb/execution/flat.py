@@ -63,6 +63,22 @@ def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
     return new_program(program.jaxpr, needed(equations, outputs), inputs, outputs, list(constants.values()))
 
 
+def chained(*programs: core.ClosedJaxpr) -> core.ClosedJaxpr:
+    """Return flat programs as one, each of the results of the one before; no two share a variable."""
+    given: Sequence[Atom] = programs[0].jaxpr.invars
+    equations: list[core.JaxprEqn] = []
+    for program in programs:
+        atoms = dict(zip(program.jaxpr.invars, given, strict=True))
+
+        def read(atom: Atom, atoms: dict[core.Var, Atom] = atoms) -> Atom:
+            return atom if isinstance(atom, core.Literal) else atoms.get(atom, atom)
+
+        equations += [each.replace(invars=[*map(read, each.invars)]) for each in program.jaxpr.eqns]
+        given = [*map(read, program.jaxpr.outvars)]
+    constants = [pair for each in programs for pair in zip(each.jaxpr.constvars, each.consts, strict=True)]
+    return new_program(programs[0].jaxpr, equations, programs[0].jaxpr.invars, given, constants)
+
+
 def needed(equations: Sequence[core.JaxprEqn], results: Sequence[Atom]) -> list[core.JaxprEqn]:
     """Return those of some equations that results depend on."""
     read, found = set(variables_of(results)), []

@@ -80,14 +80,15 @@ def measure(engine: str, batch: int, plan: Plan, say: Callable[[str], object]) -
     folder = tempfile.TemporaryDirectory(prefix="mjx-climb-bench-", ignore_cleanup_errors=True)
     # new, in this process and for its children, so that every run compiles alike
     with folder as cache, cache_in(cache):
-        say("compiling in fresh processes")
+        say("compiling the walk in fresh processes")
         value = commands.compiled("value", batch, plan.steps, engine, cache)
         warm = commands.compiled("value", batch, plan.steps, engine, cache)
+        say("compiling its gradient in a fresh process")
         gradient = commands.compiled("gradient", batch, plan.steps // 2, engine, cache)
-        say("compiling the rest")
         with contextlib.ExitStack() as stack:
             ours, single, peers, numpy_loop = runs_of(engine, batch, plan, stack)
-            for _, run in [*ours.values(), *single.values()]:  # side by side they were once seen to wait for each other
+            for name, (_, run) in {**ours, **single}.items():
+                say(f"compiling {name.replace('_', ' ')}")
                 run()
             say("closed loops and their peers, in turns")
             rates = in_turns(plan.rounds, {**ours, **peers})

@@ -1,6 +1,8 @@
 """Sensors on which a law depends, by its program."""
 
-import jax.numpy as jnp
+from typing import Any
+
+import jax
 import numpy as np
 
 from mjx_climb.control import Reference, Start, law_of
@@ -17,9 +19,12 @@ def readings(problem: Problem) -> frozenset[str]:
     one = resolve_in(scenario, law, None, own_parameters(scenario), np.float64).law
     robot = load_robot(scenario.robot)
     # of any values: only the program is looked at
-    zero, feet, joints, each = map(jnp.zeros, (3, robot.foot_center.shape, robot.stance_joints.shape, len(robot.limbs)))
-    reference = Reference(zero, jnp.array([1.0, 0.0, 0.0, 0.0]), feet, each, each)
-    return beginning(one, Start(scenario.time_step, reference, joints)).reads
+    shapes = (3, 4, robot.foot_center.shape, len(robot.limbs), len(robot.limbs), robot.stance_joints.shape)
+    zeros: list[Any] = [np.zeros(shape) for shape in shapes]
+    start = Start(scenario.time_step, Reference(*zeros[:-1]), zeros[-1])
+    found: list[frozenset[str]] = []
+    jax.eval_shape(lambda law, start: found.append(beginning(law, start).reads), one, start)
+    return found[0]
 
 
 def reads_forces(problem: Problem) -> bool:
