@@ -376,3 +376,65 @@ def test_a_shard_of_an_evaluation_is_read_as_it_was_asked_for(law, tmp_path):
     draw.write_asked(tmp_path)
     kept = Kept(tmp_path, Shard(1, 2), draw.identity() | {"shard": [1, 2]}, {})
     assert judge.read_asked(kept, CASE, law, mc.METRICS).identity() == draw.identity()
+
+
+@pytest.mark.parametrize("widest", [0.021, 0.001])
+def test_a_front_has_the_exact_walks_of_the_law_beside_config_pd_and_those_without_a_sensor(widest, monkeypatch):
+    """Of the candidates within the widest limit, or all where none is; failed walks and those beaten are left out."""
+    law = VirtualModelAdmittance(np.ones(6), np.full(6, 2e2), np.full(6, 3e4))
+    settings, asked = Search(joint_gains=False), []
+    problem = Problem(CASE, spaces.space(CASE, settings, law), Objective((), ()), law=law)
+    theta = np.array([[1.0, 8.0], [2.0, 8.0], [3.0, 8.0], [4.0, 8.0], [5.0, 8.0]])
+    x, y = np.array([0.01, 0.015, 0.02, 0.03, 0.04]), np.array([5.0, 4.0, 3.0, 2.0, np.inf])
+
+    def walks(scenario, gains=None, parameters=None, **how):
+        asked.append((scenario.control.controller, None if gains is None else len(gains.damping), how.get("law")))
+        if gains is None:
+            found = {"base_deviation": np.array(9.0), "force_variation": np.array(8.0)}
+        else:
+            first = np.log(gains.damping[:, 0])
+            # the exact walk of the third point is worse than that of the second, and the first one's fails
+            found = {"base_deviation": 0.01 * first, "force_variation": np.where(first > 2.5, 4.5, 5 - first)}
+        count = np.shape(found["base_deviation"])
+        found |= {name: np.zeros(count) for name in mc.METRICS.names if name not in found}
+        fails = np.zeros(count) if gains is None else first < 1.5
+        return found | {
+            "diverged": np.asarray(fails, bool),
+            "detached_limb": np.full(count, -1),
+            "stands_at": np.full(count, np.nan),
+        }
+
+    def on_grid(scenario, counts, **how):
+        joint = {"kp": np.array([10.0, 20, 30]), "kd": np.array([0.1, 0.2, 0.3])}
+        found = {name: np.zeros(3) for name in mc.METRICS.names} | {"detached_limb": np.full(3, -1)}
+        found |= {"diverged": np.zeros(3, bool), "stands_at": np.full(3, np.nan)}
+        return joint, found | {
+            "base_deviation": np.array([1.0, 2.0, 3.0]),
+            "force_variation": np.array([3.0, 4.0, 1.0]),
+        }
+
+    monkeypatch.setattr(mc, "rollout_metrics", walks)
+    monkeypatch.setattr(pareto.retuned_pd, "walked_on_grid", on_grid)
+    monkeypatch.setattr(pareto.retuned_pd, "by_plan", lambda _: None)
+    held = np.array([True, True, True, True, False])
+    walked = pareto.Walked(theta, {"base_deviation": x, "force_variation": y}, held, np.where(held, x, np.inf), y)
+    found = pareto.front_dataset(problem, Pareto(), walked, widest)
+    own = "base_admittance"
+    assert asked == [(own, 3 if widest > 0.01 else 4, law), (own, None, law), ("pd", None, None)]
+    # the exact walks of the third and fourth are beaten, that of the first fails
+    np.testing.assert_allclose(found["base_deviation"], [0.02])
+    np.testing.assert_allclose(found["force_variation"], [3.0])
+    np.testing.assert_allclose(found["reference_base_deviation"], [9.0, 9.0])
+    assert found["without_kp"].values.tolist() == [10.0, 30.0] and found["without_force_variation"].values.tolist() == [
+        3,
+        1,
+    ]
+    assert set(found["without_law"].values) == {pareto.retuned_pd.NAME}
+    np.testing.assert_array_equal(found["walked_force_variation"], y)
+    np.testing.assert_array_equal(found["held"], held)
+    np.testing.assert_array_equal(found["theta"], theta)
+    assert (found.attrs["better"], found.attrs["against"]) == ("force_variation", "base_deviation")
+    assert found.attrs["searched"] == "stiffness damping" and found["coordinate"].values.tolist() == [
+        "damping",
+        "stiffness",
+    ]
