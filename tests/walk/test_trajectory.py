@@ -1,5 +1,6 @@
 """What a trajectory and the metrics of grips and sensors tell of made-up histories, against loops over their steps."""
 
+import functools
 import math
 
 import jax
@@ -8,11 +9,15 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
 from mjx_climb.control.sensor_watch import SILENCE
+from mjx_climb.inputs.resolve import resolve_in
+from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.trajectory import Trajectory, named
 from mjx_climb.walk.metrics import GRIPS, SENSORS, Context, accumulate, failed, finish, start
 from mjx_climb.walk.sample import Sample, unknown
-from mjx_climb.walks import LINES, STRETCHES, stretches, together
+from mjx_climb.walk.structure import structure
+from mjx_climb.walks import LINES, STRETCHES, histories_of, metrics_of, samples_of, stretches, together
 from mjx_climb.walks import histories as extremes
 
 STEP, STEPS, LIMBS = 0.01, 40, ("LF", "LH", "RH", "RF")
@@ -167,3 +172,23 @@ def test_extremes_of_a_batch_come_together_behind_its_axes():
     np.testing.assert_array_equal(found[name][..., 0, :], least)
     np.testing.assert_array_equal(found[name][..., 1, :], most)
     assert found["travel"] is travel
+
+
+@pytest.mark.parametrize("recovery", [None, {"shift": 0.01}])
+def test_walks_of_any_gait_have_metrics_histories_and_samples(recovery):
+    """By their program alone: of a gait that looks ahead too, whose steps come in periods."""
+    changes = {"duration": 0.4, "gait.cycle": 0.4} | ({} if recovery is None else {"control.recovery": recovery})
+    scenario = mc.load_scenario("case_1_2", changes)
+    found = resolve_in(scenario, law_of(scenario), None, None, np.float64)
+    shape = structure(scenario, DEFAULT_ENGINE, found.walked, law=found.law)
+    assert bool(shape.planning) == (recovery is not None)
+    count, _ = stretches(shape.steps)
+    own, lines = (
+        dict.fromkeys(mc.METRICS.names, ()),
+        {f"{of}{name}": (count,) for name in LINES for of in ("", "least of ")},
+    )
+    for function, shapes in ((metrics_of, own), (histories_of, own | lines)):
+        made = jax.eval_shape(functools.partial(function, shape), found.law, found.parameters)
+        assert {name: value.shape for name, value in made.items()} == shapes
+    samples = jax.eval_shape(functools.partial(samples_of, shape), found.law, found.parameters)
+    assert samples.foot_force.shape == (shape.steps, 4, 3) and samples.time.shape == (shape.steps,)
