@@ -17,7 +17,7 @@ from mjx_climb.trajectory import Trajectory, named
 from mjx_climb.walk.metrics import GRIPS, SENSORS, Context, accumulate, failed, finish, start
 from mjx_climb.walk.sample import Sample, unknown
 from mjx_climb.walk.structure import structure
-from mjx_climb.walks import LINES, STRETCHES, histories_of, metrics_of, samples_of, stretches, together
+from mjx_climb.walks import LINES, STRETCHES, histories_of, samples_of, stretches, together
 from mjx_climb.walks import histories as extremes
 
 STEP, STEPS, LIMBS = 0.01, 40, ("LF", "LH", "RH", "RF")
@@ -175,7 +175,7 @@ def test_extremes_of_a_batch_come_together_behind_its_axes():
 
 
 @pytest.mark.parametrize("recovery", [None, {"shift": 0.01}])
-def test_walks_of_any_gait_have_metrics_histories_and_samples(recovery):
+def test_walks_of_any_gait_have_histories_and_samples(recovery):
     """By their program alone: of a gait that looks ahead too, whose steps come in periods."""
     changes = {"duration": 0.4, "gait.cycle": 0.4} | ({} if recovery is None else {"control.recovery": recovery})
     scenario = mc.load_scenario("case_1_2", changes)
@@ -183,12 +183,9 @@ def test_walks_of_any_gait_have_metrics_histories_and_samples(recovery):
     shape = structure(scenario, DEFAULT_ENGINE, found.walked, law=found.law)
     assert bool(shape.planning) == (recovery is not None)
     count, _ = stretches(shape.steps)
-    own, lines = (
-        dict.fromkeys(mc.METRICS.names, ()),
-        {f"{of}{name}": (count,) for name in LINES for of in ("", "least of ")},
-    )
-    for function, shapes in ((metrics_of, own), (histories_of, own | lines)):
-        made = jax.eval_shape(functools.partial(function, shape), found.law, found.parameters)
-        assert {name: value.shape for name, value in made.items()} == shapes
+    shapes = dict.fromkeys(mc.METRICS.names, ())
+    shapes |= {f"{of}{name}": (count,) for name in LINES for of in ("", "least of ")}
+    made = jax.eval_shape(functools.partial(histories_of, shape), found.law, found.parameters)
+    assert {name: value.shape for name, value in made.items()} == shapes
     samples = jax.eval_shape(functools.partial(samples_of, shape), found.law, found.parameters)
     assert samples.foot_force.shape == (shape.steps, 4, 3) and samples.time.shape == (shape.steps,)
