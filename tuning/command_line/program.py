@@ -46,7 +46,18 @@ _OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of prints; typer ends quiet
 
 
 class Grouped(TyperCommand):
-    """A command whose help lists arguments and options under headings."""
+    """A command whose help lists arguments and options under headings, and whose options have one value each."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse an option with two values, or with its opposite: neither would be without a word."""
+        for parameter in self.params:
+            names = {*parameter.opts, *parameter.secondary_opts}
+            typed = [(name, words) for name, words in _by_option(args) if name in names and name.startswith("--")]
+            flag = getattr(parameter, "is_flag", False)
+            said = dict.fromkeys(name if flag else " ".join(words) for name, words in typed)
+            if len(said) > 1 and not getattr(parameter, "multiple", False):
+                raise InputError(f"{parameter.opts[0]}: expected one value, got {' and '.join(said)}")
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write a section of help for each panel that parameters name."""
@@ -292,20 +303,20 @@ def origin(name: str, again: str) -> "Origin":
 
 def typed_but(option: str, value: str) -> str:
     """Return the command as it was typed, to be run again from the same folder, with this value of an option."""
-    kept = [word for name, words in _by_option() if name != option for word in words]
+    kept = [word for name, words in _by_option(ARGUMENTS.get()) if name != option for word in words]
     return f"{shlex.join(['mjx-climb', *kept])} {option} {value}"
 
 
 def repeated(command: Sequence[str], *options: str) -> str:
     """Return the command that repeats one in the folder of its result, with those of these options that were typed."""
-    kept = [word for name, words in _by_option() if name in options for word in words]
+    kept = [word for name, words in _by_option(ARGUMENTS.get()) if name in options for word in words]
     name, *files = command
     return shlex.join(["mjx-climb", name, "config.yaml", *files, *kept, "--out", "again"])
 
 
-def _by_option() -> Iterator[tuple[str, list[str]]]:
+def _by_option(arguments: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
     """Yield each option that was typed with its words; the word behind one is taken for its value."""
-    words = list(ARGUMENTS.get())
+    words = list(arguments)
     while words:
         first = words.pop(0)
         name, equals, _ = first.partition("=")

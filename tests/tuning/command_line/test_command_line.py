@@ -168,6 +168,25 @@ def test_a_gpu_without_the_cpu_beside_it_is_refused(monkeypatch):
     assert line == "JAX_PLATFORMS: expected cpu among them, where what is exact is computed, got 'cuda'"
 
 
+@pytest.mark.parametrize(("options", "said"), [
+    (("--with-joint-gains", "--without-joint-gains"), "--with-joint-gains and --without-joint-gains"),
+    (("--seed", "1", "--seed=2"), "--seed 1 and --seed=2"),
+    (("--out", "a", "--out", "b"), "--out a and --out b"),
+])  # fmt: skip
+def test_an_option_has_one_value(capsys, options, said):
+    """The last one had won, without a word."""
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main(["tune", "nowhere", *options])
+    assert capsys.readouterr().err == f"mjx-climb: error: {said.split()[0]}: expected one value, got {said}\n"
+
+
+@pytest.mark.parametrize("options", [("--json", "nowhere", "--json"), ("nowhere", "--seed", "1", "--seed", "1")])
+def test_an_option_may_be_said_twice_alike_and_a_list_has_several(capsys, options):
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main(["tune", *options, "--law", "pd", "--law", "LoadTransfer"])
+    assert "error: nowhere: expected a file" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("where", ["mine", "called"])
 def test_an_error_of_a_users_own_file_is_one_line_with_its_place(tmp_path, where):
     """Also one of a library, or of ours, that it called; the rest of a traceback is no help."""

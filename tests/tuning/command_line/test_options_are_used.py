@@ -164,7 +164,7 @@ LINES = {  # a command, and what asks for another form of it: one that works, th
     "runs": "",
     "reproduce": "",
     "identify": "{config} --log log.csv --fit hardware.command_delay",
-    "export": "{folder}/held.yaml --config {config} --format json",
+    "export": "{folder}/held.yaml --config {config}",
     "robot": "robot.xml",
     "doctor": "",
     "doctor bench": "--bench",
@@ -211,6 +211,7 @@ OWN = {  # in place of those of `TYPED`, of a command or form
     "excite noise": ["--noise 1e-3"],
     "excite margin": ["--margin 0.5"],
     "excite candidates": ["--candidates 1"],
+    "export form": ["--format json"],
     "export rate": ["--format ros2_control --update-rate 500"],
     "export name": ["--format ros2_control --name mine"],
     "robot write": ["--write scenario.yaml"],
@@ -237,7 +238,6 @@ PLACED = {  # arguments and required options in place of those of the line
     "damping": ("--damping 1:2:2", "--damping 1:3:2"),
     "axis": ("--damping 1:2:2", "--axis kp=1:2:2"),
     "gains": ("{folder}/held.yaml", "{folder}/gains.yaml"),
-    "form": ("json", "csv"),
 }
 
 
