@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import numpy as np
@@ -19,7 +19,7 @@ from mjx_climb.control import SHIPPED, is_shipped, shipped
 from mjx_climb.execution.contents import Unidentifiable, identity, in_library
 from mjx_climb.inputs.file_contents import digest
 from mjx_climb.inputs.own_objects import RUN, class_of, load, reference_to
-from mjx_climb.scenario.kinds import shipped_kinds
+from mjx_climb.scenario.kinds import Controller, shipped_kinds
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Kind
 
@@ -94,6 +94,8 @@ def with_limits(law: mc.Law, limits: Mapping[str, float]) -> mc.Law:
 def check_reference(law: mc.Law | None, stored: str | None, source: str) -> None:
     """Raise ConfigError where something was stored for another law."""
     own = None if law is None else reference(law)
+    if own is None and stored in get_args(Controller):
+        raise ConfigError(source, "law", "no such key in gains of the config's own controller", stored)
     if own != stored:
         raise ConfigError(source, "law", f"gains of {own or THE_CONFIG}", f"those of {stored or THE_CONFIG}")
 

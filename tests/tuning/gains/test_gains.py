@@ -464,6 +464,10 @@ def test_a_file_that_names_a_shipped_law_with_its_module_still_reads(tmp_path):
     [
         ("law: PD\ndamping: 1", "damping: expected only the keys kp, kd, ki, safe_kp, got another"),
         ("law: mine.py:Mine\nkp: 1", "law: expected gains of the config's law, got those of mine.py:Mine"),
+        (
+            "law: base_admittance\ndamping: 1",
+            "law: expected no such key in gains of the config's own controller, got base",
+        ),
         ("law: PD\nlimits: {max_offset: 1}", "limits.max_offset: expected none, as the law has no limits of its own"),
         ("law: PD\ngait: 3", "gait: expected a mapping with keys stride, step_height, cycle, duty, settling, height, "),
         ("law: PD\ngait: {speed: 3}", "gait.speed: expected only the keys stride, "),
