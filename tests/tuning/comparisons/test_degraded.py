@@ -76,6 +76,41 @@ def test_what_cannot_be_made_worse_is_refused_in_one_line(worse, said, call, tmp
     assert err.startswith("mjx-climb: error: --worse: ") and said in err
 
 
+def test_settings_are_read_as_factors_and_values():
+    """Keys without a section of the scenario's are those of its hardware, but for masses."""
+    text = "delay=x2, force_sensor.dead.LF = 3.0,contact.spread=0.5,mass_scale=1.2,hardware.seed=4,contact.damping=x0.5"
+    found = degraded.setting(text)
+    assert found == (text, {"delay": 2.0, "contact.damping": 0.5}, {
+        "hardware.force_sensor.dead.LF": 3.0, "contact.spread": 0.5, "mass_scale": 1.2, "hardware.seed": 4,
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("interpolation=linear", "worse: expected a number of the hardware, got hardware.interpolation"),
+        ("contact.kind=polyhedron", "worse: contact.kind: expected a number, got 'polyhedron'"),
+        ("contact.stiffness=true", "worse: contact.stiffness: expected a number, got True"),
+        ("backlash=x2", "worse: expected backlash in the config or the draw to scale, got none (drive: Servos)"),
+        ("contact.spread=1", "worse: contact.spread: expected a value at contact.spread to change, got Gripper"),
+    ],
+)
+def test_settings_that_change_nothing_are_refused(text, said):
+    with pytest.raises(mc.ConfigError) as error:
+        degraded.worsened(CASE, mc.parameters(CASE), degraded.setting(text))
+    assert str(error.value).startswith(said)
+
+
+def test_values_of_keys_of_the_hardware_take_the_place_of_those_drawn():
+    """A path by its value, a section by all that it holds; the rest stays as it was drawn."""
+    own = mc.parameters(CASE)
+    found = degraded.worsened(CASE, own, degraded.setting("force_sensor.dead.LF=3.0,command_delay=0.004"))
+    assert np.ravel(found.force_sensor.dead).tolist() == [3.0, np.inf, np.inf, np.inf]
+    assert float(found.bus.command_delay) == 0.004 and float(own.bus.command_delay) != 0.004
+    changed = {path for path, value in found.values.items() if not np.array_equal(value, own.values[path])}
+    assert changed == {"hardware.force_sensor.dead", "hardware.command_delay"}
+
+
 def test_tables_say_what_worse_hardware_takes_and_what_is_left_of_the_lead():
     """Of made-up walks: a dead sensor makes the first gains half as bad again, and loses a walk in four."""
     rng, members = np.random.default_rng(0), 64

@@ -82,6 +82,15 @@ def test_what_was_drawn_stands_beside_the_walks(asked):
     assert data.attrs[judge.READING] == "mine" and work.name(2) == "member 2"
 
 
+def test_a_result_keeps_the_ensemble_that_was_asked_for(asked):
+    """It walks through another draw: that of a seed of its own."""
+    work = judge.draw_of(Problem(CASE), {"mine": mc.Gains(1.0, 300.0, 3000.0)}, DRAW, 2)
+    found = work.result(work.walk(np.arange(2)))
+    assert found.ensemble == DRAW.model_copy(update={"members": 2}) and found.problem is work.problem
+    assert found.data["gains"].values.tolist() == ["mine", "config", "pd"] and found.data.sizes["member"] == 2
+    assert found.problem.ensemble.seed != DRAW.seed and found.problem.members == 2
+
+
 def test_sensors_that_were_lost_are_named_by_limb():
     assert without_sensors({"LF": 0.5, "RH": 1.25}) == "ran without the force sensor of LF from 0.50 s, RH from 1.25 s"
     assert without_sensors({}) == ""

@@ -13,7 +13,17 @@ from mjx_climb.control.foot_offsets import FootOffsets
 from mjx_climb.control.recovering import Recovering
 from mjx_climb.inputs.time_step import short_enough
 from tuning.comparisons import of_search, side_by_side
-from tuning.comparisons.worth import BesidePd, Ends, OverWalks, best_without, better_of, between, law_without, worth_of
+from tuning.comparisons.worth import (
+    BesidePd,
+    Ends,
+    OverWalks,
+    best_without,
+    better_of,
+    between,
+    give_joint_gains,
+    law_without,
+    worth_of,
+)
 from tuning.gains.gains_file import by_name
 from tuning.problem import spaces
 from tuning.problem.evaluation import Problem
@@ -283,6 +293,23 @@ def test_a_sensor_is_worth_what_it_betters_the_better_rival_by(pd, plan, better,
     said = worth_of(OURS, {"force_variation": min(each for each in (pd, plan) if each == each)}, rival).in_words
     assert said.endswith(f"less force variation than {better} with kp 17, kd 1, which needs none ({beside})")
     assert said.startswith("no verdict on the force sensor, since of the laws without one pd alone was searched: ")
+
+
+def test_joint_gains_are_those_of_pd_and_of_the_plan_on_them_alone():
+    rows = {
+        "tuned": ({"stiffness": 1.0}, 1),
+        retuned_pd.NAME: (None, 2),
+        retuned_pd.UNSEARCHED: ({}, 3),
+        "pd": (None, 4),
+    }
+    both, alone = dict(rows), dict(rows)
+    give_joint_gains(both, JOINT, retuned_pd.UNSEARCHED)
+    assert both == rows | {retuned_pd.NAME: (JOINT, 2), retuned_pd.UNSEARCHED: (JOINT, 3)}
+    give_joint_gains(alone, JOINT, retuned_pd.NAME)
+    assert alone == {name: row for name, row in both.items() if name != retuned_pd.UNSEARCHED}
+    without = {"pd": (None, 4)}
+    give_joint_gains(without, JOINT, retuned_pd.UNSEARCHED)
+    assert without == {"pd": (None, 4)}
 
 
 def test_of_a_front_of_an_older_file_pd_is_the_one_rival():
