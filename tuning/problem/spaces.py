@@ -276,7 +276,7 @@ def _gains(scenario: mc.Scenario, search: Search, law: mc.Law) -> _Gains:
 
 
 def added(law: mc.Law) -> list[str]:
-    """Return what `also` may name, for a law."""
+    """Return the names that `also` may have, for a law."""
     return [*law.GAINS, INTEGRAL, *SEARCHED_GAIT]
 
 
