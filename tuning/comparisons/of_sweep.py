@@ -110,11 +110,18 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
         # side by side: most of the time goes to the compiler, where each has a program of its own
         with stage("walks alone"), ThreadPoolExecutor(devices.usable_cores()) as pool:
 
+            def measured(work: Work[mc.Trajectory]) -> tuple[mc.Trajectory, Values]:
+                walk = work(ignore)
+                return walk, mc.metrics(walk, problem.metrics)
+
             def start(work: Work[Any]) -> Work[Any]:
-                future = pool.submit(work, ignore)
+                future = pool.submit(measured, work)
                 return lambda _: future.result()
 
-            alone = {name: each(ignore) for name, each in walks_together(walkers, problem.engine, start).items()}
+            both: dict[str, Any] = {
+                name: each(ignore) for name, each in walks_together(walkers, problem.engine, start).items()
+            }
+        alone, metrics = ({name: each[part] for name, each in both.items()} for part in (0, 1))
         with stage("stability limit"):
             radius = stability_limit.on_map(others.limit(ignore), found.data)
         histories = found.data
@@ -128,10 +135,9 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
     for name in names:
         gains, there = gains_of(alone[name]), {path: alone[name].parameters.at(path) for path in paths}
         gains = {**(gains or {}), **there} if there else gains
-        rows[name] = gains, mc.metrics(alone[name], problem.metrics)
+        rows[name] = gains, metrics[name]
     data = found.data.assign(spectral_radius=radius)
-    at_step = mc.metrics(alone[LEVEL], problem.metrics) if LEVEL in alone else None
-    worth, level, said = conclusions(found, best, rows, rival, level, at_step)
+    worth, level, said = conclusions(found, best, rows, rival, level, metrics.get(LEVEL))
     walks = {name: alone[name] for name in names if name in rows}
     remedied = []
     if best is None:
