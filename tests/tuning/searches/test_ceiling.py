@@ -376,6 +376,23 @@ def test_contestants_are_laws_of_the_scenario_files_or_pd_retuned(tmp_path):
     assert search._walker(scenario, "retuned_pd", whole) == (scenario, whole.law, whole.gains)
 
 
+def test_pd_is_retuned_for_the_same_objective_on_the_members_of_the_search(monkeypatch):
+    """In the precision of the plans, its joint gains alone; fresh members have no part in it."""
+    scenario, asked = mc.load_scenario("case_1_2"), Ceiling(precision="float64")
+    how = {"metrics": mc.METRICS, "engine": "limb", "dtype": np.float64}
+    draws = search.draws_of(scenario, Ensemble(members=3, pushes=None), 2, how)
+    goal, seen = Objective((), ()), {}
+    monkeypatch.setattr(search, "tune", lambda *given, **named: seen.update(given=given, **named))
+    monkeypatch.setattr(search.retuned_pd, "joint_of", lambda found: {"kp": 20.0, "kd": 0.1})
+    assert search._retuned(scenario, asked, goal, draws) == {"kp": 20.0, "kd": 0.1}
+    (own,) = seen["given"]
+    assert own.control.controller == "pd" and seen["objective"] is goal
+    masses = np.asarray(draws.parameters.mass_scale)
+    np.testing.assert_array_equal(seen["parameters"].mass_scale, masses[:3, None])
+    assert masses.shape == (5,) and seen["metrics"] is mc.METRICS and seen["engine"] == "limb"
+    assert (seen["space"], seen["joint_gains"], seen["precision"]) == ("isotropic", True, "float64")
+
+
 def test_histories_of_long_walks_keep_the_peaks_of_their_stretches():
     forces = np.stack([np.arange(1700.0), np.arange(1700.0)[::-1]])
     offsets = np.arange(1700.0)[None, :, None] * np.ones((2, 1, 3))
