@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.robot_import.bodies import beginning
 from mjx_climb.robot_import.description import described, impossible, one_limit
 from mjx_climb.robot_import.markup import (
     check_numbers,
@@ -251,3 +252,11 @@ def test_bodies_have_masses_and_moments_of_zero_or_more(inertial, fine, tmp_path
     else:
         with pytest.raises(mc.RobotError, match=r"robot.xml:2: "):
             described(str(file))
+
+
+@pytest.mark.parametrize(("names", "head"), [
+    ([["a", "b"], ["a", "b", "c"]], ["a", "b"]), ([["a"], ["b"]], []), ([["a", "b", "c"], ["a", "x", "c"]], ["a"]),
+    ([["a", "b"]], ["a", "b"]),
+])  # fmt: skip
+def test_names_begin_with_the_words_that_all_of_them_have(names, head):
+    assert beginning(names) == head

@@ -480,3 +480,24 @@ def test_a_film_has_its_pictures_at_the_rate_that_is_asked_for(tmp_path, fps):
     assert np.abs(np.array(middles) - colors).max() < 12
     content = (tmp_path / "film.mp4").read_bytes()
     assert content.index(b"moov") < content.index(b"mdat")  # a browser starts before all is there
+
+
+def test_a_walk_has_its_gait_limb_by_limb_and_its_failure_on_the_side_with_room():
+    torn = np.zeros((ROWS, 4), bool)
+    torn[40:, 2] = True
+    for row, side in ((40, "right"), (20, "left")):
+        torn[row:, 2] = True
+        figure = plots.plot_walk(drawn(torn_off=torn))
+        bars = [artist for artist in figure.axes[-1].collections if artist.get_gid() == "support"]
+        for n, bar in enumerate(bars):
+            heights = np.concatenate([path.vertices[:, 1] for path in bar.get_paths()])
+            assert (heights.min(), heights.max()) == pytest.approx((n - 0.35, n + 0.35))
+            np.testing.assert_allclose(bar.get_facecolor()[0][:3], to_rgb(LIMB_COLORS[n]))
+        assert [tick.get_text() for tick in figure.axes[-1].get_yticklabels()] == list(drawn().limbs)
+        (legend,) = figure.legends
+        assert [text.get_text() for text in legend.get_texts()] == list(drawn().limbs)
+        (label,) = figure.findobj(lambda artist: artist.get_gid() == "failure")
+        assert label.get_text() == f"RH torn off, {0.001 * row:.2f} s" and label.get_ha() == side
+        assert label.xyann[0] == (-4 if side == "right" else 4) and label.xy == (0.001 * row, 1)
+        assert [axes.get_xlabel() for axes in figure.axes] == [""] * (len(figure.axes) - 1) + ["time [s]"]
+        assert figure.axes[0].get_xlim() == (0, pytest.approx(0.06))
