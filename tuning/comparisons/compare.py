@@ -16,12 +16,11 @@ from mjx_climb.control import PD, PlannedTransfer, law_of
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
-from tuning.background import Callback as Told
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
 from tuning.gains.own_section import load_law, without
 from tuning.methods import Method, grid, method_of, parts
-from tuning.methods.rounds import Callback
+from tuning.methods.rounds import counted
 from tuning.problem import spaces
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
@@ -248,7 +247,7 @@ def run(
             drawn = tune.of_search(problem, own, number)
             kept = None if below is None else below / f"{file_name(name)}-{own.seed}"
             with stage(f"{name}, seed {own.seed}", unit="rounds", keeps=True) as told:
-                found[name].append(tune.run(drawn, own, patience=patience, out=kept, progress=_telling(told)))
+                found[name].append(tune.run(drawn, own, patience=patience, out=kept, progress=counted(told)))
                 if found[name][-1].interrupted:
                     raise KeyboardInterrupt
     assert base.ensemble is not None
@@ -291,10 +290,6 @@ def _of_one_law(walks: xr.Dataset, name: str, gains: list[str], seeds: list[int]
     """Return the walks of some gains as those of one law over the seeds of its searches."""
     own = walks.sel(gains=gains).assign_coords(gains=seeds).rename(gains="seed")
     return own.map(lambda each: each.expand_dims(gains=[name]) if "seed" in each.dims else each, keep_attrs=True)
-
-
-def _telling(told: Told) -> Callback:
-    return lambda now: told(now.rounds, now.rounds_in_all)
 
 
 def on_better_hardware(scenario: mc.Scenario, drawn: mc.Parameters) -> dict[str, mc.Parameters]:

@@ -10,6 +10,7 @@ from tuning.comparisons import paired
 from tuning.comparisons.of_ensemble import shown
 from tuning.comparisons.side_by_side import VARIATION
 from tuning.problem.objectives import Objective
+from tuning.problem.readings import best_of_both
 from tuning.results.judged import Judged
 from tuning.searches.retuned_pd import NAME
 
@@ -36,13 +37,12 @@ def sensor_in_words(walks: xr.Dataset, metrics: list[str]) -> str:
     """The worth of a force sensor in words: of the gains that read forces the best, beside the best of the others."""
     reading = walks.attrs.get(judging.READING, "").split(", ")
     means, names = walks[VARIATION].mean("member"), walks["gains"].values.tolist()
-    groups = ([name for name in names if (name in reading) is reads] for reads in (True, False))
-    ours, others = (sorted(group, key=lambda name: float(means.sel(gains=name))) for group in groups)
-    if not ours:
+    ours, without = best_of_both(names, reading, lambda name: float(means.sel(gains=name)))
+    if ours is None:
         return ""
-    if set(others) <= {NAME, judging.PD}:
+    if without is None or {*names} - {*reading} <= {NAME, judging.PD}:
         return "what a force sensor is worth is not told: of the gains that read no forces pd's alone walked"
-    beside = walks.sel(gains=list(dict.fromkeys([ours[0], others[0], judging.PD])))
-    table = paired.compared(beside, metrics, others[0], Objective((), ()))
+    beside = walks.sel(gains=list(dict.fromkeys([ours, without, judging.PD])))
+    table = paired.compared(beside, metrics, without, Objective((), ()))
     whole = float(means.sel(gains=NAME if NAME in names else judging.PD))
-    return paired.sensor_in_words(table, ours[0], whole, metric=VARIATION)
+    return paired.sensor_in_words(table, ours, whole, metric=VARIATION)

@@ -9,7 +9,7 @@ from tuning.background import Stage, silent
 from tuning.comparisons import judge, paired
 from tuning.comparisons.of_ensemble import shown
 from tuning.problem.objectives import Objective
-from tuning.problem.readings import reads_forces
+from tuning.problem.readings import best_of_both, reads_forces
 from tuning.results.judged import Comparison
 from tuning.searches import retuned_pd
 
@@ -43,15 +43,10 @@ def _sensor(found: Comparison, table: xr.Dataset, reading: Sequence[str], joint:
     """The worth of a force sensor, in words: of both kinds the law whose searches found the least counts."""
     laws = [name for name in (*found.laws, retuned_pd.NAME) if name not in found.outside]
     searched = found.data["search_value"].mean("seed").sel(gains=laws)
-
-    def best(names: Sequence[str]) -> str | None:
-        return min(names, key=lambda name: float(searched.sel(gains=name)), default=None)
-
-    reads_none = [n for n in laws if n not in reading]
-    ours, without = best([n for n in laws if n in reading]), best(reads_none)
+    ours, without = best_of_both(laws, reading, lambda name: float(searched.sel(gains=name)))
     if not reading:
         return "no law here reads forces"
-    if ours is None or without is None or reads_none == [retuned_pd.NAME]:
+    if ours is None or without is None or {*laws} - {*reading} == {retuned_pd.NAME}:
         return "what a force sensor is worth is not told: no law beside pd was searched that reads no forces"
     goal = found.problem.objective
     assert isinstance(goal, Objective)

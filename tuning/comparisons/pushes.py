@@ -170,9 +170,8 @@ def _middle(low: float, high: float) -> float:
     return float(low if low == 0 or np.isinf(high) else np.sqrt(low * high)) if np.isfinite(high) else np.inf
 
 
-def in_words(found: xr.Dataset, force: float, length: float = 1.0, unit: str = "N") -> str:
-    """Return a force, times a length for an impulse; where no push tried bounds it, the last one tried."""
-    smallest, largest = (length * found.attrs[name] for name in ("smallest", "largest"))
+def in_words(found: xr.Dataset, force: float) -> str:
+    """Return a force; where no push tried bounds it, the last one tried."""
     if np.isinf(force):
-        return f"more than {largest:.3g} {unit}, the largest tried"
-    return f"less than {smallest:.3g} {unit}, the smallest tried" if force == 0 else f"{length * force:.3g} {unit}"
+        return f"more than {found.attrs['largest']:.3g} N, the largest tried"
+    return f"less than {found.attrs['smallest']:.3g} N, the smallest tried" if force == 0 else f"{force:.3g} N"

@@ -9,6 +9,7 @@ from mjx_climb import METRICS, Gains, MetricTable, Trajectory
 from mjx_climb.control import PlannedTransfer
 from tuning.background import Begin, Stage, Work
 from tuning.gains.gains_file import by_name
+from tuning.methods.rounds import counted
 from tuning.numbers import change, failed, is_number, number
 from tuning.problem.evaluation import Problem, walk_of_pd
 from tuning.problem.search import Search
@@ -97,9 +98,7 @@ def retuned(
     problem: Problem, search: Search, seeds: int, out: Path | None, law: mc.Law | None = None
 ) -> Work[Tuned | None]:
     """Return a work that searches kp and kd of pd, or a `law`, as the gains were searched; `out` keeps its rounds."""
-    return lambda report: retuned_pd.search(
-        problem, search, seeds=seeds, out=out, law=law, progress=lambda now: report(now.rounds, now.rounds_in_all)
-    )
+    return lambda report: retuned_pd.search(problem, search, seeds=seeds, out=out, law=law, progress=counted(report))
 
 
 def rivals(pd: Work[Tuned | None], plan: Work[Tuned | None] | None, stage: Stage) -> tuple[Tuned | None, Tuned | None]:

@@ -35,6 +35,11 @@ class Progress(NamedTuple):
 Callback = Callable[[Progress], None]
 
 
+def counted(report: Callable[[int, int], None]) -> Callback:
+    """Return a callback that reports how many rounds are done, and in all."""
+    return lambda now: report(now.rounds, now.rounds_in_all)
+
+
 def follow(
     points: Generator[Request, Evaluation, Any],
     evaluate: Callable[[Request], Evaluation],

@@ -12,6 +12,7 @@ from tuning.comparisons import verdicts
 from tuning.numbers import number, unit
 from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.page import Findings, Page, Table
+from tuning.problem.readings import best_of_both
 from tuning.results.ceiling import BLIND, CLAIRVOYANT, LEVEL, PD, RETUNED, Bounded, mean_and_interval
 
 BARS = "The objective of each contestant, pd's mean is 1: bars are means, dots the members' walks."
@@ -53,10 +54,8 @@ def sensor_of_laws(found: Bounded) -> str:
     """The best law that reads forces beside the best that does not, in words; nothing where there is no such pair."""
     laws = [name for name in found.contestants if name not in (*found.plans, PD)]
     reading = str(found.data.attrs.get("reads_forces", "")).split(", ")
-    groups = ([name for name in laws if (name in reading) is reads] for reads in (True, False))
-    first = (min(group, key=lambda name: found.values(name).mean(), default="") for group in groups)
-    ours, without = first
-    if not ours or not without:
+    ours, without = best_of_both(laws, reading, lambda name: float(found.values(name).mean()))
+    if ours is None or without is None:
         return ""
     worth = mean_and_interval(found.values(without) - found.values(ours))
     ends = f" ({LEVEL:.0%} interval {100 * worth.low:.1f} to {100 * worth.high:.1f})" if np.isfinite(worth.low) else ""

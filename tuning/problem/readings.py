@@ -1,5 +1,6 @@
 """Sensors on which a law depends, by its program."""
 
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import jax
@@ -25,6 +26,12 @@ def readings(problem: Problem) -> frozenset[str]:
     found: list[frozenset[str]] = []
     jax.eval_shape(lambda law, start: found.append(beginning(law, start).reads), one, start)
     return found[0]
+
+
+def best_of_both(names: Sequence[str], reading: Collection[str], value: Callable[[str], float]) -> list[str | None]:
+    """Return the laws of the least value among those that read forces, and among the others; None of no law."""
+    groups = ([name for name in names if (name in reading) is reads] for reads in (True, False))
+    return [min(group, key=value, default=None) for group in groups]
 
 
 def reads_forces(problem: Problem) -> bool:
