@@ -27,18 +27,21 @@ SINCE = np.array([0.0, 4.2, 30.0])
 
 @pytest.mark.parametrize(("common", "since"), [(True, None), (True, SINCE), (False, SINCE)])
 def test_the_steering_of_each_walk_makes_its_targets(common, since):
-    """Its sets of offsets, each from its own step on, over its plan and between its limits."""
+    """Its sets of offsets, each from its own step on or, where there is none, behind the last; between its limits."""
     free = freedom(common, since)
     x = 0.2 * np.random.default_rng(1).standard_normal(free.none.shape)
     offsets, steering = free.steering(x, np.float64)
-    assert offsets.shape == (6, common + (since is not None), free.knots.count, 4, 3)
+    assert offsets.shape == (6, 2, free.knots.count, 4, 3)
     lines = free.knots.at_steps(offsets)
     there = np.arange(STEPS) >= steering.begins[..., None]
     whole = steering.base + (lines * there[..., None, None]).sum(1)
     found = np.clip(whole, steering.lower[:, None], steering.upper[:, None])
     np.testing.assert_allclose(found, free.targets(x).reshape(6, STEPS, 4, 3), atol=1e-12)
-    assert free.directions == offsets[0].size and steering.begins.dtype == np.int32
-    assert steering.begins.max() <= STEPS
+    assert steering.begins.dtype == np.int32
+    wanted = np.full((2, 3, 2), STEPS)
+    wanted[..., 0] = 0 if common else STEPS
+    wanted[..., 1] = STEPS if since is None else np.minimum(np.ceil(since), STEPS)
+    np.testing.assert_array_equal(steering.begins, wanted.reshape(6, 2))
 
 
 @pytest.mark.parametrize(("common", "since"), [(True, None), (True, SINCE), (False, SINCE)])
