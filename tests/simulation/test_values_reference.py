@@ -21,7 +21,9 @@ from mjx_climb.component import (
     real_numbers,
     with_values,
 )
+from mjx_climb.control import PD, Law
 from mjx_climb.inputs.from_scenario import own_parameters, parameters, paths, waiting_of
+from mjx_climb.inputs.resolve import checked
 from mjx_climb.parameter_types import path_of_gain, stance_steps, whole_steps, with_whole_steps
 from mjx_climb.reading import leaving, read_found
 from mjx_climb.value_field import ValueField, value_field
@@ -338,3 +340,14 @@ def test_names_that_lead_out_of_a_folder_are_found(tmp_path):
             os.close(os.open(tmp_path / name, os.O_WRONLY))
             pytest.fail("waits")
     assert said == {"pipe": OSError, "in": IsADirectoryError, "none": FileNotFoundError}
+
+
+def test_a_law_is_an_instance_of_a_class_of_laws():
+    law = PD()
+    assert checked(law, Law) is law
+    for given, kind, said in (
+        (PD, Law, r"law: expected an instance of a class that inherits from mjx_climb.Law, got .*; PD\(\) makes one$"),
+        (Part(), Law, r"law: expected an instance of a class that inherits from mjx_climb.Law, got Part\(.*\)$"),
+    ):
+        with pytest.raises(ValueError, match=f"^{said}"):
+            checked(given, kind)
