@@ -175,15 +175,16 @@ def page_of(found: Comparison, table: Table, said: Findings) -> Page:
 def plot_laws(table: xr.Dataset) -> Figure:
     """Draw differences from the baseline in per cent of it, with their intervals: a panel a metric, a row a law.
 
-    Dots are means, diamonds means of the worst 5 %; grey where the interval holds 0.
+    Dots are means, diamonds means of the worst 5 %; grey where the interval holds 0, or where too few seeds or walks
+    give none.
     """
     base = table.attrs["baseline"]
     names = [name for name in table["gains"].values.tolist() if name != base]
-    others = table.sel(gains=names)  # one without an interval, or which is 0 with all gains, shows nothing
-    drawn = others["low"].notnull() & ((others["value"] != 0) | (others["difference"] != 0))
+    others = table.sel(gains=names)  # one which is 0 with all gains shows nothing
+    drawn = others["difference"].notnull() & ((others["value"] != 0) | (others["difference"] != 0))
     metrics = [name for name in table["metric"].values.tolist() if bool(drawn.sel(metric=name).any())]
-    columns = min(3, len(metrics))
-    rows = -(-len(metrics) // columns)
+    columns = max(1, min(3, len(metrics)))
+    rows = max(1, -(-len(metrics) // columns))
     figure = Figure(figsize=(2 * plots.COLUMN, rows * (0.55 + 0.2 * len(names)) + 0.4), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for panel, metric in itertools.zip_longest(panels.flat, metrics):

@@ -206,8 +206,8 @@ def test_a_search_has_converged_after_ten_rounds_of_its_points(scenario, monkeyp
 
 
 COMMAND = (
-    f"compare {CASE} --laws base_admittance,{{files}}/law.py:Shared --hardware dynamixel_x --also share "
-    "--ensemble {files}/drawn.yaml --members 6 --seeds 2 --starts 4 --iterations 2 --may-be-worse-than-pd"
+    f"tune {CASE} --law base_admittance --law {{files}}/law.py:Shared --hardware dynamixel_x --also share "
+    "--ensemble {files}/drawn.yaml --test-members 6 --seeds 2 --starts 4 --iterations 2 --may-be-worse-than-pd"
 ) + "".join(f" --set {change}" for change in SHORT)
 
 

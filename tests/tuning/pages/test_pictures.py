@@ -88,8 +88,9 @@ def test_the_whole_front_of_pd_is_on_the_picture_of_a_front():
             assert (bottom < np.min(y)) and (np.max(y) < top), line.get_label()
 
 
-def test_no_panel_of_a_comparison_of_laws_is_empty():
-    """Without weight no walk has a cost of transport, and no walk may be lost."""
+@pytest.mark.parametrize("few", [False, True])
+def test_no_panel_of_a_comparison_of_laws_is_empty(few):
+    """Without weight no walk has a cost of transport, and no walk may be lost; few seeds give no intervals."""
     metrics, names = ["objective", "force_variation", "cost_of_transport", "failed"], ["soft", "retuned_pd"]
     value = np.tile([[[1.0]], [[50.0]], [[np.nan]], [[0.0]]], (1, 2, 2))
     change = np.zeros_like(value)
@@ -99,6 +100,20 @@ def test_no_panel_of_a_comparison_of_laws_is_empty():
     data = {name: (dims, shift + change) for name, shift in {"difference": 0.0, "low": -0.02, "high": 0.02}.items()}
     data |= {"value": (dims, value), "real": (dims, change < 0), "larger_is_better": ("metric", [False] * 4)}
     coordinates = {"metric": metrics, "statistic": ["mean", "worst"], "gains": names}
-    figure = plot_laws(xr.Dataset(data, coordinates, {"baseline": "retuned_pd"}))
-    shown = [panel.get_title(loc="left") for panel in figure.axes if panel.get_visible()]
+    table = xr.Dataset(data, coordinates, {"baseline": "retuned_pd"})
+    if few:
+        table["low"], table["high"], table["real"] = (
+            table["low"] * np.nan,
+            table["high"] * np.nan,
+            table["real"] & False,
+        )
+    shown = [panel.get_title(loc="left") for panel in plot_laws(table).axes if panel.get_visible()]
     assert shown == ["objective", "force variation"]
+
+
+def test_a_comparison_of_laws_that_all_diverge_has_a_picture():
+    dims = ("metric", "statistic", "gains")
+    data = {name: (dims, np.full((1, 2, 2), np.nan)) for name in ("value", "difference", "low", "high", "real")}
+    coordinates = {"metric": ["objective"], "statistic": ["mean", "worst"], "gains": ["soft", "retuned_pd"]}
+    figure = plot_laws(xr.Dataset(data, coordinates, {"baseline": "retuned_pd"}))
+    assert not any(panel.get_visible() for panel in figure.axes)
