@@ -196,9 +196,9 @@ def test_the_force_that_a_share_survives_is_that_of_the_draw_which_is_lost_next(
     bounded = drawn(low[5:8], high[5:8])
     assert pushes.borne(bounded, 0.95)[0] == pytest.approx(math.sqrt(8 * 16)) and pushes.borne(bounded, 0.0)[0] > 40
     assert pushes.borne(drawn(low[8:], high[8:]), 0.5) == (math.inf, 0.0, math.inf)
-    ends = {math.inf: "more than 32 N s, the largest tried", 0.0: "less than 0.5 N s, the smallest tried"}
-    for force, said in (ends | {11.0: "5.5 N s"}).items():
-        assert pushes.in_words(bounded, force, 0.5, "N s") == said
+    ends = {math.inf: "more than 64 N, the largest tried", 0.0: "less than 1 N, the smallest tried"}
+    for force, said in (ends | {11.0: "11 N"}).items():
+        assert pushes.in_words(bounded, force) == said
 
 
 def test_metrics_that_differ_are_told_as_a_loop_tells_them():
