@@ -119,3 +119,21 @@ def test_feet_are_held_away_from_the_base_and_up_by_phase():
     np.testing.assert_allclose(moved[:, :2], 1e-3 * flat / np.linalg.norm(flat, axis=1, keepdims=True), rtol=1e-5)
     np.testing.assert_allclose(moved[:, 2], -2e-3, rtol=1e-6)
     assert set(law.GAINS) >= {"upward_in_swing", "outward_standing"}
+
+
+def test_loaded_feet_are_as_far_within_the_ground_as_they_sink():
+    """Feet that sink by a way for their planned force are feet that do not, seen so much higher from the base."""
+    now = reference((9.0,) * 4, (9.0,) * 4, turned=0.0)
+    lever = FEET - np.asarray(now.base_position)
+    grasp = np.hstack([np.vstack([np.eye(3), np.cross(each, np.eye(3)).T]) for each in lever])
+    forces = (np.linalg.pinv(grasp) @ np.concatenate([-WEIGHT, np.zeros(3)])).reshape(4, 3)
+    gains = {"normal_damping": 80.0, "leak": 2.0, "landing": 0.8}
+
+    def commanded(sinking, lever):
+        law = PlannedTransfer(sinking=sinking, **gains)
+        known, state = measurement()._replace(foot_lever=jnp.asarray(lever)), law.init(start(now))
+        return np.asarray(law.step(state, known, now)[1].foot_position)
+
+    sunk, higher, neither = (commanded(*each) for each in ((1e-4, lever), (0.0, lever + 1e-4 * forces), (0.0, lever)))
+    moved = np.abs(higher - neither).max()
+    assert moved > 0 and np.abs(sunk - higher).max() < 0.05 * moved

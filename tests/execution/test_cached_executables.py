@@ -274,3 +274,11 @@ def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
     assert paths.verdict.__wrapped__("regions").works
     for folder in ("programs", "probes"):  # XLA writes its own beside
         assert list((tmp_path / folder).iterdir()) == []
+
+
+@pytest.mark.parametrize("word", ["off", "OFF", "0", "No", "False", "none"])
+def test_the_cache_is_switched_off_in_words(monkeypatch, word):
+    monkeypatch.setenv(cache.VARIABLE, word)
+    assert cache.asked_folder() is None
+    monkeypatch.setenv(cache.VARIABLE, f"{word}/there")
+    assert cache.asked_folder() == Path(f"{word}/there")

@@ -209,3 +209,9 @@ def test_what_the_kernel_cannot_do_is_said_once_and_walked_by_xla(interpreted):
     assert len(said) == 1
     np.testing.assert_array_equal(carried_out("double", values), values * 2)
     assert taken == ["kernel", "plain", "plain", "kernel"]
+
+
+@pytest.mark.parametrize("walks", [1, 31, 32, 33, 500])
+def test_every_walk_has_a_thread_for_each_limb(walks):
+    threads = gpu_kernel.THREADS * gpu_kernel.Kernel("", 0, 4).blocks(walks)
+    assert 4 * walks <= threads < 4 * walks + gpu_kernel.THREADS

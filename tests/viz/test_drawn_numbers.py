@@ -501,3 +501,15 @@ def test_a_walk_has_its_gait_limb_by_limb_and_its_failure_on_the_side_with_room(
         assert label.xyann[0] == (-4 if side == "right" else 4) and label.xy == (0.001 * row, 1)
         assert [axes.get_xlabel() for axes in figure.axes] == [""] * (len(figure.axes) - 1) + ["time [s]"]
         assert figure.axes[0].get_xlim() == (0, pytest.approx(0.06))
+
+
+def test_a_caption_knows_no_force_that_is_yet_to_come():
+    """The largest so far, in a picture that comes before larger ones."""
+    walk, view = drawn(), canvas.View(np.zeros(3), 1.0, canvas.AZIMUTH, np.zeros(3))
+    later = dataclasses.replace(walk, foot_force=walk.foot_force.copy())
+    later.foot_force[3:] *= 5
+    pictures = [
+        captions.Caption(each, "pd", (320, 180), 0.01).draw(np.zeros((180, 320, 3), np.uint8), 2, view, None)
+        for each in (walk, later)
+    ]
+    np.testing.assert_array_equal(*pictures)

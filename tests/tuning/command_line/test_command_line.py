@@ -24,7 +24,7 @@ from mjx_climb.walk.metrics import FAILURES
 from mjx_climb.walks import LINES
 from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning import numbers
-from tuning.command_line import main, options, session, sweep
+from tuning.command_line import evaluate, main, options, session, sweep
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
 from tuning.comparisons import of_sweep
@@ -580,3 +580,9 @@ def test_a_file_of_ones_own_does_not_end_the_program_as_if_all_were_done(text, c
     (tmp_path / "own.py").write_text(text)
     code, out, err = call("run", CONFIG, "--law", f"{tmp_path}/own.py:Mine", "--out", tmp_path / "out")
     assert (code, out, err.count("\n")) == (2, "", 1) and ("SystemExit" in err or "sys.exit(0)" in err)
+
+
+def test_a_rival_of_a_file_has_its_joint_gains_and_gait(tmp_path):
+    file = tmp_path / "pd.yaml"
+    file.write_text("law: PD\nkp: 20.0\nkd: 0.5\ngait: {duty: 0.8}\n")
+    assert evaluate.Rival(retuned_pd=file).joint_gains() == {"kp": 20.0, "kd": 0.5, "gait.duty": 0.8}

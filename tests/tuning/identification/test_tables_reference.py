@@ -313,3 +313,11 @@ def test_signals_of_a_robot_have_their_units():
     assert commanded(Log({"LF.coxa.position": signal}, "a")) == "command"
     with pytest.raises(mc.ConfigError, match=r"a: expected commands of one kind, got LF.coxa.command, RF.coxa.eff"):
         commanded(Log({"LF.coxa.command": signal, "RF.coxa.effort_command": signal}, "a"))
+
+
+@pytest.mark.parametrize(("said", "named"), [(("left", "right"), {"left", "right"}), (("idle", "idle"), set())])
+def test_words_that_two_places_share_in_a_row_are_no_names(said, named):
+    fields = {"position0": np.arange(3.0), "position1": np.arange(3.0) + 9}
+    made, used = by_names(fields, {f"mode_{number}": [word] * 3 for number, word in enumerate(said)})
+    assert {word for name in made for word in said if word in name} == named
+    assert bool(used) == bool(named)
