@@ -86,7 +86,7 @@ def _nests(value) -> bool:
 
 
 def of_figure(figure) -> list[str]:
-    """Return what a picture shows: panels, curves, marks, words; of panels that look alike the first one's."""
+    """Return panels, curves, marks and words of a picture; one panel where several look alike."""
     lines, known = [f"figure {_short(list(figure.get_size_inches()))} in"], []
     for axes in figure.axes:
         if not axes.get_visible():

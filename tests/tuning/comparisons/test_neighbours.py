@@ -74,7 +74,7 @@ def test_neighbours_are_a_fifth_less_and_more_of_each_gain_and_within_the_bounds
 
 
 def test_a_value_is_verified_alone_and_its_neighbours_relative_to_pds(monkeypatch):
-    """The walk alone is scored; what is near counts by its change, over the value of pd, 1 where that is 0."""
+    """The walk alone is scored; a neighbour counts by its change in shares of pd's value, or of 1 where that is 0."""
     goal = Objective((Term("force_variation", 1.0, 2.0, 2.0),), (Limit("base_deviation", 0.1, 0.1, 0.02, "own"),))
     scenario = mc.load_scenario("case_1_2")
     problem = Problem(scenario, spaces.space(scenario, Search()), goal)

@@ -194,7 +194,7 @@ def test_a_posterior_is_that_of_dense_algebra(seed):
 
 
 def directions_by_hand(variables, information, sd, x):
-    """Lines on what is not told, and on combinations that are."""
+    """Lines on parameters that are not told, and on combinations of them that are."""
     helps = {"control.k": "another P gain", "friction": "slow reversals", "delay": "steps of the command"}
     values, vectors = np.linalg.eigh(np.diag(sd) @ information @ np.diag(sd))
     lines, involved, combined = [], set(), []
