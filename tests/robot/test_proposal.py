@@ -259,7 +259,7 @@ def test_a_stance_is_not_singular_for_what_the_grips_hold(saved):
 
 def test_a_singular_stance_is_named_and_refused(saved, monkeypatch):
     """Limbs stretched straight; grips that hold attitudes on limbs that cannot turn their feet about every axis."""
-    file = saved(climbers.climbers.mjcf(4, 3))
+    file = saved(climbers.mjcf(4, 3))
     straight = {"foothold": 0.11 + np.sqrt(0.3**2 - 0.08**2) - 1e-6, "height": 0.08}
     stretched = mc.Scenario.model_validate(climbers.config(file, 4, 3, **straight))
     for walk in (mc.rollout, mc.simulator):
@@ -606,7 +606,7 @@ def test_a_base_that_slides_beside_a_pebble_that_floats(saved):
 
 def test_a_file_that_begins_at_a_foot(saved):
     """Turned round it moves as before, and with its base named it is the robot whose file begins there."""
-    whole = saved(climbers.climbers.mjcf(4, 3))
+    whole = saved(climbers.mjcf(4, 3))
     model = model_of(whole)
     spec = rerooted(model, "L1_2")
     other = spec.compile()
