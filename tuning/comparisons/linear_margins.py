@@ -59,11 +59,12 @@ def find(
     own, joint, found = own_parameters(scenario), joint_gains(scenario, gains), {}
     for done, (name, margin) in enumerate(margins.items()):
         quantity, down = asked[name], margin.worst < margin.own
-        grid, step = quantity.values(scenario), scenario.time_step if PERIOD in quantity.paths else 0.0
+        grid = quantity.values(own, scenario.time_step)
+        step = scenario.time_step if PERIOD in quantity.paths else 0.0
         reached = (min if down else max)(grid[POINTS // 2], grid[0] if margin.holds is None else margin.holds)
         worst = max(margin.worst, reached / _BEYOND) if down else min(margin.worst, reached * _BEYOND)
         spaced = np.geomspace if quantity.factor else np.linspace
-        values = quantity.on_steps(spaced(grid[0], worst, POINTS), scenario)
+        values = quantity.on_steps(spaced(grid[0], worst, POINTS), scenario.time_step)
 
         def radii(some: np.ndarray, only: int | None = None, quantity: Quantity = quantity) -> np.ndarray:
             found = stability_limit.by_stance(

@@ -41,18 +41,18 @@ class Quantity(NamedTuple):
     factor: bool = False
     ideal: float | None = None  # the value that is walked first; None: the scenario's own
 
-    def own(self, scenario: mc.Scenario) -> float:
-        """The value of the scenario's hardware, or a factor of 1."""
-        value = 1.0 if self.factor else float(own_parameters(scenario).at(self.paths[0]))
-        return scenario.time_step if PERIOD in self.paths and not self.factor and not value else value
+    def own(self, parameters: mc.Parameters, step: float) -> float:
+        """The value of the scenario's hardware at its time step, or a factor of 1."""
+        value = 1.0 if self.factor else float(parameters.at(self.paths[0]))
+        return step if PERIOD in self.paths and not self.factor and not value else value
 
-    def on_steps(self, values: np.ndarray, scenario: mc.Scenario) -> np.ndarray:
+    def on_steps(self, values: np.ndarray, step: float) -> np.ndarray:
         """The nearest values that a walk has: whole time steps for a control period."""
-        return whole_periods(values, scenario.time_step) if PERIOD in self.paths and not self.factor else values
+        return whole_periods(values, step) if PERIOD in self.paths and not self.factor else values
 
-    def values(self, scenario: mc.Scenario) -> np.ndarray:
+    def values(self, parameters: mc.Parameters, step: float) -> np.ndarray:
         """The values (POINTS,) that are walked, from good to bad, closer together where the hardware is good."""
-        own, worst, samples = self.own(scenario), self.worst, scenario.time_step * np.array([_MOST_SAMPLES, MAX_DELAY])
+        own, worst, samples = self.own(parameters, step), self.worst, step * np.array([_MOST_SAMPLES, MAX_DELAY])
         late = not {*self.paths}.isdisjoint(DELAYED.values()) and not self.factor
         if self.factor:
             values = np.geomspace(own, worst, POINTS)
@@ -64,7 +64,7 @@ class Quantity(NamedTuple):
         for wanted in (own, needed(own, values[-1])):  # the values asked of gains are walked themselves
             if min(values) <= wanted <= max(values):
                 values[np.abs(values - wanted).argmin()] = wanted
-        return self.on_steps(np.minimum(values, samples[1]) if late else values, scenario)
+        return self.on_steps(np.minimum(values, samples[1]) if late else values, step)
 
 
 QUANTITIES: Mapping[str, Quantity] = {
@@ -175,7 +175,8 @@ def find(
         progress: called with the number of walks done and of all.
     """
     walkers = {"given": Whole(law, gains), "pd": pd_of(scenario), **others}
-    grid = np.stack([quantity.values(scenario) for quantity in asked.values()])
+    parameters, step = own_parameters(scenario), scenario.time_step
+    grid = np.stack([quantity.values(parameters, step) for quantity in asked.values()])
     total = 2 * len(walkers) * grid.size
 
     def walk(values: np.ndarray, done: int, known: Mapping[str, xr.Dataset]) -> xr.Dataset:
@@ -188,19 +189,19 @@ def find(
         return xr.concat(found, xr.Variable("gains", list(walkers)), coords="minimal", compat="override")
 
     coarse = walk(grid, 0, walked)
-    between = np.stack([_between(each, scenario, coarse.sel(quantity=name)) for name, each in asked.items()])
+    between = np.stack([_between(each, step, coarse.sel(quantity=name)) for name, each in asked.items()])
     walks = xr.concat([coarse, walk(between, total // 2, {})], "point", coords="minimal", compat="override")
-    own = {name: quantity.own(scenario) for name, quantity in asked.items()}
+    own = {name: quantity.own(parameters, step) for name, quantity in asked.items()}
     badness = walks["value"] * np.where(grid[:, -1:] < grid[:, :1], -1.0, 1.0)
     walks = walks.isel(point=badness.copy(data=np.argsort(badness.values, axis=1, kind="stable")))
     walks = walks.transpose("gains", "quantity", "point").reset_coords("value")
-    margins, units = {}, own_parameters(scenario).units
+    margins: dict[str, Margin] = {}
     for name, quantity in asked.items():
         some = walks.sel(quantity=name)
         values = some["value"].values
         counts = map(count_good, _verdicts(some))
         holds, better = (float(values[count - 1]) if count else None for count in counts)
-        unit = "x" if quantity.factor else units[quantity.paths[0]][0]
+        unit = "x" if quantity.factor else parameters.units[quantity.paths[0]][0]
         margins[name] = Margin(own[name], holds, better, float(values[-1]), quantity.title, unit)
     first = next(iter(asked))
     here = int(np.abs(grid[0] - own[first]).argmin())
@@ -220,9 +221,9 @@ def on_the_grid(
 
     Without `values` they are the first walks of one set of gains in `find`, the same for all gains in question.
     """
-    if values is None:
-        values = np.stack([quantity.values(scenario) for quantity in asked.values()])
     own, joint = own_parameters(scenario), joint_gains(scenario, walker.gains)
+    if values is None:
+        values = np.stack([quantity.values(own, scenario.time_step) for quantity in asked.values()])
     each = [changes(own, quantity, row, joint) for quantity, row in zip(asked.values(), values, strict=True)]
     batch = {
         path: np.stack([_of_points(changed, path, values.shape[1]) for changed in each])
@@ -294,7 +295,7 @@ def _verdicts(walks: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     return holds[0], holds[0] & ((variation[0] < variation[1]) | ~holds[1])
 
 
-def _between(quantity: Quantity, scenario: mc.Scenario, walks: xr.Dataset) -> np.ndarray:
+def _between(quantity: Quantity, step: float, walks: xr.Dataset) -> np.ndarray:
     """Return values (N,) of a quantity about where gains stop to hold, and where they stop to pay.
 
     The last one is the worst of the grid again: it keeps the delays' buffers as long, and so the compiled program.
@@ -304,4 +305,4 @@ def _between(quantity: Quantity, scenario: mc.Scenario, walks: xr.Dataset) -> np
     for good, points in zip(_verdicts(walks), (POINTS // 2, POINTS - POINTS // 2 - 1), strict=True):
         bad = min(max(count_good(good), 1), len(values) - 1)
         finer.append(np.linspace(values[bad - 1], values[bad], points + 2)[1:-1])
-    return quantity.on_steps(np.concatenate([*finer, values[-1:]]), scenario)
+    return quantity.on_steps(np.concatenate([*finer, values[-1:]]), step)

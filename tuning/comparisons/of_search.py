@@ -10,7 +10,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import PD
-from mjx_climb.inputs.gait_values import GAIT, own_gait
+from mjx_climb.inputs.gait_values import own_gait
 from tuning.background import Begin, Callback, Stage, Work, background, ignore, silent
 from tuning.comparisons import maps, margins, verdicts, verification
 from tuning.comparisons.side_by_side import (
@@ -55,15 +55,14 @@ def begin(problem: Problem, search: Search, start: Begin, *, seeds: int = 1, out
     `out` holds the rounds of the search that retunes pd until the result is there.
     """
     scenario, law, engine = problem.scenario, problem.law, problem.engine
-    on_the_map = law is None and {*JOINT, INTEGRAL, *GAIT}.isdisjoint(
-        problem.space.index
-    )  # then one map serves all results
+    # one map serves all results: they differ in the gains that it sweeps alone
+    on_the_map = law is None and not search.pins and {*problem.space.gains} <= {"stiffness", "damping"}
     plan = planned(problem, search, seeds, out)
     return Begun(
         start(retuned(problem, search, seeds, out)),
         None if plan is None else start(plan),
         {"pd": start(one_walk(under_pd(scenario), None, engine)), "config": start(one_walk(scenario, law, engine))},
-        start(lambda report: verification.map_with(problem, scenario, None, progress=report)) if on_the_map else None,
+        start(lambda report: verification.map_around(problem, report)) if on_the_map else None,
         {
             "pd": start(lambda report: margins.on_the_grid(scenario, margins.pd_of(scenario), engine, report)),
             "config": start(lambda report: margins.on_the_grid(scenario, Whole(law, {}), engine, report)),
@@ -100,12 +99,12 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         out: a folder that keeps the rounds of the search that retunes pd.
         begun: the result of `begin`, where it was begun before the search.
     """
-    scenario, problem = found.scenario, found.problem
-    ours, engine = (problem.with_gains(found.gains).scenario, found.law), problem.engine
+    scenario, problem, engine = found.scenario, found.problem, found.problem.engine
+    ours = found.walked.scenario, found.walked.law
     with background() as start:
-        tested = start(lambda _: verification.tests(found, problem))  # the longest to compile
+        tested = start(lambda _: verification.tests(found))  # the longest to compile
         others = begun or begin(problem, found.search, start, seeds=found.seeds, out=out)
-        mapped = others.over or start(lambda told: verification.map_of(found, problem, progress=told))
+        mapped = others.over or start(lambda told: verification.map_of(found, progress=told))
         walking = {**others.walks, "tuned": start(one_walk(*ours, engine))}
         rival, plan = rivals(others.retuned, others.planned, stage)
         if plan is not None:
@@ -138,9 +137,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         with stage("margins") as told:
             hardware = margin(told)
         with stage("verification"):
-            checked = verification.verify(
-                found, problem, metrics=own, walks=over, hardware=hardware, tested=tested(ignore)
-            )
+            checked = verification.verify(found, metrics=own, walks=over, hardware=hardware, tested=tested(ignore))
         leveled = level(ignore)
     each = {name: (with_joint_gains(walk, problem), mc.metrics(walk, problem.metrics)) for name, walk in walks.items()}
     at_step = None if step is None else (step, mc.metrics(leveled, problem.metrics))

@@ -13,15 +13,14 @@ from mjx_climb.inputs.gait_values import GAIT, TIMES
 from mjx_climb.walk.metrics import FAILURES
 from tuning.comparisons import maps, margins, stability_limit
 from tuning.comparisons.margins import Margin
-from tuning.gains.gains_file import OPTIONAL, apart, applied, by_name
 from tuning.methods.gradient import CANDIDATES
 from tuning.problem import objectives
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal
 from tuning.problem.spaces import Space, kind_of
 from tuning.results.tuned import Tuned
-from tuning.searches.sweep import sweep
-from tuning.searches.tune import problem_of
+from tuning.searches.shards import Rows
+from tuning.searches.sweep import Grid, default_batch_size
 
 STEP = 0.2  # relative change of a gain
 PLATEAU, CLIFF = (
@@ -57,35 +56,28 @@ class Verification:
         return not self.broken_limits
 
 
-def map_of(
-    found: Tuned, problem: Problem | None = None, *, progress: Callable[[int, int], None] | None = None
-) -> xr.Dataset | None:
+def map_of(found: Tuned, *, progress: Callable[[int, int], None] | None = None) -> xr.Dataset | None:
     """Return the metrics over an isotropic grid of two gains, with the objective as `objective`; None with one gain.
 
-    They are stiffness and damping, where the law has them and they were searched, or else the first two that were.
-    A variable `spectral_radius` tells where the closed loop is unstable.
+    They are stiffness and damping, where the law has them and they were searched, or else the first two that were; the
+    others are those of the result. A variable `spectral_radius` tells where the closed loop is unstable.
 
     Arguments:
-        found: the result.
-        problem: that was searched, where it is at hand; else as the result's settings say, without an objective of
-            the user's own.
+        found: the result of a search; one that was loaded has no goal, see `tuning.searches.tune.problem_of`.
         progress: called with walks done and in all.
     """
-    problem = problem or _problem_of(found)
-    others = {name: value for name, value in by_name(found.gains).items() if name in (*OPTIONAL, *GAIT)}
-    return map_with(problem, applied(found.scenario, others), found.law, progress=progress)
+    return map_around(found.walked, progress)
 
 
-def map_with(
-    problem: Problem, scenario: mc.Scenario, law: mc.Law | None, *, progress: Callable[[int, int], None] | None = None
-) -> xr.Dataset | None:
-    """Return a problem's map as `map_of` does; gains that it does not sweep are as scenario and law have them."""
-    box = axes_of(problem.space, law)
+def map_around(problem: Problem, progress: Callable[[int, int], None] | None = None) -> xr.Dataset | None:
+    """Return a map as `map_of` does; gains that it does not sweep are as scenario and law of the problem have them."""
+    box = axes_of(problem.space, problem.law)
     if not box:
         return None
-    how: dict[str, Any] = {"law": law, "engine": problem.engine}
-    walks = sweep(scenario, box, progress=progress, metrics=problem.metrics, **how).data
-    return maps.with_stability(maps.judged_by(walks, problem), scenario, **how)
+    walked = dataclasses.replace(problem, dtype=np.float32)
+    grid = Grid(walked, None, walked, box, default_batch_size(GRID**2, problem.scenario.steps))
+    walks = grid.result(Rows(grid).walk(progress)).data
+    return maps.with_stability(maps.judged_by(walks, problem), problem.scenario, law=problem.law, engine=problem.engine)
 
 
 def axes_of(space: Space, law: mc.Law | None) -> dict[str, np.ndarray]:
@@ -106,10 +98,6 @@ def axes_of(space: Space, law: mc.Law | None) -> dict[str, np.ndarray]:
     return box
 
 
-def _problem_of(found: Tuned) -> Problem:
-    return problem_of(found.scenario, found.search, metrics=found.problem.metrics, law=found.law)
-
-
 class Tests(NamedTuple):
     """The walks close to a result."""
 
@@ -118,9 +106,9 @@ class Tests(NamedTuple):
     radius: float  # of the closed loop in its worst stance
 
 
-def tests(found: Tuned, problem: Problem | None = None) -> Tests:
+def tests(found: Tuned) -> Tests:
     """Walk with gains close to those of a result."""
-    problem = problem or _problem_of(found)
+    problem, walked = found.problem, found.walked
     space = problem.space
     nudged = [space.scaled(found.theta, factor, part) for factor in (1 - STEP, 1 + STEP) for part in space.parts]
     points: Any = np.array([found.theta, *nudged])
@@ -130,10 +118,8 @@ def tests(found: Tuned, problem: Problem | None = None) -> Tests:
     around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), space.size)))
     around = jax.tree.map(lambda values: values[: len(points)], around)
     slopes = slopes_at(problem, found.theta)
-    scenario, gains = apart(found.scenario, found.gains)
-    single = jax.tree.map(lambda value: np.asarray(value, float)[None], gains)
-    limit = stability_limit.spectral_radius(scenario, single, law=found.law, engine=problem.engine)
-    return Tests(around, slopes, float(limit[0]))
+    radius = stability_limit.spectral_radius(walked.scenario, {}, law=walked.law, engine=walked.engine)
+    return Tests(around, slopes, float(radius))
 
 
 def slopes_at(problem: Problem, theta: np.ndarray) -> np.ndarray:
@@ -151,7 +137,6 @@ def slopes_at(problem: Problem, theta: np.ndarray) -> np.ndarray:
 
 def verify(
     found: Tuned,
-    problem: Problem | None = None,
     *,
     metrics: Mapping[str, Any] | None = None,
     walks: xr.Dataset | None = None,
@@ -161,19 +146,17 @@ def verify(
     """Test a result.
 
     Arguments:
-        found: the result.
-        problem: as of `map_of`.
+        found: as of `map_of`.
         metrics: of its walk alone in float64, where the caller has them already.
         walks: the result of `map_of`, for the agreement with a grid.
         hardware: the margins of the result, of `tuning.comparisons.margins.find`.
         tested: the result of `tests` for it.
     """
-    problem = problem or _problem_of(found)
-    objective, names = problem.objective, list(problem.space.parts)
+    objective, names = found.problem.objective, list(found.problem.space.parts)
     if metrics is None:
-        alone_walk = mc.rollout(found.scenario, found.gains, law=found.law, engine=problem.engine)
-        metrics = mc.metrics(alone_walk, found.problem.metrics)
-    around, slopes, radius = tested or tests(found, problem)
+        walked = found.walked
+        metrics = mc.metrics(mc.rollout(walked.scenario, law=walked.law, engine=walked.engine), walked.metrics)
+    around, slopes, radius = tested or tests(found)
     judged = around.feasible | ~around.feasible[0]  # where the result breaks a limit itself, its neighbours may too
     change = np.where(judged, around.value, np.nan)[1:].reshape(2, -1) - float(around.value[0])
     relative = change / (abs(found.of_pd) or 1.0)
@@ -197,7 +180,7 @@ def verify(
         margins={} if hardware is None else hardware.margins,
         warnings=[],
     )
-    lines = _warnings(found, problem, around, checked) + ([] if hardware is None else margins.warnings(hardware))
+    lines = _warnings(found, around, checked) + ([] if hardware is None else margins.warnings(hardware))
     return dataclasses.replace(checked, warnings=lines)
 
 
@@ -227,8 +210,8 @@ def _limits_in_words(objective: Goal, metrics: Mapping[str, Any], which: Callabl
     ]
 
 
-def _warnings(found: Tuned, problem: Problem, around: Evaluation, checked: Verification) -> list[str]:
-    space, lines = problem.space, []
+def _warnings(found: Tuned, around: Evaluation, checked: Verification) -> list[str]:
+    problem, space, lines = found.problem, found.problem.space, []
     if not found.feasible:
         lines.append("no point of the search keeps every limit: these gains are the nearest to it")
     for name in space.on_bound(found.theta):

@@ -1,6 +1,7 @@
 """The base of all results: data, gains, and the problem that was searched."""
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import ClassVar
 
@@ -45,6 +46,11 @@ class Result:
         """The law, where another than the scenario's walked; with the gains found, where there are such."""
         law = self.problem.law
         return law if law is None or self.gains is None else with_gains(law, self.gains)
+
+    @functools.cached_property
+    def walked(self) -> Problem:
+        """The problem with the gains in place of the scenario's or the law's own."""
+        return self.problem.with_gains(self.gains)
 
     def comment(self, name: str) -> str:
         """Return the comment in the gains file of a result for the scenario `name`."""

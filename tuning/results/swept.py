@@ -7,7 +7,6 @@ import xarray as xr
 
 from mjx_climb.files.dataset import larger_is_better
 from mjx_climb.walk.metrics import failed
-from tuning.problem.evaluation import Problem
 from tuning.results.result import Result
 
 HISTORIES = 256  # walks up to which a grid keeps time histories
@@ -30,11 +29,6 @@ class Swept(Result):
     def axes(self) -> tuple[str, ...]:
         """The names of both gains, that of the horizontal axis first."""
         return tuple(str(name) for name in self.data["diverged"].dims)
-
-    @property
-    def walked(self) -> Problem:
-        """The problem of the grid: with the gains in place of the scenario's or the law's own."""
-        return self.problem.with_gains(self.gains)
 
 
 def holding(data: xr.Dataset, metric: str) -> xr.DataArray:

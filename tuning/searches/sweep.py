@@ -130,8 +130,12 @@ class Grid:
     gains: AnyGains | None  # in place of the scenario's or the law's own
     walked: Problem  # with these
     axes: Mapping[str, np.ndarray]
-    rows: int  # walks
     size: int  # robots that walk at a time
+
+    @property
+    def rows(self) -> int:
+        """How many walks there are."""
+        return math.prod(self.shape)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -263,7 +267,7 @@ def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_s
         raise ValueError(f"axes: expected at most {MOST} walks in all, got {walks}")
     devices.check_batch_size(batch_size)
     size = batch_size or default_batch_size(walks, problem.scenario.steps)
-    return Grid(problem, gains, problem.with_gains(gains), lists, walks, size)
+    return Grid(problem, gains, problem.with_gains(gains), lists, size)
 
 
 def default_batch_size(walks: int, steps: int, platform: str | None = None) -> int:

@@ -9,7 +9,7 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer, PlannedTransfer
-from tuning.comparisons import of_ensemble, of_laws, of_search, of_sweep
+from tuning.comparisons import maps, of_ensemble, of_laws, of_search, of_sweep, verification
 from tuning.comparisons.side_by_side import AtOneStep
 from tuning.problem import spaces
 from tuning.problem.ensemble import Ensemble, Worst
@@ -20,6 +20,7 @@ from tuning.results.judged import Comparison
 from tuning.results.swept import Swept, best_cell
 from tuning.results.tuned import ENDS, Robust, Tuned
 from tuning.searches.retuned_pd import Rival
+from tuning.searches.sweep import Grid
 
 CASE = mc.load_scenario("case_1_2")
 PULL = Limit("peak_pull_force", 12.0, 12.0, 0.1, "holding limit")
@@ -214,6 +215,31 @@ def test_of_a_search_a_plan_that_was_not_searched_is_a_rival_on_the_joint_gains_
     walked["planned_unsearched"] = None, walk(planned, peak_pull_force=12.5)  # it breaks a limit
     rows, worth, _, _ = of_search.conclusions(searched(), walked, (PD, None), None)
     assert "than pd with" in worth.in_words and "planned_unsearched" not in rows
+
+
+@pytest.mark.parametrize(
+    ("settings", "shared"),
+    [({}, True), ({"inertia": True}, False), ({"pins": {"inertia": 2.0}}, False), ({"also": ("gait.cycle",)}, False),
+     ({"joint_gains": True}, False)],
+)  # fmt: skip
+def test_a_map_is_begun_before_its_search_where_results_differ_in_the_gains_of_its_axes_alone(settings, shared):
+    search = Search.make({"space": "isotropic", **settings})
+    problem = Problem(CASE, spaces.space(CASE, search), GOAL)
+    assert (of_search.begin(problem, search, lambda work: work).over is not None) == shared
+
+
+def test_the_map_around_a_result_has_its_other_gains(monkeypatch):
+    """Its inertia was that of the config."""
+    asked = []
+    monkeypatch.setattr(Grid, "result", lambda self, _: asked.append(self) or types.SimpleNamespace(data=None))
+    monkeypatch.setattr(Grid, "walk", lambda self, rows: {"row": rows})
+    monkeypatch.setattr(maps, "judged_by", lambda *_: None)
+    monkeypatch.setattr(maps, "with_stability", lambda _, scenario, **how: (scenario, how["law"]))
+    found = tuned(0.3, mc.Gains(2.5, 50.0, 2e3, kp=np.asarray(20.0)))
+    scenario, law = verification.map_of(found)
+    assert law is None and scenario is asked[0].walked.scenario and asked[0].walked.dtype is np.float32
+    assert set(np.ravel(scenario.control.inertia)) == {2.5} and scenario.control.kp == 20.0
+    assert {*asked[0].axes} == {"stiffness", "damping"} and asked[0].rows == 144
 
 
 # ----------------------------------------------------------------------------------------------------- of an ensemble

@@ -54,16 +54,16 @@ def test_a_cliff_is_named_by_what_breaks_off():
     metrics = dict.fromkeys(mc.METRICS.names, np.zeros(1 + 2 * n)) | {"peak_pull_force": pull}
     around = Evaluation(value, value, np.zeros(1 + 2 * n), feasible, none, none, metrics)
     theta = (problem.space.lower + problem.space.upper) / 2
-    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5, of_pd=1.0)
+    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5, of_pd=1.0, problem=problem)
     walk = {**HELD, "peak_pull_force": 30.0, "force_variation": 1.0}
-    checked = verify(found, problem, metrics=walk, tested=verification.Tests(around, np.zeros(n), 0.99))
+    checked = verify(found, metrics=walk, tested=verification.Tests(around, np.zeros(n), 0.99))
     assert [checked.shape[name] for name in names] == ["cliff", "cliff", "cliff", "plateau"]
     said = f"{names[0]} (less: peak pull force beyond the limit), {names[1]} (less: objective +0.40), "
     assert [line for line in checked.warnings if "cliff" in line] == [
         f"cliff within 20% of {said}{names[2]} (more: the walk diverges)"
     ]
     lost = around._replace(value=np.full(1 + 2 * n, 0.5), feasible=np.zeros(1 + 2 * n, bool))
-    besides = verify(found, problem, metrics=walk, tested=verification.Tests(lost, np.zeros(n), 0.99))
+    besides = verify(found, metrics=walk, tested=verification.Tests(lost, np.zeros(n), 0.99))
     assert set(besides.shape.values()) == {"plateau"}  # where the result breaks a limit itself, so may its neighbours
 
 
@@ -80,14 +80,14 @@ def test_each_doubt_about_a_result_is_a_warning_of_its_own():
     around = Evaluation(value, value, 0 * value, np.ones(1 + 2 * n, bool), none, none, metrics)
     theta = (problem.space.lower + problem.space.upper) / 2
     theta[1] = problem.space.upper[1]
-    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5, of_pd=1.0)
+    found = types.SimpleNamespace(feasible=True, theta=theta, value=0.5, of_pd=1.0, problem=problem)
     cells = {"objective": ("stiffness", [0.52, 0.45, 0.4]), "feasible": ("stiffness", [True, True, False])}
     grid = xr.Dataset(cells, {"stiffness": [1.0, 2.0, 3.0]})
 
     def checked(around=around, radius=1.0, force=1.0, **changes):
         own = types.SimpleNamespace(**vars(found) | changes)
         walk = {**HELD, "peak_pull_force": 30.0, "force_variation": force}
-        return verify(own, problem, metrics=walk, walks=grid, tested=verification.Tests(around, np.arange(n), radius))
+        return verify(own, metrics=walk, walks=grid, tested=verification.Tests(around, np.arange(n), radius))
 
     first = checked()
     assert [first.shape[name] for name in names] == ["plateau", "slope", "slope", "slope"]

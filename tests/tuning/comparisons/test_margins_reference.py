@@ -7,6 +7,7 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.comparisons import linear_margins, margins, stability_limit
 
@@ -140,7 +141,7 @@ def test_linear_margins_are_looked_for_half_as_far_again_as_walks_hold(name, rea
     told = []
     margin = {name: margins.Margin(own, holds, holds, worst, unit="x" if down else "s")}
     found = linear_margins.find(scenario, GAINS, margin, progress=lambda *now: told.append(now))[name]
-    grid = margins.QUANTITIES[name].values(scenario)
+    grid = margins.QUANTITIES[name].values(own_parameters(scenario), scenario.time_step)
     there = (min if down else max)(grid[4], grid[0] if holds is None else holds)
     tried = max(worst, there / 1.5) if down else min(worst, there * 1.5)
     first, only = asked[0]

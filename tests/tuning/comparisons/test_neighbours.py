@@ -42,11 +42,12 @@ def test_neighbours_are_a_fifth_less_and_more_of_each_gain_and_within_the_bounds
     space = spaces.space(scenario, Search(space="split", also=also))
     asked, looked = [], []
     monkeypatch.setattr(Problem, "evaluate", lambda self, *how: evaluated(asked)(*how))
-    monkeypatch.setattr(stability_limit, "spectral_radius", lambda *how, **more: looked.append((how, more)) or [0.97])
+    monkeypatch.setattr(stability_limit, "spectral_radius", lambda *how, **more: looked.append((how, more)) or 0.97)
     theta = space.upper - 1e-3
     gains = spaces.to_gains64(space, theta)
-    found = types.SimpleNamespace(theta=theta, scenario=scenario, gains=gains, law=None)
-    told = verification.tests(found, Problem(scenario, space))
+    problem = Problem(scenario, space)
+    found = types.SimpleNamespace(theta=theta, problem=problem, walked=problem.with_gains(gains))
+    told = verification.tests(found)
     expected = [theta]
     for factor in (0.8, 1.2):
         for place, name in enumerate(space.names):
@@ -65,9 +66,9 @@ def test_neighbours_are_a_fifth_less_and_more_of_each_gain_and_within_the_bounds
         for place, name in enumerate(space.names)
     ]
     np.testing.assert_allclose(told.slopes, wanted)
-    (((where, single), how),) = looked
-    assert told.radius == 0.97 and how["law"] is None
-    assert all(np.shape(value)[:1] == (1,) for value in by_name(single).values())
+    (((where, none), how),) = looked
+    assert told.radius == 0.97 and how["law"] is None and none == {}
+    np.testing.assert_allclose(where.control.stiffness, by_name(gains)["stiffness"])
     assert where.gait.cycle == (
         pytest.approx(np.exp(space.upper[space.names.index("gait.cycle")] - 1e-3)) if also else 4
     )
@@ -91,8 +92,8 @@ def test_a_value_is_verified_alone_and_its_neighbours_relative_to_pds(monkeypatc
     middle = (problem.space.lower + problem.space.upper) / 2
     shapes = {}
     for of_pd in (1.0, 10.0, 0.0, -0.4):
-        found = types.SimpleNamespace(feasible=True, theta=middle, value=0.6, of_pd=of_pd)
-        told = verification.verify(found, problem, metrics=walk, tested=verification.Tests(around, np.ones(2), 0.9))
+        found = types.SimpleNamespace(feasible=True, theta=middle, value=0.6, of_pd=of_pd, problem=problem)
+        told = verification.verify(found, metrics=walk, tested=verification.Tests(around, np.ones(2), 0.9))
         assert (told.value, told.search_value, told.spectral_radius) == (pytest.approx(0.6), 0.6, 0.9)
         assert [*told.less.values()] == pytest.approx([0.004, 0.06]) and [*told.more.values()] == pytest.approx(
             [0, 0.12]

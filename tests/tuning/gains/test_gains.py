@@ -19,6 +19,7 @@ from mjx_climb.control import LoadTransfer
 from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.control.virtual_mass import Motion, advance, at_rest
 from mjx_climb.inputs import gait_values
+from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.load import load_hardware
 from mjx_climb.scenario.shipped import config_path
 from tuning.comparisons import deployment, margins, stability_limit
@@ -179,9 +180,10 @@ def judged(monkeypatch):
 
     def find(scenario, gains, *, law, engine, progress):
         found["asked"].append(scenario)
+        own = own_parameters(scenario)
         reached = {"force_delay": (found["holds"], found["better"]), "joint_gains": (0.1, 0.1)}
         each = {
-            name: margins.Margin(each.own(scenario), *reached.get(name, (0.05, 0.05)), 0.05, each.title)
+            name: margins.Margin(each.own(own, scenario.time_step), *reached.get(name, (0.05, 0.05)), 0.05, each.title)
             for name, each in margins.QUANTITIES.items()
         }
         return margins.Found(each, found["holds"] >= 0.005, found["better"] >= 0.005, None)
