@@ -81,13 +81,24 @@ class TuneComparison:
     """A result beside the scenario's own gains and pd, walked in double precision, and its tests."""
 
     walks: Mapping[str, mc.Trajectory]  # pd, config, tuned, retuned_pd, and load transfer by plan, searched or not
-    rows: Compared  # tuned, retuned_pd, load transfer by plan, config, pd
     over: xr.Dataset | None  # the map around it
     hardware: margins.Found  # on worse hardware
     checked: verification.Verification
+    rows: Compared  # tuned, retuned_pd, load transfer by plan, config, pd
+    broken: Mapping[str, list[str]]  # limits that these break, in words
     worth: Worth | None  # of a force sensor: the result against pd retuned
     verdict: str  # the result against the best of the others
     level: AtOneStep | None = None  # where pd retuned walks at a time step of its own
+
+
+class Conclusions(NamedTuple):
+    """What walks tell of a result: fields of `TuneComparison`."""
+
+    rows: Compared
+    broken: Mapping[str, list[str]]
+    worth: Worth | None
+    verdict: str
+    level: AtOneStep | None
 
 
 def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None) -> TuneComparison:
@@ -131,26 +142,27 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         for name, walk in walking.items():
             with stage(name) as told:
                 walks[name] = walk(told)
-        own = mc.metrics(walks["tuned"], problem.metrics)
+        metrics = {name: mc.metrics(walk, problem.metrics) for name, walk in walks.items()}
         with stage("map") as told:
             over = mapped(told)
         with stage("margins") as told:
             hardware = margin(told)
         with stage("verification"):
-            checked = verification.verify(found, metrics=own, walks=over, hardware=hardware, tested=tested(ignore))
-        leveled = level(ignore)
-    each = {name: (with_joint_gains(walk, problem), mc.metrics(walk, problem.metrics)) for name, walk in walks.items()}
-    at_step = None if step is None else (step, mc.metrics(leveled, problem.metrics))
-    rows, worth, said, apart = conclusions(found, each, (rival, plan), at_step)
-    if retuned_pd.UNSEARCHED not in rows:
+            checked = verification.verify(
+                found, metrics=metrics["tuned"], walks=over, hardware=hardware, tested=tested(ignore)
+            )
+        at_step = None if step is None else (step, mc.metrics(level(ignore), problem.metrics))
+    walked = {name: (with_joint_gains(walk, problem), metrics[name]) for name, walk in walks.items()}
+    concluded = conclusions(found, walked, (rival, plan), at_step)
+    if retuned_pd.UNSEARCHED not in concluded.rows:
         walks.pop(retuned_pd.UNSEARCHED, None)
-    return TuneComparison(walks, rows, over, hardware, checked, worth, said, apart)
+    return TuneComparison(walks, over, hardware, checked, *concluded)
 
 
 def conclusions(
     found: Tuned, walked: Compared, others: tuple[Tuned | None, Tuned | None], at_step: tuple[float, Values] | None
-) -> tuple[Compared, Worth | None, str, AtOneStep | None]:
-    """Return the rows of a table, the worth of a force sensor, the verdict, and the change at one time step.
+) -> Conclusions:
+    """Return the rows of a table, limits broken, the worth of a force sensor, the verdict, the change at one time step.
 
     Arguments:
         found: the result.
@@ -176,7 +188,7 @@ def conclusions(
         give_joint_gains(rows, joint | {**(rows[retuned_pd.NAME][0] or {})}, best.name)
     reached = {name: verdicts.Walked(scores[name]["objective"], not broken[name]) for name in rows}
     said = verdicts.against_best(verdicts.named("tuned gains", found.gains, problem), reached, "objective", joint=joint)
-    return rows, worth, said, apart
+    return Conclusions(rows, broken, worth, said, apart)
 
 
 def with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:

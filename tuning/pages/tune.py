@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 import mjx_climb as mc
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
-from tuning.comparisons import verification
+from tuning.comparisons import maps
 from tuning.comparisons.of_search import TuneComparison
 from tuning.comparisons.of_search import compare as compare
 from tuning.comparisons.side_by_side import Values
+from tuning.comparisons.verification import Verification
 from tuning.gains.gains_file import by_name
 from tuning.numbers import axis_values, number, presentable, remarks
 from tuning.pages import comparison
@@ -38,9 +39,7 @@ CROWD = 100  # points of a round; more would hide the map
 
 def contents(found: Tuned, compared: TuneComparison, name: str) -> Contents:
     """Return gains, all points, the map, the walks, pictures and page."""
-    over, rows, checked, goal = compared.over, compared.rows, compared.checked, found.problem.objective
-    broken = {name: verification.broken_limits(goal, metrics) for name, (_, metrics) in rows.items()}
-    broken["tuned"] = checked.broken_limits
+    over, rows, checked, broken = compared.over, compared.rows, compared.checked, compared.broken
     metrics = {name: own for name, (_, own) in rows.items()}
     lines = [f"warning: the tuned gains break limits: {'; '.join(broken['tuned'])}"] if broken["tuned"] else []
     lines += [found.data.attrs[AGREEMENT]] if AGREEMENT in found.data.attrs else []
@@ -85,7 +84,7 @@ def _turns(found: Tuned, walk: mc.Trajectory) -> list[str]:
     ]
 
 
-def _outcome_of(checked: verification.Verification, found: Tuned) -> list[str]:
+def _outcome_of(checked: Verification, found: Tuned) -> list[str]:
     """Return the outcome of the tests in a few lines, without their warnings."""
     limits = "keeps every limit" if checked.passed else "breaks limits: " + "; ".join(checked.broken_limits)
     lines = [f"verification: alone in float64 objective {checked.value:.4f} (pd: {found.of_pd:.4g}); {limits}"]
@@ -153,9 +152,9 @@ def _points_of_map(found: Tuned, over: xr.Dataset, baseline: Values) -> dict[str
             at = np.exp(np.log(place).mean(1))
             if np.isfinite(at).all():
                 marks[f"{walk}, {part}"] = (at[0].item(), at[1].item())
-    value = over["objective"].where(over["feasible"])
-    best = over.isel(value.argmin(dim=...)) if np.isfinite(value).any() else over.isel({x: 0, y: 0})
-    return grid_points(over, over, {**baseline, "objective": found.of_pd}, marks, best)
+    best = maps.best_cell(over)
+    first = over.isel({x: 0, y: 0}) if best is None else best
+    return grid_points(over, over, {**baseline, "objective": found.of_pd}, marks, first)
 
 
 @plots.style()

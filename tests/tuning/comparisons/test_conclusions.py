@@ -162,7 +162,7 @@ def test_a_search_is_beside_its_rivals_in_their_order_with_their_gains():
         "pd": (None, walk(100.0)), "config": ({"stiffness": 1.0}, walk(60.0)), "retuned_pd": (None, walk(40.0)),
         "tuned": (OURS, walk(30.0, peak_pull_force=11.0)),
     }  # fmt: skip
-    rows, worth, said, apart = of_search.conclusions(searched(), walked, (PD, None), None)
+    rows, _, worth, said, apart = of_search.conclusions(searched(), walked, (PD, None), None)
     assert list(rows) == ["tuned", "retuned_pd", "config", "pd"] and rows["retuned_pd"][0] == JOINT
     assert worth.changes == pytest.approx({"objective": -0.25, "force_variation": -0.25}) and apart is None
     assert "worse: peak pull force +1000 %" in worth.in_words
@@ -172,20 +172,22 @@ def test_a_search_is_beside_its_rivals_in_their_order_with_their_gains():
     )
     # a rival beyond a limit is the best of those alone that are
     walked["retuned_pd"] = None, walk(40.0, peak_pull_force=12.5)
-    _, _, said, _ = of_search.conclusions(searched(), walked, (PD, None), None)
+    _, broken, _, said, _ = of_search.conclusions(searched(), walked, (PD, None), None)
     assert said.endswith("50.0 % less than the best rival that walked, the config's gains: 0.6")
+    pull = "peak pull force 12.5, limit 12 (holding limit)"
+    assert broken == {"tuned": [], "retuned_pd": [pull], "config": [], "pd": []}
 
 
 def test_of_a_search_the_step_of_pd_may_turn_the_verdict_round():
     walked = {"tuned": (OURS, walk(30.0)), "retuned_pd": (None, walk(40.0))}
-    _, worth, _, apart = of_search.conclusions(searched(), walked, (PD, None), (5e-4, walk(42.0)))
+    _, _, worth, _, apart = of_search.conclusions(searched(), walked, (PD, None), (5e-4, walk(42.0)))
     assert apart == AtOneStep(5e-4, pytest.approx(0.05))
     assert worth.in_words.startswith("no verdict on the force sensor, since a time step of 0.0005 s turns it round")
 
 
 def test_of_a_search_without_pd_retuned_nothing_is_said_of_the_sensor():
     walked = {"tuned": (OURS, walk(30.0)), "config": ({}, walk(60.0)), "pd": (None, walk(100.0))}
-    rows, worth, said, apart = of_search.conclusions(searched(), walked, (None, None), None)
+    rows, _, worth, said, apart = of_search.conclusions(searched(), walked, (None, None), None)
     assert worth is None and apart is None and list(rows) == ["tuned", "config", "pd"]
     assert said.endswith("50.0 % less than the best rival that walked, the config's gains: 0.6")
 
@@ -196,7 +198,7 @@ def test_of_a_search_the_better_of_pd_and_the_plan_is_the_rival(planned, than):
         "tuned": (OURS, walk(30.0)), "retuned_pd": (None, walk(40.0)), "planned_transfer": ({}, walk(planned)),
         "pd": (None, walk(100.0)),
     }  # fmt: skip
-    rows, worth, _, _ = of_search.conclusions(searched(), walked, (PD, PLAN), None)
+    rows, _, worth, _, _ = of_search.conclusions(searched(), walked, (PD, PLAN), None)
     assert list(rows) == ["tuned", "retuned_pd", "planned_transfer", "pd"]
     assert worth.changes["objective"] == pytest.approx(30 / min(planned, 40.0) - 1)
     assert f"less objective and {100 * (1 - 30 / min(planned, 40.0)):.1f} % less force variation than {than} with" in (
@@ -208,12 +210,12 @@ def test_of_a_search_the_better_of_pd_and_the_plan_is_the_rival(planned, than):
 def test_of_a_search_a_plan_that_was_not_searched_is_a_rival_on_the_joint_gains_of_pd(planned, than):
     walked = {"tuned": (OURS, walk(30.0)), "retuned_pd": (None, walk(40.0)), "pd": (None, walk(100.0))}
     walked["planned_unsearched"] = None, walk(planned)
-    rows, worth, _, _ = of_search.conclusions(searched(), walked, (PD, None), None)
+    rows, _, worth, _, _ = of_search.conclusions(searched(), walked, (PD, None), None)
     assert rows.get("planned_unsearched", ({}, 0))[0] == (JOINT if planned < 40.0 else {})
     assert worth.changes["objective"] == pytest.approx(30 / min(planned, 40.0) - 1)
     assert f"less force variation than {than} with kp 17, kd 1" in worth.in_words
     walked["planned_unsearched"] = None, walk(planned, peak_pull_force=12.5)  # it breaks a limit
-    rows, worth, _, _ = of_search.conclusions(searched(), walked, (PD, None), None)
+    rows, _, worth, _, _ = of_search.conclusions(searched(), walked, (PD, None), None)
     assert "than pd with" in worth.in_words and "planned_unsearched" not in rows
 
 

@@ -332,7 +332,7 @@ def tuned_page(named):
     data = xr.Dataset({name: ("point", [value]) for name, value in point.items()})
 
     def made(over, **changed):
-        compared = TuneComparison(walks, rows, over, None, CHECKED, None, "")
+        compared = TuneComparison(walks, over, None, CHECKED, rows, {}, None, "")
         found = tuned.Tuned(data, Problem(scenario), gains=mc.Gains(**gains | changed))
         return tune.page_of(found, compared, page.Findings("0.9 of pd")).at(ORIGIN)
 

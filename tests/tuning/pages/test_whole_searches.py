@@ -260,9 +260,12 @@ def test_the_folder_of_a_search(told):
     walks = {name: STILL for name in rows} | {"tuned": dataclasses.replace(STILL, base_displacement=moved * told)}
     worth = Worth({"objective": -0.2}, "the force sensor pays") if told else None
     hardware = types.SimpleNamespace(margins={}, walks=None)
-    compared = TuneComparison(
-        walks, rows, over, hardware, own, worth, "the verdict", AtOneStep(5e-4, -0.1) if told else None
-    )
+    broken = {
+        "tuned": own.broken_limits, "retuned_pd": ["base deviation 0.025, limit 0.01 (as asked)"], "pd": [],
+        "config": ["limb LF let go at 0.120 s", "base deviation 0.03, limit 0.01 (as asked)"] if told else [],
+    }  # fmt: skip
+    level = AtOneStep(5e-4, -0.1) if told else None
+    compared = TuneComparison(walks, over, hardware, own, rows, broken, worth, "the verdict", level)
     contents = tune.contents(found, compared, "case.yaml")
     kept = {name: each for name, each in contents.files.items() if name not in ("walks", "margins")}
     same(f"tune_{told}", contents._replace(files=kept))

@@ -121,10 +121,8 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkey
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
-    found = types.SimpleNamespace(
-        scenario=scenario, problem=Problem(scenario),
-        law=None, gains=None, ends=[0.5],
-    )  # fmt: skip
+    own = Problem(scenario)
+    found = types.SimpleNamespace(scenario=scenario, problem=own, walked=own, law=None, gains=None, ends=[0.5])
     begun = of_search.Begun(lambda _: types.SimpleNamespace(feasible=True, ends=[0.6]), None, {}, nothing, {})
     with pytest.raises(Given) as given:
         of_search.compare(found, begun=begun)
