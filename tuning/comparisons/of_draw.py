@@ -6,7 +6,7 @@ import xarray as xr
 
 from tuning.background import Stage, silent
 from tuning.comparisons import judge as judging
-from tuning.comparisons import paired
+from tuning.comparisons import paired, verdicts
 from tuning.comparisons.of_ensemble import shown
 from tuning.comparisons.side_by_side import VARIATION
 from tuning.problem.objectives import Objective
@@ -21,6 +21,7 @@ class DrawComparison(NamedTuple):
     summed: xr.Dataset  # see `tuning.comparisons.judge.summary`
     table: xr.Dataset  # differences from pd, retuned where it walked, see `tuning.comparisons.paired.compared`
     sensor: str  # worth of a force sensor in words; empty where no gains read forces
+    verdict: str  # the first gains against the best of the others
 
 
 def compare(found: Judged, stage: Stage = silent, *_: object) -> DrawComparison:
@@ -30,7 +31,19 @@ def compare(found: Judged, stage: Stage = silent, *_: object) -> DrawComparison:
     with stage("intervals", compiles=False):
         table = paired.compared(walks, shown(found.problem.metrics), baseline, Objective((), ()))
         sensor = sensor_in_words(walks, shown(found.problem.metrics))
-    return DrawComparison(judging.summary(walks), table, sensor)
+    summed = judging.summary(walks)
+    return DrawComparison(summed, table, sensor, verdict(summed))
+
+
+def verdict(summed: xr.Dataset) -> str:
+    """Return how the first gains do beside the best of the others that lose no more walks."""
+    first, *_ = names = summed["gains"].values.tolist()
+    means, lost = summed[VARIATION].sel(statistic="mean"), summed["failed"]
+    walked = {
+        name: verdicts.Walked(float(means.sel(gains=name)), bool(lost.sel(gains=name) <= lost.sel(gains=first)))
+        for name in names
+    }
+    return verdicts.against_best(first, walked, "mean force variation", "N", breaks="loses more walks")
 
 
 def sensor_in_words(walks: xr.Dataset, metrics: list[str]) -> str:

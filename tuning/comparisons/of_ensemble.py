@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
@@ -41,6 +42,7 @@ class RobustComparison:
     verdict: str  # the result against the best of the others
     joint: Mapping[str, float]  # gains of pd retuned
     binding: list[str]  # limits that hold the gains where they are, in words
+    plain: Mapping[str, Any]  # the main metrics of `summed` by gains, see `tuning.comparisons.judge.plain`
 
 
 def compare(found: Robust, stage: Stage = silent, out: Path | None = None, *_: object) -> RobustComparison:
@@ -101,10 +103,10 @@ def conclusions(
     walks, scores = walks.sel(gains=kept), scores.sel(gains=kept)
     broken = judging.broken(walks, goal)
     summed = judging.summary(walks).assign(objective=scores, broken=broken)
+    plain = judging.plain(summed, shown(problem.metrics))
     worth, over = None, None
     if best is not None:
-        means = judging.plain(summed, shown(problem.metrics))
-        both = {name: means[name]["mean"] for name in ("robust", best.name)}
+        both = {name: plain[name]["mean"] for name in ("robust", best.name)}
         values = [{"objective": value[name], VARIATION: mean[VARIATION]} for name, mean in both.items()]
         over = over_walks(walks, "robust", goal, best.name)
         worth = between(both.values(), values, best.rival, problem, over=over, pd=best.pd, ends=best.ends)
@@ -117,4 +119,4 @@ def conclusions(
     said = verdicts.against_best(ours, reached, what, joint=joint, breaks="breaks a limit in more walks")
     if best is not None and over is not None and not (over.low > 0 or over.high < 0):
         said += f"; {over.walks} walks do not tell them from {best.name}"
-    return RobustComparison(walks, summed, worth, said, joint, judging.binding(seen, goal, "robust"))
+    return RobustComparison(walks, summed, worth, said, joint, judging.binding(seen, goal, "robust"), plain)

@@ -91,16 +91,6 @@ class TuneComparison:
     level: AtOneStep | None = None  # where pd retuned walks at a time step of its own
 
 
-class Conclusions(NamedTuple):
-    """What walks tell of a result: fields of `TuneComparison`."""
-
-    rows: Compared
-    broken: Mapping[str, list[str]]
-    worth: Worth | None
-    verdict: str
-    level: AtOneStep | None
-
-
 def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun: Begun | None = None) -> TuneComparison:
     """Simulate a result, its rivals and the map around it, and test it.
 
@@ -153,15 +143,15 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             )
         at_step = None if step is None else (step, mc.metrics(level(ignore), problem.metrics))
     walked = {name: (with_joint_gains(walk, problem), metrics[name]) for name, walk in walks.items()}
-    concluded = conclusions(found, walked, (rival, plan), at_step)
-    if retuned_pd.UNSEARCHED not in concluded.rows:
+    rows, broken, worth, said, apart = conclusions(found, walked, (rival, plan), at_step)
+    if retuned_pd.UNSEARCHED not in rows:
         walks.pop(retuned_pd.UNSEARCHED, None)
-    return TuneComparison(walks, over, hardware, checked, *concluded)
+    return TuneComparison(walks, over, hardware, checked, rows, broken, worth, said, apart)
 
 
 def conclusions(
     found: Tuned, walked: Compared, others: tuple[Tuned | None, Tuned | None], at_step: tuple[float, Values] | None
-) -> Conclusions:
+) -> tuple[Compared, Mapping[str, list[str]], Worth | None, str, AtOneStep | None]:
     """Return the rows of a table, limits broken, the worth of a force sensor, the verdict, the change at one time step.
 
     Arguments:
@@ -188,7 +178,7 @@ def conclusions(
         give_joint_gains(rows, joint | {**(rows[retuned_pd.NAME][0] or {})}, best.name)
     reached = {name: verdicts.Walked(scores[name]["objective"], not broken[name]) for name in rows}
     said = verdicts.against_best(verdicts.named("tuned gains", found.gains, problem), reached, "objective", joint=joint)
-    return Conclusions(rows, broken, worth, said, apart)
+    return rows, broken, worth, said, apart
 
 
 def with_joint_gains(walk: mc.Trajectory, problem: Problem) -> dict[str, Any] | None:

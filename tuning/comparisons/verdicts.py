@@ -1,14 +1,15 @@
-"""The verdict on gains in one sentence: against the best rival that walked, by name and numbers."""
+"""The verdict on gains in one sentence: against their rivals, by name and numbers."""
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+import mjx_climb as mc
 from mjx_climb.inputs.resolve import AnyGains
 from tuning.gains.gains_file import by_name
-from tuning.numbers import number
+from tuning.numbers import change_of, number, presentable, unit
 from tuning.problem.evaluation import Problem
 from tuning.searches.retuned_pd import NAME, PLANNED, UNSEARCHED
 
@@ -81,6 +82,16 @@ def against_best(
         how = "the same as" if abs(change) < _EQUAL else f"{more_or_less(change)} than"
     value = _with_unit("", rival.value, unit)
     return f"{reached}, {how} the best rival that walked, {name}: {value}{breaks}"
+
+
+def against(name: str, walk: str, walks: Mapping[str, Mapping[str, Any]], about: mc.MetricTable = mc.METRICS) -> str:
+    """Return a metric of one of some walks as "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
+    own = walks[walk]
+    text = f"{number(presentable(own)[name])} {unit(name, about)}".strip()
+    for other, values in walks.items():
+        if other != walk and (percent := change_of(own, values, name)):
+            text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {in_words(other)}"
+    return text
 
 
 def more_or_less(change: float) -> str:

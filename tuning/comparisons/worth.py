@@ -16,7 +16,7 @@ from tuning.comparisons.verdicts import more_or_less
 from tuning.numbers import number
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
-from tuning.results.front import Front, without_sensor
+from tuning.results.front import Front
 from tuning.results.tuned import Tuned
 from tuning.searches import retuned_pd
 from tuning.searches.retuned_pd import NAME, ON_A_GRID, PLANNED, UNSEARCHED, Rival
@@ -223,7 +223,7 @@ def between(
 
 def of_front(found: Front) -> str:
     """Return the worth of a force sensor at the knee of a front in a sentence."""
-    metrics, without = found.problem.metrics, without_sensor(found.data, found.knee, found.problem.metrics)
+    metrics, without = found.problem.metrics, found.rival
     better, against = (metrics.in_words(name) for name in (found.asked.better, found.asked.against))
     if without is None:
         return f"pd has more {against} than the knee with any kp and kd of its grid"

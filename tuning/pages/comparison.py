@@ -1,13 +1,13 @@
-"""Walks side by side: a table, and sentences."""
+"""Walks side by side: tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from mjx_climb import METRICS, Law, MetricTable
 from mjx_climb.files.dataset import SIX
 from tuning.comparisons import verdicts
-from tuning.comparisons.side_by_side import Compared, Values
+from tuning.comparisons.side_by_side import Compared
 from tuning.gains.gains_tables import JOINT_UNITS, labels
 from tuning.numbers import axis_values, change_of, gain, has_axes, number, plain_unit, presentable, unit
 from tuning.pages.page import Table
@@ -79,13 +79,3 @@ def gains_table(compared: Compared, law: Law | None = None) -> Table:
         both = [[name, JOINT_UNITS[name], *(number(gains.get(name)) for gains in held.values())] for name in joint]
         sections.append(("", both))
     return Table("Gains by axis", ["gain", "unit", *held], sections)
-
-
-def against(name: str, walk: str, walks: Mapping[str, Values], about: MetricTable = METRICS) -> str:
-    """Return a metric of one of some walks as "47.1 N, 49.7 % below the paper's gains, 52.9 % below pd"."""
-    own = walks[walk]
-    text = f"{number(presentable(own)[name])} {unit(name, about)}".strip()
-    for other, values in walks.items():
-        if other != walk and (percent := change_of(own, values, name)):
-            text += f", {percent.lstrip('+-')} % {'above' if percent[0] == '+' else 'below'} {verdicts.in_words(other)}"
-    return text

@@ -31,7 +31,7 @@ def contents(found: Judged, compared: DrawComparison, name: str) -> Contents:
     ensemble, metrics, summed = found.ensemble, found.problem.metrics, compared.summed
     assert ensemble is not None
     failed = f"{ensemble.members} walks each; {judging.failed_in_words(summed)}"
-    said = Findings.of(verdict(summed), judging.lost_in_words(found.data), failed, compared.sensor)
+    said = Findings.of(compared.verdict, judging.lost_in_words(found.data), failed, compared.sensor)
     gains: dict[str, Any] = judging.plain(summed, shown(metrics))
     for own in gains.values():
         own["failed"] = round(own["failed"] * found.data.sizes["member"])
@@ -40,17 +40,6 @@ def contents(found: Judged, compared: DrawComparison, name: str) -> Contents:
     summary = {"gains": gains, "differences": paired.differences(compared.table), "verdict": said.verdict}
     picture = Picture(SHARES, lambda: plot_judged(found.data))
     return contents_of(found, name, page, summary, {"judged": picture}, data=found.data, summed=summed)
-
-
-def verdict(summed: xr.Dataset) -> str:
-    """Return how the first gains do beside the best of the others that lose no more walks."""
-    first, *_ = names = summed["gains"].values.tolist()
-    means, lost = summed["force_variation"].sel(statistic="mean"), summed["failed"]
-    walked = {
-        name: verdicts.Walked(float(means.sel(gains=name)), bool(lost.sel(gains=name) <= lost.sel(gains=first)))
-        for name in names
-    }
-    return verdicts.against_best(first, walked, "mean force variation", "N", breaks="loses more walks")
 
 
 def judged_table(summed: xr.Dataset, metrics: mc.MetricTable = mc.METRICS) -> Table:

@@ -12,12 +12,11 @@ from tuning.comparisons.of_front import FrontComparison
 from tuning.comparisons.of_front import compare as compare
 from tuning.comparisons.worth import law_without
 from tuning.numbers import gain, number, unit
-from tuning.pages import comparison
 from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.explorer import explorer, listed_points
 from tuning.pages.page import Findings, Page, Table
 from tuning.pages.pictures import COLORS, scaled
-from tuning.results.front import Front, knee, without_sensor
+from tuning.results.front import Front, knee
 
 FRONT = "The front, and all that was walked on the way."
 
@@ -43,36 +42,24 @@ def contents(found: Front, compared: FrontComparison, name: str) -> Contents:
     return contents_of(found, name, page, summary, {"front": picture}, again=again, walks=compared.walks, data=data)
 
 
-def verdict(found: Front, compared: FrontComparison) -> str:
-    """Return both metrics of the knee in a sentence, beside those of pd retuned, config and pd."""
-    about, front, knee = found.problem.metrics, found.data, found.knee
-    walks = {walk: mc.metrics(trajectory, about) for walk, trajectory in compared.walks.items()}
-    rival, texts = without_sensor(front, knee, about), []
-    for name in (found.asked.better, found.asked.against):
-        walked = {"knee": {name: front[name].values[knee].item()}}  # nothing fails on a front
-        walked |= {} if rival is None else {law_without(rival): {name: rival[f"without_{name}"].item()}}
-        texts.append(f"{about.in_words(name)} {comparison.against(name, 'knee', walked | walks, about)}")
-    return f"the front of {front.sizes['front']} points bends at {'; '.join(texts)}"
-
-
 def page_of(found: Front, compared: FrontComparison) -> Page:
     """Return the page of a front, with the time histories on it, and config and pd walked in double precision."""
-    about, front, knee = found.problem.metrics, found.data, found.knee
-    better, against = found.asked.better, found.asked.against
-    walks, histories = compared.walks, compared.histories
-    metrics = {walk: mc.metrics(trajectory, about) for walk, trajectory in walks.items()}
-    points = listed_points(front, histories, knee, trade=(against, better), about=about)
+    about, better, against = found.problem.metrics, found.asked.better, found.asked.against
+    points = listed_points(found.data, compared.histories, found.knee, trade=(against, better), about=about)
+    front = explorer(compared.walks, compared.metrics, shown=("pd",), points=points, about=about)
     return Page(
         f"What {about.in_words(better)} costs in {about.in_words(against)}: {{}}",
-        Findings(verdict(found, compared), [compared.worth]), found.scenario,
-        tables=[front_table(front, knee, found.asked.points, about)],
-        explorers={"The front": explorer(walks, metrics, shown=("pd",), points=points, about=about)},
+        Findings(compared.verdict, [compared.worth]), found.scenario,
+        tables=[front_table(found.data, found.knee, found.asked.points, found.rival, about)],
+        explorers={"The front": front},
         facts={"precision": "float32 (search), float64 (front)", "seed": found.search.seed},
     )  # fmt: skip
 
 
-def front_table(front: xr.Dataset, knee: int, points: int, about: mc.MetricTable = mc.METRICS) -> Table:
-    """Return so many points of a front, the knee among them, with the config's gains, pd and pd retuned below."""
+def front_table(
+    front: xr.Dataset, knee: int, points: int, rival: xr.Dataset | None, about: mc.MetricTable = mc.METRICS
+) -> Table:
+    """Return so many points of a front, the knee among them, with config, pd and a rival without a sensor below."""
     traded, names = (front.attrs["against"], front.attrs["better"]), front.attrs["searched"].split()
     columns = ["", *(f"{about.in_words(name)} {unit(name, about)}".strip() for name in traded), *names]
     count = front.sizes["front"]
@@ -90,7 +77,6 @@ def front_table(front: xr.Dataset, knee: int, points: int, about: mc.MetricTable
         gains = (gain({name: point[name].values}, name) for name in names)
         on.append([*row("knee" if i == knee else "", point), *gains])
     below = [row(name, front.sel(reference=name), "reference_") for name in ("config", "pd")]
-    rival = without_sensor(front, knee, about)
     if rival is not None:
         joint = ", ".join(f"{name} {number(rival[f'without_{name}'].item())}" for name in ("kp", "kd"))
         below.append(row(f"{law_without(rival)}, {joint}", rival, "without_"))

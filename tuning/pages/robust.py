@@ -4,7 +4,7 @@ from typing import Any
 
 import mjx_climb as mc
 from tuning.comparisons import judge as judging
-from tuning.comparisons.of_ensemble import RobustComparison, shown
+from tuning.comparisons.of_ensemble import RobustComparison
 from tuning.comparisons.of_ensemble import compare as compare
 from tuning.comparisons.side_by_side import Values
 from tuning.gains.gains_file import by_name
@@ -19,11 +19,11 @@ from tuning.searches.retuned_pd import NAME
 
 def contents(found: Robust, compared: RobustComparison, name: str) -> Contents:
     """Return gains, all points, a fresh draw that tests them, pictures and page."""
-    walks, summed, worth, metrics = compared.walks, compared.summed, compared.worth, found.problem.metrics
-    plain: dict[str, Any] = judging.plain(summed, shown(metrics))
-    for walk, own in plain.items():
-        own["objective"] = float(summed["objective"].sel(gains=walk))
-        own["broken_limits"] = summed["broken"].sel(gains=walk).to_series().to_dict()
+    walks, summed, worth = compared.walks, compared.summed, compared.worth
+    plain: dict[str, Any] = {}
+    for walk, own in compared.plain.items():
+        broken = summed["broken"].sel(gains=walk).to_series().to_dict()
+        plain[walk] = {**own, "objective": float(summed["objective"].sel(gains=walk)), "broken_limits": broken}
     plain["search"] = {
         "objective": found.value, "feasible": found.feasible, "env_steps": found.env_steps,
         "gains": by_name(found.gains),

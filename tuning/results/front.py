@@ -1,6 +1,7 @@
 """The result of a search for a Pareto front: the points on it, and its knee."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import xarray as xr
@@ -29,10 +30,15 @@ class Front(Result):
     search: Search = dataclasses.field(default_factory=Search)
     asked: Pareto = dataclasses.field(default_factory=Pareto)
 
-    @property
+    @functools.cached_property
     def knee(self) -> int:
         """The index of the point where the front bends, the furthest from the line between its ends."""
         return knee(self.data[self.asked.against].values, self.data[self.asked.better].values)
+
+    @functools.cached_property
+    def rival(self) -> xr.Dataset | None:
+        """The point without a force sensor that costs no more than the knee, None where all cost more."""
+        return without_sensor(self.data, self.knee, self.problem.metrics)
 
     def comment(self, name: str) -> str:
         """Return the two metrics of the trade."""

@@ -10,12 +10,12 @@ import xarray as xr
 
 import mjx_climb as mc
 from tuning.comparisons import judge, of_draw, of_schedule, paired
+from tuning.comparisons.of_draw import verdict
 from tuning.comparisons.of_ensemble import shown
 from tuning.comparisons.side_by_side import AtOneStep
 from tuning.comparisons.verdicts import Walked, against_best, explained, in_words, named
 from tuning.pages import judge as judge_page
 from tuning.pages.contents import at_own_step
-from tuning.pages.judge import verdict
 from tuning.problem.ensemble import Ensemble, Worst
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective, Term

@@ -16,9 +16,9 @@ from tests.shell import finish
 from tuning import numbers
 from tuning.command_line.options import Output
 from tuning.command_line.session import Session
-from tuning.comparisons import verification
+from tuning.comparisons import verdicts, verification
 from tuning.comparisons.of_ensemble import SHOWN
-from tuning.comparisons.of_front import FrontComparison
+from tuning.comparisons.of_front import FrontComparison, verdict
 from tuning.comparisons.of_search import TuneComparison
 from tuning.comparisons.of_sweep import SweepComparison
 from tuning.comparisons.side_by_side import AtOneStep, differences
@@ -426,7 +426,8 @@ def test_the_page_of_a_front(swept, named):
     front = front.assign({name: ("without", np.array(values)) for name, values in without.items()})
     kept = {name: flat[name].transpose("front", ...).values for name in LINES}
     found = Front(front, Problem(named[0]))
-    compared = FrontComparison(named[1], kept, of_front(found))
+    metrics = {name: mc.metrics(walk) for name, walk in named[1].items()}
+    compared = FrontComparison(named[1], metrics, kept, of_front(found), verdict(found, metrics))
     made = pareto.page_of(found, compared)
     assert made.findings.verdict.startswith("the front of 9 points bends at")
     assert "% above pd with its own kp and kd searched" in made.findings.verdict
@@ -484,14 +485,14 @@ def test_what_failed_says_so_and_nothing_is_compared_with_it():
     assert {variation[f"vs {name} %"] for name in ("torn", "flown", "gone")} == {""}
     assert [limb[name] for name in walks] == ["-", "LF", "LF", "-"]
     assert (at["flown"], gone["gone"]) == ("0.06", "yes")
-    assert comparison.against("force_variation", "best", walks) == "50 N"
+    assert verdicts.against("force_variation", "best", walks) == "50 N"
     assert differences(held, torn) == ([], [])
     assert differences(held | {"force_variation": 60.0}, held)[0]
 
 
 def test_words_say_which_way_metrics_went():
     forces = {name: {"peak_foot_force": force} for name, force in {"best": 3.0, "pd": 4.0, "paper": None}.items()}
-    assert comparison.against("peak_foot_force", "best", forces) == "3 N, 25.0 % below pd as the config has it"
+    assert verdicts.against("peak_foot_force", "best", forces) == "3 N, 25.0 % below pd as the config has it"
     metrics, baseline = {"force_variation": 1.0, "base_deviation": 2.0}, {"force_variation": 2.0, "base_deviation": 1.0}
     worse, better = differences(metrics, baseline)
     assert (worse, better) == (["base deviation +100 %"], ["force variation -50.0 %"])

@@ -13,7 +13,7 @@ from tuning.comparisons import margins as margins_of
 from tuning.comparisons.degraded import AS_DRAWN, Degradation
 from tuning.comparisons.degraded import METRICS as OF_HARDWARE
 from tuning.comparisons.linear_margins import Stable
-from tuning.comparisons.of_draw import DrawComparison
+from tuning.comparisons.of_draw import DrawComparison, verdict
 from tuning.comparisons.of_ensemble import RobustComparison, shown
 from tuning.comparisons.worth import Worth
 from tuning.pages import degraded, judge, margins, page, pushes, redrawn, robust
@@ -29,7 +29,8 @@ def test_the_folder_of_evaluate(tmp_path):
     walks = walks_of(names)
     found = Judged(walks, PROBLEM, ensemble=Ensemble(members=5, seed=3))
     table = table_of(names, shown(mc.METRICS), "pd")
-    compared = DrawComparison(judging.summary(walks), table, "a sensor is worth nothing")
+    summed = judging.summary(walks)
+    compared = DrawComparison(summed, table, "a sensor is worth nothing", verdict(summed))
     drawn_again("evaluate", same("evaluate", judge.contents(found, compared, "case.yaml")), tmp_path)
     (one,) = (figure for _, figure in redrawn.figures(tmp_path, ["travel"]))
     assert [panel.get_xlabel() for panel in one.axes] == ["travel [mm]"]
@@ -58,8 +59,8 @@ def test_the_folder_of_a_search_over_an_ensemble(told):
     summed = summed.assign(objective=("gains", [0.6, 0.7, 0.9, 1.0]), broken=broken)
     worth = Worth({"objective": -0.1}, "the force sensor pays") if told else None
     binding = ["base deviation at most 0.01 (as asked)"] if told else []
-    joint = {"kp": 17.0, "kd": 1.0} if told else {}
-    compared = RobustComparison(walks, summed, worth, "the verdict", joint, binding)
+    joint, plain = {"kp": 17.0, "kd": 1.0} if told else {}, judging.plain(summed, shown(mc.METRICS))
+    compared = RobustComparison(walks, summed, worth, "the verdict", joint, binding, plain)
     same(f"robust_{told}", robust.contents(found, compared, "case.yaml"))
 
 

@@ -16,7 +16,7 @@ from tests.trajectories import still
 from tests.tuning.pages.made_up import CASE, HERE, PROBLEM, drawn_again, same, table_of
 from tests.tuning.pages.test_ceiling import bounded
 from tuning.comparisons import verification
-from tuning.comparisons.of_front import FrontComparison
+from tuning.comparisons.of_front import FrontComparison, verdict
 from tuning.comparisons.of_laws import LawsComparison
 from tuning.comparisons.of_schedule import ScheduleComparison
 from tuning.comparisons.of_search import TuneComparison
@@ -161,7 +161,9 @@ def test_the_folder_of_a_front(told, tmp_path):
     gains = mc.Gains(1.0, 50.0, 2e3)
     found = Front(xr.Dataset(data, coordinates, attrs), PROBLEM, Search(seed=3), gains=gains, asked=asked)
     kept = {name: np.zeros((count, 2, 3)) for name in LINES}
-    compared = FrontComparison({"pd": STILL, "config": STILL}, kept, "what the sensor is worth")
+    metrics = {name: mc.metrics(STILL, PROBLEM.metrics) for name in ("pd", "config")}
+    walks = dict.fromkeys(metrics, STILL)
+    compared = FrontComparison(walks, metrics, kept, "what the sensor is worth", verdict(found, metrics))
     made = same(f"front_{told}", pareto.contents(found, compared, "case.yaml"))
     if told:
         drawn_again("front_True", made, tmp_path)

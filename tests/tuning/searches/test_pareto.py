@@ -50,7 +50,7 @@ def test_the_table_of_a_front_has_as_many_points_as_were_asked_for():
     data["reference_diverged"] = "reference", [0, 1]
     attributes = {"against": "travel", "better": "force_variation", "searched": "stiffness"}
     front = xr.Dataset(data, {"reference": ["config", "pd"]}, attributes)
-    made = front_table(front, 17, 6)
+    made = front_table(front, 17, 6, None)
     (_, on), (_, below) = made.sections
     assert [row[1] for row in on] == ["0", "8", "17", "23", "31", "39"] and [row[0] for row in on].index("knee") == 2
     assert made.caption == "The front: 6 of its 40 points, all of them in front.nc"
@@ -211,7 +211,8 @@ def test_a_front_is_what_no_other_beats_in_its_exact_walk(few, monkeypatch, wide
     np.testing.assert_allclose(data["without_base_deviation"], 0.5 - 0.1 * np.log(kp / kp[0]))
     np.testing.assert_allclose(data["without_force_variation"], 0.4 + 0.1 * np.log(kp / kp[0]) - [0.0, 0.1])
     assert data["without_law"].values.tolist() == ["retuned_pd", "planned_unsearched"]
-    _, (_, below) = front_table(data, data.sizes["front"] - 1, 6).sections
+    last = data.sizes["front"] - 1
+    _, (_, below) = front_table(data, last, 6, without_sensor(data, last)).sections
     assert below[-1][0].startswith("planned_unsearched, kp 44.7")
 
 
@@ -230,7 +231,7 @@ def test_a_front_of_a_law_of_ones_own(few):
     assert alone["force_variation"] == pytest.approx(front["force_variation"].values[0], rel=1e-6)
     own = mc.metrics(mc.rollout(scenario, law=law))["force_variation"]
     assert front["reference_force_variation"].sel(reference="config").item() == pytest.approx(own, rel=1e-6)
-    assert len(front_table(front, 0, 3).columns) == 7
+    assert len(front_table(front, 0, 3, None).columns) == 7
 
 
 @pytest.mark.nightly
