@@ -247,14 +247,15 @@ def _write(
     from mjx_climb.files import dataset
     from tuning import numbers
     from tuning.identification.model.replay_picture import plot_replay
-    from tuning.identification.readers.log import unit_of
+    from tuning.identification.readers.log import signals_of
     from tuning.pages.contents import Picture
     from tuning.pages.table import Table
 
-    rows = [[name, *map(numbers.number, error[:4]), unit_of(name)] for name, error in found.errors.items()]
+    units = {name: each.unit for name, each in signals_of(found.walk.robot).items()}
+    rows = [[name, *map(numbers.number, error[:4]), units[name]] for name, error in found.errors.items()]
     table = Table("", ["signal", "rms error", "largest", "at s", "moved", "unit"], [("", rows)], 1)
     shell.show(table, *found.warnings, f"base {found.base}; moved: standard deviation of what was logged")
-    by_signal = {name: {**error._asdict(), "unit": unit_of(name)} for name, error in found.errors.items()}
+    by_signal = {name: {**error._asdict(), "unit": units[name]} for name, error in found.errors.items()}
     whole = {"base": found.base, "signals": by_signal, "warnings": [*found.log.warnings, *found.warnings]}
     text = numbers.to_json({**whole, "judged": under_law} if under_law else whole) + "\n"
     files: dict[str, Any] = {"replay.json": text, "simulation.nc": dataset.to_dataset(found.walk)}

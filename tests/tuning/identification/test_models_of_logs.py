@@ -20,12 +20,11 @@ from tuning.identification.model.gripped import (
     cut_gripped,
     gripped_model,
     gripped_with_nuisances,
-    signals_beside,
 )
 from tuning.identification.model.predicted import model_of, with_nuisances
 from tuning.identification.model.variables import Place, begin, variables
-from tuning.identification.model.windows import KINDS, cut
-from tuning.identification.readers.log import Log, Signal
+from tuning.identification.model.windows import cut
+from tuning.identification.readers.log import Log, Signal, signals_of
 
 STEP = 0.001
 SCENARIO = mc.Scenario().with_overrides({"time_step": STEP})
@@ -200,13 +199,12 @@ def gripped_log():
 
 
 def test_signals_of_feet_and_base_have_their_axis():
-    beside = signals_beside(gripped_log(), ROBOT)
-    assert beside == {
-        "LF.force.z": (0, 2, KINDS.index("force")), "base.position.x": (0, 0, KINDS.index("base_position")),
-        "base.position.z": (0, 2, KINDS.index("base_position")),
-        "base.orientation.w": (0, 0, KINDS.index("base_orientation")),
-        "base.orientation.z": (0, 3, KINDS.index("base_orientation")),
-        "base.linear_velocity.y": (0, 1, KINDS.index("base_linear_velocity")),
+    meanings = signals_of(ROBOT)
+    assert {name: meanings[name] for name in gripped_log().signals if name.startswith(("base", "LF.force"))} == {
+        "LF.force.z": ("N", "force", (0, 2)), "base.position.x": ("m", "base_position", (0,)),
+        "base.position.z": ("m", "base_position", (2,)), "base.orientation.w": ("1", "base_orientation", (0,)),
+        "base.orientation.z": ("1", "base_orientation", (3,)),
+        "base.linear_velocity.y": ("m/s", "base_linear_velocity", (1,)),
     }  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from tuning.identification.model.windows import cut
 from tuning.identification.plan import output as excitation
 from tuning.identification.readers import read_log, record, write_csv
 from tuning.identification.readers.guess import guess
-from tuning.identification.readers.log import Log, Signal, joints_of, names
+from tuning.identification.readers.log import Log, Signal, joints_of, signals_of
 from tuning.identification.readers.table import Recording, Table
 
 LIMBS = ("FL", "FR", "RL", "RR")  # as in the file; counter-clockwise, as in the model, are FL, RL, RR, FR
@@ -84,7 +84,7 @@ def test_exact_names_come_first_whatever_they_are(own_robot, joints):
         expected = {signal: form.format(name) for signal, name in own.items()}
         assert found(sorted(expected.values()), robot, topic) == (expected, ())
     assert {f"{joint}.position" for joint in joints_of(robot)} == {*own}
-    assert {name for name in names(robot) if name.endswith(".position")} == {*own}
+    assert {name for name in signals_of(robot) if name.endswith(".position")} == {*own}
 
 
 def test_numbers_without_names_come_in_the_order_of_the_file(own_robot):

@@ -14,7 +14,7 @@ from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
 from tuning.identification.readers import formats, read_log, record, write_csv
 from tuning.identification.readers.guess import guess
-from tuning.identification.readers.log import names
+from tuning.identification.readers.log import signals_of
 from tuning.identification.readers.signals import Signals
 from tuning.identification.readers.table import Recording, Table
 
@@ -273,7 +273,7 @@ def test_a_walk_is_read_back_from_its_mcap_to_the_last_digit(pushed, tmp_path):
     assert (
         set(log.signals)
         == set(expected)
-        == ({name for name in names(ROBOT) if not name.endswith("_command")} - {"control.kp", "torque_off"})
+        == ({name for name in signals_of(ROBOT) if not name.endswith("_command")} - {"control.kp", "torque_off"})
     )
     for name, values in expected.items():
         np.testing.assert_array_equal(log.signals[name].value, values, err_msg=name)

@@ -11,7 +11,7 @@ import pytest
 import mjx_climb as mc
 from tests.tuning.identification.recorded import ROBOT
 from tuning.identification.readers import read_log, record, write_csv
-from tuning.identification.readers.log import Log, Signal, commanded, names, unit_of
+from tuning.identification.readers.log import Log, Signal, commanded, signals_of
 from tuning.identification.readers.named import by_names, words_of
 from tuning.identification.readers.signals import Signals, Source
 
@@ -307,7 +307,7 @@ def test_signals_of_a_robot_have_their_units():
         axes = "wxyz" if what == "orientation" else "xyz"
         expected |= {f"base.{what}.{axis}": unit for axis in axes}
     expected |= {"control.kp": "N m/rad", "torque_off": "1"}
-    assert {name: unit_of(name) for name in names(ROBOT)} == expected and list(names(ROBOT)) == list(expected)
+    assert [(name, each.unit) for name, each in signals_of(ROBOT).items()] == [*expected.items()]
     signal = Signal(np.arange(2.0), np.arange(2.0))
     assert commanded(Log({"LF.coxa.pwm_command": signal, "LF.coxa.position": signal}, "a")) == "pwm_command"
     assert commanded(Log({"LF.coxa.position": signal}, "a")) == "command"

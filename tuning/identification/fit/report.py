@@ -11,7 +11,8 @@ from mjx_climb.viz import plots
 from tuning.identification.fit.inference import suspicious
 from tuning.identification.fit.result import Estimate, Identified
 from tuning.identification.model.variables import begin
-from tuning.identification.model.windows import KINDS, UNITS
+from tuning.identification.model.windows import KINDS
+from tuning.identification.readers.log import signals_of
 from tuning.numbers import number
 from tuning.pages import page
 
@@ -49,7 +50,7 @@ def _rows(estimates: Mapping[str, Estimate]) -> list[list[str]]:
 def residual_table(found: Identified) -> page.Table:
     """Return of each signal, joint by joint, the noise, the residuals over it, fitted and held out, and doubts."""
     windows, fitted = found.model.windows, found.problem.fitted
-    scaled = found.fitted.scaled
+    scaled, meanings = found.fitted.scaled, signals_of(found.model.structure.robot)
     ahead, wrong = found.held_out.get("signals", {}), {test.signal: test for test in suspicious(found.tests)}
     rows: dict[str, list[list[str]]] = {}
     for n, name in enumerate(windows.names):
@@ -57,7 +58,7 @@ def residual_table(found: Identified) -> page.Table:
         own = scaled[fitted & (found.problem.rows.signal == n)]
         test = wrong.get(name)
         rows.setdefault(place, []).append([
-            what, UNITS[windows.kind[n]], number(float(found.fitted.noise[n])), f"{np.sqrt((own**2).mean()):.3f}",
+            what, meanings[name].unit, number(float(found.fitted.noise[n])), f"{np.sqrt((own**2).mean()):.3f}",
             f"{ahead[name]:.3f}" if name in ahead else "",
             "" if test is None else f"{test.correlation[np.argmax(np.abs(test.correlation))]:+.2f}",
         ])  # fmt: skip
@@ -165,8 +166,7 @@ def plot_prediction(found: Identified) -> Figure:
     def broken(values: np.ndarray) -> np.ndarray:
         return np.insert(values, gap, np.nan)
 
-    name, kind = windows.names[worst], int(windows.kind[worst])
-    noise = float(found.fitted.noise[worst])
+    name, noise = windows.names[worst], float(found.fitted.noise[worst])
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     for label in missed:
@@ -175,7 +175,7 @@ def plot_prediction(found: Identified) -> Figure:
         below.plot(broken(time[own]), broken(missed[label] / noise), **look)
     above.plot(time[own], rows.value[own], ".", color="black", markersize=2, label="log", zorder=3)
     below.axhspan(-2, 2, color="0.9", zorder=0)
-    above.set_ylabel(f"{name} [{UNITS[kind]}]")
+    above.set_ylabel(f"{name} [{signals_of(found.model.structure.robot)[name].unit}]")
     below.set(xlabel="time [s]", ylabel="log - model [noise]")
     below.set_yscale("symlog", linthresh=10.0)
     figure.legend(*above.get_legend_handles_labels(), ncols=3, loc="outside upper center")

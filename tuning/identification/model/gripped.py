@@ -67,19 +67,6 @@ class Given(NamedTuple):
     stood: State  # in which the robot was when it gripped
 
 
-def signals_beside(log: Log, robot: Robot) -> dict[str, tuple[int, int, int]]:
-    """Return the signals of feet and base in a log: limb, axis and kind of each."""
-    named = {
-        f"{limb}.force.{axis}": (n, column, KINDS.index("force"))
-        for n, limb in enumerate(robot.limbs)
-        for column, axis in enumerate(_AXES)
-    }
-    for kind in KINDS[4:]:
-        axes = "wxyz" if kind == "base_orientation" else _AXES
-        named |= {f"{kind.replace('_', '.', 1)}.{axis}": (0, n, KINDS.index(kind)) for n, axis in enumerate(axes)}
-    return {name: place for name, place in named.items() if name in log.signals}
-
-
 def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Windows:
     """Return the windows of a gripped robot's log.
 
@@ -95,7 +82,7 @@ def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Wi
     if missing := [name for joint in joints_of(robot) if (name := f"{joint}.command") not in log.signals]:
         expected = "the commands of all joints of a gripped robot"
         raise ConfigError(log.source, "", expected, f"none of {missing[0]} (--base held: some limbs)")
-    return cut(log, robot, time_step, held_out, signals_beside(log, robot))
+    return cut(log, robot, time_step, held_out, KINDS)
 
 
 def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:

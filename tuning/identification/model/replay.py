@@ -25,12 +25,15 @@ from tuning.identification.model import held_base as stand
 from tuning.identification.model.commanded import Carried, Commands, held
 from tuning.identification.model.foot_mass import with_foot_mass
 from tuning.identification.model.schedule import schedule_of
-from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of
+from tuning.identification.model.windows import KINDS
+from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of, signals_of
 
 Base = Literal["held", "free"]
 
 _MOST_PUSHES = 500  # of a scenario: each is looked at in every step
 _FAR = 0.05  # rad, of a joint from where the simulation begins
+# fields of a walk, by the kinds of signals
+_FIELDS = dict(zip(KINDS, ("joint_angles", "joint_rates", "joint_torque", "foot_force", *KINDS[4:]), strict=True))
 
 
 class Error(NamedTuple):
@@ -57,13 +60,10 @@ class Replay:
     def logged(self) -> mc.Trajectory:
         """Return the log as a walk, to be shown: quantities that were not logged are as simulated."""
         walk, robot = self.walk, self.walk.robot
-        found: dict[str, Any] = {}
-        for field, by_name in _fields(robot).items():
-            values = np.array(getattr(walk, field))
-            for name, place in by_name.items():
-                if (signal := self.log.signals.get(name)) is not None:
-                    values[(..., *place)] = np.interp(walk.time, signal.time, signal.value)
-            found[field] = values
+        found: dict[str, Any] = {field: np.array(getattr(walk, field)) for field in _FIELDS.values()}
+        for name, (field, place) in _comparable(robot).items():
+            if (signal := self.log.signals.get(name)) is not None:
+                found[field][(..., *place)] = np.interp(walk.time, signal.time, signal.value)
         if not any(".force." in name for name in self.log.signals):
             found["foot_force"] = np.zeros_like(walk.foot_force)
         found["base_orientation"] /= np.linalg.norm(found["base_orientation"], axis=1, keepdims=True)
@@ -288,30 +288,20 @@ def _feet(
     return np.asarray(position[:, None] + turned)
 
 
-def _fields(robot: Robot) -> dict[str, dict[str, tuple[Any, ...]]]:
-    """Return the fields of a walk that a robot can log: by the name of a signal, its place behind time."""
-    what = {"joint_angles": "position", "joint_rates": "velocity", "joint_torque": "effort"}
-    found: dict[str, dict[str, tuple[Any, ...]]] = {
-        field: {f"{joint}.{of}": place for joint, place in joints_of(robot).items()} for field, of in what.items()
-    }
-    limbs = enumerate(robot.limbs)
-    found["foot_force"] = {f"{limb}.force.{axis}": (row, n) for row, limb in limbs for n, axis in enumerate("xyz")}
-    for of in ("position", "linear_velocity", "angular_velocity"):
-        found[f"base_{of}"] = {f"base.{of}.{axis}": (n,) for n, axis in enumerate("xyz")}
-    found["base_orientation"] = {f"base.orientation.{axis}": (n,) for n, axis in enumerate("wxyz")}
-    return found
+def _comparable(robot: Robot) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Return the signals that a walk has too: by name, the walk's field and the place in it behind time."""
+    return {name: (_FIELDS[m.kind], m.place) for name, m in signals_of(robot).items() if m.kind in _FIELDS}
 
 
 def errors_of(walk: mc.Trajectory, log: Log, robot: Robot) -> dict[str, Error]:
     """Return how far the simulation is from every logged signal that it has, at the times of the log."""
-    found = {}
-    for field, by_name in _fields(robot).items():
-        for name, place in by_name.items():
-            signal = log.signals.get(name)
-            if signal is not None:
-                simulated = getattr(walk, field)[(..., *place)]
-                found[name] = _error(signal, np.interp(signal.time, walk.time, simulated))
-    return {name: found[name] for name in log.signals if name in found}
+    found, fields = {}, _comparable(robot)
+    for name, signal in log.signals.items():
+        if name in fields:
+            field, place = fields[name]
+            simulated = getattr(walk, field)[(..., *place)]
+            found[name] = _error(signal, np.interp(signal.time, walk.time, simulated))
+    return found
 
 
 def _error(signal: Signal, simulated: Float[np.ndarray, " samples"]) -> Error:

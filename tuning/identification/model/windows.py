@@ -12,7 +12,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.model.held_base import targets_of
 from tuning.identification.model.schedule import Schedule
 from tuning.identification.readers.doubts import several
-from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of
+from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of, signals_of
 
 LENGTH = 1.0  # s, of a window
 SHORTEST = 0.2  # s, of the last window of a stretch
@@ -20,7 +20,6 @@ KINDS = (  # of records: of a joint, of a foot, of the base
     "position", "velocity", "effort", "force", "base_position", "base_orientation", "base_linear_velocity",
     "base_angular_velocity",
 )  # fmt: skip
-UNITS = ("rad", "rad/s", "N m", "N", "m", "1", "m/s", "rad/s")
 _GAP, _PERIODS = 0.1, 5  # s, and periods of the log: a longer silence is a gap
 _USUAL, _FEW = 0.8, 10  # quantile of the spacing of commands, least commands
 _MISSED, _LATE = 1.6, 3.0  # spacings that lack a command: where something else was recorded, where nothing was
@@ -132,10 +131,9 @@ class Windows:
 
 
 def cut(
-    log: Log, robot: Robot, time_step: float, held_out: float, beside: Mapping[str, tuple[int, int, int]] | None = None,
-    late: float = 0.0,
-) -> Windows:  # fmt: skip
-    """The windows of a log, joints and further signals; the last share `held_out` is not fitted.
+    log: Log, robot: Robot, time_step: float, held_out: float, kinds: Sequence[str] = KINDS[:3], late: float = 0.0
+) -> Windows:
+    """The windows of a log; the last share `held_out` is not fitted.
 
     No window runs through a hole of the commands: the next one begins when the first command behind it has arrived.
 
@@ -144,7 +142,7 @@ def cut(
         robot: whose log it is.
         time_step: of the model, s.
         held_out: share of the windows.
-        beside: by name, limb, axis and kind of further signals.
+        kinds: those of KINDS that are predicted.
         late: the longest time that a command takes to the motors, s.
 
     Raises:
@@ -158,13 +156,9 @@ def cut(
     }
     lacking = {limb for limb, joint in joints_of(robot).values() if (limb, joint) not in commands}
     whole = set(range(len(robot.limbs))) - lacking
-    placed = {
-        f"{joint}.{kind}": (n, j, k)
-        for joint, (n, j) in joints_of(robot).items()
-        for k, kind in enumerate(KINDS[:3])
-        if n in whole and f"{joint}.{kind}" in log.signals
-    }
-    placed |= beside or {}
+    placed = {name: each for name, each in signals_of(robot).items() if name in log.signals and each.kind in kinds}
+    beside = {name: each for name, each in placed.items() if each.kind not in KINDS[:3]}
+    placed = {name: each for name, each in placed.items() if name not in beside and each.place[0] in whole} | beside
     constant = tuple(name for name in placed if not np.ptp(log.signals[name].value))
     placed = {name: place for name, place in placed.items() if name not in constant}
     names = tuple(placed)
@@ -186,7 +180,7 @@ def cut(
         lost = f" (commands are missing in {len(unknown) - 1} holes)" if len(unknown) > 1 else ""
         raise ConfigError(log.source, "", "two seconds or more without gaps", f"{known}{lost}")
     count = len(begin) - min(round(held_out * len(begin)), len(begin) - 1)
-    limb, joint, kind = np.array(list(placed.values())).T
+    limb, joint, kind = np.array([(*(0, *each.place)[-2:], KINDS.index(each.kind)) for each in placed.values()]).T
     rows = _rows(signals, kind == 1, begin, ends, steps, time_step)
     return Windows(
         begin=begin, abuts=abuts, held_out=np.arange(len(begin)) >= count, steps=steps, time_step=time_step,

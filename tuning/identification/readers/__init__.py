@@ -3,7 +3,7 @@
 import dataclasses
 import difflib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from tuning.identification.readers.doubts import doubts, several
 from tuning.identification.readers.formats import record
 from tuning.identification.readers.formats.csv_file import write_csv as write_csv
 from tuning.identification.readers.guess import clock_of, guess
-from tuning.identification.readers.log import BASE, JOINT, Log, Signal, joints_of, names, unit_of
+from tuning.identification.readers.log import BASE, JOINT, Log, Meaning, Signal, joints_of, signals_of
 from tuning.identification.readers.outliers import without_outliers
 from tuning.identification.readers.repairs import cleaned, increasing, without_turns, without_unmeasured
 from tuning.identification.readers.signals import SECONDS, UNITS, Signals, Source
@@ -58,9 +58,11 @@ def read_log(
     if not signals.signals:
         why = "; ".join(filter(None, [missing, *doubtful]))
         got = f"{_columns(there)} ({why})" if why else _columns(there)
-        raise ConfigError(recording.source, "", f"signals such as {_some(names(robot))}", got)
-    signals = _in_degrees(signals, robot)
-    raw = {name: _taken(recording, signals, name, robot, place) for name in signals.signals}
+        raise ConfigError(recording.source, "", f"signals such as {', '.join([*signals_of(robot)][:3])}", got)
+    meanings = signals_of(robot)
+    signals = _in_degrees(signals, robot, meanings)
+    slides = robot.sliding is not None
+    raw = {name: _taken(recording, signals, name, meanings, place, slides=slides) for name in signals.signals}
     read, said = cleaned(raw, signals)
     read, more = without_outliers(read, robot, signals)
     said += more
@@ -83,7 +85,7 @@ def _recorded(recording: Recording, robot: Robot) -> tuple[Recording, str]:
         times = {name: column for name, column in table.times.items() if (topic, name) not in empty}
         tables[topic] = dataclasses.replace(table, fields=fields, times=times)
     if empty:
-        known, sources = {*names(robot)}, guess(recording, robot)[0].signals.values()
+        known, sources = signals_of(robot), guess(recording, robot)[0].signals.values()
         guessed = {(source.topic or "", source.column or source.field) for source in sources}
         found = [f"{topic} {name}".strip() for topic, name in empty if name in known or (topic, name) in guessed]
         said = f"{several(found)}: fewer than two numbers were recorded, left out" if found else ""
@@ -92,7 +94,7 @@ def _recorded(recording: Recording, robot: Robot) -> tuple[Recording, str]:
 
 def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]:
     """The columns that have the names of signals, and a line on each that seems misspelt."""
-    table, known = recording.tables.get(""), list(names(robot))
+    table, known = recording.tables.get(""), list(signals_of(robot))
     if table is None or not set(known) & set(table.fields):
         return Signals(), ()
     said = []
@@ -108,13 +110,13 @@ def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[st
     return Signals(time=time, time_unit=unit, signals=own), tuple(sorted(said))
 
 
-def _in_degrees(signals: Signals, robot: Robot) -> Signals:
+def _in_degrees(signals: Signals, robot: Robot, meanings: Mapping[str, Meaning]) -> Signals:
     """Return where signals stand, with the unit of the file at those of turning joints that name none."""
     if signals.unit == "rad":
         return signals
     sliding = {joint for joint, place in joints_of(robot).items() if robot.sliding is not None and robot.sliding[place]}
     turning = {f"{joint}.{what}" for joint in joints_of(robot).keys() - sliding for what in JOINT}
-    units = {name: _IN_DEGREES.get(unit_of(name)) for name in signals.signals.keys() & turning}
+    units = {name: _IN_DEGREES.get(meanings[name].unit) for name in signals.signals.keys() & turning}
     sources = {
         name: source.changed({"unit": units[name]}) if source.unit is None and units.get(name) else source
         for name, source in signals.signals.items()
@@ -122,18 +124,20 @@ def _in_degrees(signals: Signals, robot: Robot) -> Signals:
     return signals.model_copy(update={"signals": sources})
 
 
-def _taken(recording: Recording, signals: Signals, name: str, robot: Robot, place: str) -> tuple[Signal, str]:
+def _taken(
+    recording: Recording, signals: Signals, name: str, meanings: Mapping[str, Meaning], place: str, *, slides: bool
+) -> tuple[Signal, str]:
     """Return a signal of a file in SI units, with the columns that were recorded with it.
 
     Raises:
         ConfigError: a signal that the robot does not have, a unit of another kind, or a place that is not there.
     """
     source, key = signals.signals[name], f"signals.{name}"
-    if name not in names(robot):
-        raise ConfigError(place, key, "a signal of the robot", f"another name{_nearest(name, names(robot))}")
-    unit = unit_of(name)
-    if source.unit and UNITS[source.unit][0] not in (unit, _SLIDING.get(unit) if robot.sliding is not None else unit):
-        kind = [unit for unit, (si, _) in UNITS.items() if si == unit_of(name)]
+    if name not in meanings:
+        raise ConfigError(place, key, "a signal of the robot", f"another name{_nearest(name, meanings)}")
+    unit = meanings[name].unit
+    if source.unit and UNITS[source.unit][0] not in (unit, _SLIDING.get(unit) if slides else unit):
+        kind = [other for other, (si, _) in UNITS.items() if si == unit]
         raise ConfigError(place, f"{key}.unit", f"one of {', '.join(kind)}", source.unit)
     topic, field = source.topic or "", source.column or source.field
     if topic not in recording.tables:
@@ -182,10 +186,6 @@ def _times(table: Table, source: Source, signals: Signals, recording: Recording,
 def _nearest(name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, list(known), 1, 0.5)
     return f" (did you mean {near[0]}?)" if near else ""
-
-
-def _some(all_names: Iterator[str]) -> str:
-    return ", ".join(name for name, _ in zip(all_names, range(3), strict=False))
 
 
 def _columns(recording: Recording) -> str:

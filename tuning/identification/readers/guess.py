@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 import numpy as np
 
 from mjx_climb.robot.constants import Robot
-from tuning.identification.readers.log import names
+from tuning.identification.readers.log import signals_of
 from tuning.identification.readers.named import words_of
 from tuning.identification.readers.signals import Signals, Source, TimeUnit
 from tuning.identification.readers.table import Recording, Table
@@ -87,7 +87,7 @@ def guess(recording: Recording, robot: Robot) -> tuple[Signals, tuple[str, ...]]
             f"forces: taken as along world axes, their frame is {', '.join(sorted(map(repr, frames)))}; turn them "
             "before, if it is not the world's"
         )
-    in_order = {name: found[name] for name in names(robot) if name in found}
+    in_order = {name: found[name] for name in signals_of(robot) if name in found}
     return Signals(time=time, time_unit=unit, signals=in_order), tuple(dict.fromkeys(notes))
 
 

@@ -9,7 +9,8 @@ the share of the supply voltage; `LF.force.x` N, world axes; `LF.support` 1; `ba
 
 import dataclasses
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -20,11 +21,8 @@ from tuning.identification.readers.signals import Signals
 
 KP, OFF = "control.kp", "torque_off"  # P gain that the servos were given; 1 where their torque is off
 COMMANDS = ("command", "velocity_command", "effort_command", "pwm_command")  # a log has one kind
-JOINT = (*COMMANDS, "position", "velocity", "effort")
-UNITS = {
-    "command": "rad", "velocity_command": "rad/s", "effort_command": "N m", "pwm_command": "1", "position": "rad",
-    "velocity": "rad/s", "effort": "N m", "force": "N", "support": "1",
-    "kp": "N m/rad", OFF: "1",
+JOINT = dict(zip(COMMANDS, ("rad", "rad/s", "N m", "1"), strict=True)) | {  # units
+    "position": "rad", "velocity": "rad/s", "effort": "N m",
 }  # fmt: skip
 BASE = {
     "position": "m", "orientation": "1", "linear_velocity": "m/s", "angular_velocity": "rad/s", "force": "N",
@@ -63,16 +61,26 @@ class Log:
         return max(float(signal.time[-1]) for signal in self.signals.values())
 
 
-def names(robot: Robot) -> Iterator[str]:
-    """Return the names of all signals that a robot can record, limb after limb, then base and servos."""
-    own = joints_of(robot)
+class Meaning(NamedTuple):
+    """The meaning of a signal's name."""
+
+    unit: str  # SI
+    kind: str  # of a joint, of a foot, or as base_position
+    place: tuple[int, ...]  # limb and joint, limb and axis, or an axis of the base
+
+
+def signals_of(robot: Robot) -> dict[str, Meaning]:
+    """Return all signals that a robot can record, by name: limb after limb, then base and servos."""
+    own, found = joints_of(robot), dict[str, Meaning]()
     for n, limb in enumerate(robot.limbs):
-        yield from (f"{joint}.{what}" for joint, place in own.items() if place[0] == n for what in JOINT)
-        yield from (f"{limb}.force.{axis}" for axis in "xyz")
-        yield f"{limb}.support"
-    for what in BASE:
-        yield from (f"base.{what}.{axis}" for axis in ("wxyz" if what == "orientation" else "xyz"))
-    yield from (KP, OFF)
+        joints = {joint: place for joint, place in own.items() if place[0] == n}
+        found |= {f"{j}.{what}": Meaning(JOINT[what], what, at) for j, at in joints.items() for what in JOINT}
+        found |= {f"{limb}.force.{axis}": Meaning("N", "force", (n, column)) for column, axis in enumerate("xyz")}
+        found[f"{limb}.support"] = Meaning("1", "support", (n,))
+    for what, unit in BASE.items():
+        axes = enumerate("wxyz" if what == "orientation" else "xyz")
+        found |= {f"base.{what}.{axis}": Meaning(unit, f"base_{what}", (column,)) for column, axis in axes}
+    return found | {KP: Meaning("N m/rad", KP, ()), OFF: Meaning("1", OFF, ())}
 
 
 def joints_of(robot: Robot) -> dict[str, tuple[int, int]]:
@@ -91,9 +99,3 @@ def commanded(log: Log) -> str:
     if len(kinds) > 1:
         raise ConfigError(log.source, "", "commands of one kind", ", ".join(kinds.values()))
     return next(iter(kinds), COMMANDS[0])
-
-
-def unit_of(name: str) -> str:
-    """Return the SI unit of a signal that a robot can record."""
-    first, last = (parts := name.split("."))[0], parts[-1]
-    return BASE[parts[1]] if first == "base" else UNITS.get(last) or UNITS[parts[1]]
