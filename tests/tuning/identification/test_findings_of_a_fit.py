@@ -16,7 +16,7 @@ from tuning.identification.fit.output import _result, ensemble_of
 from tuning.identification.fit.problem import Fitted, Problem
 from tuning.identification.model.schedule import Schedule
 from tuning.identification.model.variables import Place, Variable
-from tuning.identification.model.windows import KINDS, UNITS, Rows, Windows
+from tuning.identification.model.windows import KINDS, Rows, Windows
 from tuning.identification.readers.log import Log, Signal
 
 SCENARIO, Z = mc.Scenario(), 1.959964
@@ -302,12 +302,13 @@ def test_tables_have_the_numbers_of_estimates_and_residuals():
     tests = {test.signal: test for test in found.tests}
     every = [row for _, section in residuals.sections for row in section]
     scaled, rows = found.fitted.scaled, found.problem.rows
+    units = ("rad", "rad/s", "N m", "N", "m", "1", "m/s", "rad/s")
     for number, (name, row) in enumerate(zip(NAMES, every, strict=True)):
         fitted = [scaled[n] for n in range(len(scaled)) if rows.signal[n] == number and found.problem.fitted[n]]
         rms = math.sqrt(sum(each**2 for each in fitted) / len(fitted))
         largest = max(tests[name].correlation, key=abs)
         assert row == [
-            name.rpartition(".")[2] if number < 3 else name, UNITS[number], f"{found.fitted.noise[number]:.4g}",
+            name.rpartition(".")[2] if number < 3 else name, units[number], f"{found.fitted.noise[number]:.4g}",
             f"{rms:.3f}", f"{found.held_out['signals'][name]:.3f}", f"{largest:+.2f}" if tests[name].share else "",
         ]  # fmt: skip
 

@@ -28,7 +28,7 @@ from tuning.identification.fit.problem import Problem
 from tuning.identification.fit.report import SHOWN, plot_prediction
 from tuning.identification.model.predicted import model_of, with_nuisances
 from tuning.identification.model.variables import Place, applied, begin, variables
-from tuning.identification.model.windows import KINDS, UNITS, cut
+from tuning.identification.model.windows import cut
 from tuning.identification.readers import write_csv
 from tuning.identification.readers.log import Log, Signal
 from tuning.problem import ensemble as ensembles
@@ -112,8 +112,8 @@ def test_the_picture_of_the_worst_signal_shows_the_model_before_and_after_and_wh
     before, after, log = above.lines
     assert [line.get_label() for line in above.lines] == ["model, before", "model, after", "log"]
     assert before.get_linewidth() > 2 * after.get_linewidth()  # nor does the one hide the other
-    name = above.get_ylabel().partition(" [")[0]
-    assert above.get_ylabel() == f"{name} [{UNITS[KINDS.index(name.rpartition('.')[2])]}]"
+    name, units = above.get_ylabel().partition(" [")[0], {"position": "rad", "velocity": "rad/s", "effort": "N m"}
+    assert above.get_ylabel() == f"{name} [{units[name.rpartition('.')[2]]}]"
     noise = found.fitted.noise[found.model.windows.names.index(name)]
     missed = [line.get_ydata() * noise for line in below.lines[:2]]
     for model, own in zip((before, after), missed, strict=True):

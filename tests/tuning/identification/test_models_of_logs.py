@@ -122,7 +122,7 @@ def test_variables_of_other_limbs_share_a_tangent_and_each_joint_has_its_state()
     lanes = [[names[n] for n in lane] for lane in own.lanes]
     assert lanes[:3] == [[keys[0], keys[2]], [keys[1], keys[4]], [keys[3]]]
     assert not any("log.effort.delay" in lane for lane in lanes)
-    assert own.memory == ("bristle",) and own.sizes == (4, 3, 3) and own.states == 9
+    assert own.memory == ("bristle",) and own.logged.shape[1:] == (4, 3, 3) and own.states == 9
     along, late = own.tangents()
     assert along.shape == (len(lanes) + 9, len(names))
     np.testing.assert_array_equal(along[0], np.isin(names, [keys[0], keys[2]]))

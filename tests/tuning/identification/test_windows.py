@@ -115,7 +115,7 @@ def test_the_search_begins_with_each_window_as_the_log_has_it_and_sees_nothing_t
     windows = cut(logged([(8.5, 8.9)]), ROBOT, STEP, 0.2, late=LATE)
     pieces = model_of(mc.Scenario(), windows, []).in_pieces
     fit = Problem(pieces, np.ones(len(windows.names)))
-    assert pieces.windows.begins_stretch.all() and not pieces.guess.size and not pieces.states
+    assert not pieces.windows.abuts.any() and not pieces.guess.size and not pieces.states
     assert not (fit.fitted & windows.held_out[fit.rows.window]).any()
     np.testing.assert_array_equal(pieces.logged[..., :2], windows.start)
 

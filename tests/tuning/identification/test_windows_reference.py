@@ -153,7 +153,7 @@ def test_windows_are_where_nothing_is_missing(seed):
     np.testing.assert_allclose(windows.missing, np.reshape(missing, (-1, 2)), atol=1e-12)
     found = list(zip(windows.begin, windows.abuts, windows.held_out, strict=True))
     np.testing.assert_allclose(np.array(found, float), np.array(expected, float), atol=1e-12)
-    np.testing.assert_array_equal(windows.begins_stretch, [not abuts for _, abuts, _ in expected])
+    np.testing.assert_array_equal(windows.abuts, [abuts for _, abuts, _ in expected])
     assert windows.stretch[0] == 0
     np.testing.assert_array_equal(np.diff(windows.stretch), [0 if abuts else 1 for _, abuts, _ in expected[1:]])
     assert windows.kinds == tuple(kind for kind in KINDS if any(name.endswith(kind) for name in names))

@@ -10,7 +10,6 @@ import numpy as np
 import mjx_climb as mc
 from mjx_climb.execution.contents import identity
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.fit import inference
@@ -85,14 +84,15 @@ def identify(
     chosen_base = base_of(log, base, mass)
     check_parts(own_parameters(scenario), held=chosen_base == "held")
     chosen = variables(scenario, fit, held=chosen_base == "held", changes=changes)
+    model: Fit
     if chosen_base == "held":
-        problem = _held(scenario, log, robot, chosen, held_out, mass)
+        windows = cut(log, robot, scenario.time_step, held_out, late=_latest(scenario, chosen))
+        model = model_of(scenario, windows, with_nuisances(scenario, chosen, windows.kinds), mass)
     else:
-        problem = _gripped(scenario, log, robot, chosen, held_out)
-    model = problem.model
+        model = gripped_model(scenario, log, cut_gripped(log, robot, scenario.time_step, held_out), chosen)
     with Parts(out, lambda: identity_of_fit(scenario, log, model, held_out, starts) | {"base": chosen_base}) as parts:
         searches = Searches(parts, progress)
-        found, problem = searched(problem, starts, searches)
+        found, problem = searched(Problem(model, rough_noise(model)), starts, searches)
         tests = inference.whiteness(problem, found)
         refuted = max((test.share for test in tests), default=0.0) > _REFUTED
         hint = ""
@@ -111,24 +111,11 @@ def identity_of_fit(scenario: mc.Scenario, log: Log, model: Fit, held_out: float
     return {**identity_of(Walks(scenario)), **more}
 
 
-def _held(
-    scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float, mass: float
-) -> Problem:
-    windows = cut(log, robot, scenario.time_step, held_out, late=_latest(scenario, chosen))
-    model = model_of(scenario, windows, with_nuisances(scenario, chosen, windows.kinds), mass)
-    return Problem(model, rough_noise(model))
-
-
 def _latest(scenario: mc.Scenario, chosen: Sequence[Variable]) -> float:
     """Return the longest time that commands may take to the motors, s."""
     fitted, own = {v.key: v.upper for v in chosen}, scenario.hardware
     nominal: dict[str, float] = {DELAY: own.command_delay, SERVO_DELAY: scenario.value(SERVO_DELAY, 0.0)}
     return sum(fitted.get(key, delay) for key, delay in nominal.items())
-
-
-def _gripped(scenario: mc.Scenario, log: Log, robot: Robot, chosen: Sequence[Variable], held_out: float) -> Problem:
-    model = gripped_model(scenario, log, cut_gripped(log, robot, scenario.time_step, held_out), chosen)
-    return Problem(model, rough_noise(model))
 
 
 def searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted, Problem]:

@@ -57,7 +57,7 @@ def _enter(made: Predicted, model: Fit, x: np.ndarray, place: tuple, kind: str, 
     delay = float(x[late].sum())
     if kind == "force" and FORCE_DELAY not in keys:
         delay += float(model.parameters.force_sensor.delay)
-    steps, first = windows.steps, windows.begins_stretch[rows.window[chosen]] & (not model.LEADS)
+    steps, first = windows.steps, ~windows.abuts[rows.window[chosen]] & (not model.LEADS)
     low, most = np.where(first, windows.steps, 0), 2 * steps - 1
     at = rows.step[chosen] + rows.share[chosen] - delay / windows.time_step + steps
     step, across = np.clip(np.floor(at), low, most).astype(int), np.ones(len(at), int)

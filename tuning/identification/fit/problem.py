@@ -75,7 +75,7 @@ class Problem:
     def __post_init__(self) -> None:
         windows, rows = self.model.windows, self.model.windows.rows
         since = (rows.step + rows.share) * windows.time_step
-        new, ahead = windows.begins_stretch[rows.window], windows.held_out[rows.window]
+        new, ahead = ~windows.abuts[rows.window], windows.held_out[rows.window]
         # behind a hole the first held-out samples alone say where the robot is
         first = new & (since < SHORTEST) & bool(self.model.guess.size)
         # samples that were recorded late begin before the stretch

@@ -7,10 +7,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.parameter_types import Parameters
-from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.robot.constants import Robot
 from tuning.identification.fit.inference import Posterior, Whiteness, suspicious
 from tuning.identification.fit.problem import Fitted, Problem
@@ -116,8 +116,4 @@ class Identified:
 
 def turned(angles: Sequence[float]) -> np.ndarray:
     """Return the rotation (3, 3) by angles about the world's x and y, rad."""
-    vector = np.array([*angles, 0.0])
-    angle = float(np.linalg.norm(vector))
-    axis = vector / angle if angle else np.array([1.0, 0.0, 0.0])
-    quaternion = np.r_[np.cos(angle / 2), np.sin(angle / 2) * axis]
-    return np.asarray(quaternion_to_matrix(quaternion))
+    return np.asarray(Rotation.from_rotvec([*angles, 0.0]).as_matrix())

@@ -177,6 +177,7 @@ class Fit:
 
     LEADS: ClassVar[float] = 0.0  # s, a stretch's first samples, not fitted; above 0 it is simulated from before it
     LATE: ClassVar[Mapping[str, tuple[str, ...]]] = LATE
+    APART: ClassVar[bool] = False  # limbs do not feel each other
 
     @property
     def memory(self) -> tuple[str, ...]:
@@ -193,10 +194,21 @@ class Fit:
         """Prior standard deviations of these."""
         return np.zeros(0)
 
-    @property
+    @functools.cached_property
     def lanes(self) -> list[list[int]]:
-        """The variables by tangent."""
-        return [[n] for n, v in enumerate(self.variables) if v.key not in self.LATE]
+        """The variables by tangent: those of different limbs share one where these do not feel each other."""
+        lanes: list[list[int]] = []
+        for n, variable in enumerate(self.variables):
+            if variable.key in self.LATE:
+                continue
+            for lane in lanes if self.APART else ():
+                limbs = [self.variables[m].limb for m in lane]
+                if variable.limb is not None and None not in limbs and variable.limb not in limbs:
+                    lane.append(n)
+                    break
+            else:
+                lanes.append([n])
+        return lanes
 
     @property
     def in_pieces(self) -> "Fit":
@@ -205,7 +217,7 @@ class Fit:
 
     def moves(self, variable: Variable, limb: int) -> bool:
         """Whether a variable moves the records of a limb."""
-        return True
+        return not self.APART or variable.limb in (None, limb)
 
     def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
         """The states in which stretches begin, whose first windows are given, and their tangents (stretch, k, ...)."""
@@ -248,7 +260,7 @@ class Fit:
     @property
     def states(self) -> int:
         """How many numbers of a limb's state are fitted at the beginning of a stretch."""
-        return 0
+        return int(np.prod(self.guess.shape[2:]))
 
     def tangents(self) -> tuple[np.ndarray, np.ndarray]:
         """Directions of x (k, n) and of the delay (k,) along the lanes, then none along a limb's state."""
@@ -288,16 +300,7 @@ class Fit:
 class Model(Fit):
     """The model of a log, the base held: each limb begins each stretch in a state of its own."""
 
-    @functools.cached_property
-    def sizes(self) -> tuple[int, int, int]:
-        """Limbs, joints, and how many numbers a joint's state has."""
-        robot = self.structure.robot
-        return len(robot.limbs), robot.joints, 2 + len(self.memory)
-
-    @property
-    def states(self) -> int:
-        """How many numbers of a limb's state are fitted at the beginning of a stretch."""
-        return self.sizes[1] * self.sizes[2]
+    APART = True
 
     @property
     def in_pieces(self) -> Fit:
@@ -328,32 +331,12 @@ class Model(Fit):
         """Prior standard deviations of these."""
         return np.array([*_STATE, *(MEMORY[name] for name in self.memory)])
 
-    @functools.cached_property
-    def lanes(self) -> list[list[int]]:
-        """The variables by tangent: those of different limbs share one, as these do not feel each other."""
-        lanes: list[list[int]] = []
-        for n, variable in enumerate(self.variables):
-            if variable.key in self.LATE:
-                continue
-            for lane in lanes:
-                limbs = [self.variables[m].limb for m in lane]
-                if variable.limb is not None and None not in limbs and variable.limb not in limbs:
-                    lane.append(n)
-                    break
-            else:
-                lanes.append([n])
-        return lanes
-
-    def moves(self, variable: Variable, limb: int) -> bool:
-        """Whether a variable moves the records of a limb."""
-        return variable.limb in (None, limb)
-
     def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
         """The states in which stretches begin, whose first windows are given, and their tangents (stretch, k, ...)."""
         before, count = self.structure.stages.servo_delay, len(firsts)
         sent, _ = self.sent(firsts, self.delay(x), before)
         given = Before(sent.targets[:, :before], jax.tree.map(lambda value: value[:, before], sent))
-        limbs, joints, size = self.sizes
+        _, limbs, joints, size = start.shape
         of_x, late = self.tangents()
         turned = np.zeros((1, len(late), limbs, joints, size))
         for n in range(self.states):
@@ -386,8 +369,8 @@ class Model(Fit):
         axes = (*own, jax.tree.map(np.ndim, self.parameters))
         robots = execution.Robots((point, given, self.parameters), axes, (len(rows),), along)
         values, tangents = execution.run(function, self.structure, robots, batch_size=at_once)
-        own = ({name: value[:count] for name, value in each.items()} for each in (values, tangents))
-        return next(own), next(own)
+        values, tangents = ({name: v[:count] for name, v in each.items()} for each in (values, tangents))
+        return values, tangents
 
 
 class Pieces(Model):
@@ -396,7 +379,6 @@ class Pieces(Model):
     A joint that sticks or slips by a hair then ends where it does for one window alone, not for the rest of the log.
     """
 
-    states = 0
     guess = Fit.guess
     guess_sd = Fit.guess_sd
 

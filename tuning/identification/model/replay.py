@@ -24,7 +24,7 @@ from mjx_climb.walk.sample import unknown
 from tuning.identification.model import held_base as stand
 from tuning.identification.model.commanded import Carried, Commands, held
 from tuning.identification.model.foot_mass import with_foot_mass
-from tuning.identification.model.schedule import schedule_of
+from tuning.identification.model.schedule import schedule_of, sent_targets
 from tuning.identification.model.windows import KINDS
 from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of, signals_of
 
@@ -170,13 +170,10 @@ def _targets(log: Log, robot: Robot, scenario: mc.Scenario, on_a_stand: bool) ->
             targets[:, row, column] = 0.0
         elif command is None:
             targets[:, row, column] = robot.stance_joints[row, column] if position is None else position.value[0]
-        elif schedule is not None:
-            targets[:, row, column], _ = schedule.targets(command, at - delay, scenario.time_step)
         elif on_a_stand:
-            targets[:, row, column], _ = stand.targets_of(command.time, command.value, at - delay, scenario.time_step)
+            targets[:, row, column], _ = sent_targets(command, at - delay, scenario.time_step, schedule)
         else:
-            last = np.searchsorted(command.time, at + 1e-6 * scenario.time_step, side="right") - 1
-            targets[:, row, column] = command.value[np.maximum(last, 0)]
+            targets[:, row, column] = command.held(at + 1e-6 * scenario.time_step)
     return targets
 
 
@@ -190,9 +187,8 @@ def _with_pushes(scenario: mc.Scenario, log: Log) -> tuple[mc.Scenario, list[str
     wrench = np.zeros((len(times), 6))
     for name, signal in named.items():
         _, what, axis = name.split(".")
-        held = np.searchsorted(signal.time, times, side="right") - 1
         column = "xyz".index(axis) + (3 if what == "moment" else 0)
-        wrench[:, column] = np.where(held < 0, 0.0, signal.value[np.maximum(held, 0)])
+        wrench[:, column] = np.where(times < signal.time[0], 0.0, signal.held(times))
     begins = np.flatnonzero(np.r_[True, (np.diff(wrench, axis=0) != 0).any(1)])
     ends = [*times[begins[1:]].tolist(), float(times[-1]) + scenario.time_step]
     pushes: list[dict[str, Any]] = [

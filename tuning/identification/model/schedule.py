@@ -32,10 +32,7 @@ class Schedule(NamedTuple):
         kick of 0.3 N m ms was too much, 0.02 rad/s of a joint.
         """
         time = np.union1d(self.time, command.time)
-        share, sent = (
-            value[np.maximum(np.searchsorted(begin, time, side="right") - 1, 0)]
-            for begin, value in ((self.time, self.share), (command.time, command.value))
-        )
+        share, sent = Signal(self.time, self.share).held(time), command.held(time)
         (mean, rate), (weight, change), (product, its_rate) = (
             targets_of(time, value, moments, time_step) for value in (sent, share, share * sent)
         )
@@ -43,6 +40,18 @@ class Schedule(NamedTuple):
         divided = np.where(there, weight, 1.0)
         target = np.where(there, product / divided, mean)
         return target, np.where(there, (its_rate - target * change) / divided, rate)
+
+
+def sent_targets(
+    command: Signal, moments: np.ndarray, time_step: float, schedule: Schedule | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return targets of time steps about moments (...) s, and their rates over time, weighed where there is a schedule.
+
+    See `targets_of` and `Schedule.targets`.
+    """
+    if schedule is None:
+        return targets_of(command.time, command.value, moments, time_step)
+    return schedule.targets(command, moments, time_step)
 
 
 def schedule_of(signals: Mapping[str, Signal], kp: float) -> Schedule | None:
@@ -54,9 +63,7 @@ def schedule_of(signals: Mapping[str, Signal], kp: float) -> Schedule | None:
 
     def held(name: str, otherwise: float) -> np.ndarray:
         signal = signals.get(name, Signal(time[:0], time[:0]))
-        if not len(signal.time):
-            return np.full(len(time), otherwise)
-        return signal.value[np.maximum(np.searchsorted(signal.time, time, side="right") - 1, 0)]
+        return signal.held(time) if len(signal.time) else np.full(len(time), otherwise)
 
     on = np.where(held(OFF, 0.0) > 0.5, 0.0, 1.0)
     share = held(KP, kp) / kp * on

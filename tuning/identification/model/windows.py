@@ -9,8 +9,7 @@ from jaxtyping import Float, Int
 
 from mjx_climb.robot.constants import Robot
 from mjx_climb.scenario.messages import ConfigError
-from tuning.identification.model.held_base import targets_of
-from tuning.identification.model.schedule import Schedule
+from tuning.identification.model.schedule import Schedule, sent_targets
 from tuning.identification.readers.doubts import several
 from tuning.identification.readers.log import COMMANDS, KP, OFF, Log, Signal, commanded, joints_of, signals_of
 
@@ -73,11 +72,6 @@ class Windows:
         return np.asarray(self.unknown[~paused.any(axis=1)])
 
     @property
-    def begins_stretch(self) -> np.ndarray:
-        """Which windows are the first of a stretch without gaps, (windows,) bool."""
-        return np.asarray(~self.abuts)
-
-    @property
     def stamp_spacing(self) -> float:
         """Median time between two stamps, s."""
         rows = self.rows
@@ -107,10 +101,7 @@ class Windows:
         values = np.broadcast_to(self.resting, (*at.shape, *self.resting.shape)).copy()
         rates = np.zeros_like(values)
         for (limb, joint), signal in self.commands.items():
-            if schedule is None:
-                found = targets_of(signal.time, signal.value, at, self.time_step)
-            else:
-                found = schedule.targets(signal, at, self.time_step)
+            found = sent_targets(signal, at, self.time_step, schedule)
             values[..., limb, joint], rates[..., limb, joint] = found
         return values, rates
 

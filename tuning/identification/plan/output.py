@@ -173,7 +173,8 @@ def plot(found: Excited) -> Figure:
     _, off = gains(found)
     moved = np.where(off[:, None, None], np.nan, found.best.motion.targets - found.best.motion.targets[0])
     apart = 2.2 * float(np.nanmax(np.abs(moved))) or 1.0
-    colors = _colors(robot.joints)
+    colors = [plots.BLUE, plots.VERMILLION, plots.GREEN, plots.ORANGE, plots.PURPLE, plots.SKY, plots.BLACK]
+    colors = colors[: robot.joints]
     names = list(joints_of(robot))
     for place, values in enumerate(moved.reshape(len(time), lanes).T):
         commanded.plot(time, values - apart * place, color=colors[place % robot.joints], lw=0.5)
@@ -205,8 +206,3 @@ def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """Return times, and the largest magnitude of the columns of values (time, columns) in each of `BINS` stretches."""
     parts = np.array_split(np.arange(len(time)), min(BINS, len(time)))
     return time[[part[0] for part in parts]], np.array([np.abs(values[part]).max() for part in parts])
-
-
-def _colors(count: int) -> list[str]:
-    each = (plots.BLUE, plots.VERMILLION, plots.GREEN, plots.ORANGE, plots.PURPLE, plots.SKY, plots.BLACK)
-    return list(each[:count])

@@ -10,13 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.hardware.stages import Stages, hardware_of
 from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry, solve_to_convergence
 from mjx_climb.physics.kinematics import limb_frames
-from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix
+from mjx_climb.physics.spatial import quaternion_to_matrix
 from mjx_climb.physics.state import State
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
@@ -169,7 +170,7 @@ class Rig:
         geometry = limb_geometry(robot, self.parameters.contact.transmits_moments)
         start = np.asarray(quaternion_to_matrix(jnp.asarray(robot.stance_orientation)))
         feet = limb_frames(robot, None, np.asarray(robot.stance_joints)).foot
-        turned = np.asarray(jax.vmap(_turn)(jnp.asarray(moved[:, 3:])))  # along the stance's own axes
+        turned = Rotation.from_rotvec(moved[:, 3:]).as_matrix()  # along the stance's own axes
         seen = (feet - (moved[:, :3] @ start)[:, None]) @ turned
         if isinstance(geometry, Chain):
             angles, missed = solve_to_convergence(
@@ -237,7 +238,3 @@ class Rig:
         share = np.linalg.norm(feet - rest, axis=-1) / (between.min(1) / 2)
         limb = int(np.argmax(share.max(0)))
         return {f"reach of {self.robot.limbs[limb]}": float(share.max())}
-
-
-def _turn(rotation_vector: Array) -> Array:
-    return jnp.asarray(quaternion_to_matrix(quaternion_from_rotation_vector(rotation_vector)))

@@ -44,9 +44,10 @@ def doubts(read: Read, recorded: Read, robot: Robot, signals: Signals) -> tuple[
     unsigned, beyond = dict(_without_sign(recorded, signals)), dict(_beyond_limits(read, robot))
     known = unsigned.keys() | beyond.keys()
     beyond |= dict(_beyond_torque(read, robot, known)) | dict(_scaled(read, joints, known))
-    found = [*_spacing(recorded, signals), *_clock_unit(recorded)]
-    found += [*_together(unsigned.items()), *_together(beyond.items()), *_rates(read, joints)]
-    return (*found, *_stuck(read, robot), *_against_commands(read, joints))
+    found = [*_together(_spacing(recorded, signals)), *_clock_unit(recorded)]
+    for lines in (unsigned.items(), beyond.items(), _rates(read, joints), _stuck(read, robot)):
+        found += _together(lines)
+    return (*found, *_against_commands(read, joints))
 
 
 def several(some: Iterable[str]) -> str:
@@ -63,30 +64,27 @@ def _together(lines: Iterable[tuple[str, str]]) -> Iterator[str]:
     yield from (f"{several(some)}: {words}" for words, some in by_words.items())
 
 
-def _spacing(recorded: Read, signals: Signals) -> Iterator[str]:
-    def lines() -> Iterator[tuple[str, str]]:
-        for name, signal in recorded.items():
-            if len(signal.time) < 3:
-                continue
-            spacing, rate = np.diff(signal.time), signals.signals[name].rate
-            usual = float(np.median(spacing)) if rate is None else 1 / rate
-            gaps = spacing > signals.longest_gap * usual
-            if gaps.any():
-                at = int(np.argmax(spacing))
-                start, end = signal.time[at : at + 2] - signal.time[0]
-                yield (
-                    name,
-                    f"{gaps.sum()} gaps, the longest from {start:.4g} to {end:.4g} s, where samples come every "
-                    f"{usual:.3g} s (longest_gap in signals.yaml says what is one)",
-                )
-            elif (spread := float(np.std(spacing[spacing < 5 * usual]) / usual)) > 0.2:
-                yield (
-                    name,
-                    f"samples come every {usual:.3g} s with a jitter of {100 * spread:.0f} % (standard deviation; "
-                    "time: header in signals.yaml takes the sender's clock, if it has one)",
-                )
-
-    return _together(lines())
+def _spacing(recorded: Read, signals: Signals) -> Iterator[tuple[str, str]]:
+    for name, signal in recorded.items():
+        if len(signal.time) < 3:
+            continue
+        spacing, rate = np.diff(signal.time), signals.signals[name].rate
+        usual = float(np.median(spacing)) if rate is None else 1 / rate
+        gaps = spacing > signals.longest_gap * usual
+        if gaps.any():
+            at = int(np.argmax(spacing))
+            start, end = signal.time[at : at + 2] - signal.time[0]
+            yield (
+                name,
+                f"{gaps.sum()} gaps, the longest from {start:.4g} to {end:.4g} s, where samples come every "
+                f"{usual:.3g} s (longest_gap in signals.yaml says what is one)",
+            )
+        elif (spread := float(np.std(spacing[spacing < 5 * usual]) / usual)) > 0.2:
+            yield (
+                name,
+                f"samples come every {usual:.3g} s with a jitter of {100 * spread:.0f} % (standard deviation; "
+                "time: header in signals.yaml takes the sender's clock, if it has one)",
+            )
 
 
 def _clock_unit(recorded: Read) -> Iterator[str]:
@@ -182,33 +180,30 @@ def _scaled(read: Read, joints: Iterable[str], known: Collection[str]) -> Iterat
                 yield name, f"moves more than 10 times as far as its {other.rpartition('.')[2]}, {_IS_OTHER}"
 
 
-def _rates(read: Read, joints: Iterable[str]) -> Iterator[str]:
+def _rates(read: Read, joints: Iterable[str]) -> Iterator[tuple[str, str]]:
     """Yield where recorded rates are not those of the recorded angles."""
 
-    def lines() -> Iterator[tuple[str, str]]:
-        for joint in joints:
-            position, velocity = read.get(f"{joint}.position"), read.get(f"{joint}.velocity")
-            if position is None or velocity is None or np.ptp(position.value) < MOVES or len(position.time) < 10:
-                continue
-            rate = np.interp(velocity.time, position.time, np.gradient(position.value, position.time))
-            if not np.ptp(velocity.value) or not np.ptp(rate):
-                continue
-            ratio = float(rate @ velocity.value / (rate @ rate))
-            if np.corrcoef(rate, velocity.value)[0, 1] ** 2 < FOLLOWS**2:
-                continue
-            for factor, words in (
-                (-1.0, "the other way round than the angle's rate, suspected axis (sign: -1 in signals.yaml)"),
-                (DEGREES, "57 times the angle's rate, suspected to be deg/s (unit: deg/s in signals.yaml)"),
-                (30 / np.pi, "9.5 times the angle's rate, suspected to be rpm (unit: rpm in signals.yaml)"),
-                (1e3, "1000 times the angle's rate, suspected times in ms (time_unit: ms in signals.yaml)"),
-            ):
-                if 0.8 < ratio / factor < 1.25:
-                    yield f"{joint}.velocity", words
-
-    return _together(lines())
+    for joint in joints:
+        position, velocity = read.get(f"{joint}.position"), read.get(f"{joint}.velocity")
+        if position is None or velocity is None or np.ptp(position.value) < MOVES or len(position.time) < 10:
+            continue
+        rate = np.interp(velocity.time, position.time, np.gradient(position.value, position.time))
+        if not np.ptp(velocity.value) or not np.ptp(rate):
+            continue
+        ratio = float(rate @ velocity.value / (rate @ rate))
+        if np.corrcoef(rate, velocity.value)[0, 1] ** 2 < FOLLOWS**2:
+            continue
+        for factor, words in (
+            (-1.0, "the other way round than the angle's rate, suspected axis (sign: -1 in signals.yaml)"),
+            (DEGREES, "57 times the angle's rate, suspected to be deg/s (unit: deg/s in signals.yaml)"),
+            (30 / np.pi, "9.5 times the angle's rate, suspected to be rpm (unit: rpm in signals.yaml)"),
+            (1e3, "1000 times the angle's rate, suspected times in ms (time_unit: ms in signals.yaml)"),
+        ):
+            if 0.8 < ratio / factor < 1.25:
+                yield f"{joint}.velocity", words
 
 
-def _stuck(read: Read, robot: Robot) -> Iterator[str]:
+def _stuck(read: Read, robot: Robot) -> Iterator[tuple[str, str]]:
     """Yield the measured signals that stay the same while their cause moves."""
 
     def moved(joint: str, *kinds: str) -> float:
@@ -218,27 +213,24 @@ def _stuck(read: Read, robot: Robot) -> Iterator[str]:
     def same(name: str, resolution: float = 0.0) -> bool:
         return name in read and float(np.ptp(read[name].value)) <= resolution
 
-    def lines() -> Iterator[tuple[str, str]]:
-        for joint in (joints := list(joints_of(robot))):
-            by = moved(joint, "command")
-            if by > MOVES and same(f"{joint}.position", STILL):
-                yield f"{joint}.position", f"the same all the time while its command moves by {by:.3g} rad, {_IS_STUCK}"
-            elif by > MOVES and (stretch := _frozen(read, joint)):
-                start, end = stretch
-                yield (
-                    f"{joint}.position",
-                    f"the same from {start:.4g} to {end:.4g} s while its command moves, {_IS_STUCK}",
-                )
-        moving = [joint for joint in joints if moved(joint, "command", "position") > MOVES]
-        for name in (f"{joint}.{kind}" for kind in ("velocity", "effort") for joint in moving):
-            if same(name):
-                yield name, f"the same all the time while its joint moves, {_IS_STUCK}"
-        limbs = dict.fromkeys(joint.rpartition(".")[0] for joint in moving)
-        for name in (f"{limb}.force.{axis}" for limb in limbs for axis in "xyz"):
-            if same(name) and read[name].value[0] != 0:  # of a foot in the air
-                yield name, f"the same all the time while its limb moves, {_IS_STUCK}"
-
-    return _together(lines())
+    for joint in (joints := list(joints_of(robot))):
+        by = moved(joint, "command")
+        if by > MOVES and same(f"{joint}.position", STILL):
+            yield f"{joint}.position", f"the same all the time while its command moves by {by:.3g} rad, {_IS_STUCK}"
+        elif by > MOVES and (stretch := _frozen(read, joint)):
+            start, end = stretch
+            yield (
+                f"{joint}.position",
+                f"the same from {start:.4g} to {end:.4g} s while its command moves, {_IS_STUCK}",
+            )
+    moving = [joint for joint in joints if moved(joint, "command", "position") > MOVES]
+    for name in (f"{joint}.{kind}" for kind in ("velocity", "effort") for joint in moving):
+        if same(name):
+            yield name, f"the same all the time while its joint moves, {_IS_STUCK}"
+    limbs = dict.fromkeys(joint.rpartition(".")[0] for joint in moving)
+    for name in (f"{limb}.force.{axis}" for limb in limbs for axis in "xyz"):
+        if same(name) and read[name].value[0] != 0:  # of a foot in the air
+            yield name, f"the same all the time while its limb moves, {_IS_STUCK}"
 
 
 def _frozen(read: Read, joint: str) -> tuple[float, float] | None:
@@ -311,10 +303,7 @@ def _correlations(read: Read, joints: list[str], start: float, end: float) -> tu
         values /= np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-12)
         return np.fft.rfft(values, 2 * len(grid))
 
-    def held(signal: Signal) -> np.ndarray:
-        return signal.value[np.searchsorted(signal.time, grid + 1e-6 * step, side="right") - 1]
-
-    command = spectrum("command", held)
+    command = spectrum("command", lambda signal: signal.held(grid + 1e-6 * step))
     position = spectrum("position", lambda signal: np.interp(grid, signal.time, signal.value))
     return step, np.fft.irfft(command.conj()[:, None] * position, 2 * len(grid), axis=2)
 

@@ -37,6 +37,10 @@ class Signal:
     time: Float[np.ndarray, " samples"]  # s, from the log's first sample
     value: Float[np.ndarray, " samples"]  # SI units
 
+    def held(self, moments: np.ndarray) -> np.ndarray:
+        """Return the values at moments (...) s, each held until the next sample; before the first that one holds."""
+        return np.asarray(self.value[np.maximum(np.searchsorted(self.time, moments, side="right") - 1, 0)])
+
 
 @dataclasses.dataclass(frozen=True)
 class Log:
