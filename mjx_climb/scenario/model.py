@@ -898,16 +898,10 @@ class Scenario(v.Section):
 
     def without_kinds(self) -> Scenario:
         """A copy with the paper's components alone."""
-        hardware = self.hardware.model_copy(update={"servo": _plain(self.hardware.servo, Servo)})
-        footholds = "planned" if isinstance(self.gait.footholds, Kind) else self.gait.footholds
-        return self.model_copy(
-            update={
-                "contact": _plain(self.contact, Contact),
-                "hardware": hardware,
-                "disturbance": self.disturbance.model_copy(update={"others": ()}),
-                "gait": self.gait.model_copy(update={"footholds": footholds}),
-            }
-        )
+        changes: dict[str, object] = {f"{place}.kind": each.PLAIN for place, each in self.kinds.items() if each.PLAIN}
+        if isinstance(self.gait.footholds, Kind):
+            changes["gait.footholds"] = "planned"
+        return self.with_overrides(changes | {"disturbance.others": []})
 
     def relative_to(self, folder: str | os.PathLike[str]) -> Scenario:
         """A copy with paths of files inside a folder relative to it."""
@@ -923,11 +917,6 @@ class Scenario(v.Section):
     def with_overrides(self, overrides: Sequence[str] | Mapping[str, object]) -> Scenario:
         """A revalidated copy with some keys changed; `overrides` as in `load_scenario`."""
         return overridden(self, overrides, "scenario")
-
-
-def _plain(section: AnySection | Kind, plain: type[AnySection]) -> AnySection:
-    """Return a section of the paper's kind: itself, or one of defaults."""
-    return plain() if isinstance(section, Kind) else section
 
 
 def validated(kind: type[AnySection], data: object, source: str) -> AnySection:
