@@ -112,10 +112,6 @@ def _singular_limb(robot: Robot, moments: bool) -> ConfigError | None:
     limb, least, does = robot.limbs[values.argmin()], values.min(), "move and turn" if turned else "move"
     if least >= SINGULAR:
         return None
-    return ConfigError(
-        "",
-        f"robot.limbs.{limb}.foothold",
-        f"a stance in which the limb can {does} its foot every way",
-        f"a singular one (smallest singular value of its Jacobian {least:.2g}, lengths over the limb's): "
-        "another height or foothold",
-    )
+    key, expected = f"robot.limbs.{limb}.foothold", f"a stance in which the limb can {does} its foot every way"
+    got = f"a singular one (smallest singular value of its Jacobian {least:.2g}, lengths over the limb's)"
+    return ConfigError("", key, expected, f"{got}: another height or foothold")

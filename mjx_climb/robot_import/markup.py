@@ -196,14 +196,6 @@ def lines_of(file: Path, around: tuple[Path, ...] = ()) -> list[tuple[str, str]]
     return found
 
 
-def first_line(file: str, *patterns: str) -> str | None:
-    """Return file:number of the line where the last group of the first pattern that is found begins."""
-    lines = lines_of(Path(file))
-    text = "\n".join(line for _, line in lines)
-    found = next(filter(None, (re.search(pattern, text, re.DOTALL) for pattern in patterns)), None)
-    return found and lines[text.count("\n", 0, found.start(found.lastindex or 0))][0]
-
-
 def line_of(file: str, name: str) -> str:
     """A file, a colon and the line where it, or a file that it includes, first names an element so.
 
@@ -211,4 +203,8 @@ def line_of(file: str, name: str) -> str:
     """
     quoted = rf"[\"']{re.escape(name)}[\"'])"
     element = rf"<\s*(?:body|joint|freejoint|link|geom|site)\s[^<>]*?(name\s*=\s*{quoted}"
-    return first_line(file, element, rf"(name\s*=\s*{quoted}", "(" + quoted) or file
+    lines = lines_of(Path(file))
+    text = "\n".join(line for _, line in lines)
+    searches = (re.search(pattern, text, re.DOTALL) for pattern in (element, rf"(name\s*=\s*{quoted}", f"({quoted}"))
+    found = next(filter(None, searches), None)
+    return file if found is None else lines[text.count("\n", 0, found.start(found.lastindex or 0))][0]

@@ -64,19 +64,12 @@ def save_rrd(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
         for place, limb in enumerate(trajectory.limbs):
             forces = trajectory.foot_force[rows, place]
             arrows(f"world/force/{limb}", trajectory.foot_position[rows, place], forces, _colors(forces, limit))
-            for name, values in (
-                ("force", np.linalg.norm(forces, axis=-1)),
-                ("support", trajectory.support[rows, place]),
-            ):
+            force, support = np.linalg.norm(forces, axis=-1), trajectory.support[rows, place]
+            for name, values in (("force", force), ("support", support)):
                 columns = rr.Scalars.columns(scalars=values.astype(float))
                 stream.send_columns(f"{name}/{limb}", indexes=[times], columns=columns)
-        push = trajectory.push[rows, :3]
-        arrows(
-            "world/push",
-            trajectory.base_position[rows] - length * push,
-            push,
-            np.tile(_bytes(marks.PUSH), (len(rows), 1)),
-        )
+        push, pink = trajectory.push[rows, :3], np.tile(_bytes(marks.PUSH), (len(rows), 1))
+        arrows("world/push", trajectory.base_position[rows] - length * push, push, pink)
         stream.flush()
         stream.disconnect()
         return write_bytes_atomically(path, file.read_bytes())
@@ -107,13 +100,11 @@ def _log_bodies(rr: Any, stream: Any, walk: Trajectory, rows: np.ndarray, times:
             entity = f"world/robot/{geom}"
             columns = rr.Transform3D.columns(translation=places[:, geom], mat3x3=turns[:, geom])
             stream.send_columns(entity, indexes=[times], columns=columns)
+            stream.log(entity, shape, static=True)
         elif model.geom_bodyid[geom] == 0:
-            entity = f"world/ground/{geom}"
             turned = rr.Transform3D(translation=places[0, geom], mat3x3=turns[0, geom])
-            stream.log(entity, turned, static=True)
-        else:
-            continue
-        stream.log(entity, shape, static=True)
+            stream.log(f"world/ground/{geom}", turned, static=True)
+            stream.log(f"world/ground/{geom}", shape, static=True)
 
 
 def _shape(rr: Any, model: mujoco.MjModel, geom: int) -> Any:
@@ -122,32 +113,26 @@ def _shape(rr: Any, model: mujoco.MjModel, geom: int) -> Any:
     material = model.geom_matid[geom]
     rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
     color = np.round(255 * rgba).astype(np.uint8)
-    kinds = mujoco.mjtGeom
-    if kind == kinds.mjGEOM_BOX:
-        return rr.Boxes3D(half_sizes=[size], colors=[color], fill_mode="solid")
-    if kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_ELLIPSOID):
-        half = np.full(3, size[0]) if kind == kinds.mjGEOM_SPHERE else size
-        return rr.Ellipsoids3D(half_sizes=[half], colors=[color], fill_mode="solid")
-    if kind == kinds.mjGEOM_CYLINDER:
-        return rr.Cylinders3D(lengths=[2 * size[1]], radii=[size[0]], colors=[color], fill_mode="solid")
-    if kind == kinds.mjGEOM_CAPSULE:
-        # Rerun's capsule begins at the origin
-        begin = [[0.0, 0.0, -size[1]]]
-        return rr.Capsules3D(
-            lengths=[2 * size[1]], radii=[size[0]], translations=begin, colors=[color], fill_mode="solid"
-        )
-    if kind == kinds.mjGEOM_MESH:
-        own = model.geom_dataid[geom]
-        points, faces = (
-            values[begin : begin + count]
-            for values, begin, count in (
-                (model.mesh_vert, model.mesh_vertadr[own], model.mesh_vertnum[own]),
-                (model.mesh_face, model.mesh_faceadr[own], model.mesh_facenum[own]),
-            )
-        )
-        return rr.Mesh3D(vertex_positions=points, triangle_indices=faces, albedo_factor=color)
-    if kind == kinds.mjGEOM_HFIELD:
-        return _relief(rr, model, model.geom_dataid[geom])
+    solid: dict[str, Any] = {"colors": [color], "fill_mode": "solid"}
+    long: dict[str, Any] = {"lengths": [2 * size[1]], "radii": [size[0]], **solid}
+    match kind.name.removeprefix("mjGEOM_"):
+        case "BOX":
+            return rr.Boxes3D(half_sizes=[size], **solid)
+        case "SPHERE":
+            return rr.Ellipsoids3D(half_sizes=[np.full(3, size[0])], **solid)
+        case "ELLIPSOID":
+            return rr.Ellipsoids3D(half_sizes=[size], **solid)
+        case "CYLINDER":
+            return rr.Cylinders3D(**long)
+        case "CAPSULE":  # Rerun's begins at the origin
+            return rr.Capsules3D(translations=[[0.0, 0.0, -size[1]]], **long)
+        case "MESH":
+            mesh = model.mesh(model.geom_dataid[geom])
+            points = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
+            faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
+            return rr.Mesh3D(vertex_positions=points, triangle_indices=faces, albedo_factor=color)
+        case "HFIELD":
+            return _relief(rr, model, model.geom_dataid[geom])
     return None
 
 
@@ -156,9 +141,7 @@ def _relief(rr: Any, model: mujoco.MjModel, number: int) -> Any:
     count = model.hfield_nrow[number], model.hfield_ncol[number]
     (half_x, half_y, high, _), begin = model.hfield_size[number], model.hfield_adr[number]
     height = high * model.hfield_data[begin : begin + count[0] * count[1]].reshape(count)
-    y, x = np.meshgrid(
-        *(np.linspace(-half, half, n) for half, n in ((half_y, count[0]), (half_x, count[1]))), indexing="ij"
-    )
+    x, y = np.meshgrid(np.linspace(-half_x, half_x, count[1]), np.linspace(-half_y, half_y, count[0]))
     corner = np.arange(count[0] * count[1]).reshape(count)
     one, right, above, both = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
     faces = np.concatenate([np.stack(three, -1).reshape(-1, 3) for three in ((one, right, both), (one, both, above))])

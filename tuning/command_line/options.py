@@ -43,22 +43,6 @@ LAW = setting(
     "control law in place of the config's: a shipped one, as LoadTransfer, or your own, whose file is run",
     metavar="NAME|FILE.py:NAME",
 )
-CONTACT = setting(
-    None,
-    "what holds feet to the ground, in place of the config's: a shipped one, as polyhedron, or your own",
-    metavar="NAME|FILE.py:NAME",
-)
-DRIVE = setting(
-    None,
-    "what turns the joints, in place of the config's: a shipped one, as velocity, or your own",
-    metavar="NAME|FILE.py:NAME",
-)
-DISTURBANCES = setting(
-    (),
-    "what acts from outside, in place of the config's beside cargo and pushes: shipped, as link_wrench, or your own",
-    flag="--disturbance",
-    metavar="NAME|FILE.py:NAME",
-)
 METRICS = setting(
     (), "metric of your own beside the shipped ones; the file is run", flag="--metric", metavar="FILE.py:NAME"
 )
@@ -97,9 +81,23 @@ class Walk(Options):
     gains: Path | None = setting(None, "gains file in place of the config's gains", metavar="FILE")
     law: str | None = LAW
     metrics: tuple[str, ...] = METRICS
-    contact: str | None = CONTACT
-    drive: str | None = DRIVE
-    disturbances: tuple[str, ...] = DISTURBANCES
+    contact: str | None = setting(
+        None,
+        "what holds feet to the ground, in place of the config's: a shipped one, as polyhedron, or your own",
+        metavar="NAME|FILE.py:NAME",
+    )
+    drive: str | None = setting(
+        None,
+        "what turns the joints, in place of the config's: a shipped one, as velocity, or your own",
+        metavar="NAME|FILE.py:NAME",
+    )
+    disturbances: tuple[str, ...] = setting(
+        (),
+        "what acts from outside, in place of the config's beside cargo and pushes: shipped, as link_wrench, or "
+        "your own",
+        flag="--disturbance",
+        metavar="NAME|FILE.py:NAME",
+    )
     engine: EngineName = ENGINE
 
     @model_validator(mode="before")
@@ -293,7 +291,7 @@ class Output(Options):
                 from mjx_climb.execution import devices
 
                 devices.begin()
-            with contextlib.closing(Session(stdout, self, sections)) as session:
+            with contextlib.closing(Session(stdout, self.out, self.json_only, self.figures, sections)) as session:
                 yield session
 
 

@@ -221,7 +221,7 @@ def user_error(error: Exception) -> str | None:
     elif ours & _OF_THE_USER:
         message = str(error)
     elif place := _own_place(error):
-        message = f"{place}: {type(error).__name__}: {_first_line(error)}"
+        message = f"{place}: {type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
     else:
         return None
     from mjx_climb.scenario.messages import printable
@@ -240,10 +240,6 @@ def _own_place(error: BaseException) -> str:
         if os.path.abspath(frame.f_code.co_filename) in own
     ]
     return lines[-1] if lines else ""
-
-
-def _first_line(error: BaseException) -> str:
-    return next(iter(str(error).splitlines()), "")
 
 
 def _raised_in(error: Exception) -> str:

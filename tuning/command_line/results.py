@@ -254,12 +254,11 @@ def export(asked: Export) -> None:
         from mjx_climb.files import dataset
         from mjx_climb.inputs.gait_values import gait_of
         from mjx_climb.scenario.messages import ConfigError
-        from tuning.command_line.options import Output
         from tuning.command_line.session import Session
         from tuning.comparisons import deployment
         from tuning.gains import gains_file
 
-        session = Session(stdout, Output())
+        session = Session(stdout)
         source, law = str(asked.gains), asked.load_transfer()
         values = gains_file.by_name(gains_file.load(asked.gains, law))
         if gains_file.shipped_law(asked.gains) == PD.__name__:

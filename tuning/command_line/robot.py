@@ -1,6 +1,7 @@
 """`mjx-climb robot`: a scenario for a robot's own file."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from pydantic import BeforeValidator
 import mjx_climb as mc
 from tuning.command_line import interruption
 from tuning.command_line.from_models import command
-from tuning.command_line.options import ROOF, SLOPE, Output, inclined
+from tuning.command_line.options import ROOF, SLOPE, inclined
 from tuning.command_line.program import InputError
 from tuning.problem.settings import Options, setting
 
@@ -64,7 +65,6 @@ def robot(asked: Robot) -> None:
       mjx-climb robot limbero.urdf --gravity 1.62 --slope 30
       mjx-climb robot pendulum.xml --stand --write bench.yaml
     """
-    from mjx_climb.files import dataset
     from mjx_climb.viz import rendering
 
     file, write = asked.file, asked.write
@@ -75,11 +75,8 @@ def robot(asked: Robot) -> None:
         return
     with interruption.at_once():
         scenario, walks = _walked(asked)
-    if write is None:
-        typer.echo("\n" + scenario.to_yaml(), nl=False)
-    else:
-        dataset.write_text_atomically(write, scenario.relative_to(write.absolute().parent).to_yaml())
-        typer.echo(f"\nwrote {write}: mjx-climb run {write}")
+    _put(scenario, write, mc.Scenario.to_yaml, "run {}")
+    if write is not None:
         try:
             picture = rendering.save_image(write.with_suffix(".png"), rendering.stance(scenario.robot))
             typer.echo(f"wrote {picture}: where its feet are")
@@ -117,7 +114,7 @@ def _walked(asked: Robot) -> tuple[mc.Scenario, bool]:
         done += walks
         show(done, max(done, total))
 
-    session, (total, seconds) = Session(sys.stdout, Output()), first_walks.expected(scenario)
+    session, (total, seconds) = Session(sys.stdout), first_walks.expected(scenario)
     steps = f"{scenario.duration / scenario.time_step:,.0f} time steps"
     session.say(f"{total} walks of {steps}: about {duration(seconds)} on one core, once compiled")
     with session.stage("walking it, with other joint gains and slower gaits beside") as show:
@@ -137,7 +134,6 @@ def _write_stand(asked: Robot) -> None:
     """Write, or print, the scenario of a robot on a stand."""
     import yaml
 
-    from mjx_climb.files import dataset
     from mjx_climb.robot_import.load import load_robot
     from mjx_climb.scenario.model import validated
     from tuning.proposal.stand import on_stand
@@ -148,11 +144,19 @@ def _write_stand(asked: Robot) -> None:
     scenario = validated(mc.Scenario, {"robot": on_stand(asked.file, asked.base), "gravity": gravity}, str(asked.file))
     for limb, joints in load_robot(scenario.robot).joints_in_file:
         typer.echo(f"taken    {limb}  {', '.join(joints)}")
-    if asked.write is not None:
-        scenario = scenario.relative_to(asked.write.absolute().parent)
-    text = yaml.safe_dump(scenario.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
-    if asked.write is None:
-        typer.echo("\n" + text, nl=False)
+
+    def text(scenario: mc.Scenario) -> str:
+        return yaml.safe_dump(scenario.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
+
+    _put(scenario, asked.write, text, "identify {} --log LOG --fit KEY")
+
+
+def _put(scenario: mc.Scenario, file: Path | None, text: Callable[[mc.Scenario], str], then: str) -> None:
+    """Write a scenario into a file and say the command that takes it, or print it where there is none."""
+    from mjx_climb.files import dataset
+
+    if file is None:
+        typer.echo("\n" + text(scenario), nl=False)
     else:
-        dataset.write_text_atomically(asked.write, text)
-        typer.echo(f"\nwrote {asked.write}: mjx-climb identify {asked.write} --log LOG --fit KEY")
+        dataset.write_text_atomically(file, text(scenario.relative_to(file.absolute().parent)))
+        typer.echo(f"\nwrote {file}: mjx-climb {then.format(file)}")

@@ -122,17 +122,6 @@ class Estimate:
         self.since, self.base = now, self.done
 
 
-class Asked(Protocol):
-    """The output: `tuning.command_line.options.Output`."""
-
-    out: Path | None
-    json_only: bool
-
-    @property
-    def figures(self) -> Collection[str]:
-        """Formats of the pictures."""
-
-
 class Walked(Protocol):
     """The walk, and the words of its folder's name: `tuning.command_line.options.Walk`."""
 
@@ -150,17 +139,21 @@ class Walked(Protocol):
 class Session:
     """One command: its folder, where its tables and its JSON go, and its stages, one after the other."""
 
-    def __init__(self, stdout: TextIO, output: Asked, sections: "Sequence[SectionOf]" = ()):
+    def __init__(
+        self, stdout: TextIO, asked: Path | None = None, json_only: bool = False, figures: Collection[str] = ("png",),
+        sections: "Sequence[SectionOf]" = (),
+    ):  # fmt: skip
+        """Begin a command that was asked to write to a folder (None: its own), or JSON alone to standard output."""
         self.begin = time.perf_counter()
         self.console = console(stderr=True)
-        self.tables = self.console if output.json_only else console(file=stdout)
-        self.output, self.name, self.out = output, "", Path()
+        self.tables = self.console if json_only else console(file=stdout)
+        self.asked, self.figures, self.name, self.out = asked, figures, "", Path()
         self.done = self._before = 0  # kept where the command is stopped; of these, in stages that are over
         self.sections = sections  # of the user's own, for the report
         self.lacks = ""  # of a result that is in the folder before the command ends
         self.settings: Mapping[str, Any] | None = None  # of the command
         self._held = contextlib.ExitStack()  # its folder
-        self._json = stdout if output.json_only else None
+        self._json = stdout if json_only else None
 
     def claim(
         self,
@@ -185,7 +178,7 @@ class Session:
         """
         from tuning.writing import record
 
-        out, base = at or self.output.out, Path("results") / "-".join((name, *kind))
+        out, base = at or self.asked, Path("results") / "-".join((name, *kind))
         if out is None:
             out = record.own_folder(base, settings or {}, varied=varied)
             if not varied and out != base and not out.exists():
@@ -235,7 +228,7 @@ class Session:
         """Write the files of a result that has a config.yaml, and its page, which `again` repeats; return the names."""
         from tuning.writing import folder
 
-        return folder.fill(out, files, report, origin(self.name, again), self.output.figures, self.stage)
+        return folder.fill(out, files, report, origin(self.name, again), self.figures, self.stage)
 
     def say(self, *lines: str) -> None:
         """Print lines beside the results."""
@@ -272,7 +265,7 @@ class Session:
         from tuning import kinds
 
         return kinds.write(
-            found, self.out, begun=begun, origin=origin(self.name, again), figures=self.output.figures,
+            found, self.out, begun=begun, origin=origin(self.name, again), figures=self.figures,
             sections=self.sections, stage=self.stage, settings=self.settings,
         )  # fmt: skip
 

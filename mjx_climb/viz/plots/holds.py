@@ -49,6 +49,4 @@ def draw_holds(
         pull = points.pull[limited]
         drawn = panel.scatter(x[limited], y[limited], c=pull, cmap=SCALE, vmin=0, vmax=pull.max(), **look)
         if figure is not None:
-            bar = figure.colorbar(drawn, ax=panel, pad=0.02, aspect=25)
-            bar.set_label("holding limit [N]")
-            bar.outline.set_linewidth(0.6)
+            figure.colorbar(drawn, ax=panel, pad=0.02, aspect=25, label="holding limit [N]")

@@ -148,7 +148,6 @@ class _Grid:
             handles.append(Patch(facecolor=GREY, label="no value"))
         handles += self._mark(panel)
         bar = panel.figure.colorbar(mesh, ax=panel, extend=extend, fraction=0.05, pad=0.02, aspect=25)
-        bar.outline.set_linewidth(0.6)
         _name_values(bar, variable, panel, baseline)
         return handles, bar
 

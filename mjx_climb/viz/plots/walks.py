@@ -347,6 +347,4 @@ def _draw_relief(figure: Figure, panel: Axes, ground: HeightMap, along: Callable
         corners[..., 0], corners[..., 1], 1e3 * heights, cmap="Greys_r", shading="gouraud", rasterized=True, zorder=0,
         gid="relief",
     )  # fmt: skip
-    bar = figure.colorbar(mesh, ax=panel, pad=0.02, aspect=25)
-    bar.set_label("ground [mm]")
-    bar.outline.set_linewidth(0.6)
+    figure.colorbar(mesh, ax=panel, pad=0.02, aspect=25, label="ground [mm]")

@@ -18,7 +18,6 @@ from mjx_climb.viz import plots
 from tests import interrupts
 from tests.shell import ROOT, environment
 from tuning.command_line import interruption
-from tuning.command_line.options import Output
 from tuning.command_line.session import Session
 
 RUN = ["run", str(ROOT / "configs" / "case_1_2.yaml"), "--set", "duration=0.3"]
@@ -167,14 +166,14 @@ def test_the_second_signal_ends_what_lets_no_python_run(number):
 def test_what_is_kept_is_said_where_another_process_was_stopped_first(asked, monkeypatch, tmp_path):
     monkeypatch.setattr(interruption, "requested", lambda: asked)
     expected = (interruption.Interrupted, "4 walks are kept") if asked else (LostProcess, "gone")
-    shell = Session(sys.stdout, Output())
+    shell = Session(sys.stdout)
     with pytest.raises(expected[0], match=expected[1]), shell.keeping("walks", tmp_path, done=4):
         raise LostProcess("gone")
 
 
 @pytest.mark.parametrize(("rounds", "said"), [((3, 1), "^4 rounds are kept in "), ((1,), "^1 round is kept in ")])
 def test_the_rounds_of_all_searches_of_a_command_are_kept(rounds, said, tmp_path):
-    shell = Session(sys.stdout, Output())
+    shell = Session(sys.stdout)
     with pytest.raises(interruption.Interrupted, match=said), shell.keeping("rounds", tmp_path):
         for done in rounds:
             with shell.stage("search", unit="rounds", keeps=True) as show:

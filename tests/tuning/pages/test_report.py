@@ -14,7 +14,6 @@ import mjx_climb as mc
 from mjx_climb.walks import LINES, histories
 from tests.shell import finish
 from tuning import numbers
-from tuning.command_line.options import Output
 from tuning.command_line.session import Session
 from tuning.comparisons import verdicts, verification
 from tuning.comparisons.of_ensemble import SHOWN
@@ -609,6 +608,6 @@ def test_no_number_of_a_table_is_cut(terminal):
     made = page.Table("", ["metric", "law", *names], [("", [["force variation N", "end_effector_admittance", *cells]])])
     file = io.StringIO()
     file.isatty = lambda: terminal
-    shell = Session(file, Output())
+    shell = Session(file)
     shell.show(made)
     assert all(cell in file.getvalue() for cell in cells)

@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 import mjx_climb as mc
-from tuning.command_line.options import Output
 from tuning.command_line.session import Session
 from tuning.pages import runs
 
@@ -151,7 +150,7 @@ def test_no_name_setting_or_verdict_controls_the_terminal(call, tmp_path):
 
 
 def test_no_line_beside_the_results_controls_the_terminal(capsys):
-    shell = Session(sys.stdout, Output())
+    shell = Session(sys.stdout)
     with shell.stage(f"search {EVIL}", compiles=False) as show:
         show(1, 2, f"best {EVIL}\nsecond line")
     shell.say(f"laws: {EVIL}")
