@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import operator
 import os
-from collections.abc import Callable, ItemsView, Mapping, Sequence
+from collections.abc import Callable, ItemsView, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from mjx_climb.scenario import declared, registers
 from mjx_climb.scenario import values as v
@@ -73,12 +74,10 @@ class Kind(_ByName):
         """The name in the file, or that of a shipped kind."""
         return self.kind.rpartition(":")[2]
 
-    @model_validator(mode="after")
-    def _is_known(self) -> Self:
+    def faults(self) -> Iterator[PydanticCustomError]:
         known = shipped_kinds(self.PLACE) if self.PLACE else (self.kind,)
         if self.kind not in known and not (self.file and self.name):
-            raise failure(f"one of {', '.join(known)}, or FILE.py:NAME", key="kind", got=self.kind)
-        return self
+            yield failure(f"one of {', '.join(known)}, or FILE.py:NAME", key="kind", got=self.kind)
 
 
 def _one_of_kinds(plain: str) -> Discriminator:
@@ -167,14 +166,12 @@ class Gait(v.ComponentSection):
         "time between two choices of footholds or looks for danger, s; rounded to time steps that divide the duration",
     )
 
-    @model_validator(mode="after")
-    def _low_reaction_is_of_the_plain_way(self) -> Gait:
+    def faults(self) -> Iterator[PydanticCustomError]:
         if self.swing == "low_reaction" and self.swing_file is not None:
-            raise failure("none with swing: low_reaction", key="swing_file", got=self.swing_file.file)
+            yield failure("none with swing: low_reaction", key="swing_file", got=self.swing_file.file)
         for key, plain in (("height", 1.0), ("sway", 0.0), ("landing_speed", 0.0)):
             if self.swing == "low_reaction" and (value := getattr(self, key)) != plain:
-                raise failure(f"{plain:g} with swing: low_reaction, which is computed for that", key=key, got=value)
-        return self
+                yield failure(f"{plain:g} with swing: low_reaction, which is computed for that", key=key, got=value)
 
     @property
     def places(self) -> list[tuple[str, ...]]:
@@ -214,11 +211,9 @@ class Hold(v.Section):
     normal: v.Vector = setting((0.0, 0.0, 1.0), "direction out of the ground, of any length above 0, 1")
     limit: v.Limit = setting(None, "its holding limit, N; null: that of all points")
 
-    @model_validator(mode="after")
-    def _has_a_direction(self) -> Hold:
+    def faults(self) -> Iterator[PydanticCustomError]:
         if not any(self.normal):
-            raise failure("a direction, not zero", key="normal", got=self.normal)
-        return self
+            yield failure("a direction, not zero", key="normal", got=self.normal)
 
 
 class HoldCloud(v.Section):
@@ -303,11 +298,9 @@ class HoldPolyhedron(v.Section):
     matrix: v.Rows = Field(description="rows of A, 1")
     bound: v.Bounds = Field(description="b, a share of the point's limit for each row, 1")
 
-    @model_validator(mode="after")
-    def _fit(self) -> HoldPolyhedron:
+    def faults(self) -> Iterator[PydanticCustomError]:
         if len(self.matrix) != len(self.bound):
-            raise failure(f"{len(self.matrix)} numbers, one for each row of matrix", key="bound", got=self.bound)
-        return self
+            yield failure(f"{len(self.matrix)} numbers, one for each row of matrix", key="bound", got=self.bound)
 
 
 class Holds(v.Section):
@@ -343,13 +336,11 @@ class Holds(v.Section):
         """The key of the source, and its value."""
         return next((name, each) for name in HOLD_SOURCES if (each := getattr(self, name)) is not None)
 
-    @model_validator(mode="after")
-    def _one_source(self) -> Holds:
+    def faults(self) -> Iterator[PydanticCustomError]:
         given = [name for name in HOLD_SOURCES if getattr(self, name) is not None]
         if len(given) != 1:
             key = {"key": given[1]} if given else {}
-            raise failure(f"one of {', '.join(HOLD_SOURCES)}", **key, got=" and ".join(given) or "none")
-        return self
+            yield failure(f"one of {', '.join(HOLD_SOURCES)}", **key, got=" and ".join(given) or "none")
 
 
 HOLD_SOURCES = ("points", "cloud", "map", "handrails", "truss", "pipe", "wall", "rock")
@@ -362,12 +353,10 @@ class Ground(v.Section):
     map: HeightMap | None = setting(None, "a height map, read at the planned footholds")
     holds: Holds | None = setting(None, "points that can be held")
 
-    @model_validator(mode="after")
-    def _one_of_them(self) -> Ground:
+    def faults(self) -> Iterator[PydanticCustomError]:
         given = [name for name in ("footholds", "map", "holds") if getattr(self, name) is not None]
         if len(given) > 1:
-            raise failure(f"{given[0]} or {given[1]}, not both", key=given[1], got=" and ".join(given))
-        return self
+            yield failure(f"{given[0]} or {given[1]}, not both", key=given[1], got=" and ".join(given))
 
 
 class Contact(v.ComponentSection):
@@ -430,28 +419,24 @@ class Control(v.ComponentSection):
     )
     recovery: Recovery = setting(Recovery(), "thresholds that interrupt the gait, and how it is interrupted")
 
-    @model_validator(mode="after")
-    def _reading_fits(self) -> Control:
+    def faults(self) -> Iterator[PydanticCustomError]:
         if self.controller == "end_effector_admittance" and self.reading != "virtual_model":
             expected = "virtual_model with end_effector_admittance (measured_pose reads base_admittance only)"
-            raise failure(expected, key="reading", got=self.reading)
+            yield failure(expected, key="reading", got=self.reading)
         if self.controller == "base_admittance" and self.reading == "measured_pose":
             plain = Control()
             for key in ("integration", "deadband", "max_offset", "max_velocity"):
                 if (value := getattr(self, key)) != getattr(plain, key):
-                    raise failure("none with measured_pose, which has no virtual mass", key=key, got=value)
-        return self
+                    yield failure("none with measured_pose, which has no virtual mass", key=key, got=value)
 
 
 class _Window(v.ComponentSection):
     """A span of time, start <= t < stop."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> _Window:
+    def faults(self) -> Iterator[PydanticCustomError]:
         start, stop = self.start, self.stop
         if stop is not None and not start < stop:
-            raise failure(f"a time after start = {start:g} s, or null", key="stop", got=stop)
-        return self
+            yield failure(f"a time after start = {start:g} s, or null", key="stop", got=stop)
 
 
 class Cargo(_Window):
@@ -519,11 +504,9 @@ class Registers(v.Section):
     i: v.Register = setting(0, "Position I Gain")
     d: v.Register = setting(0, "Position D Gain")
 
-    @model_validator(mode="after")
-    def _holds(self) -> Registers:
+    def faults(self) -> Iterator[PydanticCustomError]:
         if self.p == 0:
-            raise failure("a register of 1 or more, as control.kp is above 0", key="p", got=0)
-        return self
+            yield failure("a register of 1 or more, as control.kp is above 0", key="p", got=0)
 
 
 class Servo(v.ComponentSection):
@@ -544,13 +527,12 @@ class Servo(v.ComponentSection):
         None, "what a unit of each register stands for, of this kind of servo; null: not known"
     )
 
-    @model_validator(mode="after")
-    def _line_has_two_ends(self) -> Servo:
+    def faults(self) -> Iterator[PydanticCustomError]:
         if self.no_load_speed is not None and self.torque_limit is None:
-            raise failure("a number beside no_load_speed", key="torque_limit", got=None)
+            yield failure("a number beside no_load_speed", key="torque_limit", got=None)
         for key in ("torque_limit", "no_load_speed") if self.drive == "voltage" else ():
             if getattr(self, key) is None:
-                raise failure("a number with drive: voltage", key=key, got=None)
+                yield failure("a number with drive: voltage", key=key, got=None)
         for key, other in (
             ("torque_limit", "registers"),
             ("rated_voltage", "supply_voltage"),
@@ -558,17 +540,16 @@ class Servo(v.ComponentSection):
             ("profile_velocity", "profile_acceleration"),
         ):
             if getattr(self, key) is None and getattr(self, other) is not None:
-                raise failure(f"a number beside {other}", key=key, got=None)
+                yield failure(f"a number beside {other}", key=key, got=None)
         if self.supply_resistance and (self.drive == "torque" or self.supply_voltage is None):
             expected = "0 but with drive: voltage and a supply_voltage"
-            raise failure(expected, key="supply_resistance", got=self.supply_resistance)
+            yield failure(expected, key="supply_resistance", got=self.supply_resistance)
         if self.drive == "torque" and self.pwm_limit != 1:
-            raise failure(
+            yield failure(
                 "1 with drive: torque, which has no share of the voltage", key="pwm_limit", got=self.pwm_limit
             )
         if self.registers is not None:
             self._check_registers(self.registers)
-        return self
 
     def _check_registers(self, held: Registers) -> None:
         """Refuse registers without a scale, and those that are larger than the servo's."""
@@ -672,19 +653,17 @@ class RobotFile(v.Section):
         """Whether the base is held, and nothing walks."""
         return self.height is None
 
-    @model_validator(mode="after")
-    def _stands_on_feet(self) -> RobotFile:
+    def faults(self) -> Iterator[PydanticCustomError]:
         limbs = dict(self.limbs.items())
         least = 1 if self.on_stand else MIN_LIMBS
         if not least <= len(limbs) <= MAX_LIMBS:
-            raise failure(f"{least} to {MAX_LIMBS} limbs", key="limbs", got=len(limbs))
+            yield failure(f"{least} to {MAX_LIMBS} limbs", key="limbs", got=len(limbs))
         for name, limb in limbs.items() if not self.on_stand else ():
             for key in ("foot", "foothold"):
                 if getattr(limb, key) is None:
-                    raise failure("a value, as the robot has a height", key=f"limbs.{name}.{key}", got=None)
+                    yield failure("a value, as the robot has a height", key=f"limbs.{name}.{key}", got=None)
             if len(limb.joints) < 2:
-                raise failure("two joints or more of a limb that walks", key=f"limbs.{name}.joints", got=limb.joints)
-        return self
+                yield failure("two joints or more of a limb that walks", key=f"limbs.{name}.joints", got=limb.joints)
 
 
 AnyRobot = Annotated[
@@ -775,38 +754,39 @@ class Scenario(v.Section):
             self.__dict__["control"] = self.control.model_copy(update=found)  # frozen, but not read by anyone yet
         return self
 
-    @model_validator(mode="after")
-    def _whole_steps(self) -> Scenario:
+    def faults(self) -> Iterator[PydanticCustomError]:
+        yield from self._broken_steps()
+        yield from self._wrong_limbs()
+
+    def _broken_steps(self) -> Iterator[PydanticCustomError]:
         hardware, step = self.hardware, f"time steps of {self.time_step:g} s"
         spans = {"duration": self.duration, "gait.cycle": self.gait.cycle}
         for key, span in {**spans, "hardware.control_period": hardware.control_period}.items():
             steps, none = span / self.time_step, "" if key in spans else ", or 0"
             if steps > MAX_STEPS:
-                raise failure(f"at most {MAX_STEPS} {step}", key=key, got=span)
+                yield failure(f"at most {MAX_STEPS} {step}", key=key, got=span)
             if (not none and round(steps) < 1) or not math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9):
-                raise failure(f"a whole number of {step}{none}", key=key, got=span)
+                yield failure(f"a whole number of {step}{none}", key=key, got=span)
         if (rate := self.value("hardware.servo.rate")) is not None:
             steps = 1 / (rate * self.time_step)
             if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
-                raise failure(f"a rate whose period is a whole number of {step}", key="hardware.servo.rate", got=rate)
+                yield failure(f"a rate whose period is a whole number of {step}", key="hardware.servo.rate", got=rate)
         for key in ("command_delay", "force_sensor.delay", "base_estimate.delay", "servo.delay"):
             if (delay := self.value(f"hardware.{key}", 0.0)) / self.time_step > MAX_DELAY:
-                raise failure(f"at most {MAX_DELAY} {step}", key=f"hardware.{key}", got=delay)
+                yield failure(f"at most {MAX_DELAY} {step}", key=f"hardware.{key}", got=delay)
         if int((1 - self.gait.duty) * self.gait.cycle / self.time_step + 1e-6) < 2:
-            raise failure(f"a swing, (1 - duty) cycle, of two {step} or more", key="gait.duty", got=self.gait.duty)
-        return self
+            yield failure(f"a swing, (1 - duty) cycle, of two {step} or more", key="gait.duty", got=self.gait.duty)
 
-    @model_validator(mode="after")
-    def _limbs_are_the_robots_and_one_stands(self) -> Scenario:
+    def _wrong_limbs(self) -> Iterator[PydanticCustomError]:
         if isinstance(self.robot, RobotFile) and self.robot.on_stand:
-            return self
+            return
         gait, limbs = self.gait, SHIPPED_LIMBS if isinstance(self.robot, str) else tuple(dict(self.robot.limbs.items()))
         known = f"the {NUMBERS[len(limbs)]} limbs {', '.join(limbs)}"
         swings = list(gait.lift_off) if gait.phases is not None else [limb for place in gait.places for limb in place]
         if sorted(swings) != sorted(limbs):
             if gait.phases is None:
-                raise failure(f"{known}, each once, in any order", key="gait.sequence", got=gait.sequence)
-            raise failure(f"a phase for each of {known}", key="gait.phases", got=gait.lift_off)
+                yield failure(f"{known}, each once, in any order", key="gait.sequence", got=gait.sequence)
+            yield failure(f"a phase for each of {known}", key="gait.phases", got=gait.lift_off)
         by_limb = {
             "ground.footholds": self.ground.footholds,
             "hardware.force_sensor.dead": self.hardware.force_sensor.dead,
@@ -814,19 +794,18 @@ class Scenario(v.Section):
         for key, values in by_limb.items():
             for name in dict(values.items()) if values is not None else ():
                 if name not in limbs:
-                    raise failure(f"one of the limbs {', '.join(limbs)}", key=f"{key}.{name}", got=name)
+                    yield failure(f"one of the limbs {', '.join(limbs)}", key=f"{key}.{name}", got=name)
         # one limb stands at any time
         least, swing = 1 - 1 / len(gait.sequence), 1 - gait.duty
         if gait.phases is None and gait.duty < least - _ROUNDING:
             expected = f"a number from {least:g} to below 1, so that one swing ends as the next begins"
-            raise failure(expected, key="gait.duty", got=gait.duty)
+            yield failure(expected, key="gait.duty", got=gait.duty)
         for limb, phase in gait.lift_off.items() if gait.phases is not None else ():
             if phase + swing > 1 + _ROUNDING:
                 expected = f"a swing that ends within the cycle, phase {gait.duty:g} or less"
-                raise failure(expected, key=f"gait.phases.{limb}", got=phase)
+                yield failure(expected, key=f"gait.phases.{limb}", got=phase)
             if all(other <= phase < other + swing - _ROUNDING for other in gait.lift_off.values()):
-                raise failure("a limb on the ground at every moment", key=f"gait.phases.{limb}", got=phase)
-        return self
+                yield failure("a limb on the ground at every moment", key=f"gait.phases.{limb}", got=phase)
 
     @property
     def limbs(self) -> tuple[str, ...]:
