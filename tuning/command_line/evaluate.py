@@ -82,7 +82,7 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
             known["config"] = config.control.model_dump(mode="json")
             others["config"] = Whole(None if config == loaded.scenario else law_of(config), {})
         if joint := asked.joint_gains():
-            others["retuned pd"] = Whole(PD(), joint)
+            others[evaluation.RETUNED] = Whole(PD(), joint)
         shell.take(walk, "margins.json", loaded, "margins", **known, retuned_pd=joint)
         how: dict[str, Any] = {"law": law, "asked": quantities, "engine": walk.engine}
         with shell.whole() as out:
@@ -315,10 +315,10 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
 
     --margins makes force delay, command delay, control period and joint gains worse, one at a time, on top of the
     scenario's own hardware, and says up to where no gripper is torn off, up to where the force varies less than under
-    pd on the same hardware, and up to where the linearised loop is stable. Warns where walks, or the linearised loop,
-    bear less than twice the hardware's own. DIR has the margins (margins.json), all walks (margins.nc) and the force
-    variation over each quantity (margins, in the formats of --figures). --margin makes other values worse in their
-    place, those of your own components too.
+    pd (that of --retuned-pd, where it is given) on the same hardware, and up to where the linearised loop is stable.
+    Warns where walks, or the linearised loop, bear less than twice the hardware's own. DIR has the margins
+    (margins.json), all walks (margins.nc) and the force variation over each quantity (margins, in the formats of
+    --figures). --margin makes other values worse in their place, those of your own components too.
 
     --worse walks the same members on worse hardware too, one --worse at a time: with a factor on delay, period,
     friction, backlash, noise, bias or armature, as the config has it or a member drew it, or with other values of keys

@@ -1,8 +1,9 @@
 """Margins: how much later, slower or weaker a robot's hardware may be before gains tear a gripper off or stop paying.
 
 Each quantity is made worse by itself, the scenario's other hardware as it is. Gains pay as long as they leave less
-force variation than pd on the very same hardware. Each set of gains walks one batch, a grid over every quantity, and
-then another one, between the last walks that were good and the first that were not.
+force variation than their rival on the very same hardware: pd retuned where it walks too, else pd. Each set of gains
+walks one batch, a grid over every quantity, and then another one, between the last walks that were good and the first
+that were not.
 """
 
 import dataclasses
@@ -27,6 +28,7 @@ from tuning.problem.variations import PERIOD, Factor, changed, checked, scalable
 
 POINTS = 16  # values of a quantity that are walked at a time
 FACTOR = 2  # between the hardware and a value where gains fail
+RETUNED = "retuned pd"  # the name of the rival in place of pd
 _MOST_SAMPLES = 60  # of a delay: a buffer's length
 _JOINT = ("kp", "kd", "ki")
 _METRICS = mc.MetricTable(mc.METRICS[name] for name in ("force_variation", "detached_at", "diverged"))
@@ -107,10 +109,20 @@ class Margin:
 
     own: float  # the scenario's
     holds: float | None  # no gripper torn off, and nothing diverges
-    better: float | None  # and less force variation than pd
+    better: float | None  # and less force variation than the rival
     worst: float  # the worst value walked: a margin that reaches it may be larger
     title: str = ""
     unit: str = "s"  # x of a factor
+    rival: str = "pd"
+
+    @property
+    def sentence(self) -> str:
+        """How far gains hold, and up to where they are better than their rival."""
+        holds, better = (
+            "at no value" if reached is None else f"up to {self.in_words(reached)}"
+            for reached in (self.holds, self.better)
+        )
+        return f"{self.title}: holds {holds}" + ("" if self.holds is None else f", better than {self.rival} {better}")
 
     @property
     def needed(self) -> float:
@@ -148,8 +160,9 @@ class Found(NamedTuple):
 
     margins: dict[str, Margin]
     holds: bool  # on the scenario's own hardware: no gripper torn off, and nothing diverges
-    better: bool  # and less force variation than pd
+    better: bool  # and less force variation than the rival
     walks: xr.Dataset  # by gains, quantity and point, each quantity from good to bad
+    rival: str = "pd"
 
 
 def find(
@@ -169,12 +182,15 @@ def find(
         scenario: its joint gains are pd's too.
         gains: those in question; kp, kd and ki replace the scenario's where given.
         law: whose gains they are, the scenario's where None.
-        others: further ones to walk on the same hardware, by name, for the picture.
+        others: further ones to walk on the same hardware, by name, for the picture; `RETUNED` is the rival in place of
+            pd.
         walked: the result of `on_the_grid` for pd and others, by name, where it has walked already.
         asked: the quantities, see `quantities` for those at other paths.
         progress: called with the number of walks done and of all.
     """
     walkers = {"given": Whole(law, gains), "pd": pd_of(scenario), **others}
+    rival = RETUNED if RETUNED in others else "pd"
+    both = ["given", rival]
     parameters, step = own_parameters(scenario), scenario.time_step
     grid = np.stack([quantity.values(parameters, step) for quantity in asked.values()])
     total = 2 * len(walkers) * grid.size
@@ -189,7 +205,7 @@ def find(
         return xr.concat(found, xr.Variable("gains", list(walkers)), coords="minimal", compat="override")
 
     coarse = walk(grid, 0, walked)
-    between = np.stack([_between(each, step, coarse.sel(quantity=name)) for name, each in asked.items()])
+    between = np.stack([_between(each, step, coarse.sel(quantity=name, gains=both)) for name, each in asked.items()])
     walks = xr.concat([coarse, walk(between, total // 2, {})], "point", coords="minimal", compat="override")
     own = {name: quantity.own(parameters, step) for name, quantity in asked.items()}
     badness = walks["value"] * np.where(grid[:, -1:] < grid[:, :1], -1.0, 1.0)
@@ -197,16 +213,16 @@ def find(
     walks = walks.transpose("gains", "quantity", "point").reset_coords("value")
     margins: dict[str, Margin] = {}
     for name, quantity in asked.items():
-        some = walks.sel(quantity=name)
+        some = walks.sel(quantity=name, gains=both)
         values = some["value"].values
         counts = map(count_good, _verdicts(some))
         holds, better = (float(values[count - 1]) if count else None for count in counts)
         unit = "x" if quantity.factor else parameters.units[quantity.paths[0]][0]
-        margins[name] = Margin(own[name], holds, better, float(values[-1]), quantity.title, unit)
+        margins[name] = Margin(own[name], holds, better, float(values[-1]), quantity.title, unit, rival)
     first = next(iter(asked))
     here = int(np.abs(grid[0] - own[first]).argmin())
-    holds, better = (bool(good[here]) for good in _verdicts(coarse.sel(quantity=first)))
-    return Found(margins, holds, better, walks)
+    holds, better = (bool(good[here]) for good in _verdicts(coarse.sel(quantity=first, gains=both)))
+    return Found(margins, holds, better, walks, rival)
 
 
 def on_the_grid(
@@ -240,7 +256,7 @@ def on_the_grid(
 
 
 def pd_of(scenario: mc.Scenario) -> Whole:
-    """Return the rival of all gains: pd, with the scenario's joint gains."""
+    """Return pd with the scenario's joint gains."""
     return Whole(PD(), joint_gains(scenario, {}))
 
 
@@ -248,11 +264,11 @@ def warnings(found: Found) -> list[str]:
     """Return the objections to gains in words: no use on their hardware, or margins of less than twice as much."""
     if not found.holds:
         return ["on the hardware itself the walk fails: a gripper is torn off, or it diverges"]
-    lines = [] if found.better else ["on the hardware itself the force varies no less than under pd"]
+    lines = [] if found.better else [f"on the hardware itself the force varies no less than under {found.rival}"]
     for margin in found.margins.values():
         short = margin.falls_short("gains hold", margin.holds)
         if not short and found.better:
-            short = margin.falls_short("gains stay better than pd", margin.better)
+            short = margin.falls_short(f"gains stay better than {found.rival}", margin.better)
         lines += short
     return lines
 
@@ -289,8 +305,7 @@ def count_good(good: np.ndarray) -> int:
 
 
 def _verdicts(walks: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return which points (N,) of a quantity hold with the given gains, and which of them pay."""
-    walks = walks.sel(gains=["given", "pd"])
+    """Return which points (N,) of a quantity hold with the first of two gains, and which of them pay."""
     holds, variation = (walks["detached_at"].isnull() & ~walks["diverged"]).values, walks["force_variation"].values
     return holds[0], holds[0] & ((variation[0] < variation[1]) | ~holds[1])
 

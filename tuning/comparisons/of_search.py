@@ -121,7 +121,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             if LEVEL in beside:
                 step = beside[LEVEL][0].time_step
             else:
-                beside_it["retuned pd"] = Whole(PD(), joint)
+                beside_it[margins.RETUNED] = Whole(PD(), joint)
 
         def find_margins(told: Callback) -> margins.Found:
             walked = {name: asked(ignore) for name, asked in others.on_hardware.items()}  # begun before this

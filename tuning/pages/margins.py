@@ -31,7 +31,7 @@ def margins_table(found: margins.Found, stable: Mapping[str, Stable]) -> Table:
         loop = margin.in_words(stable[name].up_to, stable[name].tried)
         reached = map(margin.in_words, (margin.holds, margin.better))
         rows.append([margin.title, margin.with_unit(margin.own), *reached, loop])
-    columns = ["", "hardware", "holds up to", "better than pd up to", "linearised: stable up to"]
+    columns = ["", "hardware", "holds up to", f"better than {found.rival} up to", "linearised: stable up to"]
     return Table("Margins", columns, [("", rows)], 1)
 
 

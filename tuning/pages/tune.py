@@ -97,9 +97,7 @@ def _outcome_of(checked: Verification, found: Tuned) -> list[str]:
         lines.append(f"steepest slope: {checked.slopes[steepest]:+.3g} per unit of log {steepest}")
     if checked.grid_value is not None:
         lines.append(f"best cell of an isotropic grid: {checked.grid_value:.4f}, the search: {found.value:.4f}")
-    for margin in checked.margins.values():
-        holds, better = map(margin.in_words, (margin.holds, margin.better))
-        lines.append(f"margin, {margin.title}: holds up to {holds}, better than pd up to {better}")
+    lines += [f"margin, {margin.sentence}" for margin in checked.margins.values()]
     lines.append(f"closed loop in its worst stance: largest eigenvalue {checked.spectral_radius:.6f} (below 1: stable)")
     return lines
 

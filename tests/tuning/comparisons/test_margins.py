@@ -12,10 +12,11 @@ from mjx_climb.control import PD
 from mjx_climb.inputs.from_scenario import own_parameters
 from tuning.comparisons import linear_margins, margins, stability_limit
 from tuning.gains import gains_file
-from tuning.gains.gains_file import by_name
+from tuning.gains.gains_file import Whole, by_name
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "hardware_walks.json").read_text())
 GAINS = mc.Gains(1.0, 150.0, 3e3, kp=np.asarray(20.0), kd=np.asarray(0.1))
+RETUNED_KP = 40.0  # with which pd's force varies by 75 N, not 100 N
 TORN, DEARER, DIVERGES, WEAK = 9.5e-3, 7.1e-3, 20.5e-3, 0.31
 
 
@@ -27,7 +28,11 @@ def walks(monkeypatch):
     def walked(scenario, gains, parameters, *, law, metrics, engine, progress):
         kept.append((law, gains, parameters))
         given = not isinstance(law, PD)
-        variation = np.where(given, 50.0, 100.0) + given * 50.0 * np.maximum(parameters.force_sensor.delay, 0) / DEARER
+        retuned = parameters.joint_loop.kp == RETUNED_KP
+        variation = (
+            np.where(given, 50.0, np.where(retuned, 75.0, 100.0))
+            + given * 50.0 * np.maximum(parameters.force_sensor.delay, 0) / DEARER
+        )
         weak = parameters.joint_loop.kp < WEAK * (20.0 if given else 50.0)
         return {
             "force_variation": np.where(parameters.bus.command_delay > DEARER, 200.0 * given, variation),
@@ -77,6 +82,33 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
     np.testing.assert_allclose(given.joint_loop.kd / given.joint_loop.kp, 0.1 / 20)
     np.testing.assert_allclose(pd.joint_loop.kp / given.joint_loop.kp, 50 / 20)  # pd has the scenario's own
     assert given.bus.seed == 3
+
+
+def test_gains_pay_as_long_as_they_are_better_than_pd_retuned_where_it_walks_too(walks, case):
+    """They were compared with pd as the config has it alone."""
+    others = {"config": Whole(None, {}), margins.RETUNED: Whole(PD(), {"kp": RETUNED_KP, "kd": 0.2})}
+    late = case("case_1_2", "virtual_model", {"hardware.force_sensor.delay": 3e-3})
+    found = margins.find(late, GAINS, others=others)
+    delay = found.margins["force_delay"]
+    assert delay.better == pytest.approx(DEARER / 2, abs=4e-4) and delay.holds == pytest.approx(TORN, abs=4e-4)
+    assert found.better and (found.rival, delay.rival) == ("retuned pd", "retuned pd")
+    assert margins.warnings(found)[0].startswith("force delay: gains stay better than retuned pd up to 3.")
+    later = case("case_1_2", "virtual_model", {"hardware.force_sensor.delay": 4e-3})
+    worse = margins.find(later, GAINS, others=others)
+    assert not worse.better and margins.warnings(worse)[0].endswith("the force varies no less than under retuned pd")
+
+
+@pytest.mark.parametrize(
+    ("reached", "said"),
+    [
+        ((8e-3, 5e-3), "holds up to 8 ms, better than retuned pd up to 5 ms"),
+        ((0.03, None), "holds up to 30 ms or more, better than retuned pd at no value"),
+        ((None, None), "holds at no value"),
+    ],
+)
+def test_a_margin_is_a_sentence(reached, said):
+    margin = margins.Margin(0.0, *reached, 0.03, "force delay", rival=margins.RETUNED)
+    assert margin.sentence == f"force delay: {said}"
 
 
 def test_less_than_twice_the_hardware_is_a_warning_by_name(walks, case):
@@ -277,7 +309,7 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call)
     assert found["margins"]["force_delay"]["stable"]["up_to"] == pytest.approx(9e-3, rel=1e-3)
     assert found["margins"]["force_delay"]["needed"] == 8e-3
     assert found["own_hardware"] == {"holds": True, "better": True}
-    assert [line.startswith("force delay: gains stay better than pd") for line in found["warnings"]] == [True]
+    assert [line.startswith("force delay: gains stay better than retuned pd") for line in found["warnings"]] == [True]
     assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
         "config.yaml", "margins.json", "margins.nc", "margins.png", "settings.json"
     }  # fmt: skip

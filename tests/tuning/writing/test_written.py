@@ -68,7 +68,7 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     pictures = {f"{name}.png" for name in ("convergence", "path", "walks", "margins")}
     files = {"report.html", "gains.yaml", "search.nc", "map.nc", "summary.json", "config.yaml", "search.yaml"}
     assert names == files | pictures | {"settings.json"}
-    walked = ["pd", "config", "tuned", "retuned_pd"]
+    walked = ["pd", "config", "tuned", "retuned_pd", "planned_unsearched"]
     assert stages == ["retuned pd", *walked, "map", "margins", "verification", "drawing", "report"]
     summary = json.loads(written.summary)
     torques = [summary[name]["metrics"]["peak_joint_torque"] for name in ("tuned", "retuned_pd")]
