@@ -7,7 +7,6 @@
 Intervals are of a law that is searched once more, for all rows of a case and metric at once.
 """
 
-import csv
 import sys
 from pathlib import Path
 
@@ -61,15 +60,12 @@ def rows_of(walks):
 
 def main(robust, nominal, file):
     """Write the table of all cases."""
-    found = []
-    for config in sorted(nominal.glob(f"*_{which_law.CONFIG}.npz")):
-        cell = config.name.removesuffix(f"_{which_law.CONFIG}.npz")
+
+    def rows(cell):
         case = {"case": cell.removeprefix("ideal_").replace("_", ".")}
-        found += [case | row for row in rows_of(walks_of(robust, nominal, cell))]
-    with file.open("w", newline="") as out:
-        writer = csv.DictWriter(out, list(found[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(found)
+        return [case | row for row in rows_of(walks_of(robust, nominal, cell))]
+
+    which_law.write_cells(nominal, file, rows)
 
 
 if __name__ == "__main__":

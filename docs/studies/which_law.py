@@ -81,12 +81,19 @@ def rows_of(walks):
 
 def main(folder, file):
     """Write the table of all cells of a folder."""
-    found = []
-    for config in sorted(folder.glob(f"*_{CONFIG}.npz")):
-        cell = config.name.removesuffix(f"_{CONFIG}.npz")
+
+    def rows(cell):
         servos, case = next((each, cell[len(each) + 1 :]) for each in ("ideal", "dynamixel_x", "mx_64") if each in cell)
         place = {"servos": servos, "case": case.replace("_", ".")}
-        found += [place | row for row in rows_of(walks_of(folder, cell))]
+        return [place | row for row in rows_of(walks_of(folder, cell))]
+
+    write_cells(folder, file, rows)
+
+
+def write_cells(folder, file, rows):
+    """Write a table of the `rows` of all cells of a folder, by the name of each."""
+    suffix = f"_{CONFIG}.npz"
+    found = [row for each in sorted(folder.glob(f"*{suffix}")) for row in rows(each.name.removesuffix(suffix))]
     with file.open("w", newline="") as out:
         writer = csv.DictWriter(out, list(found[0]), lineterminator="\n")
         writer.writeheader()

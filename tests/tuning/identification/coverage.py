@@ -15,7 +15,7 @@ from scipy.stats import binomtest
 import mjx_climb as mc
 import tuning
 from tests.tuning.identification.stand_in_mujoco import Truth, log_of
-from tuning.identification.fit.inference import Z
+from tuning.identification.fit.inference import Z, covariance_of
 
 KEYS = (
     "hardware.servo.armature",
@@ -62,11 +62,17 @@ def counted(repeats, duration, misread=0.0, first=0, said=lambda line: None):
             off, span = (np.where(logarithm, np.log(a / b), a - b) for a, b in ((value, true), (high, low)))
         error = 2 * Z * off / span
         known, ahead = found.posterior, found.held_out["error_over_noise"]
-        width = np.sqrt(np.diag(known.covariance) / np.diag(known.fisher))[: len(KEYS)]
-        rows.append(((low <= true) & (true <= high), error, width, ahead))
+        rows.append(((low <= true) & (true <= high), error, width_of(found.problem, known), ahead))
         warned += found.warnings
         said(f"{repeat}: errors {error.round(2).tolist()}, held out {ahead:.3f} {found.fitted.ended} {found.warnings}")
     return Counted(*map(np.array, zip(*rows, strict=True)), warned)
+
+
+def width_of(problem, known):
+    """Return the width of the intervals of KEYS over that if noise were white and the model right."""
+    free, fisher = np.flatnonzero(problem.free), np.zeros(len(problem.free))
+    fisher[free] = np.diag(covariance_of(known.information[np.ix_(free, free)], problem.prior.sd[free]))
+    return np.sqrt(np.diag(known.covariance) / fisher)[: len(KEYS)]
 
 
 def shares(inside):

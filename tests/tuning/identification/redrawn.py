@@ -9,7 +9,7 @@ import sys
 import numpy as np
 
 import tuning
-from tests.tuning.identification.coverage import KEYS, SCENARIO, STEP, TRUTHS, shares, truth_of
+from tests.tuning.identification.coverage import KEYS, SCENARIO, STEP, TRUTHS, shares, truth_of, width_of
 from tests.tuning.identification.stand_in_mujoco import log_of
 from tuning.identification.fit.inference import Z, posterior, suspicious, whiteness
 
@@ -28,8 +28,9 @@ def redrawn(found, draws, seed=0):
         other = fitted._replace(scaled=drawn - along @ moved)
         tests = whiteness(problem, other)
         known = posterior(problem, other, tests)
-        sd_of, fisher = (np.sqrt(np.diag(each))[: len(KEYS)] for each in (known.covariance, known.fisher))
-        inside[n], width[n], wrong[n] = np.abs(moved[: len(KEYS)]) <= Z * sd_of, sd_of / fisher, bool(suspicious(tests))
+        sd_of = np.sqrt(np.diag(known.covariance))[: len(KEYS)]
+        inside[n], width[n] = np.abs(moved[: len(KEYS)]) <= Z * sd_of, width_of(problem, known)
+        wrong[n] = bool(suspicious(tests))
     return inside, width, wrong
 
 

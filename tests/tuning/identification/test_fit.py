@@ -262,7 +262,7 @@ def test_what_was_held_out_and_missed_is_said_and_so_is_that_nothing_was(line):
 
 def test_a_wrong_model_is_named_with_the_signals_that_say_so(line):
     some, worst, fine = (
-        Whiteness(name, 0.0, np.array([size, 0.1]), 0.01, share, np.zeros(0), np.zeros(0, int))
+        Whiteness(name, np.array([size, 0.1]), 0.01, share, np.zeros(0), np.zeros(0, int))
         for name, size, share in (("a", 0.3, 0.2), ("b", -0.6, 0.4), ("c", 0.9, 0.0))
     )
     found = findings(line, tests=[some, worst, fine], hint="try another")
@@ -398,7 +398,7 @@ def test_a_result_says_what_it_tells_and_changes_what_it_knows(line):
     assert found.sentence.endswith(" of the noise") and found.as_json()["parameters"][KEYS[2]]["seen"] is False
     assert found.as_json()["search"]["costs"] == list(line[0].costs)
     assert found.overrides() == {key: found.estimates[key].value for key in KEYS[:2]}
-    refuted = findings(line, tests=[Whiteness("a", 0.0, np.ones(2), 0.01, 0.2, np.zeros(0), np.zeros(0, int))] * 2)
+    refuted = findings(line, tests=[Whiteness("a", np.ones(2), 0.01, 0.2, np.zeros(0), np.zeros(0, int))] * 2)
     assert refuted.sentence.endswith("; the residuals refute the model in 2 of 2 signals")
     assert findings(fitted(problem_of(held_out=0.0), 1)).sentence == "log.csv tells 2 of 3 parameters"
     seen, bend, tilt = (dataclasses.replace(found.estimates[KEYS[0]], value=value) for value in (-0.001, 0.004, 0.1))
@@ -417,7 +417,7 @@ def test_tables_of_a_fit_have_its_values_and_each_signal(line):
     found, (fit, problem, _) = findings(line), line
     ((_, rows),) = report.table(found).sections
     assert [row[0] for row in rows] == [*KEYS] and rows[2][-1] == "not told: stays nominal"
-    tests = [Whiteness("LF.femur.position", 0.0, np.array([0.2, -0.5]), 0.01, 0.3, np.zeros(0), np.zeros(0, int))]
+    tests = [Whiteness("LF.femur.position", np.array([0.2, -0.5]), 0.01, 0.3, np.zeros(0), np.zeros(0, int))]
     sections = dict(report.residual_table(findings(line, tests=tests)).sections)
     (row,) = sections["LF.femur"]
     scaled = fit.scaled[problem.fitted & (problem.rows.signal == 1)]

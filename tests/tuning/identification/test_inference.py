@@ -82,7 +82,7 @@ class Line(Problem):
         """Return the posterior where the first signal's residuals have some correlation."""
         rows = np.arange(len(self.fitted)).reshape(2, -1)
         each = zip("ab", (np.array(lasting, float), np.zeros(0)), rows, strict=True)
-        tests = [Whiteness(name, 0.5, np.zeros(3), 0.01, 0.0, lasts, own) for name, lasts, own in each]
+        tests = [Whiteness(name, np.zeros(3), 0.01, 0.0, lasts, own) for name, lasts, own in each]
         return posterior(self, self.found(residuals, **how), tests, ahead)
 
 

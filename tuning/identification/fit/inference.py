@@ -55,7 +55,6 @@ class Posterior(NamedTuple):
     """The posterior of the variables, in coordinates; held ones have their priors."""
 
     covariance: Float[np.ndarray, "P P"]  # widened
-    fisher: Float[np.ndarray, "P P"]  # covariance of the free variables if noise were white and the model right
     information: Float[np.ndarray, "P P"]  # of the samples alone
     widening: Float[np.ndarray, " P"]  # factor on sd, 1 of held ones
     unseen: tuple[str, ...]  # directions, in words
@@ -66,7 +65,6 @@ class Whiteness(NamedTuple):
     """Of one signal's residuals over its noise."""
 
     signal: str
-    probability: float  # of such correlation if they were white
     correlation: Float[np.ndarray, " lags"]
     period: float  # s, of a lag
     share: float  # of the residuals' variance, that the model lacks; 0: nothing
@@ -120,8 +118,7 @@ def posterior(problem: Problem, found: Fitted, tests: Sequence[Whiteness], ahead
     of_samples = np.maximum(1 / own**2 - 1 / sd[free] ** 2, 0.0)
     widened = 1 / np.sqrt(1 / sd[free] ** 2 + of_samples / square)
     along_held = -fisher @ information[np.ix_(free, held)]  # how they move with the held ones
-    covariance, whole = np.diag(sd**2), np.zeros((len(sd), len(sd)))
-    whole[np.ix_(free, free)] = fisher
+    covariance = np.diag(sd**2)
     covariance[np.ix_(free, held)] = along_held * sd[held] ** 2
     covariance[np.ix_(held, free)] = covariance[np.ix_(free, held)].T
     covariance[np.ix_(free, free)] = (
@@ -130,7 +127,7 @@ def posterior(problem: Problem, found: Fitted, tests: Sequence[Whiteness], ahead
     widening = np.ones(len(sd))
     widening[free] = widened / own
     covariance += np.diag(_of_clock(problem, found, np.sqrt(np.diag(covariance))) ** 2)
-    return Posterior(covariance, whole, information, widening, *_directions(variables, information, sd, found.x))
+    return Posterior(covariance, information, widening, *_directions(variables, information, sd, found.x))
 
 
 def _scatter(problem: Problem, found: Fitted, moved: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -269,7 +266,7 @@ def whiteness(problem: Problem, found: Fitted) -> list[Whiteness]:
         share = unmodelled(largest, statistic / by_chance)
         lasts = every[: int(np.argmax(every < _MATTERS)) if (every < _MATTERS).any() else len(every)]
         lasts = lasts * (share / largest if share else 0.0)
-        tests.append(Whiteness(name, float(chi2.sf(statistic, lags)), correlation, period, share, lasts, own))
+        tests.append(Whiteness(name, correlation, period, share, lasts, own))
     return tests
 
 
