@@ -325,16 +325,21 @@ def test_odd_files_walk_on_a_slope(saved, name):
 
 
 @pytest.mark.parametrize(
-    ("gravity", "asked", "turned"),
+    ("gravity", "asked", "lies", "turned"),
     [
-        (9.81, [], (0, 0, -9.81)),
-        (1.62, ["--gravity", "1.62"], (0, 0, -1.62)),
-        (1.62, ["--gravity", "1.62", "--slope", "30"], (-0.81, 0, -1.62 * np.cos(np.pi / 6))),
-        (9.81, ["--slope", "90"], (-9.81, 0, 0)),
-        (9.81, ["--roof"], (0, 0, 9.81)),
+        (9.81, [], "level ground; --grav", (0, 0, -9.81)),
+        (1.62, ["--gravity", "1.62"], "level ground; --grav", (0, 0, -1.62)),
+        (
+            1.62,
+            ["--gravity", "1.62", "--slope", "30"],
+            "a slope of 30 degrees\n",
+            (-0.81, 0, -1.62 * np.cos(np.pi / 6)),
+        ),
+        (9.81, ["--slope", "90"], "a slope of 90 degrees\n", (-9.81, 0, 0)),
+        (9.81, ["--roof"], "a roof\n", (0, 0, 9.81)),
     ],
 )
-def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, turned, monkeypatch, ended):
+def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, lies, turned, monkeypatch, ended):
     """It is said and written, also where the walk says that it does not hold; no time is spent on walking here."""
     monkeypatch.setattr(first_walks, "with_joint_gains", lambda scenario, *_: (scenario, "as they were"))
     monkeypatch.setattr(first_walks, "slow_enough", lambda scenario, *_: (scenario, False, "falls", np.nan))
@@ -343,7 +348,7 @@ def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, turned, mo
     config = file.with_suffix(".yaml")
     code, out, _ = ended(file, "--write", config, *asked)
     assert code == 1 and re.search(r"failed +walk +falls", out)
-    assert f"taken    gravity {gravity} m/s^2" in out
+    assert re.search(rf"taken +gravity {gravity} m/s\^2 +on {lies}", out)
     assert mc.load_scenario(config).gravity == pytest.approx(turned)
     assert "no picture: no OpenGL" in out and picture.call_args.args[0].file == str(file)
     assert not config.with_suffix(".png").exists()

@@ -38,6 +38,12 @@ class Robot(Options):
             )
         return self.gravity
 
+    def lies(self) -> str:
+        """Return how the ground lies, in words."""
+        if self.slope is None and not self.roof:
+            return "on level ground; --gravity, --slope and --roof take another"
+        return "on a roof" if self.roof else f"on a slope of {self.slope:g} degrees"
+
 
 @command("How does my robot become a scenario?")
 def robot(asked: Robot) -> None:
@@ -99,7 +105,11 @@ def _walked(asked: Robot) -> tuple[mc.Scenario, bool]:
     scenario = validated(mc.Scenario, {**proposal.sections, "gravity": gravity, "time_step": 0.001}, str(asked.file))
     step = min(0.001, largest_time_step(scenario, str(asked.file)))
     scenario = scenario.with_overrides({"time_step": step})
-    rows = [*proposal.notes, ("changed", f"time step {step:g} s", "short enough for contacts and joint loop")]
+    rows = [
+        *proposal.notes,
+        ("taken", f"gravity {asked.strength():g} m/s^2", asked.lies()),
+        ("changed", f"time step {step:g} s", "short enough for contacts and joint loop"),
+    ]
     what = max(len(row[1]) for row in rows)
     for row in rows:
         typer.echo(f"{row[0]:7}  {row[1]:{what}}  {row[2]}")

@@ -101,7 +101,6 @@ def propose(
     if len(limbs) <= STANDING:
         _hold_turns(robot, section, proportions, gait, mass / _MASS * (reach / _REACH) ** 2)
     _note_drives(robot)
-    robot.note("taken", f"gravity {gravity:g} m/s^2", "on level ground; --gravity, --slope and --roof take another")
     walk = {"gravity": [0.0, 0.0, -gravity], "gait": gait, "duration": 2 * gait["cycle"], **proportions}
     return Proposal({"robot": section, **walk}, tuple(robot.notes))
 
