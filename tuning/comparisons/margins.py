@@ -118,10 +118,7 @@ class Margin:
     @property
     def sentence(self) -> str:
         """How far gains hold, and up to where they are better than their rival."""
-        holds, better = (
-            "at no value" if reached is None else f"up to {self.in_words(reached)}"
-            for reached in (self.holds, self.better)
-        )
+        holds, better = ("at no value" if n is None else f"up to {self.in_words(n)}" for n in (self.holds, self.better))
         return f"{self.title}: holds {holds}" + ("" if self.holds is None else f", better than {self.rival} {better}")
 
     @property

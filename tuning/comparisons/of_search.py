@@ -109,8 +109,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         walking = {**others.walks, "tuned": start(one_walk(*ours, engine))}
         rival, plan = rivals(others.retuned, others.planned, stage)
         if plan is not None:
-            by_plan = plan.problem.with_gains(plan.gains)
-            walking[retuned_pd.PLANNED] = start(one_walk(by_plan.scenario, by_plan.law, engine))
+            walking[retuned_pd.PLANNED] = start(one_walk(plan.walked.scenario, plan.walked.law, engine))
         beside_it = {"config": Whole(problem.law, {})}
         joint, step = {} if rival is None else retuned_pd.joint_of(rival), None
         if rival is not None:

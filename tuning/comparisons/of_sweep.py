@@ -172,7 +172,7 @@ def conclusions(
             scored = [{VARIATION: variation_of(each)} for each in both]
             if level is not None and at_step is not None:
                 level = level._replace(change=variation_of(at_step) / scored[1][VARIATION] - 1)
-            worth = between(both, scored, better, found.problem, " on this grid", level=level)
+            worth = between(both, scored, better, found.problem, place=" on this grid", level=level)
     walks = found.data["diverged"].size
     if best is None:
         return worth, level, f"none of the {walks} walks held: every one lost a gripper or diverged"

@@ -207,18 +207,16 @@ def _named(rival: Rival) -> str:
     return f"{rival.name} with {own}"
 
 
-def between(
-    metrics: Iterable[Values], scored: Iterable[Values], rival: Rival, problem: Problem, place: str = "",
-    over: OverWalks | None = None, level: AtOneStep | None = None, pd: BesidePd | None = None,
-    ends: Ends | None = None,
-) -> Worth:  # fmt: skip
-    """Return the worth of a force sensor, from the metrics and scores of ours and of the best rival without one."""
+def between(metrics: Iterable[Values], scored: Iterable[Values], rival: Rival, problem: Problem, **how: Any) -> Worth:
+    """Return the worth of a force sensor from the metrics and scores of ours and of the best rival without one.
+
+    `how` are arguments of `worth_of`.
+    """
     (ours, theirs), (values, without) = metrics, scored
     others = differences(ours, theirs, problem.metrics, but=(VARIATION,))
     recovers = problem.law is not None and recovery_of(problem.law, None) is not None
     what = "the force sensor with the recovery" if recovers else "the force sensor"
-    how: dict[str, Any] = {"over": over, "level": level, "pd": pd, "ends": ends}
-    return worth_of(values, without, rival, place=place, others=others, what=what, **how)
+    return worth_of(values, without, rival, others=others, what=what, **how)
 
 
 def of_front(found: Front) -> str:

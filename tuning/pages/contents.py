@@ -13,7 +13,7 @@ from mjx_climb.control import law_of
 from tuning.comparisons.side_by_side import AtOneStep, Compared, Values, differences
 from tuning.comparisons.verdicts import more_or_less
 from tuning.gains import gains_file
-from tuning.numbers import to_json
+from tuning.numbers import presentable, to_json
 from tuning.pages.page import Origin, Page, Table
 from tuning.problem.evaluation import Problem
 from tuning.results.result import Result
@@ -87,6 +87,11 @@ def files_of(found: Result, name: str) -> dict[str, Any]:
     files[found.FILE] = found.data.assign_attrs(scenario=scenario.to_yaml())
     settings = {"search.yaml": found.search, "ensemble.yaml": found.ensemble}
     return files | {file: own.to_yaml() for file, own in settings.items() if own is not None}
+
+
+def plain_of(rows: Compared) -> dict[str, dict[str, Any]]:
+    """Return gains and metrics of walks as plain data."""
+    return {name: {"gains": gains, "metrics": presentable(metrics, None)} for name, (gains, metrics) in rows.items()}
 
 
 def at_own_step(level: AtOneStep | None, ours: str, what: str) -> list[str]:

@@ -14,9 +14,9 @@ from tuning.comparisons import verdicts
 from tuning.comparisons.of_sweep import SweepComparison, own_name, variation_of
 from tuning.comparisons.of_sweep import compare as compare
 from tuning.comparisons.side_by_side import Compared, Values
-from tuning.numbers import number, presentable, remarks, to_json
+from tuning.numbers import number, remarks, to_json
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Files, Picture, Written, at_own_step, worse_than_pd
+from tuning.pages.contents import Contents, Files, Picture, Written, at_own_step, plain_of, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
 from tuning.pages.page import Findings, Page
 from tuning.results.swept import Swept, axes_of, best_cell
@@ -32,10 +32,7 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     """Return the grid, the sheet of maps, the walks beside it, and the page."""
     data, best = compared.data, compared.best
     count, edges = data["diverged"].size, compared.at_edge
-    walks = {
-        "config" if name == "paper" else name: {"gains": gains, "metrics": presentable(metrics, None)}
-        for name, (gains, metrics) in compared.rows.items()
-    }
+    walks = {"config" if name == "paper" else name: own for name, own in plain_of(compared.rows).items()}
     sensor = {} if compared.worth is None else compared.worth.summary
     counts = {"walks": count, "failed": compared.failed, "best_at_edge_of": edges}
     summary = {"best": None} | walks | sensor | {"grid": counts}
@@ -89,16 +86,13 @@ def first(found: Swept, named: Mapping[str, Values]) -> Contents | None:
     walked = {key: verdicts.Walked(variation_of(metrics)) for key, (_, metrics) in rows.items()}
     ours = f"not yet compared with pd retuned: best of {data['diverged'].size} walks, {listed}"
     outcome = f"{verdicts.against_best(ours, walked, 'force variation', 'N')} (single precision)"
-    summary = {
-        key: {"gains": values, "metrics": presentable(metrics, None)} for key, (values, metrics) in walks.items()
-    }
     baseline = named["pd"]["force_variation"] if "pd" in named else None
     table = comparison.table(rows, "Walks of the grid, in single precision", about, found.walked.law)
     again = f"{LACKS} are missing here; the same command, as it stands below, goes on with them"
     page = Page("Sweep of {}, not yet compared", Findings(outcome, [again]), scenario, tables=[table])
     how: dict[str, Any] = {"marks": marks(data, rows), "baseline": baseline}
     maps = Picture(FIRST_MAP, lambda: plots.plot_map(data, "force_variation", **how))
-    return _contents(found, Written(compared=rows, data=data, outcome=[outcome]), summary, page, maps)
+    return _contents(found, Written(compared=rows, data=data, outcome=[outcome]), plain_of(walks), page, maps)
 
 
 def page_of(found: Swept, compared: SweepComparison, said: Findings) -> Page:

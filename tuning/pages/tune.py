@@ -20,9 +20,9 @@ from tuning.comparisons.of_search import compare as compare
 from tuning.comparisons.side_by_side import Values
 from tuning.comparisons.verification import Verification
 from tuning.gains.gains_file import by_name
-from tuning.numbers import axis_values, number, presentable, remarks
+from tuning.numbers import axis_values, number, remarks
 from tuning.pages import comparison
-from tuning.pages.contents import Contents, Picture, at_own_step, contents_of, worse_than_pd
+from tuning.pages.contents import Contents, Picture, at_own_step, contents_of, plain_of, worse_than_pd
 from tuning.pages.explorer import explorer, grid_points
 from tuning.pages.margins import plot_margins
 from tuning.pages.page import Findings, Page, Table
@@ -50,10 +50,7 @@ def contents(found: Tuned, compared: TuneComparison, name: str) -> Contents:
     lines += remarks(metrics) + worse_than_pd(metrics["tuned"], metrics["pd"], found.problem.metrics)
     lines += _outcome_of(checked, found) + _turns(found, compared.walks["tuned"])
     said = Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
-    plain: dict[str, Any] = {
-        name: {"gains": gains, "metrics": presentable(own, None), "broken_limits": broken[name]}
-        for name, (gains, own) in rows.items()
-    }
+    plain: dict[str, Any] = {name: own | {"broken_limits": broken[name]} for name, own in plain_of(rows).items()}
     plain["search"] = {
         **found.search.model_dump(mode="json"), "objective": found.value, "feasible": found.feasible,
         "env_steps": found.env_steps, "env_steps_at_best": found.best_at,
@@ -115,10 +112,9 @@ def page_of(found: Tuned, compared: TuneComparison, said: Findings) -> Page:
     caption = "Around the result: change of the objective, in per cent of pd's, with one gain 20 % less or more"
     around = []
     for name, shape in checked.shape.items():
-        changes = (checked.less[name], checked.more[name])
         cells = (
             "breaks a limit" if value is None else f"{100 * value / (abs(found.of_pd) or 1.0):+.2f}"
-            for value in changes
+            for value in (checked.less[name], checked.more[name])
         )
         around.append([name, *cells, shape, number(checked.slopes.get(name))])
     near = Table(caption, ["gain", "20 % less", "20 % more", "shape", "slope per log"], [("", around)], 1)
