@@ -22,23 +22,16 @@ _METRICS = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_tr
             "base_deviation")  # fmt: skip
 
 
-def best_law(found: Bounded) -> str:
-    """Return the law of the least mean objective among those that keep every limit, or of all where none does."""
-    laws = [name for name in found.contestants if name not in found.plans]
-    keeps = [name for name in laws if bool(found.data["feasible"].sel(contestant=name).all())]
-    return min(keeps or laws, key=lambda name: found.values(name).mean())
-
-
 def noise(found: Bounded) -> float:
     """Return the difference of two means of the objective that is no more than noise of the search."""
-    return float(max(found.left, 0.0) * abs(found.values(BLIND).mean()))
+    return max(found.left, 0.0) * abs(found.means[BLIND])
 
 
 def sentence(found: Bounded) -> str:
     """Return the most that a sensor can be worth, and the best law's share of it."""
     worth, walks = found.sensor, found.data.sizes["member"]
-    means = {name: found.values(name).mean() for name in (BLIND, CLAIRVOYANT, best_law(found))}
-    law, reached, share = verdicts.in_words(best_law(found)), means[best_law(found)], found.share(best_law(found))
+    means, best = found.means, found.best_law
+    law, reached, share = verdicts.in_words(best), means[best], found.share(best)
     if not np.isfinite(worth.mean):
         return "A walk was lost, so that the plans cannot be compared"
     over = f"{LEVEL:.0%} interval {100 * worth.low:.1f} to {100 * worth.high:.1f} over {walks} walks"
@@ -54,14 +47,14 @@ def sensor_of_laws(found: Bounded) -> str:
     """The best law that reads forces beside the best that does not, in words; nothing where there is no such pair."""
     laws = [name for name in found.contestants if name not in (*found.plans, PD)]
     reading = str(found.data.attrs.get("reads_forces", "")).split(", ")
-    ours, without = best_of_both(laws, reading, lambda name: float(found.values(name).mean()))
+    ours, without = best_of_both(laws, reading, found.means.__getitem__)
     if ours is None or without is None:
         return ""
     worth = mean_and_interval(found.values(without) - found.values(ours))
     ends = f" ({LEVEL:.0%} interval {100 * worth.low:.1f} to {100 * worth.high:.1f})" if np.isfinite(worth.low) else ""
     said = f"a force sensor is worth {100 * worth.mean:.1f} % of pd's objective{ends}"
-    best = f"{verdicts.in_words(ours)} {found.values(ours).mean():.3f}"
-    return f"of the laws {said}: {best}, {verdicts.in_words(without)} {found.values(without).mean():.3f} without one"
+    best = f"{verdicts.in_words(ours)} {found.means[ours]:.3f}"
+    return f"of the laws {said}: {best}, {verdicts.in_words(without)} {found.means[without]:.3f} without one"
 
 
 def notes(found: Bounded) -> list[str]:
@@ -108,9 +101,7 @@ def table(found: Bounded) -> Table:
         own, share = found.data.sel(contestant=name), 100 * found.share(name)
         means = [number(float(np.mean(own[metric].values))) for metric in _METRICS]
         unseen = [tested.get(name, "-")] if tested else []
-        rows.append(
-            [name, f"{found.values(name).mean():.4f}", *unseen, f"{share:.0f}" if np.isfinite(share) else "-", *means]
-        )
+        rows.append([name, f"{found.means[name]:.4f}", *unseen, f"{share:.0f}" if np.isfinite(share) else "-", *means])
     about_unseen = "; unseen: the objective in walks of a fresh draw" if tested else ""
     return Table(
         f"Means over the walks; share: of the way from blind to clairvoyant{about_unseen}", columns, [("", rows)], 1
@@ -148,7 +139,7 @@ def summary(found: Bounded) -> dict[str, Any]:
     """
     worth = found.sensor
     ceiling = {
-        name: {"objective": found.values(name).mean(), "share": found.share(name),
+        name: {"objective": found.means[name], "share": found.share(name),
                **{metric: float(np.mean(found.data[metric].sel(contestant=name))) for metric in _METRICS}}
         for name in found.contestants
     }  # fmt: skip
@@ -178,11 +169,11 @@ def plot_bounds(found: Bounded) -> Figure:
     for place, name in enumerate(names):
         values = found.values(name)
         color = "0.6" if name == PD else plots.BLUE if name in found.plans else plots.ORANGE
-        panel.barh(place, values.mean(), color=color, height=0.7)
+        panel.barh(place, found.means[name], color=color, height=0.7)
         if len(values) > 1:
             panel.plot(values, np.full(len(values), place), ".", color="0.2", markersize=2)
     for name in (CLAIRVOYANT, BLIND):
-        panel.axvline(found.values(name).mean(), color=plots.BLUE, linewidth=0.7, linestyle="--")
+        panel.axvline(found.means[name], color=plots.BLUE, linewidth=0.7, linestyle="--")
     panel.set_yticks(range(len(names)), names)
     panel.set(ylim=(len(names) - 0.5, -0.5), xlabel="objective (pd: 1)")
     panel.set_xlim(left=0)
@@ -192,7 +183,7 @@ def plot_bounds(found: Bounded) -> Figure:
 @plots.style()
 def plot_histories(found: Bounded) -> Figure:
     """Draw the largest foot force and the size of the base's offset over time: clairvoyant, blind, best law, pd."""
-    names = list(dict.fromkeys([PD, best_law(found), BLIND, CLAIRVOYANT]))
+    names = list(dict.fromkeys([PD, found.best_law, BLIND, CLAIRVOYANT]))
     colors = dict(
         zip(names, itertools.chain(["0.6"], (plots.ORANGE, plots.GREEN, plots.BLUE)[4 - len(names) :]), strict=True)
     )
@@ -244,7 +235,7 @@ def page_of(found: Bounded) -> Page:
     return Page(
         "How good could any law be: {}", Findings.of(sentence(found), more, first), found.scenario,
         tables=[table(found), *front, searches_table(found)],
-        main=list(dict.fromkeys((CLAIRVOYANT, BLIND, best_law(found), RETUNED, PD))),
+        main=list(dict.fromkeys((CLAIRVOYANT, BLIND, found.best_law, RETUNED, PD))),
         facts={"precision": asked.precision, "seed": asked.seed, "limits": found.data.attrs["limits"],
                "gradients for each spacing of knots": asked.iterations},
     )  # fmt: skip

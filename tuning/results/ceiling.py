@@ -1,6 +1,7 @@
 """The result of `tuning.ceiling`: how far control laws are from the best joint targets that were found."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -61,6 +62,18 @@ class Bounded(Result):
         """Return the objective of a contestant in each member's walk, (member,)."""
         return np.asarray(self.data["value"].sel(contestant=name).values, float)
 
+    @functools.cached_property
+    def means(self) -> dict[str, float]:
+        """The mean objective of each contestant."""
+        return {name: float(self.values(name).mean()) for name in self.contestants}
+
+    @functools.cached_property
+    def best_law(self) -> str:
+        """The law of the least mean objective among those that keep every limit, or of all where none does."""
+        laws = [name for name in self.contestants if name not in self.plans]
+        keeps = [name for name in laws if bool(self.data["feasible"].sel(contestant=name).all())]
+        return min(keeps or laws, key=self.means.__getitem__)
+
     @property
     def sensor(self) -> Worth:
         """The largest worth of a sensor, as far as the search got: blind less clairvoyant objective."""
@@ -68,8 +81,8 @@ class Bounded(Result):
 
     def share(self, name: str) -> float:
         """Return which share of that a contestant has, 1; above 1 or below 0 where it lies outside; NaN of nothing."""
-        gain = self.values(BLIND).mean() - self.values(CLAIRVOYANT).mean()
-        return float((self.values(BLIND).mean() - self.values(name).mean()) / gain) if gain > 0 else np.nan
+        gain = self.means[BLIND] - self.means[CLAIRVOYANT]
+        return (self.means[BLIND] - self.means[name]) / gain if gain > 0 else np.nan
 
     @property
     def tested(self) -> dict[str, np.ndarray]:

@@ -100,7 +100,7 @@ def test_a_gait_that_pd_lacks_is_said(own, warned):
 
 def test_a_law_that_breaks_a_limit_is_named_and_not_the_best():
     found = bounded(broken=("mine",))
-    assert pages.best_law(found) == "retuned_pd"
+    assert found.best_law == "retuned_pd"
     assert any("mine breaks a limit in 6 of 6 walks" in line for line in pages.notes(found))
 
 
