@@ -101,8 +101,12 @@ def test_a_search_without_gradients_has_the_program_of_the_tests_loaded_beside(m
     assert asked == [(2,)] * more
 
 
-def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkeypatch):
-    """Without walking: what the verdict on the force sensor is given."""
+@pytest.mark.parametrize(
+    ("step", "told", "others"),
+    [(1e-3, (1e-3, 5e-4, (5e-4, 0.0)), ["config"]), (2.5e-4, (2.5e-4, 2.5e-4, None), ["config", margins.RETUNED])],
+)
+def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(step, told, others, monkeypatch):
+    """Without walking: the arguments of the verdict on the force sensor. Worse hardware has walks of one step alone."""
 
     class Given(Exception):
         pass
@@ -110,12 +114,13 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkey
     def worth(ours, theirs, _, *, level, **__):
         raise Given(ours["objective"], theirs["objective"], level)
 
-    nothing, joint = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}
-    scenario = mc.load_scenario("case_1_2")
+    nothing, joint, asked = (lambda *_, **__: None), {"kp": 17.0, "kd": 1.0}, []
+    scenario = mc.load_scenario("case_1_2").with_overrides({"time_step": step})
     for module, name, value in (
         (verification, "tests", nothing), (verification, "broken_limits", lambda *_: []),
         (verification, "verify", lambda *_, **__: types.SimpleNamespace(warnings=[])),
-        (margins, "find", nothing), (of_search, "with_joint_gains", nothing), (worths, "differences", nothing),
+        (margins, "find", lambda *_, others, **__: asked.extend(others)), (worths, "differences", nothing),
+        (of_search, "with_joint_gains", nothing),
         (of_search, "scores_of", lambda _, metrics: {"objective": metrics}), (retuned_pd, "joint_of", lambda _: joint),
         (retuned_pd, "rival_of", lambda *_: retuned_pd.Rival(joint, 0.5)), (worths, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
@@ -126,7 +131,7 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(monkey
     begun = of_search.Begun(lambda _: types.SimpleNamespace(feasible=True, ends=[0.6]), None, {}, nothing, {})
     with pytest.raises(Given) as given:
         of_search.compare(found, begun=begun)
-    assert scenario.time_step == 1e-3 and given.value.args == (1e-3, 5e-4, (5e-4, 0.0))
+    assert given.value.args == told and asked == others
 
 
 def found_in(scenario):
