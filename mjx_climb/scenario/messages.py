@@ -5,9 +5,9 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Iterator, Sequence
-from typing import Any, Self, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, Self, get_args, get_type_hints
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 # of the two models that a section may have: in pydantic's places of errors, which no key of a config can be
@@ -37,6 +37,24 @@ class ConfigError(ValueError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.source, self.key, self.expected, self.got, self.more, self.reason)
+
+
+class Checked(BaseModel):
+    """A model that says what is wrong with values that are each right by themselves."""
+
+    if TYPE_CHECKING:  # the metaclass of sections hides their fields
+
+        def __init__(self, **values: Any) -> None: ...
+
+    def faults(self) -> Iterator[ValueError]:
+        """Yield the faults; the first one is raised."""
+        yield from ()
+
+    @model_validator(mode="after")
+    def _is_sound(self) -> Self:
+        for fault in self.faults():
+            raise fault
+        return self
 
 
 def failure(expected: str, **context: object) -> PydanticCustomError:

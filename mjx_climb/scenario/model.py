@@ -11,7 +11,6 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
 
 from mjx_climb.scenario import declared, registers
 from mjx_climb.scenario import values as v
@@ -74,7 +73,7 @@ class Kind(_ByName):
         """The name in the file, or that of a shipped kind."""
         return self.kind.rpartition(":")[2]
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         known = shipped_kinds(self.PLACE) if self.PLACE else (self.kind,)
         if self.kind not in known and not (self.file and self.name):
             yield failure(f"one of {', '.join(known)}, or FILE.py:NAME", key="kind", got=self.kind)
@@ -166,7 +165,7 @@ class Gait(v.ComponentSection):
         "time between two choices of footholds or looks for danger, s; rounded to time steps that divide the duration",
     )
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         if self.swing == "low_reaction" and self.swing_file is not None:
             yield failure("none with swing: low_reaction", key="swing_file", got=self.swing_file.file)
         for key, plain in (("height", 1.0), ("sway", 0.0), ("landing_speed", 0.0)):
@@ -211,7 +210,7 @@ class Hold(v.Section):
     normal: v.Vector = setting((0.0, 0.0, 1.0), "direction out of the ground, of any length above 0, 1")
     limit: v.Limit = setting(None, "its holding limit, N; null: that of all points")
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         if not any(self.normal):
             yield failure("a direction, not zero", key="normal", got=self.normal)
 
@@ -298,7 +297,7 @@ class HoldPolyhedron(v.Section):
     matrix: v.Rows = Field(description="rows of A, 1")
     bound: v.Bounds = Field(description="b, a share of the point's limit for each row, 1")
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         if len(self.matrix) != len(self.bound):
             yield failure(f"{len(self.matrix)} numbers, one for each row of matrix", key="bound", got=self.bound)
 
@@ -336,7 +335,7 @@ class Holds(v.Section):
         """The key of the source, and its value."""
         return next((name, each) for name in HOLD_SOURCES if (each := getattr(self, name)) is not None)
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         given = [name for name in HOLD_SOURCES if getattr(self, name) is not None]
         if len(given) != 1:
             key = {"key": given[1]} if given else {}
@@ -353,7 +352,7 @@ class Ground(v.Section):
     map: HeightMap | None = setting(None, "a height map, read at the planned footholds")
     holds: Holds | None = setting(None, "points that can be held")
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         given = [name for name in ("footholds", "map", "holds") if getattr(self, name) is not None]
         if len(given) > 1:
             yield failure(f"{given[0]} or {given[1]}, not both", key=given[1], got=" and ".join(given))
@@ -419,7 +418,7 @@ class Control(v.ComponentSection):
     )
     recovery: Recovery = setting(Recovery(), "thresholds that interrupt the gait, and how it is interrupted")
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         if self.controller == "end_effector_admittance" and self.reading != "virtual_model":
             expected = "virtual_model with end_effector_admittance (measured_pose reads base_admittance only)"
             yield failure(expected, key="reading", got=self.reading)
@@ -433,7 +432,7 @@ class Control(v.ComponentSection):
 class _Window(v.ComponentSection):
     """A span of time, start <= t < stop."""
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         start, stop = self.start, self.stop
         if stop is not None and not start < stop:
             yield failure(f"a time after start = {start:g} s, or null", key="stop", got=stop)
@@ -504,7 +503,7 @@ class Registers(v.Section):
     i: v.Register = setting(0, "Position I Gain")
     d: v.Register = setting(0, "Position D Gain")
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         if self.p == 0:
             yield failure("a register of 1 or more, as control.kp is above 0", key="p", got=0)
 
@@ -527,7 +526,7 @@ class Servo(v.ComponentSection):
         None, "what a unit of each register stands for, of this kind of servo; null: not known"
     )
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         if self.no_load_speed is not None and self.torque_limit is None:
             yield failure("a number beside no_load_speed", key="torque_limit", got=None)
         for key in ("torque_limit", "no_load_speed") if self.drive == "voltage" else ():
@@ -653,7 +652,7 @@ class RobotFile(v.Section):
         """Whether the base is held, and nothing walks."""
         return self.height is None
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         limbs = dict(self.limbs.items())
         least = 1 if self.on_stand else MIN_LIMBS
         if not least <= len(limbs) <= MAX_LIMBS:
@@ -754,11 +753,11 @@ class Scenario(v.Section):
             self.__dict__["control"] = self.control.model_copy(update=found)  # frozen, but not read by anyone yet
         return self
 
-    def faults(self) -> Iterator[PydanticCustomError]:
+    def faults(self) -> Iterator[ValueError]:
         yield from self._broken_steps()
         yield from self._wrong_limbs()
 
-    def _broken_steps(self) -> Iterator[PydanticCustomError]:
+    def _broken_steps(self) -> Iterator[ValueError]:
         hardware, step = self.hardware, f"time steps of {self.time_step:g} s"
         spans = {"duration": self.duration, "gait.cycle": self.gait.cycle}
         for key, span in {**spans, "hardware.control_period": hardware.control_period}.items():
@@ -777,7 +776,7 @@ class Scenario(v.Section):
         if int((1 - self.gait.duty) * self.gait.cycle / self.time_step + 1e-6) < 2:
             yield failure(f"a swing, (1 - duty) cycle, of two {step} or more", key="gait.duty", got=self.gait.duty)
 
-    def _wrong_limbs(self) -> Iterator[PydanticCustomError]:
+    def _wrong_limbs(self) -> Iterator[ValueError]:
         if isinstance(self.robot, RobotFile) and self.robot.on_stand:
             return
         gait, limbs = self.gait, SHIPPED_LIMBS if isinstance(self.robot, str) else tuple(dict(self.robot.limbs.items()))

@@ -3,22 +3,12 @@
 import dataclasses
 import math
 import types
-from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, cast
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    Strict,
-    ValidationError,
-    WrapValidator,
-    model_validator,
-)
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator
 
-from mjx_climb.scenario.messages import failure, refusal
+from mjx_climb.scenario.messages import Checked, failure, refusal
 from mjx_climb.value_field import ValueField, one_in_words
 
 if TYPE_CHECKING:
@@ -54,20 +44,10 @@ class _OneLine(_ModelMetaclass):
             raise refusal(invalid, cast(type[BaseModel], cls), cls.__name__) from None
 
 
-class Section(BaseModel, metaclass=_OneLine):
+class Section(Checked, metaclass=_OneLine):
     """A section of a scenario."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-
-    def faults(self) -> Iterator[PydanticCustomError]:
-        """Yield what is wrong with values that are each right by themselves; the first fault is raised."""
-        yield from ()
-
-    @model_validator(mode="after")
-    def _is_sound(self) -> Self:
-        for fault in self.faults():
-            raise fault
-        return self
 
 
 class ComponentSection(Section):
@@ -78,7 +58,6 @@ class ComponentSection(Section):
 
     if TYPE_CHECKING:
 
-        def __init__(self, **values: Any) -> None: ...
         def __getattr__(self, name: str) -> Any: ...
 
 

@@ -2,11 +2,12 @@
 
 import importlib
 import shlex
+from collections.abc import Iterator
 from json import dumps, loads
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 import mjx_climb as mc
 from tuning.command_line import processes
@@ -52,17 +53,15 @@ class Grid(Options):
         own = {"stiffness": self.stiffness, "damping": self.damping}
         return {name: span for name, span in own.items() if span is not None} | self.axis
 
-    @model_validator(mode="after")
-    def _two_in_order(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         both = [name for name in self.axis if getattr(self, name, None) is not None]
         if both or len(self.ranges) != 2:
             got = ", ".join([*self.ranges, *both]) or "none"
-            raise ValueError(f"--stiffness, --damping, --axis: expected two gains or paths to sweep, got {got}")
+            yield ValueError(f"--stiffness, --damping, --axis: expected two gains or paths to sweep, got {got}")
         for name, (low, high, _) in self.ranges.items():
             if not low < high:
                 option = f"--axis {name}" if name in self.axis else f"--{name}"
-                raise ValueError(f"{option}: expected {RANGE} with LOW below HIGH, got {low:g} and {high:g}")
-        return self
+                yield ValueError(f"{option}: expected {RANGE} with LOW below HIGH, got {low:g} and {high:g}")
 
     def work(self, walk: Walk) -> "Walks":
         """Return the walks of the grid."""

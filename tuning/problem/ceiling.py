@@ -1,9 +1,10 @@
 """The settings of a search for the best joint targets over time, which bounds every control law from below."""
 
 import itertools
-from typing import Annotated, Self
+from collections.abc import Iterator
+from typing import Annotated
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator
 
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.search import OF_LIMITS, OF_WEIGHTS, Precision, numbers_of
@@ -46,13 +47,11 @@ class Ceiling(Settings):
     seed: int = setting(0, "of the random starts", ge=0, lt=2**31)
     precision: Precision = setting("float32", "precision of the simulations")
 
-    @model_validator(mode="after")
-    def _knots_are_nested(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         for coarse, fine in itertools.pairwise(self.knots):
             if not fine < coarse or abs(coarse / fine - round(coarse / fine)) > 1e-6:
-                raise ConfigError("", "knots", "each spacing to divide the one before it", f"{coarse:g}, {fine:g}")
+                yield ConfigError("", "knots", "each spacing to divide the one before it", f"{coarse:g}, {fine:g}")
         if not any(self.weights.values()):
-            raise ConfigError("", "weights", "one above 0")
+            yield ConfigError("", "weights", "one above 0")
         if self.better == self.against:
-            raise ConfigError("", "against", f"another metric than {self.better}")
-        return self
+            yield ConfigError("", "against", f"another metric than {self.better}")

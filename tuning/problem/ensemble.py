@@ -8,13 +8,13 @@ import dataclasses
 import enum
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import ModuleType
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, model_validator
+from pydantic import Field
 
 import mjx_climb as mc
 from mjx_climb.disturbances.disturbance import Disturbance
@@ -45,13 +45,11 @@ AnyRange = tuple[Finite, Finite]
 
 
 class _Section(Settings):
-    @model_validator(mode="after")
-    def _ranges_in_order(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         for name in type(self).model_fields:
             value = getattr(self, name)
             if isinstance(value, tuple) and not value[0] <= value[1]:
-                raise ConfigError("", name, "low <= high", f"{value[0]:g}, {value[1]:g}")
-        return self
+                yield ConfigError("", name, "low <= high", f"{value[0]:g}, {value[1]:g}")
 
 
 class Pushes(_Section):
@@ -112,13 +110,11 @@ class Drawn(_Section):
     factor: PositiveRange | None = setting(None, "factor on the scenario's own value")
     log: bool = setting(False, "even in the logarithm")
 
-    @model_validator(mode="after")
-    def _one_span(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         if (self.range is None) == (self.factor is None):
-            raise ValueError(f"expected a range or a factor, got {'none' if self.range is None else 'both'}")
+            yield ValueError(f"expected a range or a factor, got {'none' if self.range is None else 'both'}")
         if self.log and not self.span[0] > 0:
-            raise ValueError(f"range: expected numbers above 0 with log, got {self.span[0]:g}")
-        return self
+            yield ValueError(f"range: expected numbers above 0 with log, got {self.span[0]:g}")
 
     @property
     def span(self) -> tuple[float, float]:
@@ -137,17 +133,15 @@ class Posterior(Settings):
     upper: tuple[float, ...] = setting(..., "bounds of the values")
     held: tuple[str, ...] = setting((), "fitted keys that members cannot differ in: the robot's, at their estimates")
 
-    @model_validator(mode="after")
-    def _sizes_agree(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         count = len(self.keys)
         for name in ("log", "mean", "covariance", "lower", "upper"):
             rows = getattr(self, name)
             if len(rows) != count or (name == "covariance" and any(len(row) != count for row in rows)):
-                raise ConfigError("", f"posterior.{name}", f"one for each of {count} keys")
+                yield ConfigError("", f"posterior.{name}", f"one for each of {count} keys")
         for key in self.keys:
             if "." not in key:
-                raise ConfigError("", "posterior.keys", "keys of a scenario", f"{key!r}")
-        return self
+                yield ConfigError("", "posterior.keys", "keys of a scenario", f"{key!r}")
 
     def draw(self, rng: np.random.Generator, members: int, gravity: np.ndarray) -> dict[str, np.ndarray]:
         """Return values by path, (members, 1) each."""

@@ -6,10 +6,11 @@ imported here, so that the command line starts at once.
 
 import itertools
 import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, BeforeValidator, model_validator
+from pydantic import AfterValidator, BeforeValidator
 
 from mjx_climb.scenario.kinds import named_in
 from mjx_climb.scenario.messages import ConfigError
@@ -106,17 +107,15 @@ class Search(Settings):
     seed: int = setting(0, "seed of all random draws", ge=0, le=2**31 - 1)
     precision: Precision = setting("float32", "precision of the search's simulations")
 
-    @model_validator(mode="after")
-    def _makes_sense(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         if not any(self.weights.values()):
-            raise ConfigError("", "weights", "one above 0")
+            yield ConfigError("", "weights", "one above 0")
         for name, (low, high) in self.bounds.items():
             if not low < high:
-                raise ConfigError("", f"bounds.{name}", "low < high", f"{low:g}, {high:g}")
+                yield ConfigError("", f"bounds.{name}", "low < high", f"{low:g}, {high:g}")
         for one, other in itertools.combinations(("pins", "frozen", "bounds"), 2):
             if both := [name for name in getattr(self, one) if name in getattr(self, other)]:
-                raise ConfigError("", f"{one}.{both[0]}", "one setting of this gain", f"{other}.{both[0]} too")
-        return self
+                yield ConfigError("", f"{one}.{both[0]}", "one setting of this gain", f"{other}.{both[0]} too")
 
 
 class Pareto(Settings):
@@ -128,11 +127,9 @@ class Pareto(Settings):
     )
     points: int = setting(12, "limits along the front", ge=2, le=200)
 
-    @model_validator(mode="after")
-    def _two_metrics(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         if self.better == self.against:
-            raise ConfigError("", "against", f"another metric than {self.better}")
-        return self
+            yield ConfigError("", "against", f"another metric than {self.better}")
 
 
 class Schedule(Settings):
@@ -153,12 +150,10 @@ class Schedule(Settings):
         min_length=1,
     )
 
-    @model_validator(mode="after")
-    def _ascending(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         for name, values in (("gravity", self.gravity), ("cargo", self.cargo)):
             if any(not low < high for low, high in itertools.pairwise(values)):
-                raise ConfigError("", name, "ascending numbers", ", ".join(f"{v:g}" for v in values))
-        return self
+                yield ConfigError("", name, "ascending numbers", ", ".join(f"{v:g}" for v in values))
 
 
 class Judge(Settings):

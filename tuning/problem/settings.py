@@ -4,10 +4,10 @@ import os
 from numbers import Number
 from typing import Annotated, Any, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
 from pydantic_core import CoreSchema
 
-from mjx_climb.scenario.messages import ConfigError, show
+from mjx_climb.scenario.messages import Checked, ConfigError, show
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -75,7 +75,7 @@ def _strict(schema: Any) -> Any:
     return made | {"strict": True} if schema.get("type") in ("float", "int", "bool", "str") else made
 
 
-class Options(BaseModel):
+class Options(Checked):
     """Options of a command. Immutable."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -4,9 +4,8 @@ Nothing heavy is imported here, so that the command line starts at once.
 """
 
 import math
-from typing import Literal, Self
-
-from pydantic import model_validator
+from collections.abc import Iterator
+from typing import Literal
 
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.settings import NonNegative, Positive, Settings, setting
@@ -45,13 +44,11 @@ class Excitation(Settings):
     candidates: int = setting(8, "motions of which one is taken", ge=1, le=256)
     seed: int = setting(0, "of the candidates", ge=0, le=2**31 - 1)
 
-    @model_validator(mode="after")
-    def _makes_sense(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         if not self.low < self.high:
-            raise ConfigError("", "high", f"a frequency above low = {self.low:g} Hz", f"{self.high:g}")
+            yield ConfigError("", "high", f"a frequency above low = {self.low:g} Hz", f"{self.high:g}")
         if not self.fit:
-            raise ConfigError("", "fit", "a key or more", "none")
+            yield ConfigError("", "fit", "a key or more", "none")
         for name in ("kp", "mass", "drop", "limb_by_limb"):
             if self.base == "free" and getattr(self, name):
-                raise ConfigError("", name, "none with base free", getattr(self, name))
-        return self
+                yield ConfigError("", name, "none with base free", getattr(self, name))

@@ -1,11 +1,12 @@
 """`signals.yaml`: the place of each signal in a log, its unit and sign."""
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from mjx_climb.scenario.messages import failure
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
@@ -51,16 +52,14 @@ class Source(Settings):
     shift: Finite = setting(0.0, "added to its times, s: where its clock is late, a negative number")
     rate: Positive | None = setting(None, "samples per second that it was recorded at, Hz; null: found")
 
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def faults(self) -> Iterator[ValueError]:
         if (self.topic is None) == (self.column is None):
-            raise failure("a topic or a column, one of the two", got=f"topic {self.topic}, column {self.column}")
+            yield failure("a topic or a column, one of the two", got=f"topic {self.topic}, column {self.column}")
         for units, key in (("counts counts/s", "counts_per_turn"), ("A mA", "torque_constant")):
             if self.unit in units.split(" ") and getattr(self, key) is None:
-                raise failure(f"{key} with the unit {self.unit}", got=None)
+                yield failure(f"{key} with the unit {self.unit}", got=None)
         if self.bits is not None and self.sign_bit is not None:
-            raise failure("bits or sign_bit, one of the two", got=f"bits {self.bits}, sign_bit {self.sign_bit}")
-        return self
+            yield failure("bits or sign_bit, one of the two", got=f"bits {self.bits}, sign_bit {self.sign_bit}")
 
     def signed(self, numbers: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Return the recorded numbers with their signs."""
