@@ -23,7 +23,7 @@ from jax import Array
 
 from mjx_climb.control.foot_offsets import Offsets, base_error, feet_shifted, released, standing_forces
 from mjx_climb.control.force_distribution import Sharing, moved_rigidly, net_wrench, pushed_up, rigid_part, sharing
-from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, scalar
 from mjx_climb.control.virtual_mass import bounded
 from mjx_climb.physics.spatial import quaternion_to_matrix
 
@@ -41,11 +41,9 @@ class Clocked(NamedTuple):
 class ClimbSDK(Law):
     """Integrated error of the contact forces towards those of the largest margin, and of the base's pose."""
 
-    force_gain: Array = gain("m/N", length=1, bounds=(1e-6, 1e-2), default=1e-4, long_name="gain k_F of an update")
-    body_gain: Array = gain("1", length=1, bounds=(1e-3, 1.0), default=0.1, long_name="gain k_b of an update")
-    force_cost: Array = gain(
-        "1/N", length=1, bounds=(1e-4, 1e1), default=1e-2, long_name="cost c of forces", searched=False
-    )
+    force_gain: Array = scalar("m/N", "gain k_F of an update", bounds=(1e-6, 1e-2), default=1e-4)
+    body_gain: Array = scalar("1", "gain k_b of an update", bounds=(1e-3, 1.0), default=0.1)
+    force_cost: Array = scalar("1/N", "cost c of forces", bounds=(1e-4, 1e1), default=1e-2, searched=False)
     update_period: float = 0.05  # s
     max_offset: float = 0.02  # m
 

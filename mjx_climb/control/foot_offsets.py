@@ -5,7 +5,7 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, scalar
 from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply, quaternion_to_matrix
 
 RELEASE = 0.05  # s, in which an offset fades once its gripper has opened
@@ -52,8 +52,8 @@ def feet_shifted(reference: Reference, offsets: Offsets, rotation: Array) -> Com
 class FootOffsets(Law):
     """Feet held off where the gait wants them, without a sensor: `FootOffsets@outward,upward` by gait phase."""
 
-    outward: Array = gain("m", length=1, bounds=(-1e-2, 1e-2), default=0.0, long_name="offset away from the base")
-    upward: Array = gain("m", length=1, bounds=(-1e-2, 1e-2), default=0.0, long_name="offset along the ground's normal")
+    outward: Array = scalar("m", "offset away from the base", bounds=(-1e-2, 1e-2), default=0.0)
+    upward: Array = scalar("m", "offset along the ground's normal", bounds=(-1e-2, 1e-2), default=0.0)
 
     LIMBWISE: ClassVar[frozenset[str]] = frozenset({"outward", "upward"})
 

@@ -151,7 +151,12 @@ def gain(
     return value_field(ValueField(unit, own, bounds, rotation_bounds, long_name, searched), default)
 
 
-@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(gain, dataclasses.field))
+def scalar(unit: str, long_name: str, *, default: float, **more: Any) -> Any:
+    """Return the field of a gain that is one number; the arguments are those of `gain`."""
+    return gain(unit, length=1, default=default, long_name=long_name, **more)
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(gain, scalar, dataclasses.field))
 class Law(Component, abc.ABC):
     """Base of control laws: a class that inherits from it becomes a frozen dataclass and a pytree.
 

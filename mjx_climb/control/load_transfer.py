@@ -18,7 +18,7 @@ from jax import Array
 
 from mjx_climb.control.foot_offsets import LEAST, Offsets, base_error, feet_shifted, released, standing_forces
 from mjx_climb.control.force_distribution import distributed, moved_rigidly, net_wrench, rigid_part
-from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, scalar
 from mjx_climb.control.virtual_mass import bounded
 from mjx_climb.physics.spatial import quaternion_to_matrix
 
@@ -26,19 +26,15 @@ from mjx_climb.physics.spatial import quaternion_to_matrix
 class LoadTransfer(Law):
     """Integral force control of each foot towards its share of the measured wrench."""
 
-    normal_damping: Array = gain(
-        "N s/m", length=1, bounds=(1e1, 1e4), default=1e2, long_name="damping D along the ground's normal"
-    )
-    tangential_damping: Array = gain(
-        "N s/m", length=1, bounds=(1e2, 1e6), default=1e4, long_name="damping D along the ground"
-    )
-    leak: Array = gain("1/s", length=1, bounds=(1e-2, 1e1), default=0.3, long_name="leak of the offsets")
-    leveling: Array = gain("1/s", length=1, bounds=(1e-1, 2e1), default=1.0, long_name="rate at which the base levels")
-    unloading: Array = gain("s", length=1, bounds=(2e-2, 1.0), default=0.1, long_name="time of unloading")
-    loading: Array = gain("s", length=1, bounds=(2e-2, 1.0), default=0.1, long_name="time of loading")
-    landing: Array = gain("1", length=1, bounds=(1e-2, 1.5), default=1.0, long_name="share of the base's error")
-    pull_limit: Array = gain(
-        "N", length=1, bounds=(1e-1, 1e1), default=2.0, long_name="pull that the law asks for, at most", searched=False
+    normal_damping: Array = scalar("N s/m", "damping D along the ground's normal", bounds=(1e1, 1e4), default=1e2)
+    tangential_damping: Array = scalar("N s/m", "damping D along the ground", bounds=(1e2, 1e6), default=1e4)
+    leak: Array = scalar("1/s", "leak of the offsets", bounds=(1e-2, 1e1), default=0.3)
+    leveling: Array = scalar("1/s", "rate at which the base levels", bounds=(1e-1, 2e1), default=1.0)
+    unloading: Array = scalar("s", "time of unloading", bounds=(2e-2, 1.0), default=0.1)
+    loading: Array = scalar("s", "time of loading", bounds=(2e-2, 1.0), default=0.1)
+    landing: Array = scalar("1", "share of the base's error", bounds=(1e-2, 1.5), default=1.0)
+    pull_limit: Array = scalar(
+        "N", "pull that the law asks for, at most", bounds=(1e-1, 1e1), default=2.0, searched=False
     )
     max_offset: float = 0.02  # m
     max_rate: float = 0.1  # m/s

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from jaxtyping import PyTree
 
 from mjx_climb.control.combined import Made, Part, Sum, law_class, product
-from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start, constants, gain
+from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start, constants, gain, scalar
 from mjx_climb.value_field import ValueField
 
 PHASES = ("in_swing", "before_lift_off", "after_touchdown", "standing")  # as they stand behind a gain's name
@@ -31,13 +31,10 @@ class Phased(Law, metaclass=Made):
     phase, and ramped as the gains are.
     """
 
-    phase_time: Array = gain(
-        "s", length=1, bounds=(1e-2, 1.0), default=0.2, long_name="time before lift-off, after touchdown",
-        searched=False,
-    )  # fmt: skip
-    phase_ramp: Array = gain(
-        "s", length=1, bounds=(5e-3, 0.5), default=0.05, long_name="time from phase to phase", searched=False
+    phase_time: Array = scalar(
+        "s", "time before lift-off, after touchdown", bounds=(1e-2, 1.0), default=0.2, searched=False
     )
+    phase_ramp: Array = scalar("s", "time from phase to phase", bounds=(5e-3, 0.5), default=0.05, searched=False)
 
     PART: ClassVar[Part]  # of the gains that are the same in all phases
     BY_PHASE: ClassVar[tuple[str, ...]] = ()

@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 
 from mjx_climb.control.foot_offsets import Offsets
 from mjx_climb.control.force_distribution import least_forces, rigid_twist
-from mjx_climb.control.law import Command, Measurement, Reference, Start, gain, shifted
+from mjx_climb.control.law import Command, Measurement, Reference, Start, scalar, shifted
 from mjx_climb.control.load_transfer import LoadTransfer
 from mjx_climb.physics.spatial import quaternion_to_matrix
 
@@ -30,13 +30,9 @@ class Plan(NamedTuple):
 class PlannedTransfer(LoadTransfer):
     """Load transfer by plan: it reads joint angles alone."""
 
-    load: Array = gain("1", length=1, bounds=(0.2, 5.0), default=1.0, long_name="planned load over the robot's weight")
-    sinking: Array = gain(
-        "m/N", length=1, bounds=(0.0, 1e-3), default=1e-4, long_name="way by which loaded feet sink into their grips"
-    )
-    gravity: Array = gain(
-        "1", length=1, bounds=(0.0, 1.5), default=0.0, long_name="share of the joints' sag that is made up for"
-    )
+    load: Array = scalar("1", "planned load over the robot's weight", bounds=(0.2, 5.0), default=1.0)
+    sinking: Array = scalar("m/N", "way by which loaded feet sink into their grips", bounds=(0.0, 1e-3), default=1e-4)
+    gravity: Array = scalar("1", "share of the joints' sag that is made up for", bounds=(0.0, 1.5), default=0.0)
 
     def init(self, start: Start) -> PyTree:
         """Return no offsets, and the robot's weight and compliance."""

@@ -7,27 +7,19 @@
 import jax.numpy as jnp
 from jax import Array
 
-from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, gain
+from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, scalar
 
 
 class Recovering(Law):
     """The gait's own reference, interrupted where a threshold is passed."""
 
-    recovery_shift: Array = gain(
-        "m", length=1, bounds=(2e-3, 2e-1), default=0.015, long_name="shift of the base that interrupts"
-    )
-    recovery_utilization: Array = gain(
-        "1", length=1, bounds=(1e-1, 1e1), default=0.6, long_name="use of a grip that interrupts"
-    )
-    recovery_landing_time: Array = gain("s", length=1, bounds=(3e-2, 5e-1), default=0.25, long_name="time of a landing")
-    recovery_rest_time: Array = gain(
-        "s", length=1, bounds=(2e-2, 2.0), default=1.2, long_name="time at rest after a landing"
-    )
-    recovery_take_over: Array = gain(
-        "1", length=1, bounds=(1e-2, 1.0), default=0.3, long_name="share of a shift that is taken over"
-    )
-    recovery_return_time: Array = gain(
-        "s", length=1, bounds=(1e-1, 1e1), default=1.0, long_name="time of the base's return", searched=False
+    recovery_shift: Array = scalar("m", "shift of the base that interrupts", bounds=(2e-3, 2e-1), default=0.015)
+    recovery_utilization: Array = scalar("1", "use of a grip that interrupts", bounds=(1e-1, 1e1), default=0.6)
+    recovery_landing_time: Array = scalar("s", "time of a landing", bounds=(3e-2, 5e-1), default=0.25)
+    recovery_rest_time: Array = scalar("s", "time at rest after a landing", bounds=(2e-2, 2.0), default=1.2)
+    recovery_take_over: Array = scalar("1", "share of a shift that is taken over", bounds=(1e-2, 1.0), default=0.3)
+    recovery_return_time: Array = scalar(
+        "s", "time of the base's return", bounds=(1e-1, 1e1), default=1.0, searched=False
     )
 
     def init(self, start: Start) -> tuple[()]:
