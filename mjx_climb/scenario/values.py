@@ -180,15 +180,9 @@ _Table = tuple[_Row, ...]
 Values = Annotated[
     Finite | _Row | _Table | tuple[_Table, ...], _expects("a finite number, or a list of them or of such lists")
 ]
+_Plain = Annotated[bool, Strict()] | Annotated[str, Strict()] | Annotated[int, Strict()] | Finite
 Given = Annotated[
-    Annotated[bool, Strict()]
-    | Annotated[str, Strict()]
-    | Annotated[int, Strict()]
-    | Finite
-    | _Row
-    | _Table
-    | tuple[_Table, ...]
-    | None,
+    _Plain | _Row | _Table | tuple[_Table, ...] | None,
     _expects("a finite number, a list of them or of such lists, null, a word, true or false"),
 ]
 FileName = Annotated[str, Strict(), AfterValidator(_is_name), _expects("the path of a file")]

@@ -6,7 +6,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,15 +91,9 @@ def _topics(walk: Trajectory, types: _Types) -> Iterator[_Topic]:
 
     robot = walk.robot
     joints, held = _joints(walk, robot)
-    resting: dict[str, list[float] | float] = {
-        "joint_angles": [*held.values()],
-        "joint_rates": 0.0,
-        "joint_torque": 0.0,
-    }
-    states = [
-        np.hstack([joints[name], np.broadcast_to(fixed, (len(walk.time), len(held)))]).__getitem__
-        for name, fixed in resting.items()
-    ]
+    resting: dict[str, Any] = {"joint_angles": [*held.values()], "joint_rates": 0.0, "joint_torque": 0.0}
+    fixed = {name: np.broadcast_to(value, (len(walk.time), len(held))) for name, value in resting.items()}
+    states = [np.hstack([joints[name], values]).__getitem__ for name, values in fixed.items()]
     names, targets = [*robot.places_in_file()], joints["joint_targets"].__getitem__
     yield stamped("/joint_states", _JOINTS, lambda _: [*names, *held], *states)
     yield stamped("/joint_commands", _JOINTS, lambda _: names, targets, lambda _: none, lambda _: none)

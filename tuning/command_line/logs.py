@@ -227,14 +227,8 @@ def walked_under_law(found: "Replay", loaded: "Problem", shell: "Session") -> di
         walked = mc.rollout(loaded.scenario.with_overrides(changes), law=loaded.law, engine=loaded.engine)
     walks, about = {"law": walked, "logged commands": found.walk}, loaded.metrics
     metrics = {name: dict(mc.metrics(walk, about)) for name, walk in walks.items()}
-    rows = [
-        [
-            about.in_words(name),
-            *(numbers.number(values[name]) for values in metrics.values()),
-            numbers.unit(name, about),
-        ]
-        for name in metrics["law"]
-    ]
+    both = {name: [numbers.number(values[name]) for values in metrics.values()] for name in metrics["law"]}
+    rows = [[about.in_words(name), *values, numbers.unit(name, about)] for name, values in both.items()]
     table = Table("", ["metric", *metrics, "unit"], [("", rows)], 1)
     shell.show(table, *(f"{name}: {verdict(walks[name], values)}" for name, values in metrics.items()))
     return metrics

@@ -47,11 +47,9 @@ def check(gains: mc.Gains, period: float, source: str) -> None:
     substep = substep_of(period)
     if not ros2_control.stable(gains, 1 / substep).all():
         inertia = 1.05 * ros2_control.smallest_inertia(gains, 1 / substep).max()
+        expected = f"gains that are stable in the substeps of {substep:g} s that admittance_control takes"
         raise ConfigError(
-            source,
-            "",
-            f"gains that are stable in the substeps of {substep:g} s that admittance_control takes",
-            f"a displacement that grows: a virtual inertia of {inertia:.3g} would do",
+            source, "", expected, f"a displacement that grows: a virtual inertia of {inertia:.3g} would do"
         )
 
 

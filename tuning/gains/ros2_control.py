@@ -99,12 +99,8 @@ def check(gains: mc.Gains, rate: float, source: str) -> None:
         cures.append(f"a virtual inertia of {heavier:g}{axes}")
     cure = f"{' or '.join(cures)} would do" if cures else "no update rate or virtual inertia within bounds would do"
     worst = int(np.argmax(np.where(holds, 0, size)))
-    raise ConfigError(
-        source,
-        "",
-        f"gains that are stable in admittance_controller at {rate:g} Hz",
-        f"a discrete pole of magnitude {size[worst]:.4g} ({SIX[worst]}): {cure}",
-    )
+    got = f"a discrete pole of magnitude {size[worst]:.4g} ({SIX[worst]}): {cure}"
+    raise ConfigError(source, "", f"gains that are stable in admittance_controller at {rate:g} Hz", got)
 
 
 def write(

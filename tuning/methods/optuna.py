@@ -45,18 +45,11 @@ class Optuna(Method):
             import optuna
         except ImportError:
             raise ConfigError("", "method", "Optuna to be installed: pip install 'mjx-climb[compare]'") from None
-        known = {
-            name.removesuffix(ENDING).lower(): getattr(optuna.samplers, name)
-            for name in optuna.samplers.__all__
-            if name.endswith(ENDING)
-        }
+        names = [name for name in optuna.samplers.__all__ if name.endswith(ENDING)]
+        known = {name.removesuffix(ENDING).lower(): getattr(optuna.samplers, name) for name in names}
         takes = {name: inspect.signature(kind).parameters for name, kind in known.items()}
-        alone = [
-            name
-            for name, parameters in takes.items()
-            if "seed" in parameters and all(each.default is not each.empty for each in parameters.values())
-            if name not in IN_STEPS
-        ]
+        bare = [name for name, each in takes.items() if all(one.default is not one.empty for one in each.values())]
+        alone = [name for name in bare if "seed" in takes[name] and name not in IN_STEPS]
         if self.sampler not in alone:
             raise ConfigError("", "method", f"optuna:SAMPLER, one of {', '.join(alone)}", f"{self.sampler!r}")
         size = search.starts or BATCH

@@ -155,11 +155,8 @@ def _scatter(problem: Problem, found: Fitted, moved: np.ndarray, expected: np.nd
 
 def _discrepancy(found: Fitted, moved: np.ndarray, tests: Sequence[Whiteness]) -> Float[np.ndarray, " k"]:
     """Return by how much correlated residuals raise the estimates' variances (k,): 1 or more."""
-    weight, by_itself, together = (
-        found.weight[:, None],
-        np.full(moved.shape[1], _LEAST),
-        np.full(moved.shape[1], _LEAST),
-    )
+    weight, by_itself = found.weight[:, None], np.full(moved.shape[1], _LEAST)
+    together = by_itself
     for test in tests:
         own = moved[test.rows] * weight[test.rows]
         square = (own**2).sum(0)

@@ -69,11 +69,8 @@ def _enter(made: Predicted, model: Fit, x: np.ndarray, place: tuple, kind: str, 
         return values[w, step, limb, joint], tangents[w, :, step, limb, joint]
 
     (value, along), (later, along_later) = of(step), of(step + 1)
-    slope, moved, turned = (
-        later - value,
-        value + share * (later - value),
-        along + share[:, None] * (along_later - along),
-    )
+    slope = later - value
+    moved, turned = value + share * slope, along + share[:, None] * (along_later - along)
     if kind in ("position", "velocity"):
         # a step's rate is the mean over the step: at its middle less a 24th of the second difference
         far = share * (share - 1) / 4 - (1 / 48 if kind == "velocity" else 0.0)

@@ -94,12 +94,11 @@ def _section(robot: Robot, path: Path, center: np.ndarray) -> dict[str, Any]:
     """Return the section; height and footholds are of the base link's frame, `center` (3,) m off its centre of mass."""
     rotation = quaternion_to_matrix(robot.stance_orientation)
     feet = limb_frames(robot, rotation, robot.stance_joints).foot + rotation @ center
+    places = {
+        limb: [round(float(value), 9) for value in foot[:2]] for limb, foot in zip(robot.limbs, feet, strict=True)
+    }
     limbs = {
-        limb: {
-            "joints": list(own),
-            "foot": f"{limb}_foot",
-            "foothold": [round(float(value), 9) for value in feet[robot.limbs.index(limb), :2]],
-        }
+        limb: {"joints": list(own), "foot": f"{limb}_foot", "foothold": places[limb]}
         for limb, own in robot.joints_in_file
     }
     return {"file": str(path.absolute()), "height": float(robot.stance_position[2]), "limbs": limbs}

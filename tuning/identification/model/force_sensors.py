@@ -17,12 +17,9 @@ def logged_force(places: Sequence[Place], x: Array, limbs: Sequence[str], force:
         return force
     one, none = jnp.ones_like(x[0]), jnp.zeros_like(x[0])
     offset = [[own.get(f"log.{limb}.force.zero.{axis}", none) for axis in _AXES] for limb in limbs]
+    gains = {limb: own.get(f"log.{limb}.force.gain", one) for limb in limbs}
     mixed = [
-        [
-            own.get(f"log.{limb}.force.gain", one) if axis == of else own.get(f"log.{limb}.force.{of}_in_{axis}", none)
-            for axis in _AXES
-            for of in _AXES
-        ]
+        [gains[limb] if a == b else own.get(f"log.{limb}.force.{b}_in_{a}", none) for a in _AXES for b in _AXES]
         for limb in limbs
     ]
     shares, zero = (jnp.stack([jnp.stack(row) for row in rows]) for rows in (mixed, offset))

@@ -31,10 +31,7 @@ from tuning.identification.readers.log import COMMANDS
 AT_ONCE = 8  # windows in one call of an executable
 DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
 SERVO_DELAY = "hardware.servo.delay"
-LATE = {
-    "log.velocity.delay": ("velocity",),
-    "log.effort.delay": ("effort",),
-}  # of recorded kinds, behind the positions
+LATE = {"log.velocity.delay": ("velocity",), "log.effort.delay": ("effort",)}  # of recorded kinds, behind the positions
 LEAD = "log.friction.lead"  # of dry friction, see `tuning.identification.model.held_base`
 CLOCK = "log.command.delay"  # of the commands' clock, where their delay is not fitted
 _LEADS = (0.0, 0.005, 0.03)  # s, mean and sd of the prior, and the upper bound

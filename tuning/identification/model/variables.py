@@ -135,9 +135,8 @@ def variables(
         if isinstance(key, Variable) or ".py:" in key:
             own = key if isinstance(key, Variable) else _loaded(key)
             if own.key in known or own.key in found:
-                raise ConfigError(
-                    "", f"--fit {(key if isinstance(key, str) else own.key)}", "a key of its own", own.key
-                )
+                named = key if isinstance(key, str) else own.key
+                raise ConfigError("", f"--fit {named}", "a key of its own", own.key)
             found[own.key] = own
             continue
         if key in _BY_STEPS:
@@ -152,12 +151,8 @@ def variables(
             meant = f" (did you mean {' or '.join(dict.fromkeys(near))}?)" if near else ""
             raise ConfigError("", f"--fit {key}", "a key that can be fitted", f"an unknown one{meant}")
         if grounded and grounded[0] in keys:
-            raise ConfigError(
-                "",
-                f"--fit {key}",
-                "a key that a robot on a stand can tell",
-                f"{grounded[0]}; a log with base or foot forces of a gripped robot tells it (--base free)",
-            )
+            got = f"{grounded[0]}; a log with base or foot forces of a gripped robot tells it (--base free)"
+            raise ConfigError("", f"--fit {key}", "a key that a robot on a stand can tell", got)
         found |= {k: known[k] for k in keys}
     for key, how in (changes or {}).items():
         if key not in found:

@@ -11,12 +11,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.table import Recording, Table
 
 SUFFIXES = (".nc",)
-_JOINT = {
-    "joint_targets": "command",
-    "joint_angles": "position",
-    "joint_rates": "velocity",
-    "joint_torque": "effort",
-}
+_JOINT = {"joint_targets": "command", "joint_angles": "position", "joint_rates": "velocity", "joint_torque": "effort"}
 _BASE = {f"base_{what}": what for what in ("position", "orientation", "linear_velocity", "angular_velocity")}
 
 
@@ -47,14 +42,9 @@ def read(path: Path) -> Recording:
 def _late(data: xr.Dataset, source: str) -> tuple[str, ...]:
     """Return the note on the commands of a walk: they were recorded behind the bus, not before."""
     delay = dataset.scenario_of(data).hardware.command_delay if "scenario" in data.attrs else 0.0
-    return (
-        (
-            f"{source}: commands are those that reached the servos, {delay:g} s after they were sent (a scenario that "
-            "sends them again takes hardware.command_delay=0)",
-        )
-        if delay
-        else ()
-    )
+    sent = f"commands are those that reached the servos, {delay:g} s after they were sent"
+    cure = "a scenario that sends them again takes hardware.command_delay=0"
+    return (f"{source}: {sent} ({cure})",) if delay else ()
 
 
 def _signal(variable: str, place: tuple[str, ...]) -> str:
