@@ -3,7 +3,6 @@
 import contextlib
 import math
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
@@ -146,7 +145,10 @@ def check_numbers(file: str) -> None:
                 continue
             most = FARTHEST if key in ("xyz", "pos") else math.inf if key in _LIMITS else LARGEST
             if math.isnan(number) or abs(number) > most:
-                named = next((e for e in _around(each, found) if e.attributes.get("name")), each)
+                around = [each]  # from the inside out
+                while around[-1].parent >= 0:
+                    around.append(found[around[-1].parent])
+                named = next((e for e in around if e.attributes.get("name")), each)
                 of = f"{named.tag} {named.attributes.get('name', '')!r}: {each.tag} {key}"
                 place = lines[each.line - 1][0]
                 raise RobotError(f"{place}: {of}: expected numbers of up to {most:g}, got {token}")
@@ -166,14 +168,6 @@ def check_names(file: str) -> None:
         if each.tag in ("link", "joint") and each.parent == 0 and seen.setdefault(name, each.line) != each.line:
             expected = f"one {each.tag} {name[1]!r}"
             raise RobotError(f"{lines[each.line - 1][0]}: expected {expected}, got another in line {seen[name]}")
-
-
-def _around(element: Element, found: list[Element]) -> Iterator[Element]:
-    """Yield an element and those around it, from the inside out."""
-    yield element
-    while element.parent >= 0:
-        element = found[element.parent]
-        yield element
 
 
 # ------------------------------------------------------------------------------------------------------------

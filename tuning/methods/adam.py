@@ -33,9 +33,10 @@ class Adam:
         self.best, self.least, self.there = x, np.full(len(x), np.inf), np.zeros((len(x), moves))
         adam, self._patience = optax.scale_by_adam(*memory, eps=tiny), patience
         # a memory for each row, as one may begin anew; compiled once
-        self._begin, self._update = (jax.jit(jax.vmap(each)) for each in (adam.init, adam.update))
+        begin, self._update = (jax.jit(jax.vmap(each)) for each in (adam.init, adam.update))
         self._scale, self._waited = np.broadcast_to(np.asarray(scales, float), len(x)), np.zeros(len(x), int)
-        self._empty = self._memory = self._begun()
+        with jax.enable_x64(True):
+            self._empty = self._memory = jax.tree.map(np.asarray, begin(self.there))
 
     def step(
         self, x: np.ndarray, merit: np.ndarray, slopes: np.ndarray, lost: np.ndarray
@@ -57,10 +58,6 @@ class Adam:
     def forget(self, rows: np.ndarray) -> None:
         """Empty the memory of some rows (B,)."""
         self._memory = choose(rows, self._empty, self._memory)
-
-    def _begun(self) -> Any:
-        with jax.enable_x64(True):
-            return jax.tree.map(np.asarray, self._begin(self.there))
 
 
 def choose(rows: np.ndarray, yes: Any, no: Any) -> Any:

@@ -66,14 +66,14 @@ class Found:
         if self.model.nbody < 2:
             raise RobotError(f"{self.path}: expected a robot, got a file without bodies")
         why = "as told" if base else "the link that floats, or that all limbs meet in"
-        tree = _tree(self.model)
+        tree = Tree(self.model)
         if base is None and (base := tree.middle()):
             self.model = robot_in(self.path, base)
             why = "the middle of the one row of joints, from foot to foot; --base takes another"
         elif base is None and (base := tree.below_dummies()):
             self.model = robot_in(self.path, base)
             why = "the link that all limbs meet in; those from the file's root to it weigh nothing"
-        self.tree = _tree(self.model) if base else tree
+        self.tree = Tree(self.model) if base else tree
         hub = self.model.body(base).id if base else tree.hub()
         self.root = base  # the body that was made the model's root; None: it is the file's
         self.base = int(self.model.body_rootid[hub])  # joints from there to the hub are of no limb
@@ -276,10 +276,6 @@ def _far_end(model: mujoco.MjModel, bodies: set[str], anchor: np.ndarray) -> tup
     shape = kind.name.removeprefix("mjGEOM_").lower()
     what = f"{'collision' if colliding else 'visual'} {shape}{name} of {body!r}"
     return ends[away >= _AS_FAR * away.max()].mean(0), what
-
-
-def _tree(model: mujoco.MjModel) -> Tree:
-    return Tree(model, fixed_joints(model))
 
 
 def driven_joints(described: mujoco.MjSpec) -> set[str]:

@@ -1,6 +1,6 @@
 """The tree of a robot: its rigid parts, the hub of its limbs, and rows of joints from there outwards."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 
 import numpy as np
 
@@ -27,11 +27,12 @@ def fixed_joints(model: mujoco.MjModel) -> dict[int, float]:
 
 
 class Tree:
-    """The rigid parts of a robot, each called by its first body, and the bodies beyond each; some joints are fixed."""
+    """The rigid parts of a robot, each called by its first body, and the bodies beyond each; see `fixed_joints`."""
 
-    def __init__(self, model: mujoco.MjModel, fixed: Mapping[int, float]) -> None:
-        self.model, self.fixed, self.part = model, fixed, rigid_parts(model, set(fixed))
-        self.joints = [[joint for joint in joints_of(model, body) if joint not in fixed] for body in range(model.nbody)]
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model, self.fixed = model, fixed_joints(model)
+        self.part = rigid_parts(model, set(self.fixed))
+        self.joints = [[j for j in joints_of(model, body) if j not in self.fixed] for body in range(model.nbody)]
         self.beyond: list[list[int]] = [[] for _ in range(model.nbody)]  # jointed bodies that hang on each part
         self.bodies: list[list[int]] = [[] for _ in range(model.nbody)]  # of each part
         for body in range(model.nbody):

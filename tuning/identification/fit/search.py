@@ -1,7 +1,7 @@
 """The search: SciPy's trust region within bounds, from each of several points, by the model's exact derivatives."""
 
+import functools
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -68,12 +68,6 @@ class Searches:
         return objective.whole(end), float(found.cost), len(costs), found.status > 0
 
 
-class _Last(NamedTuple):
-    point: np.ndarray
-    residuals: np.ndarray
-    derivatives: np.ndarray
-
-
 class _Objective:
     """Residuals of the samples and the priors as SciPy takes them: half the sum of their squares is the cost."""
 
@@ -82,7 +76,7 @@ class _Objective:
         self._problem, self._prior, self._tell = problem, problem.whole_prior, tell
         self.point = np.clip(point, self._prior.lower, self._prior.upper)
         self.moves = np.concatenate([problem.free, np.full(len(point) - len(problem.free), True)])
-        self._last: _Last | None = None
+        self._of = functools.lru_cache(1)(self._evaluated)  # SciPy asks for both of a point, one after the other
 
     def whole(self, moving: np.ndarray) -> np.ndarray:
         """The point with other values of the moving variables."""
@@ -92,13 +86,18 @@ class _Objective:
 
     def residuals(self, moving: np.ndarray) -> np.ndarray:
         """Residuals at a point; not finite where the model diverges."""
-        if self._last is not None and np.array_equal(self._last.point, moving):
-            return self._last.residuals
-        point, fitted = self.whole(moving), self._problem.fitted
+        return self._of(moving.tobytes())[0]
+
+    def derivatives(self, moving: np.ndarray) -> np.ndarray:
+        """Derivatives of the residuals."""
+        return self._of(moving.tobytes())[1]
+
+    def _evaluated(self, moving: bytes) -> tuple[np.ndarray, np.ndarray]:
+        point, fitted = self.whole(np.frombuffer(moving)), self._problem.fitted
         found, off = self._problem.evaluate(point), ((point - self._prior.mean) / self._prior.sd)[self.moves]
         if found is None:
             self._tell(np.inf)
-            return np.full(int(fitted.sum()) + len(off), np.nan)
+            return np.full(int(fitted.sum()) + len(off), np.nan), np.zeros(0)
         size = np.abs(found.scaled[fitted])
         # Huber's loss as a square; a sample in its tail keeps half of its curvature
         root = np.where(size < HUBER, size, np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, 0.0)))
@@ -106,12 +105,5 @@ class _Objective:
         residuals: np.ndarray = np.concatenate([np.sign(found.scaled[fitted]) * root, off])
         along = -found.along[np.ix_(fitted, self.moves)] * slope[:, None]
         derivatives = np.concatenate([along, np.diag(1 / self._prior.sd[self.moves])])
-        self._last = _Last(moving.copy(), residuals, derivatives)
         self._tell(float(residuals @ residuals) / 2)
-        return self._last.residuals
-
-    def derivatives(self, moving: np.ndarray) -> np.ndarray:
-        """Derivatives of the residuals."""
-        self.residuals(moving)
-        assert self._last is not None
-        return self._last.derivatives
+        return residuals, derivatives

@@ -56,6 +56,12 @@ def several(some: Iterable[str]) -> str:
     return f"{first} and {len(others)} more" if others else first
 
 
+def motion(read: Read, joint: str, *kinds: str) -> float:
+    """Return how far a joint moves by the farthest of some of its signals that are there, rad."""
+    there = [read[name].value for kind in kinds if (name := f"{joint}.{kind}") in read]
+    return max((float(np.ptp(value)) for value in there), default=0.0)
+
+
 def _together(lines: Iterable[tuple[str, str]]) -> Iterator[str]:
     """Yield one line for all signals under the same suspicion."""
     by_words: dict[str, list[str]] = {}
@@ -206,15 +212,11 @@ def _rates(read: Read, joints: Iterable[str]) -> Iterator[tuple[str, str]]:
 def _stuck(read: Read, robot: Robot) -> Iterator[tuple[str, str]]:
     """Yield the measured signals that stay the same while their cause moves."""
 
-    def moved(joint: str, *kinds: str) -> float:
-        there = [read[name].value for kind in kinds if (name := f"{joint}.{kind}") in read]
-        return max((float(np.ptp(value)) for value in there), default=0.0)
-
     def same(name: str, resolution: float = 0.0) -> bool:
         return name in read and float(np.ptp(read[name].value)) <= resolution
 
     for joint in (joints := list(joints_of(robot))):
-        by = moved(joint, "command")
+        by = motion(read, joint, "command")
         if by > MOVES and same(f"{joint}.position", STILL):
             yield f"{joint}.position", f"the same all the time while its command moves by {by:.3g} rad, {_IS_STUCK}"
         elif by > MOVES and (stretch := _frozen(read, joint)):
@@ -223,7 +225,7 @@ def _stuck(read: Read, robot: Robot) -> Iterator[tuple[str, str]]:
                 f"{joint}.position",
                 f"the same from {start:.4g} to {end:.4g} s while its command moves, {_IS_STUCK}",
             )
-    moving = [joint for joint in joints if moved(joint, "command", "position") > MOVES]
+    moving = [joint for joint in joints if motion(read, joint, "command", "position") > MOVES]
     for name in (f"{joint}.{kind}" for kind in ("velocity", "effort") for joint in moving):
         if same(name):
             yield name, f"the same all the time while its joint moves, {_IS_STUCK}"

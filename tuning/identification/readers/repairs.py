@@ -2,13 +2,13 @@
 them are left out, and angles that jump by whole turns are made continuous.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float
 
 from mjx_climb.robot.constants import Robot
-from tuning.identification.readers.doubts import MOVES, several
+from tuning.identification.readers.doubts import MOVES, motion, several
 from tuning.identification.readers.log import KP, OFF, Signal, joints_of
 from tuning.identification.readers.signals import Signals
 
@@ -83,19 +83,14 @@ def _stale(values: np.ndarray) -> np.ndarray:
 
 def without_unmeasured(read: Mapping[str, Signal], robot: Robot) -> Repaired:
     """Return signals without those that are 0 all along though their joint moves, and the signals left out in words."""
-    left_out = [name for name in _measured_of_moving(read, robot) if np.abs(read[name].value).max() < NOTHING]
+    moving = [joint for joint in joints_of(robot) if motion(read, joint, "command", "position") > MOVES]
+    measured = [name for joint in moving for what in _MEASURED if (name := f"{joint}.{what}") in read]
+    left_out = [name for name in measured if np.abs(read[name].value).max() < NOTHING]
     words = "0 all along while the joint moves, not measured: left out"
     return (
         {name: signal for name, signal in read.items() if name not in left_out},
         (f"{several(left_out)}: {words}",) if left_out else (),
     )
-
-
-def _measured_of_moving(read: Mapping[str, Signal], robot: Robot) -> Iterator[str]:
-    for joint in joints_of(robot):
-        angles = [read[name].value for what in ("command", "position") if (name := f"{joint}.{what}") in read]
-        if any(np.ptp(each) > MOVES for each in angles):
-            yield from (name for what in _MEASURED if (name := f"{joint}.{what}") in read)
 
 
 def without_turns(read: Mapping[str, Signal], robot: Robot) -> Repaired:
