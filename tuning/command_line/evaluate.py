@@ -83,7 +83,7 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
             others["config"] = Whole(None if config == loaded.scenario else law_of(config), {})
         if joint := asked.joint_gains():
             others[evaluation.RETUNED] = Whole(PD(), joint)
-        shell.take(walk, "margins.json", loaded, "margins", **known, retuned_pd=joint)
+        walk.take(shell, "margins.json", loaded, "margins", **known, retuned_pd=joint)
         how: dict[str, Any] = {"law": law, "asked": quantities, "engine": walk.engine}
         with shell.whole() as out:
             scenario = write_config(loaded.scenario, out, law)
@@ -242,7 +242,7 @@ def pushes(asked: Pushes, walk: Annotated[Walk, "-gains", "-metrics"], output: A
         walkers = asked.walkers(loaded)
         how: dict[str, Any] = {"lengths": asked.push_length, "largest": asked.largest_push, "draws": asked.push_draws}
         known = {name: {"law": repr(each.law), "gains": by_name(each.gains)} for name, each in walkers.items()}
-        shell.take(walk, "pushes.json", loaded, "pushes", gains=known, **how)
+        walk.take(shell, "pushes.json", loaded, "pushes", gains=known, **how)
         with shell.whole() as out:
             scenario = write_config(loaded.scenario, out, loaded.law)
             shell.opening(scenario)
@@ -277,7 +277,7 @@ def ceiling(asked: Bounds, search: _Asked, walk: Annotated[Walk, "-gains"], outp
             laws["config"] = Whole(loaded.law or law_of(loaded.scenario), {})
         known = {name: {"law": repr(each.law), "gains": by_name(each.gains)} for name, each in laws.items()}
         walked = dataclasses.replace(loaded, ensemble=ensemble)
-        shell.take(walk, "ceiling.nc", walked, "ceiling", search=search, gains=known)
+        walk.take(shell, "ceiling.nc", walked, "ceiling", search=search, gains=known)
         shell.opening(loaded.scenario)
         with shell.stage("ceiling", unit="gradients") as told:
 

@@ -50,7 +50,7 @@ def excite(
 
         loaded = fitted(walk, "excite")
         rig = excitation.set_up(loaded.scenario, asked)
-        shell.take(walk, excitation.Excited.FILE, loaded, "excite", asked=asked)
+        walk.take(shell, excitation.Excited.FILE, loaded, "excite", asked=asked)
         shell.opening()
         found = excitation.chosen(rig, stage=shell.stage)
         options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
@@ -203,7 +203,7 @@ def replay(
         if asked.with_law and not any(name.startswith(("base.force.", "base.moment.")) for name in log.signals):
             raise InputError(f"--with-law: expected pushes in {log.source} (base.force.x ...), got none")
         prepared = replays.prepare(log, loaded.scenario, asked.base, asked.mass)
-        shell.take(walk, "replay.json", loaded, "replay", asked=asked.settings(log))
+        walk.take(shell, "replay.json", loaded, "replay", asked=asked.settings(log))
         asked.say_read(log, shell)
         shell.opening()
         with shell.stage("replay"):

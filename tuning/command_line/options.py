@@ -20,6 +20,7 @@ from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
     from mjx_climb.inputs.resolve import AnyGains
+    from tuning.command_line.processes import Team
     from tuning.command_line.session import Session
     from tuning.problem.ensemble import Ensemble
     from tuning.problem.evaluation import Problem
@@ -122,6 +123,25 @@ class Walk(Options):
         """Whether the walk differs from the config by more than `words` say."""
         ground = self.roof or self.slope is not None
         return bool(ground or self.changes or self.gains or self.contact or self.drive or self.disturbances)
+
+    def take(
+        self, shell: "Session", file: str, problem: "Problem", command: str, *words: str, team: "Team | None" = None,
+        shard: bool = False, **asked: Any,
+    ) -> Path:  # fmt: skip
+        """Take the folder of a command's result, named after config, command (or `words`) and options in their place.
+
+        Arguments:
+            shell: which takes it.
+            file: by which the folder is known.
+            problem: the walk as loaded.
+            team, shard: as of `Session.claim`.
+            asked: all else that the result depends on.
+        """
+        from tuning.writing.record import settings_of
+
+        settings = settings_of(problem, command, **asked)
+        names = self.config.stem, *(words or (command,)), *self.words
+        return shell.claim(file, *names, settings=settings, varied=self.varied, team=team, shard=shard)
 
     def load(self) -> "Problem":
         """Return scenario, law, metrics and engine, from options or the config, without the gains file but for its law.

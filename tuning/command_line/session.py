@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from tuning.pages.contents import Contents, Files, Written
     from tuning.pages.page import Origin, Page
     from tuning.pages.section import SectionOf
-    from tuning.problem.evaluation import Problem
     from tuning.results.result import Result
 
 WIDTH = 100  # of tables in a file, unless their numbers need more
@@ -122,20 +121,6 @@ class Estimate:
         self.since, self.base = now, self.done
 
 
-class Walked(Protocol):
-    """The walk, and the words of its folder's name: `tuning.command_line.options.Walk`."""
-
-    config: Path
-
-    @property
-    def words(self) -> Sequence[str]:
-        """Words of the folder's name."""
-
-    @property
-    def varied(self) -> bool:
-        """Whether the name does not say all."""
-
-
 class Session:
     """One command: its folder, where its tables and its JSON go, and its stages, one after the other."""
 
@@ -200,23 +185,6 @@ class Session:
     def close(self) -> None:
         """Let other commands have the folder."""
         self._held.close()
-
-    def take(
-        self, walk: Walked, file: str, problem: "Problem", command: str, *words: str, team: "Team | None" = None,
-        shard: bool = False, **asked: Any,
-    ) -> Path:  # fmt: skip
-        """Take the folder of a command's result, named after config, command (or `words`) and options in their place.
-
-        Arguments:
-            walk, problem: the walk as typed, and as loaded.
-            team, shard: as of `claim`.
-            asked: all else that the result depends on.
-        """
-        from tuning.writing.record import settings_of
-
-        name, *rest = walk.config.stem, *(words or (command,)), *walk.words
-        settings = settings_of(problem, command, **asked)
-        return self.claim(file, name, *rest, settings=settings, varied=walk.varied, team=team, shard=shard)
 
     def whole(self) -> "contextlib.AbstractContextManager[Path]":
         """Give an empty folder, whose files become those of the result once the block ends well."""

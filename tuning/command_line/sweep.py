@@ -140,7 +140,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
 
         work, (file, word, stage, unit) = asked.work(walk), ROWS[kind]
         asked_rows = record.without_machine(work.identity())
-        out = shell.take(walk, file, work.problem, kind, word, team=team, shard=part is not None, rows=asked_rows)
+        out = walk.take(shell, file, work.problem, kind, word, team=team, shard=part is not None, rows=asked_rows)
         about = {"again": typed_but("--shard", shards.SHARD), "name": walk.config.stem, "repeat": again}
         about["settings"] = dumps(shell.settings)  # for the folder of the merged result
         rows = shards.Rows(work, out, part, about)

@@ -103,7 +103,7 @@ def pareto(asked: Pareto, search: _OfFront, file: SearchFile, walk: _FromConfig,
         wanted, space = file.settings(search, loaded, walk.config)
         for option, name in (("--better", asked.better), ("--against", asked.against)):
             check_metrics(Search(weights={name: 1.0}), loaded.metrics, option)
-        folder = shell.take(walk, "front.nc", loaded, "pareto", search=wanted, front=asked)
+        folder = walk.take(shell, "front.nc", loaded, "pareto", search=wanted, front=asked)
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, "--better"):
             problem = fronts.problem_of(loaded.scenario, wanted, asked, space=space, **loaded.walks)
@@ -121,7 +121,7 @@ def schedule(asked: Over, search: _OfPoints, file: SearchFile, walk: _FromConfig
 
         loaded = walk.load()
         points, (wanted, space) = asked.points(loaded.scenario), file.settings(search, loaded, walk.config)
-        folder = shell.take(walk, "schedule.nc", loaded, "schedule", search=wanted, operating_points=points)
+        folder = walk.take(shell, "schedule.nc", loaded, "schedule", search=wanted, operating_points=points)
         shell.opening(loaded.scenario)
         with shell.stage("baseline"), file.naming(search, walk.config):
             problem = schedules.operating_points(loaded.scenario, wanted, points, space=space, **loaded.walks)
@@ -164,7 +164,7 @@ def compare(
         seeds = comparing.seeds_for(wanted, asked.seeds)
         record: dict[str, Any] = {"search": wanted, "members": members, "seeds": seeds, "laws": each}
         walked = dataclasses.replace(loaded, own_method=method, ensemble=ensemble)
-        folder = shell.take(walk, "compared.nc", walked, "compare", "laws", **record)
+        folder = walk.take(shell, "compared.nc", walked, "compare", "laws", **record)
         shell.opening(loaded.scenario, *paired.without_interval(members, ensemble.worst, seeds=seeds))
         with shell.stage("baseline"), file.naming(search, walk.config):
             walks = {"metrics": loaded.metrics, "engine": loaded.engine, "own_method": method}
@@ -270,7 +270,7 @@ def tune(
             raise InputError(f"--seeds: expected 1 of a grid, which draws nothing, got {seeds}")
         own: dict[str, Any] = {"search": wanted, "judges": many.test_members} | ({"seeds": seeds} if seeds > 1 else {})
         walked, words = dataclasses.replace(loaded, ensemble=drawn), (kind, word, wanted.space)
-        folder = shell.take(walk, "search.nc", walked, kind, *words, team=team, **own)
+        folder = walk.take(shell, "search.nc", walked, kind, *words, team=team, **own)
         judges, worst = many.test_members or Judge().members, None if drawn is None else drawn.worst
         lacks = [] if drawn is None else paired.without_interval(judges, worst, tails=False)
         shell.opening(loaded.scenario, *lacks)
