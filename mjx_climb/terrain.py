@@ -67,13 +67,9 @@ def check_reach(scenario: Scenario, source: str = "scenario") -> None:
         if missed.max() > MET:
             name = robot.limbs[limb := int(np.argmax(np.where(missed > MET, np.abs(above), -1)))]
             key = f"ground.footholds.{name}.{n}" if scenario.ground.footholds is not None else "ground.map"
-            raise ConfigError(
-                source,
-                key,
-                "footholds within reach and joint limits",
-                f"one of {name} at {height[limb]:g} m, {above[limb]:+.3g} m from the mean, missed by "
-                f"{missed[limb] * 1e3:.2g} mm",
-            )
+            where = f"at {height[limb]:g} m, {above[limb]:+.3g} m from the mean"
+            got = f"one of {name} {where}, missed by {missed[limb] * 1e3:.2g} mm"
+            raise ConfigError(source, key, "footholds within reach and joint limits", got)
 
 
 def _check_stride(scenario: Scenario, robot: Robot, source: str) -> None:
@@ -102,12 +98,9 @@ def _check_stride(scenario: Scenario, robot: Robot, source: str) -> None:
         middle = (low + high) / 2
         low, high = (low, middle) if (missed(middle) & free).any() else (middle, high)
     digit = 10.0 ** (math.floor(math.log10(low)) - 1) if low else 1.0
-    raise ConfigError(
-        source,
-        "gait.stride",
-        f"at most {math.floor(low / digit) * digit:.2g} m, which keeps all feet within reach and joint limits",
-        f"{gait.stride:g}",
-    )
+    most = f"at most {math.floor(low / digit) * digit:.2g} m"
+    expected = f"{most}, which keeps all feet within reach and joint limits"
+    raise ConfigError(source, "gait.stride", expected, f"{gait.stride:g}")
 
 
 def _stance_feet(robot: Robot) -> np.ndarray:
@@ -126,12 +119,9 @@ def _sampled(ground: HeightMap, points: np.ndarray, limbs: tuple[str, ...]) -> n
         limb, n = np.argwhere(~inside)[0]
         x, y = points[limb, n]
         far = np.array(ground.origin) + ground.resolution * np.array([columns - 1, rows - 1])
-        raise ConfigError(
-            ground.file,
-            "ground.map",
-            f"a map that covers foothold {n} of {limbs[limb]} at x {x:.4g}, y {y:.4g} m",
-            f"x {ground.origin[0]:g} to {far[0]:g}, y {ground.origin[1]:g} to {far[1]:g} m",
-        )
+        expected = f"a map that covers foothold {n} of {limbs[limb]} at x {x:.4g}, y {y:.4g} m"
+        got = f"x {ground.origin[0]:g} to {far[0]:g}, y {ground.origin[1]:g} to {far[1]:g} m"
+        raise ConfigError(ground.file, "ground.map", expected, got)
     i, j = (np.clip(np.floor(v).astype(int), 0, n - 2) for v, n in ((row, rows), (column, columns)))
     u, v = row - i, column - j
     low = (1 - v) * grid[i, j] + v * grid[i, j + 1]

@@ -87,12 +87,8 @@ def law_of(scenario: Scenario) -> Law:
         ConfigError: it names one of the user's own, which is given beside it.
     """
     if scenario.own is not None and scenario.own.law is not None:
-        raise ConfigError(
-            "scenario",
-            "own.law",
-            "the law beside the scenario",
-            f"none: {scenario.own.law.name} is loaded by tuning.gains.own_section.taken(scenario)",
-        )
+        got = f"none: {scenario.own.law.name} is loaded by tuning.gains.own_section.taken(scenario)"
+        raise ConfigError("scenario", "own.law", "the law beside the scenario", got)
     law, control = LAWS[scenario.control.controller, scenario.control.reading], scenario.control
     values = {name: getattr(control, name) for name in law.GAINS}
     # six values of a law of translations alone: the rotations are not its own

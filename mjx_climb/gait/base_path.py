@@ -103,13 +103,9 @@ def check_base(scenario: Scenario, source: str = "scenario") -> None:
                 middle = (low + high) / 2
                 missed = _missed(robot, own.model_copy(update={key: middle}))
                 low, high = (low, middle) if missed else (middle, high)
-            expected = f"at {'most' if value > none else 'least'} {low:.3g}"
-            raise ConfigError(
-                source,
-                f"gait.{key}",
-                f"{expected}, with which all feet are within reach and joint limits",
-                f"{value:g}",
-            )
+            limit = f"at {'most' if value > none else 'least'} {low:.3g}"
+            expected = f"{limit}, with which all feet are within reach and joint limits"
+            raise ConfigError(source, f"gait.{key}", expected, f"{value:g}")
 
 
 @functools.lru_cache(maxsize=256)

@@ -129,12 +129,8 @@ class RecoveringGait(AroundGait):
 
     def look_ahead(self, memory: Swings, now: Schedule, step: Array, reference: Reference, body: Body) -> Swings:
         """The memory with an interruption, where a threshold is passed, and with the swings of a gait that goes on."""
-        recovery, time_step, offset, own = (
-            self.recovery,
-            self.time_step,
-            self._offset(memory, step),
-            memory.interruptions,
-        )
+        recovery, time_step = self.recovery, self.time_step
+        offset, own = self._offset(memory, step), memory.interruptions
         swings = at_tick(memory, step)
         at, rate = swings.step, (body.foot_force - own.force) / (self.period * time_step)
         shift = body.base_position - reference.base_position

@@ -141,12 +141,9 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
             return
         system = _with(system, rows[number])
         got = f"{scenario.time_step:g} (a disturbance grows {_growth(system, scenario.time_step):.3g}-fold a step)"
-        raise ConfigError(
-            source,
-            "time_step",
-            f"one short enough for {load_robot(scenario.robot).name} with {_words(system, walked, places[number])}",
-            f"{got}: {_largest(scenario, source, system):g} would do",
-        )
+        on = f"{load_robot(scenario.robot).name} with {_words(system, walked, places[number])}"
+        got = f"{got}: {_largest(scenario, source, system):g} would do"
+        raise ConfigError(source, "time_step", f"one short enough for {on}", got)
 
 
 def _warn_of_unknown_springs(parameters: Parameters, time_step: float) -> None:

@@ -348,12 +348,8 @@ def _gait_bounds(scenario: mc.Scenario) -> dict[str, tuple[float, float]]:
     bounds = {name: own_gait(scenario)[name] for name in SEARCHED_GAIT}
     spans = {name: (own / _GAIT_FACTOR, own * _GAIT_FACTOR) for name, own in bounds.items()}
     spans["gait.duty"] = least, max(_LONGEST_STANCE, (1 + least) / 2)
-    return (
-        spans
-        | {"gait.height": _HEIGHT}
-        | dict.fromkeys(("gait.settling", "gait.sway"), _SHARES)
-        | {"gait.landing_speed": _LANDING}
-    )
+    spans |= {"gait.height": _HEIGHT, "gait.settling": _SHARES, "gait.sway": _SHARES, "gait.landing_speed": _LANDING}
+    return spans
 
 
 def refuse_gait(search: Search) -> None:
@@ -392,7 +388,7 @@ def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:
     """
     own = {n: np.broadcast_to(np.asarray(getattr(law, n), float), field.lengths) for n, field in law.GAINS.items()}
     if not has_gains_of_the_paper(law):
-        return {name: values for name, values in own.items()}
+        return own
     whole = {name: np.array(np.broadcast_to(getattr(scenario.control, name), 6), float) for name in mc.Gains.AXES}
     for name, values in own.items():
         whole[name][: values.size] = values

@@ -376,15 +376,8 @@ def start_of(problem: Problem) -> np.ndarray:
     """Return the law's own gains, and the scenario's of joint loop and gait, as a point of the space."""
     control = problem.scenario.control
     own = spaces.own_values(problem.scenario, problem.law or law_of(problem.scenario))
-    return problem.space.from_gains(
-        {
-            **own,
-            **own_gait(problem.scenario),
-            "kp": control.kp,
-            "kd": max(control.kd, 1e-12),
-            "ki": max(control.ki, 1e-12),
-        }
-    )
+    joint = {"kp": control.kp, "kd": max(control.kd, 1e-12), "ki": max(control.ki, 1e-12)}
+    return problem.space.from_gains({**own, **own_gait(problem.scenario), **joint})
 
 
 def search_identity(problem: Problem, search: Search, **more: Any) -> dict[str, Any]:
