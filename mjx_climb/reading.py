@@ -1,8 +1,10 @@
-"""Files that may have a reader wait forever, or that were found, not given: somebody else may have put them there."""
+"""Files that were given or found: readers by suffix, edits, paths, and files that may have a reader wait forever."""
 
 import errno
 import functools
+import importlib
 import os
+import pkgutil
 import stat
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -31,6 +33,12 @@ def check_regular(path: str | os.PathLike[str], opened: int | None = None) -> No
     """
     if not stat.S_ISREG(os.stat(path if opened is None else opened).st_mode):
         raise OSError(errno.EINVAL, "no regular file", os.fspath(path))
+
+
+def readers_in(package: str, folders: Iterable[str]) -> dict[str, Any]:
+    """Return `read` of the modules of a package, by the suffixes of files in their `SUFFIXES`."""
+    each = [importlib.import_module(f"{package}.{found.name}") for found in pkgutil.iter_modules(folders)]
+    return {suffix: module.read for module in each for suffix in module.SUFFIXES}
 
 
 def until_edited(files: Callable[..., Iterable[str | os.PathLike[str] | None]]) -> Callable[[Function], Function]:

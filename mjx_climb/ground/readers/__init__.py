@@ -3,24 +3,17 @@
 `read` returns the `Table` of a file. A new file in this folder is known.
 """
 
-import importlib
-import pkgutil
 from collections.abc import Callable
 from pathlib import Path
 
 from mjx_climb.ground.table import Table, reading
+from mjx_climb.reading import readers_in
 from mjx_climb.scenario.messages import ConfigError
 
 Read = Callable[[Path, str | None], Table]
 
 
-def _readers() -> dict[str, Read]:
-    """Return the readers of this folder, by the suffix of files."""
-    each = [importlib.import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
-    return {suffix: module.read for module in each for suffix in module.SUFFIXES}
-
-
-READERS = _readers()
+READERS: dict[str, Read] = readers_in(__name__, __path__)
 
 
 def table_of(file: str, topic: str | None = None) -> Table:

@@ -234,13 +234,10 @@ def _stretches(
     if not len(time):
         return np.zeros(0), np.zeros(0, bool), np.zeros(0)
     firsts, lasts = time[np.r_[0, breaks + 1]], time[np.r_[breaks, len(time) - 1]]
-    begin, abuts, ends = [], [], []
-    for first, last in zip(firsts, lasts, strict=True):
-        for n in range(int((last - first - SHORTEST) // length) + 1 if last - first >= SHORTEST else 0):
-            begin.append(first + n * length)
-            abuts.append(n > 0)
-            ends.append(min(first + (n + 1) * length, last + 1e-9))
-    return np.array(begin), np.array(abuts, bool), np.array(ends)
+    count = np.maximum((lasts - firsts - SHORTEST) // length + 1, 0).astype(int)
+    first, last = np.repeat(firsts, count), np.repeat(lasts, count)
+    number = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
+    return first + number * length, number > 0, np.minimum(first + (number + 1) * length, last + 1e-9)
 
 
 def _rows(

@@ -1,23 +1,14 @@
 """Formats of logs, one file each: `SUFFIXES` of its files, "" for a folder, and `read(path)`. A new file is known."""
 
-import importlib
 import os
-import pkgutil
 from collections.abc import Callable
 from pathlib import Path
 
-from mjx_climb.reading import check_regular
+from mjx_climb.reading import check_regular, readers_in
 from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.table import Recording
 
-
-def _readers() -> dict[str, Callable[[Path], Recording]]:
-    """Return the readers of this folder, by the suffix of files."""
-    each = [importlib.import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
-    return {suffix: module.read for module in each for suffix in module.SUFFIXES}
-
-
-READERS = _readers()
+READERS: dict[str, Callable[[Path], Recording]] = readers_in(__name__, __path__)
 
 
 def record(path: str | os.PathLike[str]) -> Recording:
