@@ -112,12 +112,6 @@ def _predicted(problem: Problem, found: Fitted) -> dict[str, Any]:
     }
 
 
-def _moved(model: Fit) -> np.ndarray:
-    """Return the standard deviation of each signal (signals,), SI units."""
-    rows = model.windows.rows
-    return np.array([np.std(rows.value[rows.signal == n]) for n in range(len(model.windows.names))])
-
-
 def _of_windows(model: Fit) -> Iterator[str]:
     """Yield the parts of a log that are not fitted."""
     windows = model.windows
@@ -211,6 +205,6 @@ def _of_fit(
             f"what was held out is predicted {ahead['error_over_noise']:.3g} times worse than the noise; intervals are "
             "wider by as much"
         )
-    if line := inference.unexplained(found.noise, _moved(problem.model)):
+    if line := inference.unexplained(found.noise, problem.samples.moved):
         said.append(line)
     return said

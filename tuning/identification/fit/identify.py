@@ -18,7 +18,7 @@ from tuning.identification.fit.problem import Fitted, Prior, Problem
 from tuning.identification.fit.profile_changes import in_words, tried
 from tuning.identification.fit.result import Identified
 from tuning.identification.fit.search import Progress, Searches
-from tuning.identification.fit.stamps import Noise, Samples, change, noise_of
+from tuning.identification.fit.stamps import Noise, change, noise_of
 from tuning.identification.model.gripped import check_parts, cut_gripped, gripped_model
 from tuning.identification.model.predicted import DELAY, SERVO_DELAY, Fit, model_of, with_nuisances
 from tuning.identification.model.replay import Base, base_of
@@ -125,7 +125,7 @@ def searched(problem: Problem, starts: int, searches: Searches) -> tuple[Fitted,
         ConfigError: the model diverges, in one line.
     """
     model, prior, pieces = problem.model, problem.prior, problem.model.in_pieces
-    samples = _samples(problem)
+    samples = problem.samples
     # far from the optimum residuals are none of the noise's size: its own would have most of them count by size alone
     louder = np.maximum(problem.noise, _LOUD * samples.moved)
     # torques jump as commands do: no slope leads from one side of a jump to the other
@@ -204,7 +204,7 @@ def _settled(problem: Problem, found: Fitted, searches: Searches, passes: int) -
 
     None where the model diverges at the point.
     """
-    samples = _samples(problem)
+    samples = problem.samples
     for n in range(passes):
         end = searches.search(problem, np.r_[found.x, found.start.ravel()], _MOST, f"pass {n + 1}")
         if end is None:
@@ -216,12 +216,6 @@ def _settled(problem: Problem, found: Fitted, searches: Searches, passes: int) -
             break
         problem = dataclasses.replace(problem, noise=now.signals, clock=now.clock, rate=end.rate)
     return found, problem
-
-
-def _samples(problem: Problem) -> Samples:
-    windows, rows = problem.model.windows, problem.rows
-    moved = np.array([np.std(rows.value[rows.signal == n]) for n in range(len(windows.names))])
-    return Samples(rows.signal, rows.stamp, problem.fitted, windows.stamp_spacing, moved)
 
 
 def rough_noise(model: Fit) -> np.ndarray:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.linalg import lstsq
 
 from tuning.identification.fit.prediction import predicted
-from tuning.identification.fit.stamps import HUBER, whitened
+from tuning.identification.fit.stamps import HUBER, Samples, whitened
 from tuning.identification.model.predicted import LATENESS, Fit
 from tuning.identification.model.windows import SHORTEST, Rows
 
@@ -87,6 +87,13 @@ class Problem:
     def rows(self) -> Rows:
         """The samples of the log."""
         return self.model.windows.rows
+
+    @property
+    def samples(self) -> Samples:
+        """The samples as far as their noise asks for."""
+        windows, rows = self.model.windows, self.rows
+        moved = np.array([np.std(rows.value[rows.signal == n]) for n in range(len(windows.names))])
+        return Samples(rows.signal, rows.stamp, self.fitted, windows.stamp_spacing, moved)
 
     @property
     def free(self) -> np.ndarray:
