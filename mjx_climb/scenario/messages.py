@@ -40,7 +40,7 @@ class ConfigError(ValueError):
 
 
 class Checked(BaseModel):
-    """A model that says what is wrong with values that are each right by themselves."""
+    """A model whose values are checked against each other once each of them is right by itself."""
 
     if TYPE_CHECKING:  # the metaclass of sections hides their fields
 
