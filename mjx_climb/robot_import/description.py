@@ -246,9 +246,10 @@ def files_of(file: Path) -> set[Path]:
     """
     file = Path(os.path.abspath(file))
     named = [Path(os.path.normpath(file.parent / other)) for other in mujoco.mju_getXMLDependencies(str(file))]
-    read = {file, *(each for each in named if each.suffix.lower() == ".xml")}
-    for asset in (each for each in named if each not in read):
-        beside = {os.path.normpath(each.parent / os.path.relpath(asset, file.parent)) for each in read}
+    texts = {file, *(each for each in named if each.suffix.lower() == ".xml")}
+    read = {*texts}
+    for asset in (each for each in named if each not in texts):
+        beside = {os.path.normpath(each.parent / os.path.relpath(asset, file.parent)) for each in texts}
         read |= {folder / asset.name for each in beside for folder in Path(each).parents} | set(map(Path, beside))
     return read
 

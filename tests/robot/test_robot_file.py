@@ -25,6 +25,7 @@ from mjx_climb.physics.contact.contact import Springs
 from mjx_climb.physics.contact.gripper import Gripper
 from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
+from mjx_climb.robot_import.description import files_of
 from mjx_climb.robot_import.load import load_model, load_robot, model_path
 
 LIMBS = {"LF": (1, 1), "LH": (-1, 1), "RH": (-1, -1), "RF": (1, -1)}  # signs of x and y
@@ -524,3 +525,31 @@ def test_the_suggested_step_works_and_the_next_does_not(monkeypatch):
 def test_a_scenario_names_the_limbs_in_the_robots_order(name):
     scenario = mc.load_scenario(name)
     assert scenario.limbs == load_robot(scenario.robot).limbs
+
+
+def test_the_files_of_a_robot_are_those_beside_it_and_beside_its_includes(tmp_path):
+    """An asset counts in the folders of the file and of each include, and of each of these in all above its own."""
+    leg, toe = tmp_path / "parts" / "leg.xml", tmp_path / "parts" / "more" / "toe.xml"
+    toe.parent.mkdir(parents=True)
+    mesh = '<mesh name="{0}" file="deep/{0}.stl"/>'
+    own = '<mujoco><compiler meshdir="geo"/><include file="parts/leg.xml"/><asset>{}</asset></mujoco>'
+    (tmp_path / "robot.xml").write_text(own.format(mesh.format("a")))
+    leg.write_text('<mujoco><include file="more/toe.xml"/></mujoco>')
+    toe.write_text(f"<mujoco><asset>{mesh.format('b')}</asset></mujoco>")
+    found = files_of(tmp_path / "robot.xml")
+    beside = (tmp_path, leg.parent, toe.parent)
+    assets = {folder / place / f"{name}.stl" for folder in beside for place in ("geo/deep", "geo", ".") for name in "ab"}
+    within = {each for each in found if each.is_relative_to(tmp_path)}
+    assert within == {tmp_path / "robot.xml", leg, toe, *assets}
+    assert {each.name for each in found - within} == {"a.stl", "b.stl"}
+
+
+def test_the_files_of_a_robot_grow_with_its_meshes(tmp_path):
+    """Each mesh in two folders counts alone: forty have four times as many places as ten."""
+    counts = []
+    for number in (10, 40):
+        meshes = "".join(f'<mesh name="m{n}" file="m{n}.stl"/>' for n in range(number))
+        file = tmp_path / f"robot{number}.xml"
+        file.write_text(f'<mujoco><compiler meshdir="geo/obj"/><asset>{meshes}</asset></mujoco>')
+        counts.append(len(files_of(file)) - 1)
+    assert counts[1] == 4 * counts[0]
