@@ -19,6 +19,7 @@ from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Gait, Ground, Scenario
 
+_WIDE = 100.0  # m, over which no ground of a robot's size spreads
 _NEAREST = 64  # holds to a foot, among which a scenario's check looks for one within reach
 Place = tuple[Array, Array, Array, Array]
 
@@ -51,14 +52,17 @@ def check_first_holds(scenario: Scenario, source: str = "scenario") -> None:
     if scenario.gait.footholds != "planned" and scenario.ground.holds is not None:
         turned = scenario.value("contact.rotational_stiffness", 0.0) > 0
         if lacking := _lacking(load_robot(scenario.robot), scenario.gait, scenario.ground, turned):
-            limb, away = lacking
+            limb, away, spread = lacking
             expected = "a hold within reach of each foot of the rest stance (ground.holds.at moves all of them)"
-            raise ConfigError(source, "ground.holds", expected, f"none for {limb}, the nearest {away:.2g} m away")
+            units = f", among points over {spread:.3g} m, as of a file in mm" if spread > _WIDE else ""
+            raise ConfigError(
+                source, "ground.holds", expected, f"none for {limb}, the nearest {away:.2g} m away{units}"
+            )
 
 
 @functools.lru_cache(maxsize=64)
-def _lacking(robot: Robot, gait: Gait, ground: Ground, turned: bool) -> tuple[str, float] | None:
-    """Return a limb that reaches no hold, and how far the nearest is from its foot, m."""
+def _lacking(robot: Robot, gait: Gait, ground: Ground, turned: bool) -> tuple[str, float, float] | None:
+    """Return a limb that reaches no hold, how far the nearest is from its foot, m, and over how many m holds spread."""
     holds = holds_of(ground)
     assert holds is not None
     heading = np.array([np.cos(gait.heading / 2), 0.0, 0.0, np.sin(gait.heading / 2)])
@@ -73,7 +77,8 @@ def _lacking(robot: Robot, gait: Gait, ground: Ground, turned: bool) -> tuple[st
     reached = _own(near, feet) & within_reach(robot, limb_geometry(robot, turned), target)
     lacks = ~np.asarray(reached).any(0)
     limb = int(lacks.argmax())
-    return (robot.limbs[limb], float(away[:, limb].min())) if lacks.any() else None
+    found = robot.limbs[limb], float(away[:, limb].min()), float(np.ptp(points, axis=0).max())
+    return found if lacks.any() else None
 
 
 def _own(position: AnyArray, feet: AnyArray) -> AnyArray:

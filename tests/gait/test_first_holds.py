@@ -102,6 +102,24 @@ def test_the_check_of_a_stance_looks_where_its_feet_stand(heading):
             checked(away)
 
 
+@pytest.mark.parametrize(("scale", "said"), [(1.0, False), (10.0, False), (1000.0, True)])
+def test_a_cloud_in_millimetres_is_called_so(tmp_path, scale, said):
+    """A wall of 2 m by 1 m; in dm it is as large as a hall."""
+    x, y = np.meshgrid(np.linspace(0.3, 2.3, 41), np.linspace(-0.5, 0.5, 21))
+    np.savetxt(
+        tmp_path / "scan.csv",
+        scale * np.c_[x.ravel(), y.ravel(), 0 * x.ravel()],
+        "%g",
+        ",",
+        header="x,y,z",
+        comments="",
+    )
+    keys = WALL | {"ground.holds": {"cloud": {"file": str(tmp_path / "scan.csv")}}}
+    with pytest.raises(ConfigError, match=r"got none for \w\w, the nearest [\d.e+]+ m away") as refused:
+        check_first_holds(mc.load_scenario("case_1_1", keys), "mine.yaml")
+    assert ("m away, among points over 2e+03 m, as of a file in mm" in str(refused.value)) == said
+
+
 def test_a_stance_without_a_hold_within_reach_is_refused():
     """Holds on one side alone; and far away. A walk of planned footholds needs none."""
     rock = ROCK["rock"]
