@@ -49,7 +49,7 @@ def test_the_log_of_a_walk_gives_the_walk_again_with_its_pushes(walk, log):
     np.testing.assert_allclose(found.walk.foot_force, walk.foot_force, atol=1e-8)
     without = (".command", ".support", "base.force", "base.moment")  # what is sent, or acts
     assert set(found.errors) == {name for name in log.signals if not any(part in name for part in without)}
-    assert found.warnings == ("3 pushes are those of the log",)
+    assert found.warnings == ("pushes of the log: 3",)
     np.testing.assert_allclose(found.logged().foot_position, walk.foot_position, atol=1e-12)
 
 

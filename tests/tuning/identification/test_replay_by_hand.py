@@ -71,7 +71,7 @@ def test_pushes_are_the_constant_pieces_of_the_log():
         ((5.0, 0.0, 0.0), (0.0, 0.0, 0.5), 0.008, 0.014),
         ((0.0, 0.0, 0.0), (0.0, 0.0, 0.5), 0.014, pytest.approx(0.021)),
     ]
-    assert "3 pushes are those of the log" in found.warnings
+    assert "pushes of the log: 3" in found.warnings
 
 
 def test_pushes_of_the_config_act_where_the_log_has_none_and_it_is_said():

@@ -200,7 +200,7 @@ def _with_pushes(scenario: mc.Scenario, log: Log) -> tuple[mc.Scenario, list[str
         expected = f"pushes on the base in {_MOST_PUSHES} constant pieces at most (smooth or thin out what is noise)"
         raise ConfigError(log.source, "base.force, base.moment", expected, len(pushes))
     changed = scenario.with_overrides({"disturbance.pushes": pushes})
-    return changed, [f"{len(pushes)} pushes are those of the log"]
+    return changed, [f"pushes of the log: {len(pushes)}"]
 
 
 def remarks(walk: mc.Trajectory, log: Log, robot: Robot) -> Iterator[str]:
