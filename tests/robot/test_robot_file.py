@@ -538,7 +538,8 @@ def test_the_files_of_a_robot_are_those_beside_it_and_beside_its_includes(tmp_pa
     toe.write_text(f"<mujoco><asset>{mesh.format('b')}</asset></mujoco>")
     found = files_of(tmp_path / "robot.xml")
     beside = (tmp_path, leg.parent, toe.parent)
-    assets = {folder / place / f"{name}.stl" for folder in beside for place in ("geo/deep", "geo", ".") for name in "ab"}
+    places = [folder / place for folder in beside for place in ("geo/deep", "geo", ".")]
+    assets = {place / f"{name}.stl" for place in places for name in "ab"}
     within = {each for each in found if each.is_relative_to(tmp_path)}
     assert within == {tmp_path / "robot.xml", leg, toe, *assets}
     assert {each.name for each in found - within} == {"a.stl", "b.stl"}
