@@ -176,7 +176,7 @@ def test_the_command_walks_as_drawn_as_evaluate_does(call, tmp_path):
     assert call("evaluate", *words, "--out", tmp_path / "plain")[0] == 0
     worse = ("--worse", "force_sensor.bias=1.0", "--out", tmp_path / "worse")
     code, out, err = call("evaluate", *words, *worse)
-    assert "3 test walks give no interval of any mean (from 10 on)" in err
+    assert "3 test walks give no interval of any mean (from 64 on)" in err
     assert code == 0 and re.search(r"settings: (.* takes most|none takes force variation) from mine", out)
     plain = xr.load_dataset(tmp_path / "plain" / "judged.nc", engine="h5netcdf")
     both = xr.load_dataset(tmp_path / "worse" / "degraded.nc", engine="h5netcdf")

@@ -286,13 +286,12 @@ def test_search_and_judgement(scenario):
     assert found.gains.kp is not None
     paper, calm = mc.Gains(1.0, 5e3, 2e4), {"kp": 30.0, "kd": 0.5}
     rivals = {"robust": found.gains, "config": paper}
-    walked = judge.through(
-        Problem(scenario), rivals, judge.fresh(Ensemble(**vars(ensemble) | {"members": 6})), {"retuned_pd": calm}
-    )
+    fresh = judge.fresh(Ensemble(**vars(ensemble) | {"members": 6}))
+    walked = judge.through(Problem(scenario), rivals, fresh, {"retuned_pd": calm})
     judged = walked.dataset(Rows(walked).walk())
     assert judged["force_variation"].dims == ("gains", "member")
     assert judged["gains"].values.tolist() == ["robust", "config", "retuned_pd", "pd"]
-    unseen = draw(scenario, ensemble.model_copy(update={"members": 6, "seed": judge.FRESH_SEED}))
+    unseen = draw(scenario, fresh)
     own = jax.tree.map(np.asarray, mc.parameters(scenario))
     alone = jax.tree.map(lambda v, own: v[3, 0] if v.ndim > own.ndim else v, unseen, own)
     pd = scenario.with_overrides({"control.controller": "pd"})
