@@ -52,19 +52,18 @@ def scene(seed=0):
     """Return a reference and a measurement of a robot that stands on all feet, turned and off its reference."""
     rng = np.random.default_rng(seed)
     attitude, off = Rotation.from_rotvec([0.1, -0.2, 0.7]), Rotation.from_rotvec(rng.uniform(-0.05, 0.05, 3))
-    base, still = np.array([0.0, 0.0, 0.11]), jnp.zeros(3)
-    reference = mc.Reference(
-        jnp.asarray(base), jnp.asarray(attitude.as_quat(scalar_first=True)), jnp.asarray(FEET),
-        jnp.array([0.03, 0.5, 0.7, 0.6]), jnp.array([0.5, 0.5, 0.02, 0.5]),
+    base, still = np.array([0.0, 0.0, 0.11]), np.zeros(3)
+    times = np.array([0.03, 0.5, 0.7, 0.6]), np.array([0.5, 0.5, 0.02, 0.5])
+    reference = mc.Reference(base, attitude.as_quat(scalar_first=True), FEET, *times)
+    turned = (attitude * off).as_quat(scalar_first=True)
+    force = rng.normal([0.0, 0.0, 2.0], [0.5, 0.5, 2.0], (4, 3))
+    position = base + rng.uniform(-0.01, 0.01, 3)
+    wrench = np.concatenate([force.sum(0), np.cross(FEET - position, force).sum(0)])
+    measured = mc.Measurement(
+        position, turned, still, still, force, wrench, np.ones(4, bool), *np.zeros((3, 4, 3))
     )  # fmt: skip
-    turned = jnp.asarray((attitude * off).as_quat(scalar_first=True))
-    force = jnp.asarray(rng.normal([0.0, 0.0, 2.0], [0.5, 0.5, 2.0], (4, 3)))
-    position = jnp.asarray(base + rng.uniform(-0.01, 0.01, 3))
-    wrench = jnp.concatenate([force.sum(0), jnp.cross(FEET - position, force).sum(0)])
-    joints = jnp.zeros((4, 3))
-    return reference, mc.Measurement(
-        position, turned, still, still, force, wrench, jnp.ones(4, bool), joints, joints, joints
-    )
+    # in NumPy up to here: each operation of JAX on its own is compiled
+    return jax.tree.map(jnp.asarray, (reference, measured))
 
 
 @jax.jit

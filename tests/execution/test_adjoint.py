@@ -73,6 +73,7 @@ def test_gradients_in_regions_are_jaxs(steps, reverse):
         np.testing.assert_allclose(mine, jaxs, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_second_derivatives_and_several_weights():
     """Rows of a Jacobian, of one robot and of several, and the second derivative of one."""
     walk, given = motion(30)

@@ -69,10 +69,8 @@ EFFORT = (("hardware.force_sensor", {"source": "joint_effort", "axes": "z", "dri
 PLANNED = ("PlannedTransfer+FootOffsets@upward", "normal_damping", EFFORT), ("LoadTransfer", "normal_damping", EFFORT)
 
 
-@pytest.mark.parametrize(
-    ("name", "gain", "sensor"),
-    [("", "damping", ()), *(pytest.param(*each, marks=pytest.mark.slow) for each in PLANNED)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "gain", "sensor"), [("", "damping", ()), *PLANNED])
 def test_such_a_law_is_one_kernel(name, gain, sensor, case, without_nvrtc):
     """Its values and its tangents."""
     scenario = case("case_1_2", "virtual_model", SHORT + sensor)

@@ -27,7 +27,10 @@ OF_MATRICES = {
     "median",
     "scatter",
 }
-LONG = OF_MATRICES | {"interp", "searchsorted", "gather that fills", "dynamic_update_slice"}
+LOOPS = {"a long loop", "a loop that reads", "a loop in a loop that reads"}
+LONG = (
+    OF_MATRICES | LOOPS | {"interp", "searchsorted", "gather that fills", "dynamic_update_slice", "qr of a wide matrix"}
+)
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,11 @@ def failing(limb, *landings):
     return script
 
 
-@pytest.mark.parametrize("recovers", [False, True])
+# one program for all of a gait that recovers
+either = pytest.mark.parametrize("recovers", [False, pytest.param(True, marks=pytest.mark.slow)])
+
+
+@either
 def test_feet_that_hold_are_not_waited_for(recovers):
     """Limbs lift off as in the periodic gait, to the step."""
     closed, *_, stands, _ = walk(ALL_HOLD, recovers=recovers)
@@ -112,7 +116,7 @@ def test_feet_that_hold_are_not_waited_for(recovers):
     assert not stands.any()
 
 
-@pytest.mark.parametrize("recovers", [False, True])
+@either
 def test_the_next_limb_waits_for_a_foot_that_fails(recovers):
     """LH fails once at 200: it swings again from 220 to 420, the base stands still, and LF goes after it."""
     closed, _, goal, stands, base = walk(failing(LH, 1), recovers=recovers)
@@ -147,7 +151,7 @@ def test_a_foot_that_holds_elsewhere_lets_the_gait_go_on():
     assert np.ptp(goal[: int(6 * SWING), LH, 0]) > 0
 
 
-@pytest.mark.parametrize("period", [PERIOD, 70])
+@pytest.mark.parametrize("period", [PERIOD, pytest.param(70, marks=pytest.mark.slow)])
 def test_no_limb_lifts_off_while_another_does_not_hold(period):
     """Random failures of a third of all landings, ticks with and without the touchdowns; a foot that failed may."""
     for seed in range(12):

@@ -27,10 +27,11 @@ def shut(contact, *heights, velocity=(0.0, 0.0, 0.0)):
     """Return the grips of steps in which grippers shut over feet at these heights, m, after one in the air."""
     memory = contact.init(jnp.zeros((4, 3)), jnp.zeros((4, 3, 3)))
     memory, _ = contact.step(memory, feet(0.03), None, OPEN, jnp.zeros(4))
+    step = jax.jit(lambda memory, now: contact.step(memory, now, None, SHUT, jnp.zeros(4)))
     found = []
     for height in heights:
-        memory, grip = contact.step(memory, feet(height, velocity), None, SHUT, jnp.zeros(4))
-        found.append(grip)
+        memory, grip = step(memory, feet(height, velocity))
+        found.append(jax.tree.map(np.asarray, grip))
     return found
 
 
@@ -113,6 +114,7 @@ def test_peak_pull_follows_joint_gains_smoothly():
     assert factor[0.0] > 2 and 1 / 1.02 < factor[TIME] < 1.02
 
 
+@pytest.mark.slow
 def test_tangents_of_a_walk_with_closing_grips_are_differences():
     """Of the pull by kd, through the shutting of two grippers, in double precision."""
     keys = {
@@ -145,10 +147,11 @@ def test_tangents_of_a_long_stance_are_finite_in_single_precision():
 
         return jax.lax.scan(step, memory, None, 4000)[1][-1]
 
-    force, tangent = jax.jvp(held, (above,), (jnp.float32(1.0),))
+    force, tangent = jax.jit(lambda above: jax.jvp(held, (above,), (jnp.float32(1.0),)))(above)
     assert (-force, -tangent) == (pytest.approx(STIFFNESS * 3e-7), pytest.approx(STIFFNESS))
 
 
+@pytest.mark.slow
 def test_without_a_closing_time_nothing_changes():
     """To the bit, beside a robot of the batch whose grippers close."""
     scenario = mc.load_scenario("case_1_2", {"duration": 0.3, "gait.cycle": 0.4, "gait.stride": 0.01})

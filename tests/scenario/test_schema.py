@@ -1,6 +1,8 @@
 """The schema for editors: it takes what the loader takes, and refuses what the loader refuses."""
 
+import contextlib
 import importlib.util
+import io
 import json
 import re
 from pathlib import Path
@@ -20,12 +22,12 @@ LIMB = {"joints": ["a", "b", "c"], "foot": "d", "foothold": [0.1, 0.1]}
 ROBOT = {"file": "robot.urdf", "height": 0.1, "limbs": dict.fromkeys(("LF", "LH", "RH", "RF"), LIMB)}
 
 
-@pytest.fixture
-def schema(capsys):
-    with pytest.raises(SystemExit) as ended:
+@pytest.fixture(scope="module")
+def schema():
+    with contextlib.redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit) as ended:
         main(["doctor", "--schema"])
     assert ended.value.code == 0
-    tree = json.loads(capsys.readouterr().out)
+    tree = json.loads(out.getvalue())
     jsonschema.Draft202012Validator.check_schema(tree)
     return jsonschema.Draft202012Validator(tree)
 

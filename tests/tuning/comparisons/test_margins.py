@@ -218,6 +218,7 @@ def test_a_linear_margin_of_the_control_period_is_whole_steps(case, monkeypatch)
     assert found.up_to == pytest.approx(7e-3, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_disturbance_leaves_the_linearised_loop_as_it_is(case):
     """It is in no linearisation: the loop is stable up to its last value."""
     scenario = case("case_1_2", "virtual_model", {"disturbance.others": [{"kind": "link_wrench", "force": [1, 0, 0]}]})

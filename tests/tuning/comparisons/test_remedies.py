@@ -30,6 +30,7 @@ def test_a_sagging_robot_is_told_of_its_gap_first():
     assert text.startswith("a foot is ") and text.index("when its gripper shuts") < text.index("; pull on grips")
 
 
+@pytest.mark.slow
 def test_grips_without_a_limit_are_said_to_have_none():
     """A hold with limits may let go of them."""
     scenario = mc.load_scenario("case_1_2", ["duration=0.3", "contact.holding_limit=null"])

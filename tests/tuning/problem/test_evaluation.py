@@ -20,12 +20,14 @@ GOAL = Objective(
 )
 
 
+@jax.jit
 def walked(gains):
     """Return the metrics of walks that all end."""
     found = formula(gains)
     return found | {"diverged": jnp.zeros(len(found["travel"]), bool)}
 
 
+@jax.jit
 def formula(gains):
     """Real metrics of walks (B,) by the gains (B, 6): a smooth companion is half of its metric."""
     stiffness, damping = gains["stiffness"], gains["damping"]
