@@ -17,6 +17,7 @@ sweep: .venv/.installed
 
 # COVER=--cov prints which lines the tests reach, for a few per cent of their time.
 # Its programs are compiled more often than walked: without LLVM's optimisations, as those of the next.
+# (xla_cpu_use_fusion_emitters=false compiles sooner, but wrongly: tests/gait/test_climblab_choices.py shows it.)
 test: .venv/.installed-test
 	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "not slow and not timing and not nightly" $(COVER)
 

@@ -31,7 +31,7 @@ from tests.shares import first_cases
 jax.config.update("jax_enable_x64", True)
 cache.enable_cache()
 cache.executable_file = lambda *_: None  # tests replace functions of which a kept program knows nothing
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # what one worker compiled the other reads
 gc.set_threshold(50_000, 50, 100)  # tracing makes many objects that stay
 
 settings.register_profile("quick", deadline=None, max_examples=50, derandomize=True)

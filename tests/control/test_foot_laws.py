@@ -66,10 +66,18 @@ def scene(seed=0):
     return jax.tree.map(jnp.asarray, (reference, measured))
 
 
-@jax.jit
+def with_arrays(law):
+    """Return a law whose gains are arrays: one program for all of its kind."""
+    return dataclasses.replace(law, **{name: jnp.asarray(getattr(law, name), float) for name in law.GAINS})
+
+
 def after(law, state, measured, reference, steps):
     """Return the state after some steps under the same measurement, and how far the feet are then moved, (limb, 3)."""
+    return repeated(with_arrays(law), state, measured, reference, steps)
 
+
+@jax.jit
+def repeated(law, state, measured, reference, steps):
     def step(_, now):
         state, command = law.step(now[0], measured, reference)
         return state, command.foot_position - reference.foot_position
@@ -79,8 +87,7 @@ def after(law, state, measured, reference, steps):
 
 def started(law, measured, reference, steps=12):
     """Return what `after` does of a law that begins."""
-    law = dataclasses.replace(law, **{name: jnp.asarray(getattr(law, name), float) for name in law.GAINS})
-    return after(law, begin(law, Start(STEP, reference)), measured, reference, steps)
+    return after(law, begin(with_arrays(law), Start(STEP, reference)), measured, reference, steps)
 
 
 @pytest.mark.slow
@@ -202,6 +209,7 @@ def test_loads_leave_a_foot_before_it_lifts_off():
     assert shift[0] > 0 > shift[1]
 
 
+@pytest.mark.slow
 def test_a_limb_at_its_torque_limit_is_not_wound_up():
     """The offset of its foot grows no longer, that of others does; it still may shrink."""
     reference, measured = scene()
@@ -234,6 +242,7 @@ def test_internal_forces_have_no_net_wrench():
         np.testing.assert_allclose(law.stiffness * shift.ravel(), null @ own, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_climb_sdk_counts_twenty_times_a_second():
     """In 0.1 s it moves twice; a base that is too low makes it push the feet down, all of them alike."""
     reference, measured = scene()

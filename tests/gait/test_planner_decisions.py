@@ -507,6 +507,7 @@ def test_in_a_free_order_one_limb_lifts_off_once_all_stand(name, limb):
     assert_swings(found, before, limb, **new, touched=300.0)
 
 
+@pytest.mark.slow
 def test_a_base_walks_from_way_point_to_way_point_and_its_feet_beside_it():
     """By a stride at most; a point is reached at half a stride, and at the last one no limb lifts off."""
     random = np.random.default_rng(4)

@@ -211,7 +211,7 @@ def tried_again(kind, waits, goal, body, limb, retries, others):
     return tries, first, points[np.where(may, away, np.inf).argmin()], False
 
 
-@pytest.mark.parametrize("kind", ["planned", "holds"])
+@pytest.mark.parametrize("kind", ["planned", pytest.param("holds", marks=pytest.mark.slow)])
 def test_each_foot_that_failed_is_sent_where_loops_send_it(kind):
     """Two feet failed, of which one swings and one has tried all; a base that leans; another foot on a hold nearby."""
     begun, decided = deciding(kind)

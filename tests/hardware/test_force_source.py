@@ -18,6 +18,7 @@ from mjx_climb.robot_import.load import load_model, load_robot
 STEP = 1e-3
 
 
+@pytest.mark.slow
 def test_forces_by_efforts_hold_limbs_still():
     """Random poses, attitudes and gravity: MuJoCo's torques that hold the limbs under random forces on the feet."""
     random, robot = np.random.default_rng(3), load_robot("hubrobo_v3_2")

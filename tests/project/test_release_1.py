@@ -89,6 +89,7 @@ def test_gains_open(saved):
     np.testing.assert_array_equal(gains["inertia"], [1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 
 
+@pytest.mark.slow
 def test_a_walk_is_refused(tmp_path):
     """Its parameters have names of their own: the line says what to do."""
     walk = ds.to_dataset(mc.rollout(mc.Scenario().with_overrides({"duration": 0.3, "gait.cycle": 0.3})))

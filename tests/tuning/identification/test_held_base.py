@@ -59,6 +59,7 @@ def test_tangents_are_finite_differences():
     np.testing.assert_allclose(tangent, (ends[0] - ends[1]) / 2e-6, rtol=2e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, pytest.param(0.05, marks=pytest.mark.nightly)])
 def test_a_step_of_a_millisecond_is_right_to_second_order(friction):
     """Against MuJoCo at 0.05 ms; dry friction is a bristle here and a constraint there."""

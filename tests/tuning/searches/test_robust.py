@@ -241,6 +241,7 @@ def test_a_search_over_large_pushes_finds_thresholds_with_which_more_walks_hold(
         assert value[0] < 0.8 * value[1], value
 
 
+@pytest.mark.slow
 def test_one_limit_broken_in_one_member_is_infeasible(scenario, ensemble, pd):
     goal = objective(search.Search.make({"no_worse_than_pd": False}), pd, worst=ensemble.worst)
     rows = {name: np.stack([value, value], axis=1) for name, value in pd.items()}
