@@ -293,8 +293,8 @@ def test_search_and_judgement(scenario):
     assert judged["force_variation"].dims == ("gains", "member")
     assert judged["gains"].values.tolist() == ["robust", "config", "retuned_pd", "pd"]
     unseen = draw(scenario, fresh)
-    own = jax.tree.map(np.asarray, mc.parameters(scenario))
-    alone = jax.tree.map(lambda v, own: v[3, 0] if v.ndim > own.ndim else v, unseen, own)
+    drawn = {path for path, value in unseen.values.items() if np.ndim(value) > len(unseen.paths[path].shape)}
+    alone = unseen.replace({path: unseen.at(path)[3, 0] for path in drawn})
     pd = scenario.with_overrides({"control.controller": "pd"})
     for name, metrics in (
         ("robust", mc.rollout_metrics(scenario, found.gains, alone)),
