@@ -92,10 +92,12 @@ def cache_in_use() -> str | None:
 def enable_cache() -> None:
     """Switch the cache on, unless the user has set one in JAX or switched ours off."""
     path = cache_folder()
-    if path is None or settings()["jax_compilation_cache_dir"] is not None:
+    if path is None:
         return
     with contextlib.suppress(OSError):  # JAX reports its faults
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if settings()["jax_compilation_cache_dir"] is not None:
+        return
     jax.config.update("jax_compilation_cache_dir", str(path))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
@@ -183,6 +185,7 @@ def sources(folder: Path) -> dict[str, Source]:
 _Result = TypeVar("_Result")
 Options = dict[str, str | int]  # of the compiler
 
+_REFUSED = b"refused: "  # before the words of an error, in place of an executable
 _OF_NO_EFFECT = ("cache", "log", "traceback", "profiler")  # in names of JAX's settings that change no executable
 # events that JAX records where XLA's cache gave a program, for reports of compilation times
 _HIT, _SECONDS = "/jax/compilation_cache/cache_hits", "/jax/core/compile/backend_compile_duration"
@@ -233,9 +236,9 @@ def _setting_names() -> list[str]:
 
 
 def executable_file(function: Function, known: str, key: Hashable, options: Options) -> Path | None:
-    """Return where an executable is stored, None where none are."""
+    """Return where an executable is stored, None where none are; beside a folder that the user has set in JAX too."""
     folder = cache_folder()
-    if folder is None or cache_in_use() != str(folder) or jax.process_count() > 1:
+    if folder is None or jax.process_count() > 1:
         return None
     made_of = (
         function.__module__, function.__qualname__, known, str(key), sorted(options.items()),
@@ -250,11 +253,17 @@ def _digest(file: Path, content: bytes) -> bytes:
 
 
 def _loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
-    """Return a stored executable, None where there is none."""
+    """Return a stored executable, None where there is none.
+
+    Raises:
+        NotImplementedError: what kept an earlier process from making one.
+    """
     begin = time.perf_counter()
+    if (content := read_whole(file)) is None:
+        return None
+    if content.startswith(_REFUSED):
+        raise NotImplementedError(content.removeprefix(_REFUSED).decode())
     try:
-        if (content := read_whole(file)) is None:
-            return None
         default: object = settings()["jax_default_device"]
         device = default if isinstance(default, jax.Device) else jax.devices(cast(str | None, default))[0]
         if placed := [leaf for leaf in leaves if isinstance(leaf, jax.Array)]:
@@ -264,7 +273,8 @@ def _loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
         executable: Function = serialize_executable.deserialize_and_load(
             serialized, inputs, outputs, device.client, [device]
         )
-    except Exception:  # from a damaged file: the executable is made again
+    except Exception as error:
+        _tell("loaded", error)
         return None
     monitoring.record_event(_HIT)
     monitoring.record_event_duration_secs(_SECONDS, time.perf_counter() - begin)
@@ -282,12 +292,27 @@ def _stored(
     # Programs from XLA's cache cannot be serialized, as they lack parts (jaxlib 0.10). Under a unique name the
     # program is not found there, now or later.
     named.__name__ = f"{function.__name__}_{uuid.uuid4().hex}"
-    lowered = jax.jit(named, static_argnums=0, compiler_options=options).lower(structure, *trees)
+    try:
+        lowered = jax.jit(named, static_argnums=0, compiler_options=options).lower(structure, *trees)
+    except NotImplementedError as error:  # the next process need not trace for that
+        store_whole(file, _REFUSED + str(error).encode())
+        raise
     with outside_of_xlas_cache():
         executable = lowered.compile()
-    with contextlib.suppress(Exception):  # not to be serialized: it is made again next time
+    try:
         store_whole(file, pickle.dumps(serialize_executable.serialize(executable)))
+    except Exception as error:
+        _tell("kept", error)
     return executable
+
+
+def _tell(what: str, error: Exception) -> None:
+    """Warn that each process will make an executable again."""
+    reason = (str(error).strip().splitlines() or [""])[0]
+    warnings.warn(
+        f"a compiled program cannot be {what} ({type(error).__name__}: {reason[:200]}): every start waits for it",
+        stacklevel=5,
+    )
 
 
 def read_whole(file: Path) -> bytes | None:

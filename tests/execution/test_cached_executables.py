@@ -15,6 +15,7 @@ import pytest
 from mjx_climb import execution
 from mjx_climb.control import PD
 from mjx_climb.execution import batches, cache, paths
+from mjx_climb.execution.elements import Unsupported
 from mjx_climb.physics.contact.polyhedron import PolyhedralGripper, magnet
 from tuning.command_line import machine
 
@@ -149,11 +150,50 @@ def _repeated(times, values):
     return {"all": jax.numpy.stack(times * [values]), "sum": values.sum()}
 
 
-def test_a_cache_that_the_user_chose_in_jax_stays(tmp_path, monkeypatch):
+def test_a_cache_that_the_user_chose_in_jax_stays_and_executables_are_kept_beside_it(tmp_path, monkeypatch):
+    """As with JAX_COMPILATION_CACHE_DIR in the environment: in a folder that lets nobody else in."""
+    real = runpy.run_path(cache.__file__)["executable_file"]  # the tests' own stores none
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path / "ours"))
     with cache.cache_in(str(tmp_path / "own")):
         cache.enable_cache()
         assert cache.cache_in_use() == str(tmp_path / "own")
+        assert (tmp_path / "ours").stat().st_mode & 0o777 == 0o700
+        assert real(_repeated, "known", (), {}).parent == tmp_path / "ours" / "programs"
+
+
+@pytest.fixture
+def one(tmp_path, monkeypatch):
+    """Give the file of every executable."""
+    monkeypatch.setattr(cache, "executable_file", lambda *_: tmp_path / "one")
+    return tmp_path / "one"
+
+
+def test_a_program_that_a_fast_path_refused_is_not_traced_by_the_next_process(one):
+    traced = []
+
+    def refuses(structure, values):
+        traced.append(structure)
+        raise Unsupported("sorts by length")
+
+    for _ in range(2):
+        with pytest.raises(NotImplementedError, match="sorts by length"):
+            cache.cached_jit(refuses, lambda *_: "a", {})(1.0, np.zeros(2))
+    assert len(traced) == 1
+
+
+def test_a_program_that_each_process_makes_again_is_told(one, monkeypatch):
+    """One that JAX cannot load, or cannot keep."""
+
+    def walked():
+        return cache.cached_jit(lambda structure, values: values + structure, lambda *_: "a", {})(1.0, np.zeros(2))
+
+    cache.store_whole(one, b"of another format")
+    with pytest.warns(UserWarning, match="a compiled program cannot be loaded .*: every start waits for it"):
+        assert walked().tolist() == [1.0, 1.0]
+    one.unlink()
+    monkeypatch.setattr(cache.serialize_executable, "serialize", lambda _: {}["callbacks"])
+    with pytest.warns(UserWarning, match=r"a compiled program cannot be kept \(KeyError: 'callbacks'\)"):
+        assert walked().tolist() == [1.0, 1.0]
 
 
 @pytest.fixture
