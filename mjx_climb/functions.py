@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, cast
 
@@ -28,6 +29,8 @@ from mjx_climb.walk.metrics import METRICS, Metric
 from mjx_climb.walk.sample import DIMS, Sample
 from mjx_climb.walk.structure import structure
 from mjx_climb.walks import Metrics, metrics_of_samples
+
+_ROOM = 1024  # samples that a program takes, times a power of 4: one serves walks of many lengths
 
 
 def rollout(
@@ -141,10 +144,22 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
     Raises:
         ValueError: two metrics of one name, or one that does not keep its shapes.
     """
-    samples = Sample(**{name: getattr(trajectory, name) for name in DIMS})
-    shape = structure(trajectory.scenario, DEFAULT_ENGINE, trajectory.parameters, metrics=metrics)
-    found = execution.run_one(metrics_of_samples, shape, samples, trajectory.parameters)
+    steps, parameters = len(trajectory.time), trajectory.parameters
+    room = next(room for power in itertools.count() if (room := _ROOM * 4**power) >= steps)
+    whole: dict[str, Any] = {name: _with_room(np.asarray(getattr(trajectory, name)), room) for name in DIMS}
+    samples = Sample(**whole)
+    shape = structure(trajectory.scenario, DEFAULT_ENGINE, parameters, metrics=metrics)
+    time_step = np.asarray(shape.time_step, samples.base_position.dtype)
+    how = parameters, time_step, np.asarray(steps, np.int32)
+    found = execution.run_one(metrics_of_samples, shape._replace(steps=0, time_step=0.0), samples, *how)
     return named({name: found[name].item() for name in shape.metrics.names}, trajectory.limbs)
+
+
+def _with_room(values: np.ndarray, room: int) -> np.ndarray:
+    """Return values, and zeros behind them."""
+    whole = np.zeros((room, *values.shape[1:]), values.dtype)
+    whole[: len(values)] = values
+    return whole
 
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)

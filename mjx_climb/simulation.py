@@ -61,7 +61,17 @@ from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.step import Carry, Setup, advance, begin, constants_of_law, look_ahead, set_up, walk_of
 from mjx_climb.walk.structure import Structure, planning_steps, structure
-from mjx_climb.walks import Metrics, histories_of, metrics_of, metrics_of_moved, real_metrics, samples_of, together
+from mjx_climb.walks import (
+    PART,
+    Metrics,
+    begun,
+    histories_of,
+    metrics_of,
+    metrics_of_moved,
+    next_samples,
+    real_metrics,
+    together,
+)
 
 Returned = TypeVar("Returned")
 
@@ -223,7 +233,7 @@ class Simulation:
         under = () if targets is None else (np.asarray(targets, dtype),)
         if under and under[0].shape != (expected := (shape.steps, len(robot.limbs), robot.joints)):
             raise ValueError(f"targets: expected shape {expected}, got {under[0].shape}")
-        samples = execution.run_one(samples_of, shape, resolved.law, resolved.parameters, *under)
+        samples = _walked(shape, resolved.law, resolved.parameters, *under)
         return Trajectory(
             scenario=scenario_with_gait(self.scenario, {} if gains is None else by_name(gains)),
             gains=recorded(self.scenario, gains, resolved),
@@ -505,6 +515,23 @@ class Simulation:
         change, axes = functools.partial(_with_law, structure), (axes_behind(state, shape), *resolved.axes)
         changed: SimulationState = over_batch(change, (state, *resolved[:2]), axes, shape)
         return changed
+
+
+def _walked(
+    structure: Structure, law: Law, parameters: Parameters, targets: Float[np.ndarray, "time limb joint"] | None = None
+) -> Sample:
+    """Return all samples of a walk, in parts by one program for walks of any length and time step."""
+    steps, period = structure.steps, structure.planning or 1
+    length, time_step = period * max(1, PART // period), np.asarray(structure.time_step, parameters.gravity.dtype)
+    structure, parts = structure._replace(steps=length, time_step=0.0), list[Sample]()
+    carry = execution.run_one(begun, structure, law, parameters, time_step)
+    for first in range(0, steps, length):
+        under = () if targets is None else (targets[np.minimum(np.arange(first, first + length), steps - 1)],)
+        known = law, parameters, time_step, carry, np.asarray(first, np.int32)
+        carry, samples = execution.run_one(next_samples, structure, *known, *under)
+        parts.append(samples)
+    whole: Sample = jax.tree.map(lambda *each: np.concatenate(each)[:steps], *parts)
+    return whole
 
 
 @functools.partial(jax.jit, static_argnums=0)

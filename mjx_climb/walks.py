@@ -4,6 +4,7 @@ Histories that are kept for a batch are small: the least and the largest value o
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import TypeVar
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, PyTree
+from jaxtyping import Float, Int, PyTree
 
 from mjx_climb.arrays import AnyArray
 from mjx_climb.control import Law
@@ -31,6 +32,7 @@ Record = TypeVar("Record")  # kept of each sample
 Scan = Callable[..., tuple[PyTree, PyTree]]  # as `jax.lax.scan` of a step, its first carry, and `length`
 
 STRETCHES = 200
+PART = 1000  # steps of a walk, about, by one call of a program that gives all samples
 _LEAST = "least of "  # before a line's name
 
 # name: unit, long name, and the metric that is its largest value
@@ -80,13 +82,38 @@ def samples_of(
 ) -> Sample:
     """Return every sample of a walk, stacked over time; joint targets, rad, take the law's place where given."""
     walk = prepare(structure, law, parameters)
+    return _samples(walk, begin(walk), jnp.arange(structure.steps), targets)[1]
 
+
+def begun(structure: Structure, law: Law, parameters: Parameters, time_step: Float[Array, ""]) -> Carry:
+    """Return a robot before its first step."""
+    return begin(prepare(structure._replace(time_step=time_step), law, parameters))
+
+
+def next_samples(
+    structure: Structure,
+    law: Law,
+    parameters: Parameters,
+    time_step: Float[Array, ""],
+    carry: Carry,
+    first: Int[Array, ""],
+    targets: Float[Array, "time limb joint"] | None = None,
+) -> tuple[Carry, Sample]:
+    """Return a robot after its next steps, from the `first` on, and their samples; targets as of `samples_of`.
+
+    The time step and the length of the walk are no part of the program, which serves them all.
+    """
+    walk = prepare(structure._replace(time_step=time_step), law, parameters)
+    return _samples(walk, carry, first + jnp.arange(structure.steps, dtype=first.dtype), targets)
+
+
+def _samples(walk: Walk, begun: Carry, steps: Int[Array, " time"], targets: Array | None) -> tuple[Carry, Sample]:
     def step(carry: Carry, now: tuple[Array, Array | None]) -> tuple[Carry, Sample]:
         number, angles = now
         return advance(walk, carry, number, None if angles is None else JointTargets(angles))
 
-    samples: Sample = _over_steps(walk, step, begin(walk), (jnp.arange(structure.steps), targets))[1]
-    return samples
+    found: tuple[Carry, Sample] = _over_steps(walk, step, begun, (steps, targets))
+    return found
 
 
 def _walked(
@@ -140,14 +167,21 @@ def _over_steps(
     return last, jax.tree.map(lambda value: value.reshape(steps, *value.shape[2:]), records)
 
 
-def metrics_of_samples(structure: Structure, samples: Sample, parameters: Parameters) -> Metrics:
-    """Return the metrics of samples stacked over time, of a walk that is over."""
+def metrics_of_samples(
+    structure: Structure,
+    samples: Sample,
+    parameters: Parameters,
+    time_step: Float[Array, ""],
+    steps: Int[Array, ""],
+) -> Metrics:
+    """Return the metrics of the first `steps` of samples stacked over time, of a walk that is over."""
     dtype, table = samples.base_position.dtype, structure.metrics
     robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), structure.robot)
-    context = _context(structure, robot, parameters)
+    context = _context(structure._replace(time_step=time_step), robot, parameters)
 
     def step(running: Running, sample: Sample) -> tuple[Running, None]:
-        return accumulate(table, running, sample, context), None
+        after = accumulate(table, running, sample, context)
+        return jax.tree.map(functools.partial(jnp.where, running.steps < steps), after, running), None
 
     return finish(table, jax.lax.scan(step, start(table, dtype), samples)[0], context)
 

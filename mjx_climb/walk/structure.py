@@ -1,7 +1,7 @@
 """The static inputs of a compiled walk: all that it depends on beside its law and the values of its parameters."""
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mjx_climb.control import LAWS, Law
 from mjx_climb.execution.contents import Unidentifiable, identity
@@ -28,7 +28,7 @@ class Structure(NamedTuple):
     lift_off: tuple[tuple[str, float], ...]  # of each limb, as a share of the cycle
     base_reference: str
     steps: int
-    time_step: float
+    time_step: Any  # s, float; traced in programs that serve all
     metrics: MetricTable = METRICS
     smooth: bool = False  # no gripper is torn off
     stages: Stages = IDEAL  # of hardware between law and joints

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb import simulation
 from mjx_climb.control import law_of
 from mjx_climb.control.sensor_watch import SILENCE
 from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.trajectory import Trajectory, named
 from mjx_climb.walk.metrics import GRIPS, SENSORS, Context, accumulate, failed, finish, start
-from mjx_climb.walk.sample import Sample, unknown
+from mjx_climb.walk.sample import DIMS, Sample, unknown
 from mjx_climb.walk.structure import structure
 from mjx_climb.walks import LINES, STRETCHES, histories_of, samples_of, stretches, together
 from mjx_climb.walks import histories as extremes
@@ -189,3 +190,30 @@ def test_walks_of_any_gait_have_histories_and_samples(recovery):
     assert {name: value.shape for name, value in made.items()} == shapes
     samples = jax.eval_shape(functools.partial(samples_of, shape), found.law, found.parameters)
     assert samples.foot_force.shape == (shape.steps, 4, 3) and samples.time.shape == (shape.steps,)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("recovery", [None, {"shift": 0.01}])
+def test_a_walk_is_made_in_parts_by_a_program_that_serves_walks_of_any_length_and_time_step(recovery, monkeypatch):
+    """The parts are the walk in one go, of a gait that looks ahead too; its metrics are those of the batch."""
+    changes = {"duration": 0.4, "gait.cycle": 0.4} | ({} if recovery is None else {"control.recovery": recovery})
+    scenario = mc.load_scenario("case_1_2", changes)
+    whole = mc.rollout(scenario)
+    monkeypatch.setattr(simulation, "PART", 150)
+    found, traced = mc.rollout(scenario), list[str]()
+    for name in DIMS:
+        np.testing.assert_allclose(getattr(found, name), getattr(whole, name), rtol=1e-9, atol=1e-12)
+    batch, metrics = mc.rollout_metrics(scenario, dtype=np.float64), mc.metrics(found)
+    assert metrics["force_variation"] == pytest.approx(float(batch["force_variation"]), rel=1e-9)
+    if recovery is not None:  # the steps between decisions are its program's
+        return
+
+    def told(event, *_, **__):
+        traced.extend([event] if event.endswith("jaxpr_trace_duration") else [])
+
+    jax.monitoring.register_event_duration_secs_listener(told)
+    other = scenario.with_overrides({"duration": 0.3, "time_step": 0.0005})
+    walk = mc.rollout(other)
+    assert len(walk.time) == other.steps == 600 and mc.metrics(walk)["force_variation"] > 0
+    jax.monitoring.unregister_event_duration_listener(told)
+    assert traced == []
