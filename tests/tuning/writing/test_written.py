@@ -75,7 +75,7 @@ def test_a_search_writes_its_folder_from_python(tmp_path, capsys):
     assert summary["force_sensor"]["objective"] == pytest.approx(torques[0] / torques[1] - 1)
     assert set(summary["verification"]["margins"]) == set(margins.QUANTITIES)
     assert sum(line.startswith("margin, ") for line in written.outcome) == len(margins.QUANTITIES)
-    assert names == {*written.files.split(", ")}
+    assert names == {*written.files.split(", "), "settings.json"}
     assert summary["force_sensor"]["in_words"] in written.outcome
     assert list(summary["retuned_pd"]["gains"]) == ["kp", "kd"] and list(written.compared) == [
         "tuned", "retuned_pd", "config", "pd"
