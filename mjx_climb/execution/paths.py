@@ -105,6 +105,8 @@ def compiler_options(path: str, device: str | None, *, briefly: bool = False) ->
 # --- where a fast path cannot
 
 _Result = TypeVar("_Result")
+# in errors that no path avoids: too little memory, or a function of the user's that JAX calls back and that fails
+_OF_ANY_PATH = ("RESOURCE_EXHAUSTED", "Traceback (most recent call last)")
 
 
 @functools.cache
@@ -119,7 +121,7 @@ def first_possible(by: Callable[[str], _Result], path: str, call: Hashable) -> _
         try:
             return by(path)
         except (NotImplementedError, JaxRuntimeError) as error:
-            if "RESOURCE_EXHAUSTED" in str(error) and not isinstance(error, Unsupported):
+            if not isinstance(error, Unsupported) and any(reason in str(error) for reason in _OF_ANY_PATH):
                 raise
             _refused().add((path, call))
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]

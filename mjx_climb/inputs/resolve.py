@@ -19,6 +19,7 @@ from mjx_climb.gait.recovery import recovery_of
 from mjx_climb.inputs.from_scenario import check_parameters, compiled_for, own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, with_gait
 from mjx_climb.parameter_types import Gains, Parameters, path_of_gain, with_whole_steps
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import broadcasts
 
@@ -151,7 +152,8 @@ def checked(component: AnyComponent, kind: type[Any]) -> AnyComponent:
     """Return a law, contact, actuator or disturbance as it is.
 
     Raises:
-        ValueError: no instance of the kind, or a field that cannot be hashed.
+        ValueError: no instance of the kind.
+        ConfigError: a field that cannot be hashed: the program is compiled for its value.
     """
     what = kind.__name__.lower()
     if not isinstance(component, kind):
@@ -160,13 +162,14 @@ def checked(component: AnyComponent, kind: type[Any]) -> AnyComponent:
         )
         expected = f"an instance of a class that inherits from mjx_climb.{kind.__name__}"
         raise ValueError(f"{what}: expected {expected}, got {component!r}{made}")
-    try:
-        hash(jax.tree.structure(component))
-    except TypeError as error:
-        known = "gains" if kind is Law else "parameters"
-        raise ValueError(
-            f"{type(component).__name__}: expected fields that can be hashed beside its {known}: {error}"
-        ) from None
+    for field in dataclasses.fields(component):
+        if field.name not in component.VALUES and "tree" not in field.metadata:
+            value = getattr(component, field.name)
+            try:
+                hash(value)
+            except TypeError:
+                expected = "a value that can be hashed, as a tuple, or one made by mjx_climb.gain or parameter"
+                raise ConfigError(type(component).__name__, field.name, expected, repr(value)) from None
     return component
 
 

@@ -3,6 +3,7 @@
 import warnings
 
 import pytest
+from jax.errors import JaxRuntimeError
 
 from mjx_climb.execution import one_robot, paths
 
@@ -91,6 +92,18 @@ def test_what_a_path_cannot_do_is_tried_once_and_something_else_again():
     with pytest.warns(UserWarning, match="the CPU's regions cannot do this: by XLA's own way, slower") as said:
         assert [paths.first_possible(by, "regions", what) for what in ("one of a test", "one of a test", "another")]
     assert tried == ["regions", "plain", "plain", "regions", "plain"] and len(said) == 2
+
+
+def test_an_error_of_a_users_own_function_is_tried_on_no_other_path():
+    tried = []
+
+    def by(path):
+        tried.append(path)
+        raise JaxRuntimeError("INTERNAL: error calling callback: Traceback (most recent call last):")
+
+    with pytest.raises(JaxRuntimeError, match="callback"):
+        paths.first_possible(by, "regions", "a callback that fails")
+    assert tried == ["regions"]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.control import VirtualModelAdmittance
+from mjx_climb.control import PD, VirtualModelAdmittance
 from mjx_climb.ground.ground import Ground
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.inputs.from_scenario import own_parameters
@@ -100,6 +100,18 @@ class Bound(Gripper):
 
     def springs(self):
         return None
+
+
+class WithTable(PD):
+    """A walk is compiled for its table, which could change in place."""
+
+    table: object = dataclasses.field(default_factory=lambda: [1, 2])
+
+
+def test_a_field_that_could_change_in_place_is_refused(scenario):
+    with pytest.raises(ConfigError, match=r"^WithTable: table: expected a value that can be hashed, .*, got \[1, 2\]$"):
+        begun(scenario, law=WithTable())
+    begun(scenario, law=WithTable((1, 2)))
 
 
 @pytest.mark.parametrize("base", [mc.Law, mc.Contact, mc.Actuator, mc.Disturbance, mc.Footholds])

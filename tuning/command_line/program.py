@@ -9,6 +9,7 @@ import contextlib
 import errno
 import importlib
 import inspect
+import logging
 import os
 import re
 import shlex
@@ -42,6 +43,10 @@ _LONGEST = 1000  # characters of a line
 _ALIKE = 0.75  # least likeness of two names that may be mistaken for each other
 _OF_THE_USER = {"InputError", "ConfigError", "RobotError", "OutputError", "Refused", "LostProcess", "RenderingError",
                 "InstallationError"}  # fmt: skip
+# file, line and error at the end of a traceback in an error of JAX, which called a function back
+_CALLED_BACK = re.compile(
+    r'[Cc]allback[\s\S]*Traceback[\s\S]*File "([^"]+)", line (\d+)[^\n]*\n(?:[ \t][^\n]*\n)*(\S[^\n]*)'
+)
 _OUTPUT = (errno.ENOSPC, errno.EIO, errno.EDQUOT)  # of prints; typer ends quietly where a pipe is closed
 
 
@@ -130,6 +135,7 @@ def _program(
 def run(arguments: Sequence[str]) -> int:
     """Run the program and return its exit code; errors go to standard error."""
     ARGUMENTS.set(tuple(arguments))
+    logging.getLogger("jax._src.callback").disabled = True  # it prints a failed callback, which `user_error` names
     # the command may stand in the words that a shell completes
     completed = " ".join(os.environ.get(name, "") for name in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"))
     asked = next((word for word in (*arguments, *completed.split()) if word in COMMANDS), "")
@@ -222,6 +228,8 @@ def user_error(error: Exception) -> str | None:
         message = str(error)
     elif place := _own_place(error):
         message = f"{place}: {type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
+    elif called := _CALLED_BACK.search(str(error)):
+        message = "{}:{}: {}".format(*called.groups())
     else:
         return None
     from mjx_climb.scenario.messages import printable

@@ -200,6 +200,17 @@ def test_an_error_of_a_users_own_file_is_one_line_with_its_place(tmp_path, where
     assert user_error(ZeroDivisionError("ours")) is None
 
 
+def test_a_failed_callback_of_a_users_own_is_one_line_with_its_place(tmp_path):
+    """Of a program that JAX compiled: its error has the traceback as a text."""
+    (tmp_path / "own.py").write_text("def fail(x):\n    raise RuntimeError('no network')\n")
+    fail, *_ = load(f"{tmp_path / 'own.py'}:fail", "function")
+    walk = jax.jit(lambda x: jax.pure_callback(fail, jax.ShapeDtypeStruct((), x.dtype), x))
+    with pytest.raises(jax.errors.JaxRuntimeError) as caught:
+        jax.block_until_ready(walk(1.0))
+    assert user_error(caught.value) == f"{tmp_path / 'own.py'}:2: RuntimeError: no network"
+    assert user_error(jax.errors.JaxRuntimeError("INTERNAL: ours")) is None
+
+
 def test_a_long_line_is_shortened_in_the_middle():
     line = user_error(InputError(f"--option: {'x' * 10_000} its end"))
     assert len(line) < 1100 and line.startswith("--option: ") and line.endswith(" its end")
