@@ -71,7 +71,7 @@ def against_best(
     best = min(sound, key=lambda name: (not sound[name].keeps, sound[name].value), default=None)
     reached = f"{ours}: {_with_unit(what, own.value, unit)}" if math.isfinite(own.value) else f"{ours}: the walk failed"
     if best is None:
-        return f"{reached}; no rival held"
+        return f"{reached}; no rival held" if others else reached
     rival, breaks = sound[best], "" if sound[best].keeps else f", which {breaks}"
     name = in_words(best, joint)
     if not math.isfinite(own.value):

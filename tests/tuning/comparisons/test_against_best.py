@@ -55,6 +55,7 @@ def test_the_verdict_names_the_best_rival_with_numbers(rivals, said):
 def test_walks_that_failed_are_no_rivals_and_have_no_numbers():
     none = against_best("tuned gains", {"tuned": OURS, "pd": Walked(math.nan)}, "objective")
     assert none == "tuned gains: objective 0.7607; no rival held"
+    assert against_best("tuned gains", {"tuned": OURS}, "objective") == "tuned gains: objective 0.7607"
     lost = against_best("tuned gains", {"tuned": Walked(math.nan), "pd": Walked(2.0)}, "force variation", "N")
     assert lost == (
         "tuned gains: the walk failed; the best rival that walked is pd as the config has it: force variation 2 N"
