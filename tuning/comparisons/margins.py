@@ -140,6 +140,8 @@ class Margin:
 
     def falls_short(self, what: str, reached: float | None) -> list[str]:
         """Return a line on a margin that is short of the values that gains should hold at, none otherwise."""
+        if reached == self.worst:  # no worse value walked
+            return []
         if reached is not None and (reached <= self.needed if self.worst < self.own else reached >= self.needed):
             return []
         limit = "at no value" if reached is None else f"up to {self.with_unit(reached)} only"

@@ -176,6 +176,8 @@ def test_margins_in_words(unit, value, text):
         has = f"the hardware has {one.with_unit(1.0)}, {one.with_unit(enough)} would be safe"
         assert one.falls_short("gains hold", short) == [f"spread: gains hold up to {one.with_unit(short)} only, {has}"]
         assert one.falls_short("gains hold", None) == [f"spread: gains hold at no value, {has}"]
+    # gains that hold at the worst value walked may hold at twice their own too
+    assert margins.Margin(1.0, 1.5, None, 1.5, "spread", unit).falls_short("gains hold", 1.5) == []
 
 
 @pytest.mark.parametrize(
