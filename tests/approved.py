@@ -5,6 +5,8 @@
 
 import json
 import os
+import re
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,9 @@ from matplotlib.colors import to_hex
 
 from tuning.pages.contents import Picture
 
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
+ROUGH = 4e-3  # relative, of numbers that other machines compute
+SMALL = 2e-5  # absolute, of differences between walks in single precision
 SETTINGS = ("search.yaml", "ensemble.yaml", "ceiling.yaml")  # whose texts are tested with the settings
 
 
@@ -21,6 +26,42 @@ def check(file: Path, text: str) -> None:
     if os.environ.get("APPROVE"):
         file.write_text(text)
     assert text == file.read_text()
+
+
+def check_numbers(file: Path, text: str) -> None:
+    """Assert that a text has the words of the approved one, and numbers that agree within rounding."""
+    if os.environ.get("APPROVE"):
+        file.write_text(text)
+    lines = zip_longest(file.read_text().splitlines(), text.splitlines(), fillvalue="(no line)")
+    differ = [f"- {known}\n+ {line}" for known, line in lines if not agree(known, line)]
+    assert not differ, f"{file.name}: {len(differ)} lines differ\n" + "\n".join(differ[:40])
+
+
+def agree(known: str, line: str) -> bool:
+    """Return whether two lines have the same words, and numbers within `ROUGH`, `SMALL` or one unit of the last digit.
+
+    The last digit of a number is rounded if it has three or more, a sign or a per cent behind it.
+    """
+    if known == line:
+        return True
+    if NUMBER.split(known) != NUMBER.split(line):
+        return False
+    pairs = zip(NUMBER.finditer(known), NUMBER.finditer(line), strict=True)
+    return all(_near(one[0], other[0], known[one.end() :].lstrip().startswith("%")) for one, other in pairs)
+
+
+def _near(one: str, other: str, share: bool) -> bool:
+    if one == other:
+        return True
+    apart, unit = abs(float(one) - float(other)), min(_unit(one), _unit(other))
+    digits = max(len(each.partition("e")[0].lstrip("+-0.").replace(".", "")) for each in (one, other))
+    rounded = "." in one + other and (digits >= 3 or share or one[0] in "+-")
+    return apart <= max(ROUGH * abs(float(one)), SMALL, 1.001 * unit if rounded else 0)
+
+
+def _unit(number: str) -> float:
+    digits, _, power = number.partition("e")
+    return 10.0 ** (int(power or 0) - len(digits.partition(".")[2]))
 
 
 def of_contents(contents, origin) -> str:
