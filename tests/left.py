@@ -19,10 +19,13 @@ MASKS = {
     r"compilation cache: .*": "compilation cache: CACHE",
     r" (in|after) (\d+ min|[\d.]+ (s|ms|h))\b(?=: )": r" \1 TIME",
 }
+ROUNDING = 1e-9  # of the largest number: what is smaller is none
+LONG = 300  # lines of a file, of which a few are compared
+MANY = 1000  # flags, of which the share is compared
 VERSIONS = re.compile(r"^.*(_version|_revision|_versions|versions)$|^(python|platform|device|git|host|cpu|made)$")
 STAGE = re.compile(  # the time of a stage, and how far one has come
     r"^[^\n:]*: [\d.]+ (?:us|ms|s|min|h)(?:, of which [\w\s.]*?(?:compiling|tracing|cache))?\s*\n"
-    r"|^[^\n:]*: \d+ of \d+ [^\n]*\n|^[^\n]*\b\d+/\d+: [^\n]*\n|^ *\n",
+    r"|^[^\n:]*: \d+ of \d+ [^\n]*\n|^[^\n:]*: cost [^\n]*\n|^[^\n]*\b\d+/\d+: [^\n]*\n|^ *\n",
     re.MULTILINE,
 )
 
@@ -60,7 +63,8 @@ def of_file(file: Path, *places: Path) -> list[str]:
         return approved.of_json(unversioned(yaml.safe_load(text) if kind == ".yaml" else json.loads(text)))
     if kind == ".html":
         return of_page(text)
-    return of_svg(text) if kind == ".svg" else text.splitlines()
+    lines = of_svg(text) if kind == ".svg" else text.splitlines()
+    return lines if len(lines) <= LONG else lines[:: len(lines) // 30]
 
 
 def unversioned(value):
@@ -92,6 +96,8 @@ def of_dataset(data: xr.Dataset, *places: Path) -> list[str]:
 def of_values(values) -> str:
     """Return numbers in five digits; of many three, their mean, and the mean of every other and of their sizes."""
     flat = np.asarray(values).ravel()
+    if flat.dtype.kind == "b" and flat.size > MANY:
+        return f"{flat.size}, {flat.mean():.5g} of them true"
     if flat.dtype.kind in "bUSO":
         words = [str(each) for each in flat]
         return " ".join(words) if len(words) <= 40 else f"{' '.join(words[:20])} ..., {len(set(words))} differ"
@@ -99,10 +105,12 @@ def of_values(values) -> str:
     if flat.size <= 24:
         return approved._short(flat.tolist(), 5)
     finite = flat[np.isfinite(flat)]
+    flat = np.where(np.abs(flat) < ROUNDING * np.abs(finite).max(initial=0.0), 0.0, flat)
     some = approved._short(flat[[0, flat.size // 3, flat.size // 2, -1]].tolist(), 5)
     if finite.size == 0:
         return f"{flat.size} of {some}"
-    means = [finite.mean(), finite[::2].mean(), np.abs(finite).max()]
+    means = np.array([finite.mean(), finite[::2].mean(), np.abs(finite).max()])
+    means = np.where(np.abs(means) < ROUNDING * means[2], 0.0, means).tolist()
     return f"{flat.size} of {some}, {flat.size - finite.size} not finite, {approved._short(means, 5)}"
 
 
