@@ -21,11 +21,9 @@ sweep: .venv/.installed
 test: .venv/.installed-test
 	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "not slow and not timing and not nightly" $(COVER)
 
-# Those that compare speeds run alone, and compiled as users' programs are. Of those that run once a night, one function
-# in thirty, another each day: what a change breaks there is seen within a month where nobody reads the night's results.
+# Those that compare speeds run alone, and compiled as users' programs are.
 test-slow: .venv/.installed-test
 	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "slow and not timing and not nightly"
-	$(UNOPTIMISED) $(PYTEST) $(SPREAD) -m "nightly and not timing" --share $$(($$(date +%s) / 86400))/30
 	$(PYTEST) -m "timing and not nightly" $$(grep -rl mark.timing tests)
 
 # Whole searches and notebooks, every robot, shape and law from start to end: some three hours.

@@ -26,7 +26,6 @@ import mjx_climb as mc
 from mjx_climb.disturbances.on_base import Push
 from mjx_climb.execution import batches, cache, gpu_kernel, paths
 from tests.execution.interpreter import launched
-from tests.shares import first_cases
 
 jax.config.update("jax_enable_x64", True)
 cache.enable_cache()
@@ -53,18 +52,6 @@ BROWSER = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync"
 )
-
-
-def pytest_addoption(parser):
-    parser.addoption("--share", metavar="PLACE/COUNT", help="the first cases of one function in COUNT, from PLACE on")
-
-
-@pytest.hookimpl(trylast=True)  # of what is left of them by -m
-def pytest_collection_modifyitems(config, items):
-    if share := config.getoption("share"):
-        chosen = {*first_cases([item.nodeid for item in items], *map(int, share.split("/")))}
-        config.hook.pytest_deselected(items=[item for item in items if item.nodeid not in chosen])
-        items[:] = [item for item in items if item.nodeid in chosen]
 
 
 @pytest.fixture(autouse=True)

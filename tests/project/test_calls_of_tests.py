@@ -3,14 +3,11 @@
 import ast
 import importlib
 import inspect
-import itertools
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
-
-from tests.shares import first_cases
 
 ROOT = Path(__file__).parents[2]
 OURS = ("mjx_climb", "tuning", "tests")
@@ -83,12 +80,3 @@ def test_a_name_that_is_gone_and_an_argument_too_many_are_found():
     text = "mc.rollout(scenario)\nmc.rolout(scenario)\nmc.metrics(walk, metrics=(), mode=1)\nmc.load_scenario()\n"
     assert [line.split(":")[0] for line in faults(ast.parse(text), known)] == ["line 2", "line 2", "line 3", "line 4"]
     assert not faults(ast.parse("def test(mc):\n    mc.rolout()\n"), known)
-
-
-def test_all_shares_together_are_the_first_case_of_each_function_once():
-    tests = [
-        f"file.py::test_{number}{case}" for number in range(7) for case in (("[a]", "[b[0]]") if number % 2 else ("",))
-    ]
-    shares = [first_cases(tests, day, 3) for day in range(20, 23)]
-    assert sorted(itertools.chain(*shares)) == [test for test in tests if "[b" not in test]
-    assert [len(share) for share in shares] == [2, 3, 2]
