@@ -79,7 +79,8 @@ def unversioned(value):
 def of_dataset(data: xr.Dataset, *places: Path) -> list[str]:
     """Return the attributes of a dataset, and a line for each variable."""
     lines = []
-    kept = {key: value for key, value in data.attrs.items() if not str(value).startswith("{")}  # gains.yaml has these
+    # gains.yaml has these, and a package without its repository no revision
+    kept = {key: value for key, value in data.attrs.items() if key != "git_revision" and not str(value).startswith("{")}
     for key, value in unversioned(kept).items():
         first, *more = masked(str(value), *places).splitlines() or [""]
         lines.append(f"{key}: {first[:300]}" + (f" ({len(more)} lines more)" if more else ""))
@@ -122,7 +123,7 @@ def of_page(text: str) -> list[str]:
     text = re.sub(r"(?<=</t[hd]>)\s*(?=<t[hd])", " | ", text)
     text = re.sub(r"<[^>]*>", "", text)
     lines = [html.unescape(line).strip() for line in text.splitlines()]
-    lines = [_unversioned_row(line) for line in lines if line]
+    lines = [_unversioned_row(line) for line in lines if line and not line.startswith("git revision | ")]
     return lines + (of_explorers(json.loads(data[1])) if data else [])
 
 
