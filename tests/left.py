@@ -20,6 +20,7 @@ MASKS = {
     r" (in|after) (\d+ min|[\d.]+ (s|ms|h))\b(?=: )": r" \1 TIME",
 }
 ROUNDING = 1e-9  # of the largest number: what is smaller is none
+SINGLE = 2e-5  # likewise, of numbers in single precision
 LONG = 300  # lines of a file, of which a few are compared
 MANY = 1000  # flags, of which the share is compared
 VERSIONS = re.compile(r"^.*(_version|_revision|_versions|versions)$|^(python|platform|device|git|host|cpu|made)$")
@@ -102,16 +103,16 @@ def of_values(values) -> str:
     if flat.dtype.kind in "bUSO":
         words = [str(each) for each in flat]
         return " ".join(words) if len(words) <= 40 else f"{' '.join(words[:20])} ..., {len(set(words))} differ"
-    flat = flat.astype(float)
+    rounding, flat = SINGLE if flat.dtype == np.float32 else ROUNDING, flat.astype(float)
     if flat.size <= 24:
         return approved._short(flat.tolist(), 5)
     finite = flat[np.isfinite(flat)]
-    flat = np.where(np.abs(flat) < ROUNDING * np.abs(finite).max(initial=0.0), 0.0, flat)
+    flat = np.where(np.abs(flat) < rounding * np.abs(finite).max(initial=0.0), 0.0, flat)
     some = approved._short(flat[[0, flat.size // 3, flat.size // 2, -1]].tolist(), 5)
     if finite.size == 0:
         return f"{flat.size} of {some}"
     means = np.array([finite.mean(), finite[::2].mean(), np.abs(finite).max()])
-    means = np.where(np.abs(means) < ROUNDING * means[2], 0.0, means).tolist()
+    means = np.where(np.abs(means) < rounding * means[2], 0.0, means).tolist()
     return f"{flat.size} of {some}, {flat.size - finite.size} not finite, {approved._short(means, 5)}"
 
 
