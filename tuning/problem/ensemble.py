@@ -111,6 +111,7 @@ class Drawn(_Section):
     log: bool = setting(False, "even in the logarithm")
 
     def faults(self) -> Iterator[ValueError]:
+        yield from super().faults()
         if (self.range is None) == (self.factor is None):
             yield ValueError(f"expected a range or a factor, got {'none' if self.range is None else 'both'}")
         if self.log and not self.span[0] > 0:

@@ -10,6 +10,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
+from mjx_climb.reading import readers_in
 from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
 from tuning.identification.readers import formats, read_log, record, write_csv
@@ -383,6 +384,6 @@ def test_files_of_a_log_are_named_as_they_are_found_from_the_folder_of_a_result(
 def test_a_format_of_ones_own_is_one_file_in_the_folder_of_formats(tmp_path, monkeypatch):
     (tmp_path / "of_my_robot.py").write_text('SUFFIXES = (".robot",)\n\n\ndef read(path):\n    return f"read {path}"\n')
     monkeypatch.setattr(formats, "__path__", [*formats.__path__, str(tmp_path)])
-    readers = formats._readers()
+    readers = readers_in(formats.__name__, formats.__path__)
     assert readers.keys() - formats.READERS.keys() == {".robot"}
     assert readers[".robot"]("walk.robot") == "read walk.robot"
