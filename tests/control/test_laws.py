@@ -287,7 +287,9 @@ class Remembering(PD):
     def init(self, start):
         made = {"handed": self.damping, "times_one": self.damping, "chosen": self.damping}
         of_time = {"clock": -self.damping, "of_clock": self.damping, "decays": self.damping, "holds": self.damping}
-        return made | of_time | {"force": 0.0, "reference": start.reference.base_position, "of_force": self.damping}
+        of_force = {"of_force": self.damping, "of_that": self.damping, "at_the_end": self.damping}
+        partly = {"partly": jnp.stack([self.damping, self.damping])}
+        return made | of_time | of_force | partly | {"force": 0.0, "reference": start.reference.base_position}
 
     def step(self, state, measured, reference):
         unread = jnp.sum(measured.foot_force) + jnp.sum(measured.joint_rates)
@@ -303,6 +305,9 @@ class Remembering(PD):
             "force": 0.9 * state["force"] + measured.wrench.sum(),
             "reference": reference.base_position,
             "of_force": jnp.maximum(state["of_force"], state["force"]),
+            "of_that": jnp.maximum(state["of_that"], state["of_force"]),
+            "at_the_end": jnp.maximum(state["at_the_end"], state["of_that"]),
+            "partly": state["partly"] * jnp.array([1.0, 0.9]),
         }
         return after, super().step((), measured, reference)[1]
 

@@ -52,7 +52,8 @@ def strict_json(text):
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     texts = {"bad": "gait: {strid: 0.05}", "broken": "gait: [", "gains": "damping: 1"}
-    for name, text in {**texts, "held": "inertia: 1\ndamping: 1\nstiffness: 1"}.items():
+    held = "inertia: 1\ndamping: 1\nstiffness: 1"
+    for name, text in {**texts, "held": held, "lawful": f"law: VirtualModelAdmittance\n{held}"}.items():
         (folder / f"{name}.yaml").write_text(text)
     (folder / "file").write_text("")
     law = "from mjx_climb.control import VirtualModelAdmittance\nclass Mine(VirtualModelAdmittance): pass"

@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import json
+import math
 import os
 import subprocess
 import sys
@@ -62,6 +63,7 @@ A_LITTLE = "a hundred millionth"
         ("walk", "diverged", True, "walk"),
         ("walk", "detached_limb", "LF", "walk"),
         ("walk", "travel", None, "walk"),
+        ("walk", "force_variation", math.nan, "walk"),
     ],
 )
 def test_a_value_that_is_off_is_seen(doctor, monkeypatch, part, name, value, seen_in):

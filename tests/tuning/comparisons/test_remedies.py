@@ -1,8 +1,11 @@
 """What would keep grippers from letting go, in one line."""
 
+import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.inputs.from_scenario import own_parameters
+from tuning.comparisons import remedies as module
 from tuning.comparisons.remedies import gap_in_words, remedies
 
 CLOSES = {"contact.capture_distance": 0.005, "contact.closing_time": 0.1}
@@ -35,3 +38,31 @@ def test_grips_without_a_limit_are_said_to_have_none():
     """A hold with limits may let go of them."""
     scenario = mc.load_scenario("case_1_2", ["duration=0.3", "contact.holding_limit=null"])
     assert remedies(scenario, 0.1).endswith("; contact.holding_limit is null")
+
+
+def test_each_remedy_is_the_walk_that_its_words_name(monkeypatch):
+    """All values but those that it names are the scenario's; the first walk, and that cut by its end, name none."""
+    scenario, walked = mc.load_scenario("case_1_2", ["duration=6"]), []
+    paths = ("gait.cycle", "gait.stride", "control.kp", "control.kd")
+
+    def rollout(scenario, parameters, law):
+        walked.append(parameters)
+        return parameters
+
+    def metrics(parameters, _):
+        pull = sum(float(parameters.at(path)) for path in paths)
+        return {"diverged": False, "peak_pull_force": pull, **dict.fromkeys(module.GAP, 0.0)}
+
+    monkeypatch.setattr(module, "check_time_step", lambda scenario, parameters: None)
+    monkeypatch.setattr(module, "rollout", rollout)
+    monkeypatch.setattr(module, "metrics", metrics)
+    own, found = own_parameters(scenario), []
+    for at in (2.9, 3.1):
+        walked.clear()
+        text = remedies(scenario, at)
+        assert text.count(" N") == len(walked) + 1  # the limit beside them
+        factors = [{path: float(each.at(path) / own.at(path)) for path in paths} for each in walked]
+        found.append([{path: by for path, by in each.items() if not np.isclose(by, 1)} for each in factors])
+    softer, stiffer = ({"control.kp": by, "control.kd": by} for by in (0.5, 2.0))
+    assert found[0] == [{}, {"gait.cycle": 2.0}, {"gait.stride": 0.5}, softer, stiffer]
+    assert found[1] == [{}, {"gait.stride": 0.5}, softer, stiffer]

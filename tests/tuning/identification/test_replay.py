@@ -156,6 +156,9 @@ def test_the_picture_shows_what_was_commanded_logged_and_simulated(log):
     assert not any(panel.texts for panel in figure.axes)  # nothing is written over the curves
     error = found.errors["LF.coxa.position"]
     missed = figure.axes[4].lines[0].get_ydata()
+    logged = log.signals["LF.coxa.position"]
+    simulated = np.interp(logged.time, found.walk.time, found.walk.joint_angles[:, 0, 0])
+    np.testing.assert_allclose(missed, 1e3 * (logged.value - simulated))
     assert 1e-3 * np.sqrt(np.mean(missed**2)) == pytest.approx(error.rms, abs=1e-12)
     assert figure.axes[4].get_title(loc="right") == f"{1e3 * error.rms:.3g} mrad"
     assert len(figure.axes[24].lines) == 6
