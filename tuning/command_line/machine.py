@@ -193,7 +193,7 @@ def simulation() -> Iterator[Part]:
         findings = [
             f"{source}: {off.name} is {off.value}, stored is {off.stored}"
             for source, off in group.items()
-            if not off.size <= limit  # NaN is off, too
+            if off.size > limit
         ]
         what = f"{', '.join(group) if len(group) > 1 else ''} {'off' if findings else 'as stored'}".strip()
         largest = max(each.size for each in group.values())
