@@ -68,7 +68,7 @@ def test_errors_are_those_of_each_signal(walk, log):
 def test_a_log_of_another_start_and_gait_says_so(log):
     signals = {name: Signal(s.time, s.value + 0.2 if name == "LF.tibia.position" else 1.0 - s.value
                             if name == "RF.support" else s.value) for name, s in log.signals.items()}  # fmt: skip
-    start, gait, _ = sorted(replay(dataclasses.replace(log, signals=signals), SCENARIO).warnings, reverse=True)
+    start, _, gait = sorted(replay(dataclasses.replace(log, signals=signals), SCENARIO).warnings, reverse=True)
     assert start.startswith("the walk begins in its rest stance, 0.2 rad from where LF.tibia")
     assert gait.startswith("grippers shut and open as the config's gait has it, other than in the log for 100 %")
 
