@@ -30,7 +30,7 @@ from mjx_climb.walk.sample import DIMS, Sample
 from mjx_climb.walk.structure import structure
 from mjx_climb.walks import Metrics, metrics_of_samples
 
-_ROOM = 1024  # samples that a program takes, times a power of 4: one serves walks of many lengths
+_ROOM = 1024  # samples that a program takes, times a power of 2: one serves walks of many lengths
 
 
 def rollout(
@@ -145,7 +145,7 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
         ValueError: two metrics of one name, or one that does not keep its shapes.
     """
     steps, parameters = len(trajectory.time), trajectory.parameters
-    room = next(room for power in itertools.count() if (room := _ROOM * 4**power) >= steps)
+    room = next(room for power in itertools.count() if (room := _ROOM * 2**power) >= steps)
     whole: dict[str, Any] = {name: _with_room(np.asarray(getattr(trajectory, name)), room) for name in DIMS}
     samples = Sample(**whole)
     shape = structure(trajectory.scenario, DEFAULT_ENGINE, parameters, metrics=metrics)

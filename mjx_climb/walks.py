@@ -32,7 +32,7 @@ Record = TypeVar("Record")  # kept of each sample
 Scan = Callable[..., tuple[PyTree, PyTree]]  # as `jax.lax.scan` of a step, its first carry, and `length`
 
 STRETCHES = 200
-PART = 1000  # steps of a walk, about, by one call of a program that gives all samples
+PART = 2000  # steps of a walk, about, by one call of a program that gives all samples
 _LEAST = "least of "  # before a line's name
 
 # name: unit, long name, and the metric that is its largest value
