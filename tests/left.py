@@ -25,7 +25,7 @@ LONG = 300  # lines of a file, of which a few are compared
 MANY = 1000  # flags, of which the share is compared
 VERSIONS = re.compile(r"^.*(_version|_revision|_versions|versions)$|^(python|platform|device|git|host|cpu|made)$")
 STAGE = re.compile(  # the time of a stage, and how far one has come
-    r"^[^\n:]*: [\d.]+ (?:us|ms|s|min|h)(?:, of which [\w\s.]*?(?:compiling|tracing|cache))?\s*\n"
+    r"^[^\n:]*: [\d.]+ (?:us|ms|s|min|h)(?:(?:,\s+of\s+which|\s+and)\s[\w\s.]*?(?:compiling|tracing|cache))*\s*\n"
     r"|^[^\n:]*: \d+ of \d+ [^\n]*\n|^[^\n:]*: cost [^\n]*\n|^[^\n]*\b\d+/\d+: [^\n]*\n|^ *\n",
     re.MULTILINE,
 )
