@@ -33,7 +33,7 @@ def bound(function: ast.AST) -> set[str]:
 
 
 def object_of(node: ast.AST, known: dict[str, Any]) -> Any:
-    """Return what a dotted name stands for.
+    """Return the object of a dotted name.
 
     Raises:
         AttributeError: one of our modules has no such name.
