@@ -93,7 +93,7 @@ def without_nvrtc(monkeypatch):
 @pytest.fixture
 def interpreted(monkeypatch):
     """Have kernels carried out by XLA's own operations, on any device and in any precision."""
-    monkeypatch.setattr(gpu_kernel, "_launched", launched)
+    monkeypatch.setattr(gpu_kernel, "by_kernel", launched)
 
 
 @pytest.fixture(scope="module")

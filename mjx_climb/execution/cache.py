@@ -213,7 +213,7 @@ def cached_jit(
                     executables[key] = (
                         jitted.lower(structure, *trees).compile()
                         if file is None
-                        else _loaded(file, leaves) or _stored(file, function, options, structure, trees)
+                        else loaded(file, leaves) or _stored(file, function, options, structure, trees)
                     )
         return executables[key](*trees)
 
@@ -252,7 +252,7 @@ def _digest(file: Path, content: bytes) -> bytes:
     return hashlib.sha256(file.name.encode() + content).hexdigest().encode()
 
 
-def _loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
+def loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
     """Return a stored executable, None where there is none.
 
     Raises:

@@ -11,9 +11,11 @@ import functools
 import hashlib
 import importlib
 import itertools
+import re
 import sys
 import types
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -198,7 +200,11 @@ def in_library(module: str) -> bool:
     if top in sys.stdlib_module_names or _PACKAGE in (top, getattr(sys.modules.get(top), "__part_of__", "")):
         return True
     file = getattr(sys.modules.get(module), "__file__", None) or getattr(sys.modules.get(top), "__file__", None)
-    return file is not None and any(folder in file for folder in ("site-packages", "dist-packages"))
+    if file is None or any(folder in file for folder in ("site-packages", "dist-packages")):
+        return file is not None
+    # in a folder of `pip install --target`; a package that is edited where it lies has no RECORD beside it
+    records = (path for folder in Path(file).parents for path in folder.glob("*.dist-info/RECORD"))
+    return any(re.search(rf"^{re.escape(top)}[./]", path.read_text(), re.MULTILINE) for path in records)
 
 
 def _version(name: str) -> str:

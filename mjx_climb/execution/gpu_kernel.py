@@ -63,7 +63,7 @@ def over_robots(function: Callable[..., _Result], batched: Sequence[bool]) -> Ca
 
     def mapped(*arguments: PyTree) -> _Result:
         program, shape = _of_one(function, arguments, batched)
-        results: _Result = jax.tree.unflatten(shape, _launched(body_of(program), jax.tree.leaves(arguments), batched))
+        results: _Result = jax.tree.unflatten(shape, by_kernel(body_of(program), jax.tree.leaves(arguments), batched))
         return results
 
     return mapped
@@ -86,7 +86,7 @@ def tangents_over_robots(
         program, shape = _of_one(function, arguments, batched)
         along = jax.tree.leaves(directions)
         both, moved = _moved(program, len(along))
-        found = _launched(body_of(both), [*jax.tree.leaves(arguments), *along], [*batched, *[2] * len(along)])
+        found = by_kernel(body_of(both), [*jax.tree.leaves(arguments), *along], [*batched, *[2] * len(along)])
         results: _Result = jax.tree.unflatten(shape, [array[:, 0] for array in found[: len(moved)]])
         of_moving = iter(found[len(moved) :])
         tangents = [
@@ -120,7 +120,7 @@ def gradients_over_robots(
         moves = tuple(place < len(moving) for place in range(len(program.in_avals)))
         both = with_gradients(program, moves, weighed, values=True)
         given = [*jax.tree.leaves(arguments), *(weights[name] for name in order)]
-        found = _launched(body_of(both), given, [*batched, *[2] * len(weights)])
+        found = by_kernel(body_of(both), given, [*batched, *[2] * len(weights)])
         results: dict[str, Array] = jax.tree.unflatten(tree, [array[:, 0] for array in found[: tree.num_leaves]])
         return results, jax.tree.unflatten(along, found[tree.num_leaves :])
 
@@ -184,7 +184,7 @@ def _rounded(count: int) -> int:
 
 @functools.lru_cache(_KEPT)
 def written(body: Body, axes: tuple[int, ...]) -> Kernel:
-    """Return the kernel of a body; `axes` as of `_launched`."""
+    """Return the kernel of a body; `axes` as of `by_kernel`."""
     writer, given = CudaWriter(body.limbs.count), []
     for aval, count in zip(body.program.in_avals, axes, strict=True):
         given.append(as_array((writer.read(READ[count], aval.dtype) for _ in range(aval.size)), aval.shape))
@@ -192,7 +192,7 @@ def written(body: Body, axes: tuple[int, ...]) -> Kernel:
     return Kernel(text, writer.kept, writer.width)
 
 
-def _launched(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[Array]:
+def by_kernel(body: Body, arrays: Sequence[Array], axes: Sequence[int]) -> list[Array]:
     """Return the results of a body, with all batch axes that there are.
 
     Arguments:

@@ -132,7 +132,7 @@ def first_possible(by: Callable[[str], _Result], path: str, call: Hashable) -> _
 # --- does a fast path work on this machine?
 
 _WAITING = threading.Lock()
-_TRIAL = "from mjx_climb.execution import paths; paths.take({!r})"
+TRIAL = "from mjx_climb.execution import paths; paths.take({!r})"
 _PATIENCE = 300.0  # s, for a process that starts, imports JAX and compiles some hundred operations on a busy machine
 _CRASHES = (signal.SIGILL, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGSEGV)  # not somebody's wish
 
@@ -152,7 +152,7 @@ def begin() -> None:
     for path in {"cpu": ("regions",), "gpu": tuple(PATHS)}.get(jax.default_backend(), ()):
         if (file := _file(path)) is None or not file.exists():
             with contextlib.suppress(OSError):  # who asks is told
-                _trial(path)
+                trial(path)
 
 
 @functools.cache
@@ -182,7 +182,7 @@ def verdict(path: str) -> Verdict:
             return Verdict(bool(told["works"]), str(told["seen"]))
         except (OSError, ValueError, KeyError, TypeError):
             pass  # not there, or damaged: tried again
-    found, lasting = _tried(path)
+    found, lasting = tried(path)
     if kept is not None and lasting:
         with contextlib.suppress(OSError):  # no room, no rights: tried again in the next process
             write_whole(kept, json.dumps(found._asdict()).encode())
@@ -198,7 +198,7 @@ def _file(path: str) -> Path | None:
 
 
 @functools.cache
-def _trial(path: str) -> subprocess.Popen[str]:
+def trial(path: str) -> subprocess.Popen[str]:
     """Start the process that tries a path.
 
     Raises:
@@ -211,17 +211,17 @@ def _trial(path: str) -> subprocess.Popen[str]:
         "JAX_ENABLE_COMPILATION_CACHE": "false",  # the compiler is tried
         "JAX_TRACEBACK_FILTERING": "off",  # its last line is the error
     }
-    command, pipe = [sys.executable, "-c", _TRIAL.format(path)], subprocess.PIPE
+    command, pipe = [sys.executable, "-c", TRIAL.format(path)], subprocess.PIPE
     return subprocess.Popen(
         command, env=environment, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True,
         start_new_session=True,  # Ctrl-C is for this process
     )  # fmt: skip
 
 
-def _tried(path: str) -> tuple[Verdict, bool]:
+def tried(path: str) -> tuple[Verdict, bool]:
     """Return the verdict of a process of its own, and whether the next one would come to the same."""
     try:
-        with _trial(path) as process:
+        with trial(path) as process:
             try:
                 out, errors = process.communicate(timeout=_PATIENCE)
             except BaseException:

@@ -31,7 +31,7 @@ from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import DIMS, Sample, unknown
 
-_PACKAGE = Path(__file__).parents[1]
+PACKAGE_FOLDER = Path(__file__).parents[1]
 _TIMES = 16  # more than one damaged block of a disk takes away
 _READ = """
 import sys, h5netcdf
@@ -161,7 +161,7 @@ def provenance(scenario: Scenario) -> dict[str, str]:
     for name, distribution in PACKAGES.items():
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             attrs[f"{name}_version"] = importlib.metadata.version(distribution)
-    return attrs | ({"git_revision": revision} if (revision := _revision(_PACKAGE)) else {})
+    return attrs | ({"git_revision": revision} if (revision := _revision(PACKAGE_FOLDER)) else {})
 
 
 @functools.cache

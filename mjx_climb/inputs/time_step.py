@@ -200,7 +200,8 @@ def _back_emf(drive: Servos) -> Any:
 
 def _shared_gait(parameters: Parameters, own: Gait) -> Gait:
     """Return the gait with the values that all robots have in place of its own."""
-    known = {path.removeprefix("gait."): np.unique(np.asarray(parameters.at(path), float)) for path in GAIT}
+    walked = parameters.values
+    known = {path.removeprefix("gait."): np.unique(np.asarray(walked[path], float)) for path in GAIT}
     return own.model_copy(update={key: float(values[0]) for key, values in known.items() if len(values) == 1})
 
 

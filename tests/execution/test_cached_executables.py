@@ -240,7 +240,7 @@ def test_a_folder_that_is_made_here_lets_nobody_else_in(run, tmp_path, monkeypat
 def test_an_executable_is_found_under_the_settings_of_jax_that_it_was_compiled_under_alone(monkeypatch):
     files, real = [], runpy.run_path(cache.__file__)["executable_file"]  # the tests' own stores none
     monkeypatch.setattr(cache, "executable_file", real)
-    monkeypatch.setattr(cache, "_loaded", lambda file, _: files.append(file) or (lambda *trees: trees))
+    monkeypatch.setattr(cache, "loaded", lambda file, _: files.append(file) or (lambda *trees: trees))
 
     def call(precision):
         with jax.default_matmul_precision(precision):
@@ -310,7 +310,7 @@ def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
     with cache.cache_in(str(tmp_path)):
         assert program(1.0, np.zeros(2)).tolist() == [1.0, 1.0]
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
-    monkeypatch.setattr(paths, "_tried", lambda path: (paths.Verdict(True, "tried"), True))
+    monkeypatch.setattr(paths, "tried", lambda path: (paths.Verdict(True, "tried"), True))
     assert paths.verdict.__wrapped__("regions").works
     for folder in ("programs", "probes"):  # XLA writes its own beside
         assert list((tmp_path / folder).iterdir()) == []

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import importlib
 import subprocess
 import sys
 import threading
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.execution.contents import Unidentifiable, identity
+from mjx_climb.execution.contents import Unidentifiable, identity, in_library
 from mjx_climb.execution.refused import Refused
 
 SCALE = 2.0
@@ -192,6 +193,23 @@ print(identity(functools.partial(judge, scale=3.0)))
 
 
 @pytest.mark.slow
+def test_a_package_that_is_installed_into_a_folder_of_its_own_is_a_library_and_a_file_beside_it_is_not(
+    monkeypatch, tmp_path
+):
+    """As by `pip install --target`; what is edited where it lies changes without a version."""
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("installed_of_test", "beside_of_test"):
+        (tmp_path / f"{name}.py").write_text("def scale(x):\n    return 2 * x\n")
+    (tmp_path / "installed-1.0.dist-info").mkdir()
+    (tmp_path / "installed-1.0.dist-info" / "RECORD").write_text("installed_of_test.py,,\n")
+    assert (in_library("installed_of_test"), in_library("beside_of_test")) == (False, False)  # not imported yet
+    in_library.cache_clear()
+    for name in ("installed_of_test", "beside_of_test"):
+        monkeypatch.setitem(sys.modules, name, importlib.import_module(name))
+    assert (in_library("installed_of_test"), in_library("beside_of_test")) == (True, False)
+    in_library.cache_clear()
+
+
 def test_another_process_gives_the_same():
     """With other seeds of Python's hashes, which order sets."""
     digests = [

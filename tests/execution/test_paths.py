@@ -10,7 +10,7 @@ from mjx_climb.execution import one_robot, paths
 
 def forget():
     with warnings.catch_warnings(action="ignore", category=ResourceWarning):  # a trial that nobody asked for goes on
-        for known in (paths.works, paths.verdict, paths._trial):
+        for known in (paths.works, paths.verdict, paths.trial):
             known.cache_clear()
 
 
@@ -28,7 +28,7 @@ def trial(monkeypatch):
     """Run another program in place of the trial."""
 
     def put(program):
-        monkeypatch.setattr(paths, "_TRIAL", program)
+        monkeypatch.setattr(paths, "TRIAL", program)
         forget()
 
     return put
@@ -49,11 +49,11 @@ def test_a_path_that_works_is_tried_once(fresh, trial):
 def test_a_trial_that_was_begun_is_the_one_asked_for(fresh, trial, monkeypatch):
     trial("print('the same')")
     paths.begin()
-    monkeypatch.setattr(paths, "_TRIAL", "1 / 0")  # what would be started now
+    monkeypatch.setattr(paths, "TRIAL", "1 / 0")  # what would be started now
     assert paths.works("regions")
     forget()
     paths.begin()  # known from the folder: starts nothing
-    assert not paths._trial.cache_info().currsize
+    assert not paths.trial.cache_info().currsize
 
 
 @pytest.mark.parametrize(

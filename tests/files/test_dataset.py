@@ -118,11 +118,11 @@ def test_the_revision_is_that_of_the_package(checkout, monkeypatch):
     monkeypatch.chdir(checkout)
     assert sweep().attrs == before and before.get("git_revision", "").removesuffix("-dirty") != head
     for name, found in (("package", head), (".venv", "")):
-        monkeypatch.setattr(ds, "_PACKAGE", checkout / name)
+        monkeypatch.setattr(ds, "PACKAGE_FOLDER", checkout / name)
         assert sweep().attrs.get("git_revision", "") == found
     (checkout / "package" / "__init__.py").write_text("changed")
     ds._revision.cache_clear()
-    monkeypatch.setattr(ds, "_PACKAGE", checkout / "package")
+    monkeypatch.setattr(ds, "PACKAGE_FOLDER", checkout / "package")
     assert sweep().attrs["git_revision"] == f"{head}-dirty"
     ds._revision.cache_clear()
     monkeypatch.setenv("PATH", "")

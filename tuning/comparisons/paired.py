@@ -33,7 +33,7 @@ POWER_QUANTILE = 0.8416  # of the normal distribution at 80 %
 _MARGIN = 16  # walks beyond twice the worst: hardly a resample draws too few of these
 _UNLIKE = 0.1  # chance, below which the luck of gains is seen to be larger than that of the others
 _ROUNDING = 1e-12  # of a value: closer ones are equal
-_AT_ONCE = 4_000_000  # numbers of walks, of some resamples
+AT_ONCE = 4_000_000  # numbers of walks, of some resamples
 
 # statistics (R, G, K) of G gains from K seeds, by how often each of M walks was drawn in R resamples (R, M)
 Statistic = Callable[[np.ndarray], np.ndarray]
@@ -71,7 +71,7 @@ def worst_mean(
 def resamples(walks: int, count: int = RESAMPLES, seed: int = 0) -> Iterator[np.ndarray]:
     """Yield how often each of some walks is drawn where as many are drawn with replacement: (R, walks) at a time."""
     rng, even = np.random.default_rng(seed), np.full(walks, 1 / walks)
-    most = max(1, _AT_ONCE // walks)
+    most = max(1, AT_ONCE // walks)
     for begin in range(0, count, most):
         # as floats, which BLAS adds up
         yield rng.multinomial(walks, even, size=min(most, count - begin)).astype(float)

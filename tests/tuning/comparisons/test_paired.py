@@ -33,7 +33,7 @@ def test_resamples_are_as_many_walks_drawn_alike(monkeypatch):
     assert whole.shape == (3000, 40) and (whole.sum(1) == 40).all()
     assert whole.mean(0) == pytest.approx(1, abs=5 * np.sqrt(39 / 40 / 3000))
     assert whole.var() == pytest.approx(39 / 40, rel=0.02)
-    monkeypatch.setattr(paired, "_AT_ONCE", 400)
+    monkeypatch.setattr(paired, "AT_ONCE", 400)
     np.testing.assert_array_equal(np.concatenate(list(paired.resamples(40, 3000, seed=1))), whole)
     assert [len(some) for some in paired.resamples(40, 25)] == [10, 10, 5]
 
