@@ -7,7 +7,8 @@ import pytest
 from jax import lax
 
 from mjx_climb.execution.element_operations import Operations
-from mjx_climb.execution.elements import OfLane, Value, Writer, as_array
+from mjx_climb.execution.elements import OfLane, Value, as_array
+from tests.execution.rows import Rows
 
 COMBINE = {"add": np.add, "max": np.maximum, "min": np.minimum, "mul": np.multiply}
 ELEMENTWISE = COMBINE | {
@@ -16,33 +17,6 @@ ELEMENTWISE = COMBINE | {
     "lt": np.less,
     "select_n": lambda w, a, b: np.where(w, b, a),
 }
-
-
-class Rows(Writer):
-    """Numbers are arrays (lanes,); whether lanes are reduced at once, or exchange with partners."""
-
-    def __init__(self, lanes, reduces):
-        self.lanes, self.reduces, self.written = lanes, reduces, []
-
-    def value(self, numbers):
-        return Value(np.broadcast_to(numbers, self.lanes), np.asarray(numbers).dtype)
-
-    def operation(self, primitive, parameters, operands):
-        self.written.append(primitive.name)
-        return self.value(ELEMENTWISE[primitive.name](*(getattr(each, "content", each) for each in operands)))
-
-    def each_its_own(self, numbers):
-        return self.value(
-            np.array([getattr(each, "content", np.full(self.lanes, each))[n] for n, each in enumerate(numbers)])
-        )
-
-    def of_lanes(self, value, lanes):
-        assert len(lanes) == self.lanes
-        self.written.append("exchange")
-        return self.value(value.content[list(lanes)])
-
-    def over_lanes(self, combine, value):
-        return self.value(COMBINE[combine.name].reduce(value.content)) if self.reduces else None
 
 
 def number(element):
