@@ -87,53 +87,38 @@ def _log_bodies(rr: Any, stream: Any, walk: Trajectory, rows: np.ndarray, times:
     """Log the shapes of ground and robot once, and where the robot's are in each frame."""
     model = surroundings.model([walk])
     data = mujoco.MjData(model)
-    # those that stand still belong to the world
-    moving = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] > 0 and model.geom_group[geom] < 3]
     places, turns = np.empty((len(rows), model.ngeom, 3)), np.empty((len(rows), model.ngeom, 3, 3))
     for frame, row in enumerate(rows):
         pose(model, data, walk, row)
         places[frame], turns[frame] = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
     for geom in range(model.ngeom):
-        if (shape := _shape(rr, model, geom)) is None:
-            continue
-        if geom in moving:
+        shape = _shape(rr, model, geom)
+        if model.geom_bodyid[geom]:
             entity = f"world/robot/{geom}"
             columns = rr.Transform3D.columns(translation=places[:, geom], mat3x3=turns[:, geom])
             stream.send_columns(entity, indexes=[times], columns=columns)
             stream.log(entity, shape, static=True)
-        elif model.geom_bodyid[geom] == 0:
+        else:
             turned = rr.Transform3D(translation=places[0, geom], mat3x3=turns[0, geom])
             stream.log(f"world/ground/{geom}", turned, static=True)
             stream.log(f"world/ground/{geom}", shape, static=True)
 
 
 def _shape(rr: Any, model: mujoco.MjModel, geom: int) -> Any:
-    """Return a geom as Rerun has it, None for a kind that it has not."""
+    """Return a geom as Rerun has it: robots are drawn of boxes, cylinders and capsules, the ground has a relief too."""
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
     material = model.geom_matid[geom]
     rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
-    color = np.round(255 * rgba).astype(np.uint8)
-    solid: dict[str, Any] = {"colors": [color], "fill_mode": "solid"}
+    solid: dict[str, Any] = {"colors": [np.round(255 * rgba).astype(np.uint8)], "fill_mode": "solid"}
     long: dict[str, Any] = {"lengths": [2 * size[1]], "radii": [size[0]], **solid}
     match kind.name.removeprefix("mjGEOM_"):
         case "BOX":
             return rr.Boxes3D(half_sizes=[size], **solid)
-        case "SPHERE":
-            return rr.Ellipsoids3D(half_sizes=[np.full(3, size[0])], **solid)
-        case "ELLIPSOID":
-            return rr.Ellipsoids3D(half_sizes=[size], **solid)
         case "CYLINDER":
             return rr.Cylinders3D(**long)
         case "CAPSULE":  # Rerun's begins at the origin
             return rr.Capsules3D(translations=[[0.0, 0.0, -size[1]]], **long)
-        case "MESH":
-            mesh = model.mesh(model.geom_dataid[geom])
-            points = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
-            faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
-            return rr.Mesh3D(vertex_positions=points, triangle_indices=faces, albedo_factor=color)
-        case "HFIELD":
-            return _relief(rr, model, model.geom_dataid[geom])
-    return None
+    return _relief(rr, model, model.geom_dataid[geom])
 
 
 def _relief(rr: Any, model: mujoco.MjModel, number: int) -> Any:
