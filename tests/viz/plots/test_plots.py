@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
@@ -347,3 +348,86 @@ def test_names_that_are_no_mathematics_are_drawn_as_they_stand(tmp_path):
     [path] = plots.save_figure(figure, tmp_path / "names", ("svg",))
     assert path.read_text().count(f"<!-- {name} -->") == 3 and "½" not in path.read_text()
     assert r"<!-- $\frac{1}{2}$ -->" in path.read_text()
+
+
+@pytest.mark.parametrize(("count", "columns"), [(1, 2), (5, 2), (4, 3)])
+def test_a_sheet_has_room_for_its_labels_and_names_each_axis_once(count, columns):
+    """Lengths in inches: 0.62 left of it, 0.5 right, 0.75 below, 0.45 above, 0.55 and 0.35 between maps.
+
+    A colour bar and its gap take 7 % of a map's width.
+    """
+    metrics = ["peak_foot_force", "min_gia_margin", "cost_of_transport", "detached_limb", "diverged"][:count]
+    figure = plots.plot_maps(grid(), metrics, {"paper": (5e4, 5e3)}, columns=columns, title="a title")
+    wide, high = min(count, columns), -(-count // columns)
+    width, height = figure.get_size_inches()
+    assert (width, height) == pytest.approx((3.5 * wide, 0.5 + 2.3 * high))
+    cell_width, cell_height = (width - 1.12 - 0.55 * (wide - 1)) / wide, (height - 1.2 - 0.35 * (high - 1)) / high
+    for number, panel in enumerate(figure.axes[:count]):
+        row, column = divmod(number, columns)
+        place = panel.get_subplotspec().get_position(figure)
+        left, bottom = 0.62 + column * (cell_width + 0.55), 0.75 + (high - 1 - row) * (cell_height + 0.35)
+        assert np.multiply(place.extents, [width, height, width, height]) == pytest.approx(
+            [left, bottom, left + 0.93 * cell_width, bottom + cell_height]
+        )
+        lowest = number + columns >= count
+        assert panel.get_xlabel() == ("stiffness" if lowest else "")
+        assert panel.get_ylabel() == ("" if column else "damping")
+        assert panel.xaxis.get_tick_params()["labelbottom"] == lowest
+        assert not panel.xaxis.get_minorticklocs().size
+    [legend] = figure.legends
+    assert legend._ncols == 3 * wide and {"paper", "gripper torn off"} <= {t.get_text() for t in legend.get_texts()}
+    assert figure.get_suptitle() == "a title" and len(figure.axes) == 2 * count
+
+
+@pytest.mark.parametrize("larger", [0, 1])
+def test_colours_and_hatches_of_a_map_are_those_of_its_cells(larger):
+    """Bright is good; lines are light where a cell is dark, its grey below 0.4, and none of a cell without a value."""
+    value = np.linspace(1.0, 2.0, 12).reshape(4, 3)
+    value[1, 1] = np.nan
+    torn, diverged = np.full((4, 3), np.nan), np.zeros((4, 3), bool)
+    torn[[0, 0, 3, 1], [0, 1, 2, 1]], diverged[[2, 3, 0], [0, 1, 0]] = 0.5, True
+    dims, own = ("stiffness", "damping"), {"larger_is_better": larger}
+    data = xr.Dataset({
+        "metric": (dims, value, own), "detached_at": (dims, torn, {}), "diverged": (dims, diverged),
+    }, dict(grid().coords))  # fmt: skip
+    figure = plots.plot_map(data, "metric")
+    panel = figure.axes[0]
+    mesh = panel.collections[0]
+    shown = np.where(diverged, np.nan, value)  # what a walk that diverged was until then compares with nothing
+    np.testing.assert_array_equal(np.ma.filled(mesh.get_array(), np.nan), shown.T)
+    assert (
+        mesh.get_cmap().name == ("viridis" if larger else "viridis_r") and panel.get_facecolor()[:3] == (189 / 255,) * 3
+    )
+    low, high = np.nanpercentile(np.where(np.isfinite(torn) | diverged, np.nan, value), [2, 98])
+    x, y = (np.geomspace(ends[0], ends[1], n + 1) for ends, n in (((10**1.5, 10**5.5), 4), ((0.1, 1e5), 3)))
+    expected = {}
+    for n, m in np.ndindex(4, 3):
+        kind = "gripper torn off" if np.isfinite(torn[n, m]) else "diverged" if diverged[n, m] else None
+        share = np.clip((shown[n, m] - low) / (high - low), 0, 1)
+        grey = colormaps[mesh.get_cmap().name](share)[:3] @ np.array([0.299, 0.587, 0.114])
+        if kind:
+            dark = np.isfinite(shown[n, m]) and grey < 0.4
+            expected.setdefault((kind, "0.85" if dark else "0.15"), []).append([x[n], y[m], x[n + 1], y[m + 1]])
+    found = {}
+    for patch in [*find(figure, "gripper torn off"), *find(figure, "diverged")]:
+        assert patch.get_facecolor()[3] == 0 and patch.get_linewidth() == 0
+        tone = "0.85" if patch.get_edgecolor()[0] > 0.5 else "0.15"
+        assert patch.get_edgecolor()[:3] == pytest.approx((float(tone),) * 3)
+        boxes = [[*each.min(0), *each.max(0)] for each in patch.get_path().to_polygons()]
+        found[patch.get_gid(), tone] = boxes
+    assert {*found} == {*expected}
+    for name, boxes in expected.items():
+        area = lambda boxes: sum(np.log(b[2] / b[0]) * np.log(b[3] / b[1]) for b in boxes)  # noqa: E731
+        assert area(found[name]) == pytest.approx(area(boxes))
+        for edge in (0, 1, 2, 3):
+            pick = min if edge < 2 else max
+            assert pick(b[edge] for b in found[name]) == pytest.approx(pick(b[edge] for b in boxes))
+    legend = {
+        text.get_text(): handle
+        for text, handle in zip(figure.legends[0].get_texts(), figure.legends[0].get_patches(), strict=True)
+    }
+    assert [*legend] == ["gripper torn off", "diverged", "no value"]
+    at = plots.plot_map(data, "detached_at")
+    [*_, held] = [c for c in at.axes[0].collections if c.get_array() is not None]
+    np.testing.assert_array_equal(~np.ma.getmaskarray(held.get_array()), (np.isnan(torn) & ~diverged).T)
+    assert {"held all the way", "no value"} <= texts(at)
