@@ -421,6 +421,62 @@ def test_the_ground_passes_just_below_the_grips_and_rises_away_from_them():
     assert (rough - flat)[near > 1.0].mean() > 0.03 > np.abs(rough - flat)[near < 0.16].max()
 
 
+@pytest.mark.parametrize(("gravity", "ambient", "sun", "rock"), [
+    (0.0199, 0.30, 0.75, 0.0), (2.69, 0.24, 0.95, 0.16), (2.71, 0.36, 0.75, 0.16), (5.01, 0.40, 0.70, 0.16),
+])  # fmt: skip
+def test_the_scene_is_that_of_its_gravity_in_proportion_to_the_robot(gravity, ambient, sun, rock):
+    """Light, view and ground; on the station two handrails of four bars on two posts each."""
+    walk = drawn(scenario=SCENARIO.with_overrides({"gravity": [0, 0.6 * gravity, -0.8 * gravity]}))
+    walk = dataclasses.replace(walk, base_reference=walk.base_reference + np.array([0.3, 0.2, 0.0]))
+    walk.grip_point[...] += [0.3, 0.2, 0.02]
+    walk.contact[:] = False
+    walk.grip_point[10, 0] = [9.0, 9.0, 9.0]
+    walk.support[10, 0] = False  # the feet that neither touch nor hold leave no trace
+    found, size = surroundings.model([walk]), events.size_of(walk)
+    middle = (walk.base_reference[0] + walk.base_reference[-1]) / 2
+    assert found.vis.headlight.ambient == pytest.approx([ambient] * 3)
+    assert found.vis.headlight.diffuse == pytest.approx([0.18] * 3)
+    assert found.vis.headlight.specular == pytest.approx([0.05] * 3)
+    assert (found.vis.global_.fovy, found.vis.map.znear, found.vis.map.zfar) == pytest.approx((30, 0.02, 14))
+    assert found.stat.extent == pytest.approx(0.5 * size)
+    assert found.stat.center == pytest.approx([*middle[:2], 0.05 * size])
+    light, towards = found.light("sun"), np.array([0.28, 0.42, -1.0])
+    assert found.nlight == 1 and light.castshadow[0] and light.type[0] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    assert light.dir == pytest.approx(towards / np.linalg.norm(towards))
+    assert light.pos == pytest.approx([*middle[:2], 0] - 1.5 * size * towards)
+    assert (*light.diffuse, *light.ambient, *light.specular) == pytest.approx((*[sun] * 3, *[0] * 3, *[0.25] * 3))
+    ground = found.geom("relief")
+    assert not (ground.contype or ground.conaffinity or ground.group)
+    assert found.hfield_size[0, :2] == pytest.approx(1.8 * size) and found.hfield_size[0, 3] == pytest.approx(
+        0.1 * size
+    )
+    assert ground.pos[:2] == pytest.approx(middle[:2])
+    axis = np.linspace(-1.8, 1.8, 120) * size
+    high = found.hfield_data.reshape(120, 120) * found.hfield_size[0, 2] + ground.pos[2]
+    held = walk.grip_point[walk.support].round(3)
+    grips = np.concatenate([np.unique(held, axis=0), [each["at"] for each in HOLDS["points"]]])
+    bare = surroundings.relief_of(np.random.default_rng(0), 0.0, (grips - [*middle[:2], 0]) / size) * size
+    away = np.min([np.hypot(axis - (g[0] - middle[0]), axis[:, None] - (g[1] - middle[1])) for g in grips], axis=0)
+    near = away < 0.15 * size
+    assert np.abs(high - bare)[near].max() < 0.03 * size
+    assert (high - bare)[~near].max() / size == pytest.approx(rock * 1.4, abs=0.6 * rock + 1e-6)
+    rails = np.flatnonzero((found.geom_bodyid == 0) & (found.geom_type == CAPSULE))
+    assert found.material("paint").texrepeat == pytest.approx([3, 3] if rock else [3.6 / 0.7] * 2)
+    if rock:
+        assert not len(rails)
+        return
+    bars = sorted(
+        (*np.round(found.geom_pos[n] / size - [*middle[:2] / size, 0], 6), *np.round(found.geom_size[n, :2] / size, 6))
+        for n in rails
+    )
+    expected = []
+    for side in (-0.45, 0.45):
+        for left in (-1.3, -0.65, 0.0, 0.65):
+            expected.append((left + 0.25, side, 0.05, 0.009, 0.25))
+            expected += [(x, side, 0.02, 0.007, 0.03) for x in (left, left + 0.5)]
+    np.testing.assert_allclose(bars, sorted(expected), atol=1e-5)
+
+
 LEVEL = [[0, 0, 1.0], [0, 0.8, 0.6], [0.0, 0.954, 0.3]]
 
 
