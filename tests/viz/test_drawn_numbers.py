@@ -569,3 +569,121 @@ def test_a_caption_knows_no_force_that_is_yet_to_come():
         for each in (walk, later)
     ]
     np.testing.assert_array_equal(*pictures)
+
+
+@pytest.fixture
+def pencil(monkeypatch):
+    """Everything that is drawn on a picture, in order: what, where, and in which colour or letters."""
+    done, own = [], captions.ImageDraw.Draw
+
+    def begin(*of):
+        made = own(*of)
+
+        def kept(kind, draw):
+            def drawing(where, *how, **named):
+                done.append((kind, where, how, named))
+                return draw(where, *how, **named)
+
+            return drawing
+
+        for kind in ("text", "line", "polygon", "rounded_rectangle", "ellipse"):
+            setattr(made, kind, kept(kind, getattr(made, kind)))
+        return made
+
+    monkeypatch.setattr(captions.ImageDraw, "Draw", begin)
+    return done
+
+
+@pytest.mark.parametrize(("size", "limit", "row"), [((640, 360), 3.0, 20), ((320, 640), None, 44), ((64, 64), 3.0, 59)])
+def test_a_caption_says_what_the_walk_does_and_how_long_a_newton_is(size, limit, row, pencil):
+    torn, push = np.zeros((ROWS, 4), bool), np.zeros((ROWS, 6))
+    torn[20:, 1], torn[40:, 3], push[20, :3] = True, True, [0, 3.0, 4.0]
+    before = np.vstack([np.zeros((1, 4), bool), torn[:-1]])
+    walk = drawn(
+        scenario=SCENARIO.with_overrides({"contact.holding_limit": limit}), torn_off=torn, detached=before, push=push
+    )
+    if row == 44:
+        walk.foot_force[45:] = np.nan  # that is its last row
+        walk.foot_force[44] = 0.0
+    gravity, shown = np.array([0.5, 0.3, -1.6]), np.zeros((*size[::-1], 3), np.uint8)
+    view = canvas.View(np.zeros(3), 1.0, 30.0, gravity)
+    captions.Caption(walk, "a law", size, 0.01).draw(shown, row, view, 3000.0)
+    unit = max(min(size[1] / 36, size[0] / 56), 7.0)
+    forces = [[math.hypot(*f) for f in feet] for feet in walk.foot_force]
+    now, peak = max(forces[row]), max(max(feet) for feet in forces[: row + 1])
+    limb = walk.limbs[forces[row].index(now)]
+    lines = [(f"t = {0.001 * row:.2f} s", "#FFFFFF", 1.25)]
+    lines += [(f"largest force {now:.1f} N at {limb}" if row != 44 else "no force on any foot", "#FFFFFF", 1)]
+    lines += [(f"largest so far {peak:.1f} N", "#CDD0D4", 1)] + [("push 5.0 N", "#e24fb0", 1)] * (row == 20)
+    lines += [("LH torn off" if row == 20 else "LH, RF torn off", "#FF786E", 1)] + [("diverged", "#FF786E", 1)] * (
+        row == 44
+    )
+    top = size[1] - (1.5 + 1.45 * len(lines)) * unit
+    words = [
+        ("a law", "#FFFFFF", 1.25, (1.3 * unit, unit)),
+        (captions.case(walk.scenario), "#CDD0D4", 0.9, (1.3 * unit, 2.7 * unit)),
+    ]
+    words += [(*line, (1.3 * unit, top + (0.3 + 1.45 * n) * unit)) for n, line in enumerate(lines)]
+    texts = [(where, *how) for kind, where, how, _ in pencil if kind == "text"]
+    for (where, text, color, letters), (expected, tone, height, place) in zip(texts, words, strict=False):
+        assert (text, color, letters.size) == (expected, tone, round(height * unit))
+        assert where == pytest.approx(place)
+    # the legend, of as many lines as it has entries, a scale of shares and one of lengths
+    named = ["foot force, pressed", "pulled, share of 3 N" if limit else "foot force, pulled", "push on the base"]
+    shares = ["0 %", "50 %", "100 %"] if limit else []
+    most = 0.55 * 15.5 * unit / 30
+    newton = max(step * 10.0**power for step in (1, 2, 5) for power in range(-3, 4) if step * 10.0**power <= most)
+    rest = [text for _, text, *_ in texts[len(words) :]]
+    assert sorted(rest) == sorted([*named, *shares, f"{newton:g} N", "g"])
+    height = (1.5 * (4 + (1.1 if limit else 0)) + 0.8) * unit
+    left, top = size[0] - 16.2 * unit, size[1] - height - 0.7 * unit
+    boxes = [where for kind, where, _, _ in pencil if kind == "rounded_rectangle"]
+    state = size[1] - (1.5 + 1.45 * len(lines)) * unit
+    title = max(
+        captions.font(1.25 * unit, bold=True).getlength("a law"), captions.font(0.9 * unit).getlength(words[1][0])
+    )
+    for box, (x, y, wide, tall) in zip(boxes, [
+        (0.7, 0.7, title / unit + 1.2, 3.4), (0.7, state / unit, 16.5, 1.45 * len(lines) + 0.6),
+        (left / unit, top / unit, 15.5, height / unit), (size[0] / unit - 3.7, 0.7, 3.0, 4.4),
+    ], strict=True):  # fmt: skip
+        assert box == [round(place * unit) for place in (x, y, x + wide, y + tall)]
+    drawn_lines = [(where, how) for kind, where, how, _ in pencil if kind == "line"]
+    arrows = [where for kind, where, _, _ in pencil if kind == "polygon"]
+    y, tones = top + 0.55 * unit, [plots.SKY, marks.pulled(0.5), marks.PUSH]
+    for n, (name, tone) in enumerate(zip(named, tones, strict=True)):
+        tip, middle = left + 2.9 * unit, y + 0.6 * unit
+        wings = [(tip - 0.88 * unit, middle + side * 0.45 * unit) for side in (-1, 1)]
+        np.testing.assert_allclose(arrows[n], [(tip, middle), *wings])
+        [(where, fill)] = [(w, h) for w, h in drawn_lines if w[1] == w[3] == middle]
+        assert where == pytest.approx((left + 0.7 * unit, middle, left + 2.13 * unit, middle))
+        assert to_rgb(fill[0]) == pytest.approx(to_rgb(tone), abs=0.002) and fill[1] == max(round(0.32 * unit), 2)
+        assert [w for w, text, *_ in texts if text == name] == [pytest.approx((tip + 0.6 * unit, y))]
+        y += 1.5 * unit
+        if limit and n == 1:
+            bar = round(14.1 * unit)
+            ends = [where for where, text, *_ in texts if text in shares]
+            assert ends == [pytest.approx((left + 0.7 * unit + s * bar, y + 0.7 * unit)) for s in (0, 0.5, 1)]
+            shades = [(w, h) for w, h in drawn_lines if w[0] == w[2] and w[1] == y]
+            assert [w[0] - left - 0.7 * unit for w, _ in shades] == pytest.approx([*range(bar)])
+            assert all(w[3] - w[1] == pytest.approx(0.55 * unit) for w, _ in shades)
+            assert [to_rgb(h[0]) for _, h in shades[:: bar // 3]] == [
+                pytest.approx(marks.pulled(n / bar), abs=0.002) for n in range(0, bar, bar // 3)
+            ]
+            y += 1.65 * unit
+    begin, end, middle = left + 0.7 * unit, left + 0.7 * unit + 30 * newton, y + 0.7 * unit
+    scale = [w for w, _ in drawn_lines][-4:-1] if gravity.any() else []
+    assert scale == [
+        pytest.approx(w) for w in (
+            (begin, middle, end, middle), (begin, middle - 4, begin, middle + 4), (end, middle - 4, end, middle + 4))
+    ]  # fmt: skip
+    assert [w for w, text, *_ in texts if text == f"{newton:g} N"] == [
+        pytest.approx((end + 0.6 * unit, y + 0.1 * unit))
+    ]
+    right, up, _ = view.axes()
+    way = np.array([gravity @ right, -gravity @ up]) / math.hypot(gravity @ right, gravity @ up)
+    center, across = np.array([size[0] - 2.2 * unit, 2.9 * unit]), np.array([-way[1], way[0]])
+    tip = center + 1.6 * unit * way
+    np.testing.assert_allclose(drawn_lines[-1][0], [*(center - 1.6 * unit * way), *(center + unit * way)])
+    wings = [tip - 0.9 * unit * way + side * 0.45 * unit * across for side in (1, -1)]
+    np.testing.assert_allclose(arrows[-1], [tip, *wings])
+    assert [w for w, text, *_ in texts if text == "g"] == [pytest.approx(tuple(center + 0.75 * unit * across))]
