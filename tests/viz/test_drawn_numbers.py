@@ -687,3 +687,106 @@ def test_a_caption_says_what_the_walk_does_and_how_long_a_newton_is(size, limit,
     wings = [tip - 0.9 * unit * way + side * 0.45 * unit * across for side in (1, -1)]
     np.testing.assert_allclose(arrows[-1], [tip, *wings])
     assert [w for w, text, *_ in texts if text == "g"] == [pytest.approx(tuple(center + 0.75 * unit * across))]
+
+
+def test_a_holding_limit_is_drawn_where_forces_come_near_it():
+    """As a line below 2.5 times the top of the panel, else in words; the axis begins at zero and takes both in."""
+    force = np.zeros((ROWS, 4, 3))
+    force[:, 2, 0] = np.linspace(0, 10.0, ROWS)
+    for limit in (None, 14.0, 30.0):
+        own = SCENARIO.with_overrides({"contact.holding_limit": limit})
+        panel = plots.plot_walk(drawn(foot_force=force, scenario=own)).axes[0]
+        words = [text for text in panel.texts if text.get_gid() == "holding limit"]
+        lines = [line.get_ydata()[0] for line in panel.lines if line.get_linestyle() == ":"]
+        low, high = panel.get_ylim()
+        if limit is None:
+            top = high
+            assert not words and not lines and 10 < top < 12 and low == 0
+            continue
+        near = limit < 2.5 * top
+        expected = max(top, 1.08 * limit) if near else 1.2 * top
+        assert (low, high) == (0, pytest.approx(expected)) and lines == ([limit] if near else [])
+        assert words[0].get_text() == ("holding limit" if near else f"holding limit {limit:g} N \N{UPWARDS ARROW}")
+        assert words[0].xy == (1, pytest.approx(limit if near else expected)) and words[0].xyann == (-2, -2)
+
+
+def test_panels_of_a_walk_have_the_heights_colours_and_names_of_their_lines():
+    """Axes reach at most two spans beyond the values before a failure; a length and a margin begin at zero."""
+    torn, draw = np.zeros((ROWS, 4), bool), np.random.default_rng(3)
+    torn[30:, 0] = True
+    torque = draw.uniform(1, 2, (ROWS, 4, 3))
+    torque[31:, 3] = 90.0
+    walk = drawn(
+        torn_off=torn, joint_torque=torque, tsm=np.full(ROWS, 0.04), base_displacement=draw.normal(size=(ROWS, 6))
+    )
+    figure = plots.plot_walk(walk)
+    assert figure.get_size_inches() == pytest.approx((3.5, 0.5 + 0.77 * 7))
+    assert figure.axes[0].get_gridspec().get_height_ratios() == [1.4, 1, 1, 1, 1, 1, 0.9]
+    widths, colors = (
+        [0.8, 0.6, 0.8, 0.8, 0.8, 0.8],
+        [["#000000"], LIMB_COLORS[:4], *[plots.styling.AXIS_COLORS] * 2, ["#000000"], ["#000000"]],
+    )
+    for panel, width, own in zip(figure.axes, widths, colors, strict=False):
+        lines = [line for line in panel.lines if len(line.get_xdata()) > 2]
+        assert [line.get_color() for line in lines] == [*own] and {line.get_linewidth() for line in lines} == {width}
+        assert (panel.get_ylim()[0] == 0) == (panel in (figure.axes[0], *figure.axes[4:6]))
+        assert panel.yaxis.get_label().get_position()[0] == pytest.approx(-0.16)
+    largest = np.abs(torque).max(2)[:31]
+    reach = max(3 * line.max() - 2 * line.min() for line in largest.T)
+    assert reach < figure.axes[1].get_ylim()[1] < 1.2 * reach
+    of_base = figure.axes[2]
+    [names] = [child for child in of_base.get_children() if hasattr(child, "get_texts")]
+    assert [text.get_text() for text in names.get_texts()] == ["x", "y", "z"]
+    shown = 1e3 * (walk.base_position - walk.base_reference)
+    low, high = of_base.get_ylim()
+    margin = 0.05 * np.ptp(shown)
+    assert (low, high) == pytest.approx(
+        (shown.min() - margin, shown.max() + margin + 0.3 * (np.ptp(shown) + 2 * margin))
+    )
+    assert figure.axes[-1].get_ylim() == (3.5, -0.5)
+    gone = plots.plot_walk(drawn(tsm=np.full(ROWS, np.nan)))
+    assert len(gone.axes) == 5 and gone.get_size_inches()[1] == pytest.approx(0.5 + 0.77 * 5)
+
+
+def test_names_of_disturbances_stand_in_lines_where_no_other_is_in_the_way():
+    figure = plots.plot_walk(drawn())
+    end, letter = 0.06, 3.9 / (0.8 * 72 * 3.5) * 0.06
+    placed = []
+    for start, stop, label, _ in events.disturbances(drawn()):
+        middle, half = (start + stop) / 2, letter * (len(label) + 1) / 2
+        busy = {line for line, other, width in placed if abs(other - middle) < half + width}
+        placed.append((min({*range(9)} - busy), middle, half))
+    labels = [text for text in figure.axes[0].texts if text.get_gid() == "disturbance label"]
+    assert [(text.xyann, text.xy) for text in labels] == [
+        ((0, 2 + 8 * line), (pytest.approx(middle), 1)) for line, middle, _ in placed
+    ]
+    assert max(line for line, *_ in placed) > 0 and figure.axes[0].get_xlim()[1] == pytest.approx(end)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_the_way_of_the_feet_is_drawn_to_scale(held):
+    """50 mm beyond the footholds that are planned, up to a step above the base; right limbs are dashed."""
+    scenario = mc.Scenario().with_overrides(
+        {"duration": 0.06, "gait.cycle": 0.06} | ({"ground.holds": HOLDS} if held else {})
+    )
+    walk = drawn(scenario=scenario)
+    figure = plots.plot_feet(walk)
+    side, above = figure.axes[:2]
+    (left, right), (bottom, top), (low, high) = above.get_xlim(), side.get_ylim(), above.get_ylim()
+    places = np.concatenate([
+        np.transpose(line.get_data()) for line in above.lines if line.get_gid() == "foothold"
+    ])  # fmt: skip
+    assert (left, right) == pytest.approx((places[:, 0].min() - 50, places[:, 0].max() + 50))
+    assert (low, high) == pytest.approx((places[:, 1].min() - 50, places[:, 1].max() + 50))
+    reach = 1e3 * (walk.base_reference[:, 2].max() + scenario.gait.step_height)
+    assert (bottom, top) == pytest.approx((-0.1 * reach, reach))
+    width = 3.5 - (1.3 if held else 0.6)
+    flat, tall = (width * size / (right - left) for size in (top - bottom, high - low))
+    assert figure.get_size_inches() == pytest.approx((3.5, 0.9 + flat + tall))
+    assert side.get_gridspec().get_height_ratios() == pytest.approx([flat, tall])
+    paths = [line for line in side.lines if len(line.get_xdata()) == ROWS][:4]
+    assert [line.is_dashed() for line in paths] == [limb.startswith("R") for limb in walk.limbs]
+    assert [line.get_color() for line in paths] == [*LIMB_COLORS[:4]]
+    bars = [line.get_xdata() for line in side.lines if line.get_gid() == "foothold"]
+    assert {round(bar[1] - bar[0], 6) for bar in bars} == {24.0}
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [*walk.limbs, "base"]
