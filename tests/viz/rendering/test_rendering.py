@@ -1,13 +1,16 @@
 """Rendered walks: what must be seen on them is there, and a machine that cannot render says what it lacks."""
 
+import contextlib
 import ctypes.util
 import dataclasses
+import itertools
 import os
 import platform
 import re
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import mujoco
@@ -401,6 +404,7 @@ def test_a_library_that_is_not_installed_is_named(tmp_path):
 
 DRAW = """
 import sys
+import types
 import test_rendering as tests
 from mjx_climb.viz.rendering import backend, save_image
 save_image(sys.argv[1], tests.picture(tests.walk_of(tests.PRESSED)))
@@ -497,3 +501,84 @@ def test_marks_stop_where_the_scene_is_full():
     scene = mujoco.MjvScene(model, maxgeom=3)
     marks.around(scene, walk_of(), 5)
     assert scene.ngeom == 3
+
+
+def test_films_and_strips_show_the_instants_that_are_asked_for(monkeypatch, tmp_path):
+    """With plain pictures in place of rendered ones: 10 for each instant, 1 for each walk."""
+    import av
+    from PIL import Image
+
+    asked = []
+
+    def pictures(walks, times, *, labels=None, size, trace=0.0):
+        asked.append((len(walks), np.round([*times], 9).tolist(), labels, size, trace))
+        for number, _ in enumerate(asked[-1][1]):
+            yield (
+                np.repeat([[[20 * number + 100 * n] * 3 for n in range(len(walks))]], size[1], 0)
+                .repeat(size[0], 1)
+                .astype(np.uint8)
+            )
+
+    monkeypatch.setattr(film, "pictures", pictures)
+    both, names, size = (walk_of(duration=0.2), walk_of()), ["a", "b"], (64, 80)
+    strip = rendering.snapshots(*both, count=2, labels=names, size=size)
+    assert strip.shape == (160, 128, 3) and strip[::80, ::64, 0].tolist() == [[0, 20], [100, 120]]
+    assert rendering.snapshots(both[0], times=[0.05], size=size).shape == (80, 64, 3)
+    assert len([*rendering.frames(*both, labels=names, fps=10, size=size)]) == 4
+    done = []
+    path = rendering.save_video(
+        tmp_path / "a.mp4", *both, labels=names, fps=10, size=size, progress=lambda *now: done.append(now)
+    )
+    assert done == [(n, 4) for n in range(1, 5)] and path == tmp_path / "a.mp4"
+    with av.open(str(path)) as video:
+        frames = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+    assert [frame.shape for frame in frames] == [(80, 128, 3)] * 4
+    np.testing.assert_allclose(
+        [frame[40, [32, 96], 0] for frame in frames], [[20 * n, 20 * n + 100] for n in range(4)], atol=6
+    )
+    assert asked == [
+        (2, [0.1, 0.3], names, size, 0.0), (1, [0.05], None, size, 0.0),
+        *[(2, [0.0, 0.1, 0.2, 0.3], names, size, 0.16)] * 2,
+    ]  # fmt: skip
+    assert rendering.save_image(tmp_path / "a.png", strip) == tmp_path / "a.png"
+    with Image.open(tmp_path / "a.png") as image:
+        np.testing.assert_array_equal(image, strip)
+
+
+@pytest.mark.parametrize(("rounds", "until", "ends"), [(1, 99, 2.8), (None, 2, 0.2)])
+def test_the_viewer_shows_walk_after_walk_with_a_pause(rounds, until, ends, monkeypatch):
+    """By a stand-in for its window, and a clock that is a tenth of a second later for each picture."""
+    shown, clock, scene = [], itertools.count(), mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), 200)
+    walks = walk_of(PRESSED, duration=0.2), walk_of(PULLED, shift=(0, 0, 0.1), **{"contact.holding_limit": 20.0})
+    window = types.SimpleNamespace(lock=contextlib.nullcontext, user_scn=scene, is_running=lambda: True)
+    window.cam = types.SimpleNamespace(lookat=np.zeros(3))
+    window.set_texts = lambda texts: setattr(window, "texts", texts)
+
+    @contextlib.contextmanager
+    def launch_passive(model, data, show_left_ui, show_right_ui):
+        assert not show_left_ui and not show_right_ui
+        window.model = model
+        window.sync = lambda: shown.append((data.qpos.copy(), window.texts, scene.ngeom))
+        yield window
+
+    monkeypatch.setitem(sys.modules, "mujoco.viewer", types.SimpleNamespace(launch_passive=launch_passive))
+    monkeypatch.setattr(film, "require_display", lambda: None)
+    still = types.SimpleNamespace(perf_counter=lambda: next(clock) / 10, sleep=lambda seconds: None)
+    monkeypatch.setattr(film, "time", still)
+    rendering.view(*walks, rounds=rounds, until=lambda: len(shown) >= until)
+    start = canvas.follower(walks, surroundings.model(walks), 1.5)(walks[0], 0.0)
+    assert (window.cam.distance, window.cam.azimuth, window.cam.elevation) == (start.distance, 98, -38)
+    np.testing.assert_allclose(window.cam.lookat, start.target)
+    assert window.model.geom("relief").rgba[3] == window.model.mat("paint").rgba[3] == pytest.approx(0.6)
+    assert not window.model.light("sun").castshadow[0]
+    instants = np.arange(1, round(ends * 10) + (rounds is None)) / 10
+    assert len(shown) == len(instants)
+    for instant, (pose, texts, marked) in zip(instants, shown, strict=True):
+        turn, now = divmod(round(instant, 9), 1.4)  # the longer walk and a pause
+        walk = walks[int(turn) % 2]
+        row = min(round(now / 0.01), len(walk.time) - 1)
+        np.testing.assert_allclose(pose[:3], walk.base_position[row])
+        other = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), 200)
+        marks.around(other, walk, row)
+        marks.forces(other, walk, row, marks.scale(walks))
+        assert texts == (None, None, *film.viewer_words(walk, row)) and marked == other.ngeom
