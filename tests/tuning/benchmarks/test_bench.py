@@ -6,6 +6,7 @@ No absolute times: the machine may be busy.
 import json
 import subprocess
 import sys
+import types
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.robot_import.load import load_model
 from tests.robot.test_robot_file import keys, urdf
-from tuning.benchmarks import commands, measure, operations, peers
+from tuning.benchmarks import commands, measure, operations, peers, self_check, walks
 from tuning.command_line import machine
 from tuning.problem.evaluation import REVERSE_ABOVE
 
@@ -68,6 +69,58 @@ def scenario():
 @pytest.fixture(scope="module")
 def ours(scenario):
     return mc.rollout_metrics(scenario, mc.Gains(**gains(SETS)), dtype=np.float64)
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_peers_walk_the_walk_that_is_stored(robots):
+    """Half a second with two swings and touchdowns, a cargo, a push and a slope; one robot in a loop of Python."""
+    case, own = self_check.SCENARIO, gains([(self_check.DAMPING, self_check.STIFFNESS)] * robots)
+    peer = peers.Loop(case, own) if robots == 1 else peers.Batch(case, own, threads=1)
+    check(peer, case, self_check.load()["walk"])
+
+
+def test_a_peers_gripper_lets_go_above_the_largest_pull_of_the_stored_walk():
+    case, own = self_check.SCENARIO, gains([(self_check.DAMPING, self_check.STIFFNESS)])
+    pull = self_check.load()["walk"]["peak_pull_force"]
+    for share, lost in ((1.000001, False), (0.999999, True)):
+        peer = peers.Loop(case.with_overrides({"contact.holding_limit": pull * share}), own)
+        peer.run(case.steps)
+        assert peer.walker.lost.any() == lost
+
+
+def test_accelerations_of_one_state_are_those_that_are_stored(monkeypatch):
+    """Of MuJoCo's C code; engines and walk are made up, a metric has a derivative where it has decimals."""
+    asked, stored = [], self_check.load()["acceleration"]
+    base, spin, joints = np.split(np.array([*stored.values()]), [3, 6])
+
+    def jvp(self, gains, along, *, dtype):
+        asked.append((self.scenario, vars(gains), along, dtype))
+        return {"travel": np.array([0.5]), "detached_limb": np.array([1])}, {"travel": np.array([[0.25]])}
+
+    def forward_dynamics(state, *forces, engine):
+        assert state.base_position.dtype == np.float64 and [np.shape(each) for each in forces] == [
+            (12,),
+            (4, 3),
+            (6,),
+            (),
+        ]
+        return types.SimpleNamespace(
+            base_linear=base, base_angular=spin, joints=joints * (1 + 1e-6 * (engine == "mjx"))
+        )
+
+    monkeypatch.setattr(mc.Simulation, "jvp", jvp)
+    monkeypatch.setattr(self_check, "forward_dynamics", forward_dynamics)
+    found = self_check.measure()
+    assert found.pop("walk") == {"travel": 0.5, "detached_limb": "LH"} and found.pop("gradient") == {"travel": 0.25}
+    assert found.keys() == {*mc.ENGINES, "mujoco"}
+    sizes = {name: each.size for name, each in self_check.deviations(found, self_check.load()).items()}
+    assert sizes == {"limb": 0.0, "mjx": pytest.approx(1e-6), "mujoco": pytest.approx(0.0, abs=self_check.TOLERANCE)}
+    ((scenario, values, along, dtype),) = asked
+    assert scenario is self_check.SCENARIO and dtype is np.float64
+    for name, value in (("inertia", 1.0), ("damping", 100.0), ("stiffness", 3000.0)):
+        np.testing.assert_array_equal(values[name], np.full(6, value))
+        assert name not in along or (along[name] == value).all()
+    assert along.keys() == {"damping", "stiffness"}
 
 
 @pytest.mark.slow
@@ -186,6 +239,97 @@ def test_ratios_are_how_many_times_faster_this_program_is(monkeypatch):
     assert [result[name] for name in names] == [2.0, 3.0, 4.0, 3.0, 5.0]
     assert [result[name] for name in ("compile_value_s", "warm_start_s", "gradient_cost_12")] == [5.0, 7.0, None]
     assert result["peers_steps_per_s"]["mjx"] == pytest.approx(1 / 3)
+
+
+def test_each_figure_is_of_the_walks_that_its_name_says(monkeypatch):
+    """Without walking: env-steps of a plan's runs by name, robots, steps and engines of each."""
+    asked, closed = [], []
+
+    def recorded(name):
+        return lambda *given: asked.append((name, *given)) or (lambda *steps: asked.append((f"{name} ran", *steps)))
+
+    def peer(name):
+        def made(case, *rest):
+            count = len(rest[0]["stiffness"]) if isinstance(rest[0], dict) else rest[0]
+            asked.append((name, case.steps, count, *rest[1:]))
+            return types.SimpleNamespace(
+                run=recorded(f"{name} run"), pool=types.SimpleNamespace(close=lambda: closed.append(1))
+            )
+
+        return made
+
+    def in_turns(rounds, work):
+        asked.append(("turns", rounds, {name: steps for name, (steps, _) in work.items()}))
+        for _, run in work.values():
+            run()
+        return {name: 1e-3 * (n + 1) for n, name in enumerate(work)}
+
+    for name in ("walk", "gradient", "adjoint"):
+        monkeypatch.setattr(measure, name, recorded(name))
+    for name in ("Rollout", "Batch", "Loop"):
+        monkeypatch.setattr(peers, name, peer(name))
+    monkeypatch.setattr(measure, "in_turns", in_turns)
+    monkeypatch.setattr(measure, "operations_of", lambda engine, batch, steps: {"operations": (engine, batch, steps)})
+    monkeypatch.setattr(
+        commands, "compiled", lambda *given: asked.append(given) or dict(first=1, again=0, from_start=2)
+    )
+    plan = measure.Plan(5, 40, 20, (2, 12), True, (2, 8), (10, 80))
+    result = measure.measure("limb", 8, plan, lambda _: None)
+    turns = [each[1:] for each in asked if each[0] == "turns"]
+    ours = {"closed_loop": 320, "mjx": 160, "value": 160, "gradient_2": 160, "gradient_12": 80, "adjoint": 160}
+    assert turns == [
+        (5, ours | {"mujoco_c": 160, "mujoco_batch": 80}), (5, {"single": 8000, "numpy_loop": 20}),
+        (2, {"2": 80, "8": 320}), (2, {"10": 80, "80": 640}),
+    ]  # fmt: skip
+    begun = [each for each in asked if not each[0].endswith(("ran", "turns"))]
+    assert begun[:3] == [
+        (what, 8, steps, "limb", begun[0][4]) for what, steps in (("value", 40), ("value", 40), ("gradient", 20))
+    ]
+    cores = measure.devices.usable_cores()
+    assert begun[3:] == [
+        ("walk", 8, 40, "limb"), ("walk", 8, 20, "mjx"), ("walk", 8, 20, "limb"), ("gradient", 2, 8, 20, "limb"),
+        ("gradient", 12, 8, 10, "limb"), ("adjoint", 8, 20, "limb"), ("Rollout", 40, 8, 20, cores), ("Batch", 40, 8, cores),
+        ("Loop", 20, 1), ("walk", 1, 8000, "limb"), ("Rollout run",), ("Batch run", 10), ("Loop run", 20),
+        ("walk", 2, 40, "limb"), ("walk", 8, 40, "limb"), ("walk", 8, 10, "limb"), ("walk", 8, 80, "limb"),
+    ]  # fmt: skip
+    assert closed == [1] and result["operations"] == ("limb", 8, 40)
+    assert result["seconds_by_batch"] == {"2": pytest.approx(0.08), "8": pytest.approx(0.64)}
+    assert result["batch_exponent"] == pytest.approx(1.5) and result["step_exponent"] == pytest.approx(4 / 3)
+    assert {n: result[f"gradient_cost_{n}"] for n in (2, 12)} == {2: pytest.approx(4 / 3), 12: pytest.approx(5 / 3)}
+
+
+def test_what_is_timed_are_the_calls_of_a_user(monkeypatch):
+    """Gains of a sweep, a cargo from the start, derivatives along the logarithms of damping and stiffness."""
+    asked = []
+
+    def rollout_metrics(scenario, gains, **how):
+        asked.append((scenario.steps, scenario.disturbance.cargo.start, gains.stiffness[:, 0], how))
+
+    def vjp(self, gains, cotangents):
+        asked.append((self.scenario.steps, gains.damping, cotangents))
+
+    def jvp(self, gains, along):
+        asked.append((self.scenario.steps, vars(gains), along))
+
+    monkeypatch.setattr(mc, "rollout_metrics", rollout_metrics)
+    monkeypatch.setattr(mc.Simulation, "vjp", vjp)
+    monkeypatch.setattr(mc.Simulation, "jvp", jvp)
+    for run in (
+        walks.walk(3, 20, "mjx"),
+        walks.adjoint(3, 20, "limb"),
+        walks.gradient(2, 3, 20, "limb"),
+        walks.gradient(12, 3, 20, "limb"),
+    ):
+        run()
+    (steps, start, stiffness, how), (_, damping, cotangents), two, twelve = asked
+    assert (steps, start, how) == (20, 0.0, {"dtype": np.float32, "engine": "mjx"}) and (damping == 1e3).all()
+    np.testing.assert_allclose(stiffness, [1e3, 1e4, 1e5])
+    assert cotangents.keys() == {"force_variation"} and cotangents["force_variation"].tolist() == [[1.0, 1.0, 1.0]]
+    for (steps, gains, along), count in ((two, 2), (twelve, 12)):
+        assert steps == 20 and along.keys() == {"damping", "stiffness"}
+        both = np.concatenate([along["damping"] / gains["damping"], along["stiffness"] / gains["stiffness"]], axis=-1)
+        rows = np.repeat(np.eye(2), 6, axis=1) if count == 2 else np.eye(12)
+        np.testing.assert_allclose(both, np.broadcast_to(rows[:, None], (count, 3, 12)))
 
 
 @pytest.mark.nightly

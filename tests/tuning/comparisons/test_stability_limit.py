@@ -1,5 +1,7 @@
 """The limit of stability: what it calls unstable diverges, what it calls stable does not; and maps that show it."""
 
+import types
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -121,6 +123,80 @@ def test_the_radius_is_that_of_one_step_whatever_the_period():
     assert np.isinf(stability_limit._radii(steps, periods)).tolist() == [False, True, False]
 
 
+def stepped(whole, core, sizes, weights):
+    """The values of a loop after a step: the rest, then the samples of two signals, the newest of each first."""
+    first, second, rest = sizes
+    rows = [len(weight) - 1 for weight in weights]
+    rest, *kept = np.split(whole, np.cumsum([rest, rows[0] * first]))
+    kept = [samples.reshape(row, size) for samples, row, size in zip(kept, rows, sizes, strict=False)]
+    late = [weight[1:] @ samples for weight, samples in zip(weights, kept, strict=True)]
+    end = first + second
+    later = late[1] + weights[1][0] * (rest @ core[end:, first:end])
+    sooner = late[0] + weights[0][0] * (later @ core[first:end, :first] + rest @ core[end:, :first])
+    new = np.concatenate([sooner, later, rest]) @ core
+    after = [
+        np.concatenate([each[None], old])[: len(old)]
+        for each, old in zip((new[:first], new[first:end]), kept, strict=True)
+    ]
+    return np.concatenate([new[end:], *(each.ravel() for each in after)])
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_radii_are_those_of_loops_that_are_stepped_one_by_one(linear, monkeypatch):
+    """More robots than are linearised at once; some differ in their delays or their periods alone."""
+    rng, sizes, count = np.random.default_rng(1), {"base": (2,), "force": (3, 1), "rest": (4,)}, 1200
+    parts = 0.4 * rng.normal(size=(4, 9, 9))
+    parts[:, :2, :5] = parts[:, 2:5, 2:5] = (
+        0.0  # transposed: the first acts on no signal, the second on the first alone
+    )
+    given = {"k": rng.uniform(size=count), "m": rng.choice([0.2, 0.9], size=(count, 2)), "own": np.array([0.3, 0.4])}
+    given["k"][600:] = given["k"][:600]
+    axes = ({"k": 0}, {"m": 1, "own": 1})
+    first, periods = rng.choice([40, 47], size=count), rng.integers(1, 5, size=count)
+    given["m"][600:], first[600:] = given["m"][:600], first[:600]
+    delays = {"force": rng.choice([0.0, 0.4, 2.3], size=count), "base": rng.choice([1.0, 1.5], size=count)}
+    asked = []
+
+    def core_of(k, m, own, step):
+        each = parts[0] + parts[1] * k[..., None, None] + parts[2] * (m @ own)[..., None, None]
+        return each + 0.1 * parts[3] * (step[..., None, None] % 7)
+
+    def shapes_of(_, walk, off, law, parameters, step):
+        assert (off.shape, step.shape, step.dtype) == ((), (), np.int32) and law["k"].shape == ()
+        assert {name: value.shape for name, value in parameters.items()} == {"m": (2,), "own": (2,)}
+        return sizes
+
+    def run(_, walk, robots, *, batch_size, compile_briefly):
+        still, law, parameters, step = robots.arguments
+        asked.append((len(step), batch_size, len(np.unique(law["k"]))))
+        assert robots.axes == (1, *axes, 0) and not still.any() and step.dtype == np.int32 and compile_briefly
+        after = np.asarray(robots.directions) @ core_of(law["k"], parameters["m"], parameters["own"], step)
+        return None, dict(zip(sizes, np.split(after, [2, 5], axis=-1), strict=True))
+
+    monkeypatch.setattr(stability_limit.execution, "shapes_of", shapes_of)
+    monkeypatch.setattr(stability_limit.execution, "run", run)
+    walk = types.SimpleNamespace(stages=types.SimpleNamespace(linear=linear))
+    robots = {"k": given["k"]}, {"m": given["m"], "own": given["own"]}
+    found = stability_limit.radii_of(walk, robots, axes, delays, periods, first)
+    cores = len({(k, *m, at) for k, m, at in zip(given["k"], given["m"].tolist(), first, strict=True)})
+    assert {each[1] for each in asked} == {16} and cores == 600
+    assert [each[0] for each in asked] == [512] * (4 if linear else 2) + [88] * (4 if linear else 2)
+    for row in [0, 599, 600, 1199, *rng.integers(count, size=12)]:
+        weights = [
+            bus.weights(jnp.asarray(delays[name][row]), int(np.ceil(delays[name][row])) + 1)
+            for name in ("base", "force")
+        ]
+        weights = [np.asarray(weight) for weight in weights]
+        states = 4 + 2 * (len(weights[0]) - 1) + 3 * (len(weights[1]) - 1)
+        whole = np.eye(states)
+        for step in range(periods[row]):
+            kind = step if linear else min(step, 1)
+            core = core_of(given["k"][row], given["m"][row], given["own"], first[row] + np.array(kind))
+            whole = np.stack([stepped(each, core, (2, 3, 4), weights) for each in whole])
+        expected = np.abs(np.linalg.eigvals(whole)).max() ** (1 / periods[row])
+        assert found[row] == pytest.approx(expected, rel=1e-6), row
+
+
 @pytest.mark.parametrize("delays", [(0.0, 2.6), (0.3, 1.0), (0.0, 0.0)])
 def test_delays_are_put_around_a_loop_that_is_one_step_late(delays):
     """Two signals, the first made of the second within the step: as if samples were kept and read one by one."""
@@ -131,14 +207,8 @@ def test_delays_are_put_around_a_loop_that_is_one_step_late(delays):
     for delay, found in zip(delays, weights, strict=True):
         np.testing.assert_allclose(found, bus.weights(jnp.asarray(delay), len(found)), atol=1e-12)
     (found,) = stability_limit._with_delays(core[None], sizes, weights)
-    rest, kept = rng.normal(size=4), [rng.normal(size=(len(w) - 1, m)) for w, m in zip(weights, sizes, strict=False)]
-    late = [weight[1:] @ samples for weight, samples in zip(weights, kept, strict=True)]
-    second = late[1] + weights[1][0] * (rest @ core[5:, 2:5])
-    first = late[0] + weights[0][0] * (second @ core[2:5, :2] + rest @ core[5:, :2])
-    new = np.concatenate([first, second, rest]) @ core
-    after = [np.concatenate([each[None], old])[: len(old)] for each, old in zip((new[:2], new[2:5]), kept, strict=True)]
-    expected = np.concatenate([new[5:], *(each.ravel() for each in after)])
-    np.testing.assert_allclose(np.concatenate([rest, *(each.ravel() for each in kept)]) @ found, expected, atol=1e-12)
+    whole = rng.normal(size=len(found))
+    np.testing.assert_allclose(whole @ found, stepped(whole, core, sizes, weights), atol=1e-12)
 
 
 @pytest.mark.nightly
