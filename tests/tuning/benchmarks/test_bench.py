@@ -8,8 +8,10 @@ import subprocess
 import sys
 import types
 
+import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.robot_import.load import load_model
@@ -77,6 +79,24 @@ def test_peers_walk_the_walk_that_is_stored(robots):
     case, own = self_check.SCENARIO, gains([(self_check.DAMPING, self_check.STIFFNESS)] * robots)
     peer = peers.Loop(case, own) if robots == 1 else peers.Batch(case, own, threads=1)
     check(peer, case, self_check.load()["walk"])
+
+
+def test_a_peers_joint_angles_put_the_feet_where_they_are(of_ones_own):
+    """Feet of MuJoCo's kinematics at angles near the rest stance, in a base that is turned by a rotation vector."""
+    rng, walker = np.random.default_rng(0), peers.Loop(of_ones_own, gains(SETS)).walker
+    model, turn = load_model(of_ones_own.robot), np.array([[0.5, -0.4, 0.9], [1e-7, 0.0, 0.0], [0.0, 2.0, 0.0]]).T
+    data, placed = mujoco.MjData(model), []
+    for _ in range(3):
+        data.qpos[:] = [0, 0, 0, 1, 0, 0, 0, *(model.key_qpos[0][7:] + rng.uniform(-0.2, 0.2, 12))]
+        mujoco.mj_kinematics(model, data)
+        angles = [
+            data.qpos[model.jnt_qposadr[model.body_jntadr[model.site(foot).bodyid[0]] - 2 :][:3]] for foot in peers.FEET
+        ]
+        placed.append((np.transpose([data.site(foot).xpos for foot in peers.FEET]), np.transpose(angles)))
+    feet, angles = (np.stack(each, axis=-1) for each in zip(*placed, strict=True))
+    np.testing.assert_allclose(walker.inverse_kinematics(feet), angles, atol=1e-9)
+    turned = np.stack([Rotation.from_rotvec(turn[:, n]).apply(feet[..., n].T).T for n in range(3)], axis=-1)
+    np.testing.assert_allclose(peers._turned_back(turn, turned), feet, atol=1e-12)
 
 
 def test_a_peers_gripper_lets_go_above_the_largest_pull_of_the_stored_walk():
@@ -288,8 +308,9 @@ def test_each_figure_is_of_the_walks_that_its_name_says(monkeypatch):
     cores = measure.devices.usable_cores()
     assert begun[3:] == [
         ("walk", 8, 40, "limb"), ("walk", 8, 20, "mjx"), ("walk", 8, 20, "limb"), ("gradient", 2, 8, 20, "limb"),
-        ("gradient", 12, 8, 10, "limb"), ("adjoint", 8, 20, "limb"), ("Rollout", 40, 8, 20, cores), ("Batch", 40, 8, cores),
-        ("Loop", 20, 1), ("walk", 1, 8000, "limb"), ("Rollout run",), ("Batch run", 10), ("Loop run", 20),
+        ("gradient", 12, 8, 10, "limb"), ("adjoint", 8, 20, "limb"), ("Rollout", 40, 8, 20, cores),
+        ("Batch", 40, 8, cores), ("Loop", 20, 1), ("walk", 1, 8000, "limb"), ("Rollout run",),
+        ("Batch run", 10), ("Loop run", 20),
         ("walk", 2, 40, "limb"), ("walk", 8, 40, "limb"), ("walk", 8, 10, "limb"), ("walk", 8, 80, "limb"),
     ]  # fmt: skip
     assert closed == [1] and result["operations"] == ("limb", 8, 40)

@@ -6,14 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from rosbags.rosbag2 import StoragePlugin
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.reading import readers_in
+from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
 from tuning.identification.readers import formats, read_log, record, write_csv
+from tuning.identification.readers.formats import netcdf_file
 from tuning.identification.readers.guess import guess
 from tuning.identification.readers.log import signals_of
 from tuning.identification.readers.signals import Signals
@@ -387,3 +390,58 @@ def test_a_format_of_ones_own_is_one_file_in_the_folder_of_formats(tmp_path, mon
     readers = readers_in(formats.__name__, formats.__path__)
     assert readers.keys() - formats.READERS.keys() == {".robot"}
     assert readers[".robot"]("walk.robot") == "read walk.robot"
+
+
+def test_a_walk_in_netcdf_has_its_signals_by_name_and_place_and_other_arrays_by_their_own(tmp_path):
+    """What is not over time, or no number, is no signal; a place without labels has none in its name."""
+    rng, steps, limbs, joints = np.random.default_rng(0), 5, ["LF", "RH"], ["coxa", "tibia"]
+    over = {
+        "joint_targets": ("limb", "joint"), "joint_angles": ("limb", "joint"), "joint_rates": ("limb", "joint"),
+        "joint_torque": ("limb", "joint"), "foot_force": ("limb", "axis"), "support": ("limb",), "push": ("wrench",),
+        "base_position": ("axis",), "base_orientation": ("quaternion",), "base_linear_velocity": ("axis",),
+        "base_angular_velocity": ("axis",), "voltage": (), "mine": ("limb", "unlabelled"), "foot_target": ("limb",),
+    }  # fmt: skip
+    labels = {"limb": limbs, "joint": joints, "axis": [*"xyz"], "wrench": ["x", "ry"], "quaternion": [*"wxyz"]}
+    sizes = {name: len(values) for name, values in labels.items()} | {"unlabelled": 2}
+    made = {name: (("time", *dims), rng.normal(size=(steps, *(sizes[d] for d in dims)))) for name, dims in over.items()}
+    made["support"] = (made["support"][0], made["support"][1] > 0)
+    made |= {
+        "words": ("time", [*"abcde"]),
+        "mass": ("limb", [1.0, 2.0]),
+        "late": (("limb", "time"), np.ones((2, steps))),
+    }
+    data = xr.Dataset(made, {"time": np.arange(steps) / 10, **labels})
+    late, prompt = (mc.Scenario().with_overrides({"hardware.command_delay": delay}).to_yaml() for delay in (0.004, 0.0))
+    dataset.save(data.assign_attrs(scenario=late), tmp_path / "walk.nc")
+    found = netcdf_file.read(tmp_path / "walk.nc")
+    (table,) = found.tables.values()
+    words = {
+        "joint_targets": "command",
+        "joint_angles": "position",
+        "joint_rates": "velocity",
+        "joint_torque": "effort",
+    }
+    expected = {f"{limb}.{joint}.{word}": data[name].sel(limb=limb, joint=joint) for name, word in words.items()
+                for limb in limbs for joint in joints}  # fmt: skip
+    expected |= {
+        f"{limb}.force.{axis}": data["foot_force"].sel(limb=limb, axis=axis) for limb in limbs for axis in "xyz"
+    }
+    expected |= {f"{limb}.support": data["support"].sel(limb=limb).astype(float) for limb in limbs}
+    expected |= {"base.force.x": data["push"].sel(wrench="x"), "base.moment.y": data["push"].sel(wrench="ry")}
+    expected |= {f"base.orientation.{axis}": data["base_orientation"].sel(quaternion=axis) for axis in "wxyz"}
+    for what in ("position", "linear_velocity", "angular_velocity"):
+        expected |= {f"base.{what}.{axis}": data[f"base_{what}"].sel(axis=axis) for axis in "xyz"}
+    unlabelled = {f"mine.{limb}.{n}": data["mine"].sel(limb=limb, unlabelled=n) for limb in limbs for n in range(2)}
+    expected |= {"voltage": data["voltage"]} | unlabelled
+    expected |= {f"foot_target.{limb}": data["foot_target"].sel(limb=limb) for limb in limbs}
+    assert table.fields.keys() == expected.keys() and table.unnamed == unlabelled.keys()
+    for name, values in expected.items():
+        np.testing.assert_array_equal(table.fields[name], values)
+    np.testing.assert_array_equal(table.times["time"], np.arange(steps) / 10)
+    (note,) = found.warnings
+    assert "commands are those that reached the servos, 0.004 s after they were sent" in note
+    dataset.save(data[["voltage"]].assign_attrs(scenario=prompt), tmp_path / "prompt.nc")
+    assert not netcdf_file.read(tmp_path / "prompt.nc").warnings
+    dataset.save(data[["mass"]], tmp_path / "still.nc")
+    with pytest.raises(ConfigError, match="expected variables over time, got none"):
+        netcdf_file.read(tmp_path / "still.nc")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import types
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ import mjx_climb as mc
 from mjx_climb.files import dataset
 from mjx_climb.mujoco_import import mujoco
 from mjx_climb.robot_import.load import load_model
+from mjx_climb.viz.plots import styling
 from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, recorded
 from tests.tuning.identification.stand_in_mujoco import TRUTH, sines
 from tests.tuning.identification.stand_in_mujoco import recorded as on_a_stand
-from tuning.identification.model.replay import prepare, replay
+from tuning.identification.model.replay import Error, prepare, replay
 from tuning.identification.model.replay_picture import plot_replay
 from tuning.identification.readers import read_log, write_csv
 from tuning.identification.readers.log import Log, Signal
@@ -189,3 +191,55 @@ def test_at_the_shell(walk, tmp_path, capsys):
     write_csv(tmp_path / "log.csv", recorded())
     assert program.run([*typed[:2], "--log", str(tmp_path / "log.csv"), "--with-law"]) == 2
     assert "--with-law: expected pushes in" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("forces", [False, True])
+def test_the_picture_has_a_panel_for_each_joint_and_its_error_and_one_for_the_forces(forces):
+    """Every line by colour and numbers; of a long log each second sample is drawn."""
+    rng, time, logged_at = np.random.default_rng(0), np.arange(50) / 50, np.arange(8001) / 8001
+    robot = types.SimpleNamespace(limbs=("LF", "RH"), joint_names=("coxa", "tibia"), joints=2)
+    angles, force = rng.normal(size=(50, 2, 2)), rng.normal(size=(50, 2, 3))
+    walk = types.SimpleNamespace(robot=robot, time=time, joint_angles=angles, foot_force=force)
+    names = {"RH.tibia.command", "RH.tibia.position", *(["RH.force.y"] if forces else [])}
+    signals = {name: Signal(logged_at, rng.normal(size=8001)) for name in names}
+    error = Error(0.01234, 0.2, 0.5, 1.0, 8001)
+    log = types.SimpleNamespace(signals=signals)
+    figure = plot_replay(types.SimpleNamespace(walk=walk, log=log, errors={"RH.tibia.position": error}))
+    panels = np.reshape(figure.axes, (5 if forces else 4, 2))
+    heights = panels[0, 0].get_gridspec().get_height_ratios()
+    assert [*heights] == [2.0, 1.0, 2.0, 1.0, *([2.0] if forces else [])]
+    assert figure.get_size_inches() == pytest.approx([2 * styling.COLUMN, 0.6 + 0.62 * sum(heights)])
+
+    def lines(panel):
+        return [(line.get_color(), line.get_linewidth(), *line.get_data()) for line in panel.lines]
+
+    every, thin, wide = slice(None, None, 2), 0.7, 1.8
+    for column, limb in enumerate(robot.limbs):
+        assert panels[0, column].get_title(loc="left") == limb and panels[-1, column].get_xlabel() == "time [s]"
+        for row, joint in enumerate(robot.joint_names):
+            panel, missed = panels[2 * row, column], panels[2 * row + 1, column]
+            simulated = (styling.BLUE, thin, time, angles[:, column, row])
+            expected, off = [simulated], []
+            if (limb, joint) == ("RH", "tibia"):
+                command, position = (signals[f"RH.tibia.{what}"].value for what in ("command", "position"))
+                expected = [
+                    (styling.GREY, wide, logged_at[every], command[every]),
+                    (styling.BLACK, thin, logged_at[every], position[every]), simulated,
+                ]  # fmt: skip
+                missing = 1e3 * (position - np.interp(logged_at, time, angles[:, 1, 1]))
+                off = [(styling.VERMILLION, thin, logged_at[every], missing[every])]
+            np.testing.assert_equal(lines(panel), expected)
+            np.testing.assert_equal(lines(missed)[:-1], off)
+            assert missed.lines[-1].get_ydata() == [0, 0]
+            assert missed.get_title(loc="right") == ("12.3 mrad" if off else "not logged")
+        if forces:
+            expected = [(color, thin, time, force[:, column, n]) for n, color in enumerate(styling.AXIS_COLORS)]
+            if limb == "RH":
+                expected.insert(1, (styling.AXIS_COLORS[1], wide, logged_at[every], signals["RH.force.y"].value[every]))
+            np.testing.assert_equal(lines(panels[4, column]), expected)
+    labels = ["coxa [rad]", "[mrad]", "tibia [rad]", "[mrad]", "foot force [N]"][: len(panels)]
+    assert [panel.get_ylabel() for panel in panels[:, 0]] == labels
+    (legend,) = figure.legends
+    words = ["commanded", "logged", "simulated", "logged - simulated, and its rms"]
+    words += ["force x", "force y", "force z", "logged forces: broad"] * forces
+    assert [text.get_text() for text in legend.get_texts()] == words
