@@ -66,7 +66,10 @@ class ChosenFootholds(OwnSwings):
     def lift_off(self, memory: Swings, now: Schedule, base_path: Array, body: Body) -> Swings:
         """The memory with swings to chosen holds, and a move of the base, where limbs lift off before the next tick."""
         plan, base = self.plan, unswayed(self.plan, now, base_path)
-        memory, advance = self._on_its_way(memory, base)
+        advance = plan.advance
+        if memory.reached is not None:
+            reached, advance = next_way(self.way_points, memory.reached, base, advance)
+            memory = memory._replace(reached=reached)
         # of the base until the touchdown, where the other feet may keep it, and until the next lift-off
         ways = jnp.zeros_like(advance), advance
         situation = situation_of(plan, memory, body, advance)
@@ -108,28 +111,6 @@ class ChosenFootholds(OwnSwings):
         place = base + self.plan.footholds - self.plan.base_start + share * ways[1]
         beside = jnp.concatenate([place[:, :2], memory.goal[:, 2:]], axis=1)
         return lifts, wait, situation._replace(planned=beside)
-
-    def _on_its_way(self, memory: Swings, base: Array) -> tuple[Swings, Array]:
-        """The memory with the way points reached, and the way of the base in the next cycle, (3,) m.
-
-        It leads to the next way point; one is reached at half a stride. `base` (3,) m is on the base's path.
-        """
-        advance, reached = self.plan.advance, memory.reached
-        if reached is None:
-            return memory, advance
-        stride, points = norm(advance), jnp.asarray(self.way_points, advance.dtype)
-
-        def left(reached: Array) -> Array:
-            point = points[0]
-            for number in range(1, len(points)):
-                point = jnp.where(reached >= number, points[number], point)
-            return point - base[:2]
-
-        there = (reached < len(points)) & (norm(left(reached)) <= stride / 2)
-        reached = reached + there
-        way = left(reached)
-        share = jnp.where(reached < len(points), jnp.minimum(stride / norm(way, at_zero=1.0), 1.0), 0.0)
-        return memory._replace(reached=reached), jnp.concatenate([share * way, jnp.zeros_like(way[:1])])
 
     def choose(
         self, situation: Situation, body: Body, ways: tuple[Array, Array], held: Held | None
@@ -199,6 +180,29 @@ class ChosenFootholds(OwnSwings):
     def over(self, feet: Array) -> Array:
         """Where the base is to be over feet (limb, 3) m, (3,) m: as over those of the rest stance."""
         return middle_of(feet) + self.plan.base_start - middle_of(self.plan.footholds)
+
+
+def next_way(
+    way_points: tuple[tuple[float, float], ...], reached: Array, base: Array, advance: Array
+) -> tuple[Array, Array]:
+    """Return how many way points are reached, (), and the way of the base in the next cycle, (3,) m.
+
+    It leads to the next way point; one is reached at half a stride, the length of `advance` (3,) m. `base` (3,) m is on
+    the base's path.
+    """
+    stride, points = norm(advance), jnp.asarray(way_points, advance.dtype)
+
+    def left(reached: Array) -> Array:
+        point = points[0]
+        for number in range(1, len(points)):
+            point = jnp.where(reached >= number, points[number], point)
+        return point - base[:2]
+
+    there = (reached < len(points)) & (norm(left(reached)) <= stride / 2)
+    reached = reached + there
+    way = left(reached)
+    share = jnp.where(reached < len(points), jnp.minimum(stride / norm(way, at_zero=1.0), 1.0), 0.0)
+    return reached, jnp.concatenate([share * way, jnp.zeros_like(way[:1])])
 
 
 def situation_of(plan: Plan, swings: Swings, body: Body, advance: Array) -> Situation:

@@ -54,7 +54,7 @@ def added_shapes(phase: _Phase) -> tuple[list[_Phase], list[_Phase]]:
     """
     across = 2 * phase - 1
     bump = (1 - across * across) ** 3
-    horizontal = [bump * across**k if k else bump for k in range(COUNT)]
+    horizontal = [bump * across**k for k in range(COUNT)]
     return horizontal, [across * shape for shape in horizontal]
 
 

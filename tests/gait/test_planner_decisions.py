@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mjx_climb.gait.base_path import sway_of, swayed
-from mjx_climb.gait.chosen_footholds import ChosenFootholds, situation_of
+from mjx_climb.gait.chosen_footholds import ChosenFootholds, next_way, situation_of
 from mjx_climb.gait.footholds.best_margin import BestMargin
 from mjx_climb.gait.footholds.farthest import Farthest
 from mjx_climb.gait.footholds.footholds import Situation
@@ -547,6 +547,47 @@ def test_a_base_walks_from_way_point_to_way_point_and_its_feet_beside_it():
         # the base's next move begins on its way, without the sway, and at the gait's time
         np.testing.assert_allclose(found.base_start, where, atol=1e-12)
         assert found.base_begun == 190
+
+
+def test_the_way_leads_to_one_way_point_after_the_other():
+    """By a stride at most, and nowhere after the last; a point counts as reached from half a stride away."""
+    points = (0.1, 0.0), (0.1, 0.05), (0.1, 0.05), (-0.2, 0.05)
+    random, stride, found_by = np.random.default_rng(6), 0.05, jax.jit(functools.partial(next_way, points))
+    seen = set()
+    for _ in range(60):
+        before = int(random.integers(5))
+        base = np.array([*np.asarray(points[min(before, 3)]) + random.normal(0, 0.03, 2), 0.3])
+        after, way = before, np.zeros(2)
+        if before < 4 and np.linalg.norm(points[before] - base[:2]) <= stride / 2:
+            after += 1
+        if after < 4:
+            way = points[after] - base[:2]
+            way *= min(stride / np.linalg.norm(way), 1)
+        found, ahead = found_by(float(before), base, np.array([0.03, -0.04, 0.0]))
+        np.testing.assert_allclose(ahead, [*way, 0.0], atol=1e-12)
+        assert found == after
+        seen.add((after - before, after, np.linalg.norm(way) < 0.049))
+    assert len(seen) > 8
+
+
+def test_beside_their_way_feet_are_planned_where_the_base_will_be():
+    """The limb that lifts off has stood as long as the others on the average: 5/8 of the way of four moves."""
+    random = np.random.default_rng(8)
+    planner = planner_of(rule=LIGHT, holds=ground_of(FEET, random), way_points=((0.1, 0.0),))
+    goal = FEET + random.normal(0, 0.02, FEET.shape)
+    way, base = np.array([0.03, 0.01, 0.0]), BASE + 0.02
+    memory = begun(planner, goal=goal, clock=190.0, step=190.0)._replace(reached=jnp.zeros(()))
+
+    @jax.jit
+    def planned(memory, body):
+        now, situation = planner.schedule(memory, jnp.asarray(190)), situation_of(PLAN, memory, body, jnp.asarray(way))
+        return planner.next_swings(memory, now, situation, body, jnp.asarray(base), (jnp.zeros(3), jnp.asarray(way)))
+
+    lifts, wait, found = planned(nested(memory), body_of())
+    np.testing.assert_array_equal(lifts, np.arange(4) == LF)
+    assert wait[LF] == 10
+    place = base + FEET - BASE + 5 / 8 * way
+    np.testing.assert_allclose(found.planned, np.column_stack([place[:, :2], goal[:, 2]]), atol=1e-12)
 
 
 LANDING = 50  # steps of a landing of 0.05 s, and one more
