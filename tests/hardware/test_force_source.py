@@ -18,13 +18,18 @@ from mjx_climb.robot_import.load import load_model, load_robot
 STEP = 1e-3
 
 
-@pytest.mark.slow
 def test_forces_by_efforts_hold_limbs_still():
     """Random poses, attitudes and gravity: MuJoCo's torques that hold the limbs under random forces on the feet."""
     random, robot = np.random.default_rng(3), load_robot("hubrobo_v3_2")
     model = load_model("hubrobo_v3_2").__copy__()
     model.opt.gravity[:] = gravity = random.normal(size=3) * 5
     data = mujoco.MjData(model)
+
+    @jax.jit
+    def by_efforts(state, torque):
+        frames = limb_frames(robot, None, state.joint_angles)
+        return sensors.effort_force(robot, frames, state, torque, jnp.asarray(gravity))
+
     for _ in range(5):
         angles = robot.stance_joints + 0.3 * random.normal(size=robot.stance_joints.shape)
         quaternion, forces = random.normal(size=4), 10 * random.normal(size=(4, 3))
@@ -38,8 +43,7 @@ def test_forces_by_efforts_hold_limbs_still():
             torque -= columns.T @ force
         still = jnp.zeros(3)
         state = State(still, jnp.asarray(quaternion), still, still, jnp.asarray(angles), jnp.zeros((4, 3)))
-        frames, by_motors = limb_frames(robot, None, state.joint_angles), jnp.asarray(torque[6:].reshape(4, 3))
-        found = sensors.effort_force(robot, frames, state, by_motors, jnp.asarray(gravity))
+        found = by_efforts(state, jnp.asarray(torque[6:].reshape(4, 3)))
         np.testing.assert_allclose(found, forces, rtol=1e-9, atol=1e-9)
 
 
