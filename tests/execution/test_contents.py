@@ -220,3 +220,31 @@ def test_another_process_gives_the_same():
         for seed in ("1", "2")
     ]  # fmt: skip
     assert digests[0] == digests[1] and len(digests[0].strip()) == 64
+
+
+def test_a_module_is_a_librarys_by_where_its_file_or_its_packages_lies(monkeypatch, tmp_path):
+    def imported(name, file=None, **more):
+        module = types.ModuleType(name)
+        vars(module).update(more | ({"__file__": str(tmp_path / file)} if file else {}))
+        monkeypatch.setitem(sys.modules, name, module)
+
+    imported("of_t_plain", "plain.py")
+    imported("of_t_site", "site-packages/of_t_site.py")
+    imported("of_t_dist", "dist-packages/of_t_dist/__init__.py")
+    imported("of_t_space")  # a package in several folders has no file
+    imported("of_t_space.installed", "site-packages/of_t_space/installed.py")
+    imported("of_t_space.own", "of_t_space/own.py")
+    imported("of_t_part", "part.py", __part_of__="mjx_climb")
+    for name, line in (("of_t_target", "of_t_target.py,sha256=,1"), ("of_t_edited", "not_of_t_edited/a.py,sha256=,1")):
+        (tmp_path / name / "x.dist-info").mkdir(parents=True)
+        (tmp_path / name / "x.dist-info" / "RECORD").write_text(f"x.py,,\n{line}\n")
+        imported(name, f"{name}/{name}.py")
+    expected = {
+        "json": True, "json.anything": True, "mjx_climb.anything": True, "of_t_part.inner": True,
+        "of_t_plain": False, "of_t_plain.inner": False, "of_t_site": True, "of_t_site.inner": True,
+        "of_t_dist.inner": True, "of_t_space": False, "of_t_space.installed": True, "of_t_space.own": False,
+        "of_t_space.installed.inner": False, "of_t_target": True, "of_t_edited": False, "of_t_nowhere": False,
+    }  # fmt: skip
+    in_library.cache_clear()
+    assert {name: in_library(name) for name in expected} == expected
+    in_library.cache_clear()

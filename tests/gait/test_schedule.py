@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.control import PD, law_of
@@ -289,3 +290,40 @@ def test_references_over_uneven_ground_are_those_of_loops():
             place[2] += landing * late**2 * (1 - late) / 2
             np.testing.assert_allclose(made.foot_position[limb], place, atol=1e-12, err_msg=f"{number} {limb}")
             assert made.until_lift_off[limb] == made.since_touchdown[limb] == 0
+
+
+def test_a_plan_is_its_settings_turned_to_the_heading():
+    """Feet, way, shapes of swings and sway; a base of another height than its rest stance; a landing with a speed."""
+    own = {
+        "cycle": 0.8, "duty": 0.8, "stride": 0.05, "heading": 0.4, "height": 1.25, "sway": 0.3, "landing_speed": 0.06,
+        "settling": 0.2, "step_height": 0.03,
+    }  # fmt: skip
+    lift_off = {"LF": 0.5, "LH": 0.0, "RH": 0.25, "RF": 0.1}
+    scenario = mc.Scenario().with_overrides({"gait": own})
+    robot, random = load_robot(scenario.robot), np.random.default_rng(3)
+    path, feet = random.normal(size=(3, COUNT)), np.asarray(robot.stance_position) + random.normal(size=(4, 3))
+    parameters = own_parameters(scenario).replace({"gait.swing_path": path})
+    stages = stages_of(parameters, STEP)
+    lifts = [lift_off[limb] for limb in robot.limbs]
+    away = feet - np.asarray(robot.stance_position)
+
+    @jax.jit
+    def planned(parameters, along):
+        given = robot, jnp.asarray(feet), parameters, tuple(lift_off.items()), STEP
+        turn = quaternion_to_matrix(jnp.asarray(robot.stance_orientation))
+        return gait.plan(*given, stages), gait.plan(*given), sway_of(along, lifts, 0.8, 0.3), turn
+
+    turn = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1.0]])
+    found, plain, sway, rest = planned(parameters, away @ turn.T)
+    expected = {
+        "base_start": turn @ (np.asarray(robot.stance_position) * [1, 1, 1.25]), "footholds": feet @ turn.T,
+        "advance": 0.05 * turn[:, 0], "step_height": 0.03, "swing_path": 0.03 * turn @ path, "settling": 0.2,
+        "cycle_steps": 800, "swing_steps": 160, "swing_offset": np.array(lifts) * 800,
+        "landing": 0.06 * 0.8 * 0.160,
+    }  # fmt: skip
+    for name, value in expected.items():
+        np.testing.assert_allclose(getattr(found, name), value, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(Rotation.from_quat(found.base_orientation, scalar_first=True).as_matrix(), turn @ rest)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-12), found.sway, sway)
+    np.testing.assert_allclose(plain.base_start, turn @ np.asarray(robot.stance_position), atol=1e-12)
+    assert plain.sway is plain.landing is None
