@@ -1,16 +1,18 @@
 """The documentation as a site, opened from disk in a real browser."""
 
 import html
+import importlib
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import mjx_climb as mc
-from mjx_climb.walk.sample import Sample
+import tuning
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,18 +26,29 @@ def site(tmp_path_factory):
     return folder
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 def test_the_reference_shows_every_field(site):
-    """Of each public record, and of the sample that laws and metrics see, with what the code says of it."""
-    page = html.unescape((site / "reference" / "mjx_climb.html").read_text("utf-8"))
-    parts = dict(re.findall(r'<h3 id="([\w.]+)"(.*?)(?=<h[23] |$)', page, re.DOTALL))
-    kinds = [Sample, *(kind for kind in (getattr(mc, name) for name in mc.__all__) if isinstance(kind, type))]
-    for kind in kinds:
-        fields = getattr(kind, "_fields", None) or [f.name for f in getattr(kind, "__dataclass_fields__", {}).values()]
-        if not fields:  # an error
-            continue
-        text = parts[f"{kind.__module__}.{kind.__name__}"]
-        assert not [name for name in fields if name.islower() and f">{name}</span></code></b>" not in text], kind
+    """Of each record that a page shows, and of each public one, with the meaning that its declaration has."""
+    for package in (tuning, mc):
+        page = html.unescape((site / "reference" / f"{package.__name__}.html").read_text("utf-8"))
+        parts = dict(re.findall(r'<h3 id="([\w.]+)"(.*?)(?=<h[23] |$)', page, re.DOTALL))
+        shown = {
+            path: getattr(importlib.import_module(path.rpartition(".")[0]), path.rpartition(".")[2]) for path in parts
+        }
+        public = {name: each for name in package.__all__ if isinstance(each := getattr(package, name), type)}
+        assert not [name for name, kind in public.items() if kind not in shown.values()]
+        for path, kind in shown.items():
+            if not isinstance(kind, type):
+                continue
+            whole = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", parts[path])).lower()
+            assert "fmt: skip" not in whole
+            fields = {name: "" for name in getattr(kind, "_fields", ())}
+            for name, field in getattr(kind, "__dataclass_fields__", {}).items():
+                declared = field.metadata.get("value", SimpleNamespace(**field.metadata))
+                fields[name] = getattr(declared, "long_name", getattr(declared, "meaning", ""))
+            fields |= {name: field.description or "" for name, field in getattr(kind, "model_fields", {}).items()}
+            missing = [name for name in fields if name.islower() and f">{name}</span></code></b>" not in parts[path]]
+            assert not missing + [text for text in fields.values() if text.lower() not in whole], kind
     command = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", parts["mjx_climb.control.law.Command"]))
     assert "(6,) m, rad: the law's shift of the base, reference axes" in command
 
