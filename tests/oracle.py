@@ -6,7 +6,7 @@ Each row starts from the state that the walk has there; the state of the next ro
 import jax
 import mujoco
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -52,6 +52,12 @@ class Gait:
         self.actual, self.start = gait.base_reference == "actual", None
         given = dict(scenario.ground.footholds.items()) if scenario.ground.footholds is not None else {}
         self.heights = [given.get(limb, (0.0,)) for limb in walk.limbs]
+        if (own := scenario.ground.map) is not None:
+            cycles = np.arange(len(walk.time) // self.cycle + 2)
+            samples, (x, y) = np.load(own.file), own.origin
+            axes = (edge + own.resolution * np.arange(n) for edge, n in zip((y, x), samples.shape, strict=True))
+            places = (self.feet[:, None] + cycles[:, None] * self.advance)[..., 1::-1]
+            self.heights = own.scale * RegularGridInterpolator(tuple(axes), samples)(places)
         self.base = self.base * [1, 1, gait.height]
         self.sway, self.landing = (
             self.swaying(gait, walk.limbs, (self.feet - self.base) * [1, 1, 0]),
@@ -179,6 +185,19 @@ class Law:
         self.state = np.zeros((axes, 2)) if axes == 6 else np.zeros((limbs, axes, 2))
         systems = [[[0, 1, 0], [-k / m, -d / m, 1 / m], [0, 0, 0]] for m, d, k in zip(*self.gains, strict=True)]
         self.exact = expm(np.array(systems) * self.period)[:, :2]
+        self.deadband = np.broadcast_to(self.control.deadband, 2)
+        self.farthest, self.fastest = (
+            np.broadcast_to(number(own), 2) for own in (self.control.max_offset, self.control.max_velocity)
+        )
+
+    def within(self, state):
+        """Return offsets and rates (6, 2) within their bounds: at that of an offset there is no rate outwards."""
+        for (offset, rate), far, fast in zip(state.reshape(2, 3, 2).mT, self.farthest, self.fastest, strict=True):
+            rate *= min(1.0, fast / max(np.linalg.norm(rate), 1e-300))
+            if (length := np.linalg.norm(offset)) >= far:
+                rate -= max(rate @ offset, 0.0) * offset / length**2
+                offset *= far / length
+        return state
 
     def say(self, position, base, force, wrench, support, known, feet, times):
         """Return where base, its attitude and the feet shall be, and the shift of the base."""
@@ -186,7 +205,9 @@ class Law:
         own = np.concatenate([into.apply(wrench[:3]), into.apply(wrench[3:])])
         kind = self.control.controller, self.control.reading
         if kind == ("base_admittance", "virtual_model"):
-            self.state = np.matvec(self.exact, np.column_stack([self.state, -own]))
+            parts = zip(own.reshape(2, 3), self.deadband, strict=True)
+            felt = np.concatenate([each * (np.linalg.norm(each) >= least) for each, least in parts])
+            self.state = self.within(np.matvec(self.exact, np.column_stack([self.state, -felt])))
             shift = self.state[:, 0]
             turn = Rotation.from_rotvec(shift[3:])
         elif kind == ("base_admittance", "measured_pose"):
@@ -472,14 +493,14 @@ def again(walk, law=None):
     """
     scenario, h = walk.scenario, walk.scenario.time_step
     sensor, estimate, hardware = scenario.hardware.force_sensor, scenario.hardware.base_estimate, scenario.hardware
-    assert scenario.control.integration == "exact" and not scenario.control.deadband
+    assert scenario.control.integration == "exact"
     body = Body(walk)
     stance = body.model.key_qpos[0]
     reference = Rotation.from_euler("z", scenario.gait.heading) * attitude(stance[3:7])
     angles = stance[7:].reshape(body.shape)
     body.place(body.data, stance[:3], stance[3:7], angles)
     gait = Gait(walk, body.data.site_xpos.copy(), stance[:3])
-    _, ground, start, feet = gait.at(0, gait.base + gait.sway(0))
+    _, ground, start, feet = gait.at(0, gait.base + gait.height(0).mean() * Z + gait.sway(0))
     feet = gait.feet + ground[:, None] * Z
     three = angles.shape[1] == 3 and (body.model.jnt_type[1:] == mujoco.mjtJoint.mjJNT_HINGE).all()
     angles = body.joints_for(start, reference, feet, angles) if three else angles

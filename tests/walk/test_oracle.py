@@ -13,6 +13,7 @@ from mjx_climb.walks import histories
 from tests import oracle
 from tests.conftest import six_gains
 from tests.robot import climbers
+from tests.walk import reference_walks
 
 SHORT = {
     "duration": 0.3, "gravity": [0.5, -0.3, -1.5], "contact.stiffness": 6e3,
@@ -178,6 +179,15 @@ def test_a_walk_worked_out_again(walk):
     oracle.assert_is(walk)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in reference_walks.WALKS if name.startswith(("gripper", "measured"))])
+def test_a_reference_walk_worked_out_again(name, tmp_path):
+    """A deadband and bounds of the virtual mass, and a height map, which no walk above has."""
+    made = reference_walks.walked(name, tmp_path)
+    oracle.assert_is(made)
+    assert_metrics(made)
+
+
 def test_lines_over_time(walk):
     """The least and the largest value of each pair of the 300 steps."""
     expected = {
@@ -193,6 +203,10 @@ def test_lines_over_time(walk):
 
 
 def test_metrics_of_the_histories(walk):
+    assert_metrics(walk)
+
+
+def assert_metrics(walk):
     found, expected = mc.metrics(walk), oracle.judged(walk)
     assert list(found) == list(expected)
     for name, value in expected.items():
