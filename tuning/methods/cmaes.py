@@ -51,7 +51,8 @@ class CMAES(Method):
         found = yield Request(space.lower + width * first, None, "first points")
         # after the known gains, which may be far away: a population would take them for the shape of the valley
         mean = first[np.argmin(found.merit)]
-        optimizer = CMA(mean=mean, sigma=SPREAD, bounds=box, seed=task.search.seed, population_size=size)
+        with np.errstate(divide="ignore"):  # 2 or 3 points move the covariance by their path alone: a rate is 0
+            optimizer = CMA(mean=mean, sigma=SPREAD, bounds=box, seed=task.search.seed, population_size=size)
         best: list[float] = []
         for _ in range(1, self.rounds(task)):
             unit = drawn(optimizer)

@@ -53,6 +53,12 @@ def test_many_points_go_to_the_bottom_and_end_there(kernel):
     assert best[-1] < 1e-4 < best[0]
 
 
+@pytest.mark.parametrize("starts", [2, 3])
+def test_the_smallest_generations_go_down_without_a_warning(starts):
+    sizes, best = searched(task(Search(starts=starts, iterations=100)))
+    assert set(sizes) == {starts} and min(best) < 0.1 * best[0]
+
+
 @pytest.mark.parametrize("start", [0.5, 0.1])  # most points out of the bounds are drawn again
 def test_a_generation_is_what_the_package_draws_one_by_one(start):
     """Through generations, of the same seed: to rounding."""
