@@ -8,6 +8,7 @@ import io
 import re
 import shutil
 from collections import defaultdict
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -15,6 +16,7 @@ import pytest
 import typer
 
 import mjx_climb as mc
+from tests import approved
 from tests.shell import ROOT
 from tuning.command_line.options import SearchFile
 from tuning.command_line.program import COMMANDS, program
@@ -224,6 +226,7 @@ OWN = {  # in place of those of `TYPED`, of a command or form
 
 
 REFUSED = "refused: "
+MEASURED = dict.fromkeys(mc.METRICS.names, 1.0) | {"detached_limb": None, "diverged": False}
 PLACED = {  # arguments and required options in place of those of the line
     "config": ("{config}", OTHER),
     "log": ("log.csv", "other.csv"),
@@ -299,7 +302,7 @@ def traced(monkeypatch, tmp_path, folder):
     log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.force.x": ()}, source="log.csv")
     returned = {
         "tuning.kinds.write": SimpleNamespace(tables=(1,), outcome=(), files="files", summary="{}"),
-        "mjx_climb.metrics": dict.fromkeys(mc.METRICS.names, 1.0) | {"detached_limb": None, "diverged": False},
+        "mjx_climb.metrics": MEASURED,
         "mjx_climb.inputs.time_step.largest_time_step": 0.001,
         "mjx_climb.viz.rendering.save_image": "picture",
         "mjx_climb.viz.recording.save_mcap": SimpleNamespace(name="walk.mcap"),
@@ -370,6 +373,48 @@ def traced(monkeypatch, tmp_path, folder):
     return run
 
 
+ASKED = (
+    "run {config} --compare pd --video --snapshots --at 0.1 --mcap",
+    "sweep {config} --stiffness 1:2:2 --damping 1:3:2 --gains {folder}/held.yaml",
+    "sweep {config} --stiffness 1:2:2 --damping 1:3:2 --shard 2/3", "sweep --merge folder",
+    "tune {config}", "tune {config} --seeds 2 --starts 3 --with-joint-gains --metric {folder}/mine.py:highest",
+    "tune {config} --ensemble {folder}/ensemble.yaml --test-members 8",
+    "tune {config} --law pd --law base_admittance --also inertia --members 3",
+    "tune {config} --against base_deviation --better peak_foot_force",
+    "tune {config} --over gravity,cargo --space split",
+    "evaluate {config} --gains {folder}/held.yaml --retuned-pd {folder}/gains.yaml --members 4",
+    "evaluate {config} --gains {folder}/held.yaml --ensemble {folder}/ensemble.yaml --shard 1/2",
+    "evaluate {config} --gains {folder}/held.yaml --margins --retuned-pd {folder}/gains.yaml",
+    "evaluate {config} --margins --margin contact.damping=x0.5 --set control.controller=pd",
+    "evaluate {config} --gains {folder}/held.yaml --worse force_sensor.noise=0.5 --members 3",
+    "evaluate {config} --gains {folder}/held.yaml --ceiling --against base_deviation --members 3",
+    "evaluate {config} --ceiling --set control.controller=pd",
+    "evaluate {config} --gains {folder}/held.yaml --pushes --push-length 0.5 --set control.recovery.shift=0.02",
+    "evaluate {config} --pushes --set control.controller=pd", "evaluate --merge folder",
+    "replay {config} --log log.csv --video --with-law",
+)  # fmt: skip
+LONG = re.compile(r"\b(Scenario|Parameters|Structure|MetricTable|Ensemble|Search|Ceiling|Space|array|Objective)\(")
+OF_MOCKS = re.compile(r"^call\..*__(?:iter|len|enter|exit)__\(.*\n", re.MULTILINE)
+
+
+def shortened(text):
+    """Return a text with a number in place of each long value; settings stand below it, equal ones once."""
+    known = defaultdict(list)
+    text = OF_MOCKS.sub("", text).replace(repr(MEASURED), "METRICS")
+    text = re.sub(r"<MagicMock name='mock\.([^']*)' >", r"\1", text).replace("\ncall.", "\n")
+    while found := LONG.search(text):
+        end, depth = found.end(), 1
+        while depth:
+            depth += {"(": 1, ")": -1}.get(text[end], 0)
+            end += 1
+        name, value = found[1], text[found.start() : end]
+        if value not in known[name]:
+            known[name].append(value)
+        text = f"{text[: found.start()]}{name} {known[name].index(value) + 1}{text[end:]}"
+    kinds = ("Search", "Ensemble", "Ceiling")
+    return "\n".join([text, *(f"{kind} {n + 1}: {each}" for kind in kinds for n, each in enumerate(known[kind])), ""])
+
+
 def lines_of(command):
     """Yield for each option of each form of a command two lines: without it, or with another value, and with it."""
     made = program(command)
@@ -424,3 +469,13 @@ def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_
     for name, default in Search().model_dump().items():
         joined = file.joined(Search(**{name: default}), loaded)
         assert joined == Search(**others | {name: default})
+
+
+@pytest.mark.parametrize("line", ASKED)
+def test_what_a_command_asks_for_is_what_was_approved(line, traced, folder, tmp_path, cpu_alone):
+    """Calls of what takes long, draws or writes, with their arguments, and what is printed."""
+    (tmp_path / "folder").mkdir()
+    text = shortened(traced(line)).replace(str(folder), "FOLDER").replace(str(tmp_path), "HERE")
+    text = re.sub(r"\.out\.[0-9a-f]{8}", ".out", text.replace(str(ROOT), "ROOT"))
+    name = re.sub(r"[^a-z0-9]+", "_", line.replace("{config}", "").replace("{folder}", "")).strip("_")
+    approved.check(Path(__file__).parent / "approved" / "asked" / f"{name}.txt", text)

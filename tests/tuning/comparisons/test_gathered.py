@@ -1,5 +1,6 @@
 """Which walks each kind of result is compared with, and where their numbers go: without walking."""
 
+import contextlib
 import dataclasses
 import types
 from typing import Any
@@ -12,8 +13,10 @@ import mjx_climb as mc
 from mjx_climb.control import PD, PlannedTransfer, VirtualModelAdmittance, law_of
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.background import ignore
-from tuning.comparisons import of_sweep, stability_limit
+from tuning.comparisons import compare, judge, of_ensemble, of_front, of_sweep, stability_limit
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
+from tuning.problem.search import Search
 from tuning.results.swept import HISTORIES, Swept
 from tuning.searches import retuned_pd
 from tuning.searches import sweep as sweeps
@@ -151,6 +154,12 @@ def test_a_best_cell_better_than_pd_on_a_short_grid_has_pd_retuned_within_all_of
     assert ("short grid" in found.worth.in_words) is not again
 
 
+def test_a_plan_that_is_no_better_than_pd_on_its_joint_gains_is_no_row_and_no_walk(walks, rivals, monkeypatch):
+    monkeypatch.setitem(LEVELS, PlannedTransfer, 95.0)
+    found = of_sweep.compare(grid(FINE))
+    assert [*found.walks] == [*found.rows] == ["best", "retuned_pd", "paper", "pd"]
+
+
 def test_where_no_cell_holds_the_worth_is_unknown_and_help_is_for_the_configs_own_gains(walks, rivals, monkeypatch):
     from mjx_climb.viz import plots
 
@@ -192,3 +201,176 @@ def test_rivals_of_a_grid_that_were_begun_before_it_are_not_begun_again(walks, r
     assert len(works) == 2 and not rivals
     assert works[0](ignore).joint == JOINT and works[1](ignore).dims == ("kp",)
     assert rivals[0] == (FINE, 1, OTHER) and rivals[1][:2] == (FINE, {"kp": [1.0]}) and type(rivals[1][2]) is PD
+
+
+def test_points_of_a_front_walk_with_their_gains_beside_pd_and_the_laws_own(walks, monkeypatch):
+    """The gains are two, one of them by axis; the walk of pd is by its own law."""
+    asked, law = [], PlannedTransfer()
+    monkeypatch.setattr(mc, "rollout_histories", lambda *given, **how: asked.append((given, how)) or "histories")
+    monkeypatch.setattr(of_front, "of_front", lambda found: ("worth", found))
+    monkeypatch.setattr(of_front, "verdict", lambda found, metrics: ("verdict", found, metrics))
+    columns = {"stiffness": ("front", [1.0, 2.0]), "damping": (("front", "six"), np.ones((2, 6))), "other": 3.0}
+    data = xr.Dataset(columns, attrs={"gains": "stiffness damping"})
+    problem = Problem(FINE, law=law, engine=OTHER)
+    found = types.SimpleNamespace(problem=problem, data=data, scenario=FINE)
+    compared = of_front.compare(found)
+    assert [(name, walk.scenario, walk.law, walk.engine) for name, walk in compared.walks.items()] == [
+        ("pd", under_pd(FINE), None, OTHER), ("config", FINE, law, OTHER)
+    ]  # fmt: skip
+    (((scenario, gains), how),) = asked
+    assert scenario is FINE and [*gains] == ["stiffness", "damping"] and how.pop("law") is law
+    assert how == {"engine": OTHER, "metrics": mc.METRICS, "unsteady": True}
+    np.testing.assert_array_equal(gains["damping"], np.ones((2, 6)))
+    assert [each["force_variation"] for each in compared.metrics.values()] == [
+        number_of(under_pd(FINE)), number_of(FINE, law)
+    ]  # fmt: skip
+    assert compared.histories == "histories" and compared.worth == ("worth", found)
+    assert compared.verdict == ("verdict", found, compared.metrics)
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """Walks of gains through a draw: of the n-th gains and the m-th member 10 n + m."""
+
+    problem: Problem
+    gains: Any
+    ensemble: Any = None
+    pd: Any = None
+
+    def dataset(self, arrays):
+        assert arrays == ("walked", [*self.gains])
+        names = [*self.gains, *(self.pd or ()), "pd"]
+        values = 10.0 * np.arange(len(names))[:, None] + np.arange(2.0)
+        lost = {judge.LOST_SENSORS: f"{names[0]} lost one" if names[0].startswith("mine") else ""}
+        return xr.Dataset({"force_variation": (("gains", "member"), values), "mass": ("member", [1.0, 2.0])},
+                          {"gains": names, "member": [0, 1]}, lost)  # fmt: skip
+
+
+@pytest.fixture
+def draws(monkeypatch):
+    """Have draws recorded, not walked; return them with their folders."""
+    asked = []
+
+    def through(problem, gains, ensemble, pd=None):
+        return Drawn(dataclasses.replace(problem, parameters=("of", ensemble.seed)), gains, ensemble, pd)
+
+    def rows(draw, out=None):
+        asked.append((draw, out))
+        return types.SimpleNamespace(walk=lambda told: ("walked", [*draw.gains]))
+
+    monkeypatch.setattr(judge, "through", through)
+    monkeypatch.setattr(of_ensemble, "Rows", rows)
+    monkeypatch.setattr(compare, "Rows", rows)
+    return asked
+
+
+def result(scenario, gains, law=None):
+    return types.SimpleNamespace(scenario=scenario, gains=gains, law=law)
+
+
+@pytest.mark.parametrize(("retunes", "plans", "reads"), [(True, True, True), (True, False, True), (True, False, False),
+                                                         (False, False, True)])  # fmt: skip
+@pytest.mark.parametrize(("scenario", "needs"), [(FINE, None), (COARSE, 5e-4)])
+def test_gains_over_an_ensemble_walk_beside_their_rivals_and_again_through_their_own_draw(
+    scenario, needs, retunes, plans, reads, draws, monkeypatch
+):
+    law, own, asked = VirtualModelAdmittance(), PlannedTransfer(), []
+    pd = result(scenario, JOINT) if retunes else None
+    plan = result(scenario, {"kp": 20.0, "kd": 1.0}, own) if plans else None
+    monkeypatch.setattr(of_ensemble, "retuned", lambda *how: asked.append(how) or (lambda told: pd))
+    monkeypatch.setattr(
+        of_ensemble, "planned", lambda *how: asked.append(how) or ((lambda told: plan) if plans else None)
+    )
+    monkeypatch.setattr(retuned_pd, "by_plan", lambda problem: own if reads else None)
+    monkeypatch.setattr(of_ensemble, "conclusions", lambda *given: given)
+    problem, ensemble = Problem(scenario, law=law), Ensemble(members=3, seed=4)
+    found = types.SimpleNamespace(problem=problem, search="search", seeds=2, scenario=scenario, ensemble=ensemble,
+                                  gains={"stiffness": 1.0}, judges=8)  # fmt: skip
+    _, walked, seen, others, step = of_ensemble.compare(found, out="folder")
+    assert asked == [(problem, "search", 2, "folder")] * 2 and others == (pd, plan)
+    assert step == (needs if retunes else None)
+    (fresh, _), (again, _) = draws
+    assert fresh.problem.scenario.time_step == (needs if retunes and needs else scenario.time_step)
+    assert (fresh.ensemble.members, again.ensemble) == (8, ensemble) and fresh.ensemble.seed != 4
+    assert again.problem is problem and again.gains == {"robust": found.gains} and again.pd is None
+    assert fresh.gains["robust"] == found.gains and fresh.gains["config"] is law
+    more = [name for name in fresh.gains if name not in ("robust", "config")]
+    assert more == (["planned_transfer"] if plans else ["planned_unsearched"] if retunes and reads else [])
+    for name in more:
+        assert fresh.gains[name].law is own and fresh.gains[name].gains == (plan.gains if plans else JOINT)
+    assert fresh.pd == ({"retuned_pd": JOINT} if retunes else {})
+    assert walked["gains"].values.tolist() == [*fresh.gains, *fresh.pd, "pd"]
+    assert seen["gains"].values.tolist() == ["robust", "pd"]
+    found.problem = dataclasses.replace(problem, law=None)
+    of_ensemble.compare(found)
+    assert draws[2][0].gains["config"].stiffness == scenario.control.stiffness
+
+
+@pytest.mark.parametrize("method", ["cmaes", "grid"])
+def test_laws_are_searched_from_each_seed_and_judged_on_the_same_unseen_walks(method, draws, monkeypatch, tmp_path):
+    searches, told = [], []
+
+    def run(problem, search, *, patience, out, progress):
+        searches.append((problem, search.seed, patience, out))
+        name = "mine" if problem.law else "pd"
+        return types.SimpleNamespace(
+            problem=problem, search=search, gains=f"{name} {search.seed}", value=0.1 * search.seed + (name == "pd"),
+            feasible=search.seed == 7, converged=name == "pd", interrupted=search.seed == stopped,
+        )  # fmt: skip
+
+    @contextlib.contextmanager
+    def stage(name, **how):
+        told.append((name, how))
+        yield ignore
+
+    monkeypatch.setattr(compare.tune, "run", run)
+    monkeypatch.setattr(compare.tune, "of_search", lambda problem, own, n: dataclasses.replace(problem, members=10 + n))
+    monkeypatch.setattr(compare, "on_better_hardware", lambda scenario, drawn: {"half the delay": (scenario, drawn)})
+    search, law, stopped = Search(seed=7, method=method, starts=6), PlannedTransfer(), None
+    laws = {"mine/a b": compare.Contestant(FINE, law, search, "space"),
+            "retuned_pd": compare.Contestant(under_pd(FINE), None, search, "of pd")}  # fmt: skip
+    base = Problem(COARSE, ensemble=Ensemble(members=3, seed=4), engine=OTHER)
+    found = compare.run(laws, base, search, members=9, seeds=2, out=tmp_path, stage=stage)
+    patience = 60 if method == "cmaes" else None
+    folder = tmp_path / "parts"
+    expected = [
+        (dataclasses.replace(base, scenario=own.scenario, law=own.law, space=own.space, members=10 + n),
+         7 + n, patience, folder / f"{name}-{7 + n}")
+        for name, own in (("mine_a_b", laws["mine/a b"]), ("retuned_pd", laws["retuned_pd"])) for n in (0, 1)
+    ]  # fmt: skip
+    assert searches == expected
+    names = ["mine/a b", "retuned_pd", "half the delay"]
+    words = [f"{name}, seed {7 + n}" for name in names[:2] for n in (0, 1)]
+    assert [name for name, _ in told] == [*words, *(f"unseen walks of {name}" for name in names)]
+    assert [how for _, how in told] == [{"unit": "rounds", "keeps": True}] * 4 + [{"unit": "members"}] * 3
+    assert [out for _, out in draws] == [
+        folder / f"judged-{name}" for name in ("mine_a_b", "retuned_pd", "half_the_delay")
+    ]
+    mine, pd, better = (draw for draw, _ in draws)
+    assert {(draw.ensemble.members, draw.ensemble.seed) for draw in (mine, pd, better)} == {
+        (9, judge.fresh(base.ensemble).seed)
+    }
+    assert mine.gains == {f"mine/a b, seed {n}": f"mine {n}" for n in (7, 8)}
+    assert pd.gains == {f"retuned_pd, seed {n}": f"pd {n}" for n in (7, 8)}
+    assert better.gains == {f"half the delay, seed {n}": f"pd {n}" for n in (7, 8)}
+    assert (mine.problem.law, mine.problem.members) == (law, 10) and pd.problem.scenario == under_pd(FINE)
+    assert better.problem.parameters == (pd.problem.scenario, pd.problem.parameters)
+    data = found.data
+    assert data["gains"].values.tolist() == [*names, "pd"] and data["seed"].values.tolist() == [7, 8]
+    own = [[0.0, 1.0], [10.0, 11.0]]
+    np.testing.assert_array_equal(data["force_variation"], [own, own, own, [[20.0, 21.0]] * 2])
+    assert data["mass"].dims == ("member",) and data.attrs[judge.LOST_SENSORS] == "mine/a b, seed 7 lost one"
+    nothing = [[np.nan] * 2] * 2
+    np.testing.assert_allclose(data["search_value"], [[0.7, 0.8], [1.7, 1.8], *nothing])
+    np.testing.assert_array_equal(data["search_feasible"], [[1.0, 0.0], [1.0, 0.0], *nothing])
+    np.testing.assert_array_equal(data["search_converged"], [[0.0, 0.0], [1.0, 1.0], *nothing])
+    assert (found.problem, found.search, found.ensemble) == (base, search, base.ensemble)
+    assert [*found.searched] == [*laws]
+    assert all([each.search.seed for each in own] == [7, 8] for own in found.searched.values())
+    compare.run(laws, base, search)
+    assert [(seed, out) for _, seed, _, out in searches[4:]] == [(7, None), (7, None)] and draws[3][1] is None
+    assert draws[3][0].ensemble.members == judge.MEMBERS
+    stopped = 8
+    with pytest.raises(KeyboardInterrupt):
+        compare.run(laws, base, search, seeds=3)
+    assert len(searches) == 8
