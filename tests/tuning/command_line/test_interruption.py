@@ -198,3 +198,12 @@ def test_signals_at_random_instants(command, tmp_path):
     length = interrupts.undisturbed(command, given, tmp_path)
     tries = interrupts.attempts(command, rng.uniform(0, length, 4), rng, given, tmp_path)
     assert not [attempt for attempt in tries if attempt.kind not in interrupts.FINE], tries
+
+
+@pytest.mark.parametrize("terminal", [1, 2])
+def test_the_cursor_comes_back_where_standard_error_is_a_terminal(terminal, monkeypatch):
+    written = []
+    monkeypatch.setattr("os.isatty", lambda stream: stream == terminal)
+    monkeypatch.setattr("os.write", lambda stream, text: written.append((stream, text)))
+    interruption._say(b"ends")
+    assert written == [(2, (b"\x1b[?25h" if terminal == 2 else b"") + b"mjx-climb: ends\n")]

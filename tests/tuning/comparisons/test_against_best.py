@@ -44,6 +44,11 @@ OURS = Walked(0.7607)
          f"52.1 % more than the best rival that walked, {RETUNED}: 0.5, which breaks a limit"),
         ({"retuned_pd": Walked(math.nan), "pd": Walked(0.7608)},
          "the same as the best rival that walked, pd as the config has it: 0.7608"),
+        ({"pd": Walked(0.7607 / 1.00049)}, "the same as the best rival that walked, pd as the config has it: 0.7603"),
+        ({"pd": Walked(0.7607 / 1.00051)},
+         "0.1 % more than the best rival that walked, pd as the config has it: 0.7603"),
+        ({"pd": Walked(0.7607 / 0.99949)},
+         "0.1 % less than the best rival that walked, pd as the config has it: 0.7611"),
         ({"pd": Walked(0.0)}, "beside the best rival that walked, pd as the config has it: 0"),
     ],
 )  # fmt: skip

@@ -204,6 +204,10 @@ def test_of_a_search_the_better_of_pd_and_the_plan_is_the_rival(planned, than):
     assert f"less objective and {100 * (1 - 30 / min(planned, 40.0)):.1f} % less force variation than {than} with" in (
         worth.in_words
     )
+    # at the time step of pd alone the gains are worse, which is nothing to a plan that walks at their own
+    rows, _, worth, _, apart = of_search.conclusions(searched(), walked, (PD, PLAN), (5e-4, walk(42.0)))
+    assert apart == AtOneStep(5e-4, pytest.approx(0.05))
+    assert ("turns it round" in worth.in_words) is (than == "pd")
 
 
 @pytest.mark.parametrize(("planned", "than"), [(35.0, "PlannedTransfer"), (45.0, "pd")])

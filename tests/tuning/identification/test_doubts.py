@@ -327,7 +327,7 @@ def test_a_sample_between_two_that_are_far_apart_is_no_outlier(tmp_path, shift, 
 
 
 def test_dropped_zeros_leave_the_rest_of_their_messages_as_it_was(tmp_path):
-    columns = recorded()
+    columns = recorded() | {"base.force.x": np.arange(1000.0)}
     broken = zeros(columns | {"LF.coxa.velocity": np.gradient(columns["LF.coxa.position"], columns["time"])})
     none = broken["RH.femur.position"] == 0
     broken |= {"LF.coxa.velocity": np.where(none, 0.0, broken["LF.coxa.velocity"])}
@@ -336,7 +336,7 @@ def test_dropped_zeros_leave_the_rest_of_their_messages_as_it_was(tmp_path):
     for name in (*POSITIONS, "LF.coxa.velocity"):
         np.testing.assert_array_equal(log.signals[name].value, broken[name][~none])
         np.testing.assert_array_equal(log.signals[name].time, columns["time"][~none])
-    assert len(log.signals["LF.coxa.command"].time) == 1000
+    assert len(log.signals["LF.coxa.command"].time) == len(log.signals["base.force.x"].time) == 1000
 
 
 @pytest.mark.parametrize("of", [*CURRENTS.values(), SIGN_BIT], ids=lambda of: of.__name__)

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tuning.identification.fit.prediction import predicted
+from tuning.identification.fit.prediction import Predicted, predicted
+from tuning.identification.fit.problem import Problem
 from tuning.identification.model.variables import Variable
-from tuning.identification.model.windows import Rows, Windows
+from tuning.identification.model.windows import SHORTEST, Rows, Windows
 from tuning.identification.readers.log import Signal
 
 STEPS, STEP, COUNT = 20, 0.01, 4
@@ -180,3 +181,32 @@ def test_a_stretch_begins_without_the_window_before_it():
     np.testing.assert_allclose(found.value[~early], plain.value[~early], atol=1e-9)
     assert plain.finite and not plain._replace(value=plain.value * 1e30).finite
     assert not plain._replace(rate=np.full_like(plain.rate, np.nan)).finite
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize(("value", "finite"), [(0.9e20, True), (-0.9e20, True), (1.1e20, False), (-1.1e20, False),
+                                               (np.nan, False), (-np.inf, False)])  # fmt: skip
+def test_a_model_diverged_where_a_value_a_derivative_or_a_rate_is_huge(place, value, finite):
+    made = [np.zeros(3), np.zeros((3, 2)), np.zeros(3)]
+    made[place].flat[-1] = value
+    assert Predicted(*made).finite is finite
+
+
+@pytest.mark.parametrize("states", [0, 2])
+@pytest.mark.parametrize("leads", [0.0, 0.004])
+def test_what_is_fitted_and_what_is_predicted_by_loops(states, leads):
+    """Behind a hole the first samples are fitted, and none that was recorded before the robot is known to be there."""
+    rng = np.random.default_rng(0)
+    rows = SimpleNamespace(step=rng.integers(0, 60, 400), share=rng.uniform(size=400), window=rng.integers(0, 4, 400),
+                           signal=rng.integers(0, 3, 400))  # fmt: skip
+    windows = SimpleNamespace(rows=rows, abuts=np.array([False, True, False, True]), kind=np.array([0, 1, 4]),
+                              held_out=np.array([False, False, True, True]), time_step=0.001)  # fmt: skip
+    found = SimpleNamespace(model=SimpleNamespace(windows=windows, guess=np.zeros(states), LEADS=leads))
+    Problem.__post_init__(found)
+    for row in range(400):
+        since, window = 0.001 * (rows.step[row] + rows.share[row]), rows.window[row]
+        early = (leads or (0.02 if windows.kind[rows.signal[row]] else 0.0)) > since and not windows.abuts[window]
+        first = states > 0 and not windows.abuts[window] and since < SHORTEST
+        assert found.fitted[row] == ((window < 2 or first) and not early)
+        assert found.predicted[row] == (window >= 2 and not first and not early)
+    assert found.fitted.any() and found.predicted.any()

@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+import types
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.viz.recording import save_mcap
 from tests.tuning.identification.recorded import JOINTS, ROBOT, bag, joint_state, number, recorded, wrench
 from tuning.identification.readers import formats, read_log, record, write_csv
-from tuning.identification.readers.formats import netcdf_file
+from tuning.identification.readers.formats import csv_file, netcdf_file, rosbag
 from tuning.identification.readers.guess import guess
 from tuning.identification.readers.log import signals_of
 from tuning.identification.readers.signals import Signals
@@ -445,3 +446,20 @@ def test_a_walk_in_netcdf_has_its_signals_by_name_and_place_and_other_arrays_by_
     dataset.save(data[["mass"]], tmp_path / "still.nc")
     with pytest.raises(ConfigError, match="expected variables over time, got none"):
         netcdf_file.read(tmp_path / "still.nc")
+
+
+def test_a_column_of_nothing_is_no_column_of_words(tmp_path):
+    (tmp_path / "log.csv").write_text("time,none,state,LF.coxa.position\n0.0,,on,0.1\n0.1,nan,off,0.2\n")
+    (table,) = csv_file.read(tmp_path / "log.csv").tables.values()
+    assert np.isnan(table.fields["none"]).all() and "none" not in table.words
+    assert not any("state" in name for name in table.fields)
+
+
+@pytest.mark.parametrize(("names", "found"), [(["b", "a"], ["p.position.b", "p.position.a"]),
+                                              (["a", "a"], ["p.position.0", "p.position.1"]),
+                                              (["a", "b", "c"], ["p.position.0", "p.position.1"])])  # fmt: skip
+def test_entries_of_a_list_have_the_names_beside_them_where_each_has_one(names, found):
+    message = types.SimpleNamespace(name=names, position=np.array([1.0, 2.0]), count=3.0)
+    entries = [entry for entry in rosbag._numbers(message, "p", {}) if ".name" not in entry[0]]
+    named = "0" not in found[0]
+    assert entries == [(found[0], 1.0, named), (found[1], 2.0, named), ("p.count", 3.0, True)]

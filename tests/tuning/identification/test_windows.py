@@ -1,6 +1,7 @@
 """Windows: none runs through a hole of the commands, and what follows one begins anew."""
 
 import dataclasses
+import types
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from mjx_climb.robot_import.load import load_robot
 from tests.tuning.identification.recorded import ROBOT, recorded
 from tuning.identification.fit.problem import Problem
 from tuning.identification.model.predicted import model_of
-from tuning.identification.model.windows import SHORTEST, cut
+from tuning.identification.model.windows import KINDS, SHORTEST, Windows, cut
 from tuning.identification.readers.log import OFF, Log, Signal
 
 STEP, LATE = 1e-3, 0.02  # s
@@ -138,3 +139,27 @@ def test_a_fit_is_compiled_for_a_robot_by_the_contents_of_its_files(tmp_path):
     windows = cut(Log(signals, "log.csv"), load_robot(mc.Scenario().with_overrides(config).robot), STEP, 0.0)
     first, edited, again = (compiled_for(kilogram) for kilogram in ("0.5", "0.75", "0.5"))
     assert first == again and first != edited
+
+
+def test_holes_of_the_commands_in_pauses_are_not_missing_and_stamps_of_rates_count_half_a_step_earlier():
+    """Second implementations at random: holes and pauses by pairs, stamps by a sorted list."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        begins = np.sort(rng.uniform(0, 9, 4))
+        holes = np.stack([begins, begins + rng.uniform(0, 1, 4)], axis=1)
+        off = rng.choice([-0.06, 0.06, 0.15], (2, 2))
+        pauses = np.stack([holes[1:3, 0] + off[0], holes[1:3, 1] - off[1]], axis=1)
+        inside = [any(a > c - 0.1 and b < d + 0.1 for c, d in pauses) for a, b in holes]
+        seen = types.SimpleNamespace(unknown=holes, pauses=pauses)
+        np.testing.assert_array_equal(Windows.missing.fget(seen), holes[~np.array(inside)])
+        rows = types.SimpleNamespace(
+            stamp=rng.integers(0, 6, 30), step=rng.integers(0, 9, 30), share=rng.uniform(size=30),
+            signal=rng.integers(0, 3, 30), window=rng.integers(0, 2, 30),
+        )  # fmt: skip
+        log = types.SimpleNamespace(rows=rows, kind=np.array([0, 1, 2]), begin=np.array([0.5, 3.0]), time_step=0.01)
+        times = []
+        for stamp in range(6):
+            row = [*rows.stamp].index(stamp)
+            early = 0.5 if KINDS[log.kind[rows.signal[row]]] == "velocity" else 0.0
+            times.append(log.begin[rows.window[row]] + 0.01 * (rows.step[row] + rows.share[row] - early))
+        assert Windows.stamp_spacing.fget(log) == pytest.approx(np.median(np.diff(times)))

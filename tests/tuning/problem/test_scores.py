@@ -197,3 +197,14 @@ def test_offsets_of_a_walk_are_the_lines_between_knots_within_both_limits():
     plans._between_knots(jnp.asarray(sets), steering, step, jnp.zeros(()), jnp.asarray(base[0, 0]), length=steps)
     jax.effects_barrier()
     np.testing.assert_allclose(seen, wanted, atol=1e-12)
+
+
+def test_a_cargo_comes_before_the_drawn_pushes_and_disturbances_of_other_kinds_behind_them():
+    scenario = mc.Scenario().with_overrides({
+        "disturbance.cargo": {"mass": 1.0, "start": 0.0},
+        "disturbance.pushes": [{"force": [9.0, 0.0, 0.0], "start": 0.1, "stop": 0.2}],
+        "disturbance.others": [{"kind": "link_wrench", "force": [1.0, 0.0, 0.0], "start": 0.3}],
+    })  # fmt: skip
+    found = ensemble.draw(scenario, Ensemble(members=3, pushes=Pushes(count=2), cargo=None)).disturbances
+    assert [type(each).__name__ for each in found] == ["Cargo", "Push", "Push", "LinkWrench"]
+    assert all(each.force.shape == (3, 1, 3) and (abs(each.force) < 9.0).all() for each in found[1:3])
