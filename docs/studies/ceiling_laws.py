@@ -190,6 +190,7 @@ def main():
     parser.add_argument("--hardware", default="dynamixel_x")
     parser.add_argument("--members", type=int, default=64)
     parser.add_argument("--unseen", type=int, default=UNSEEN)
+    parser.add_argument("--seed", type=int, default=0, help="of the walks that are searched on")
     parser.add_argument("--minutes", type=float, default=12.0, help="for all steps together")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--rounds", type=int, default=150, help="of CMA-ES")
@@ -204,6 +205,7 @@ def main():
     scenario = study.scenario_of(hardware, case, asked.seconds)
     draw = study.DRAWS[case].model_copy(update={"members": asked.members})
     unseen = ensembles.fresh(draw).model_copy(update={"members": asked.unseen})
+    draw = draw.model_copy(update={"seed": draw.seed + asked.seed})
     weights = {name: float(weight) for name, weight in (text.split("=") for text in asked.weight)} or study.WEIGHTS
     goal, judges = goals_on(scenario, weights, draw, unseen)
     goal = with_room(goal)

@@ -40,3 +40,6 @@ class Remembering(mc.Law):
         shift = shift + shares[0] * (wanted.reshape(FEET, 3) - shift)
         still = mc.control.shifted(reference, jnp.zeros(6))
         return (shares, neurons, shift), still._replace(foot_position=reference.foot_position + shift)
+
+
+beside = mc.control.combined(mc.control.LoadTransfer(), Remembering())

@@ -213,7 +213,7 @@ def cached_jit(
                     executables[key] = (
                         jitted.lower(structure, *trees).compile()
                         if file is None
-                        else loaded(file, leaves) or _stored(file, function, options, structure, trees)
+                        else loaded(file, trees) or _stored(file, function, options, structure, trees)
                     )
         return executables[key](*trees)
 
@@ -252,8 +252,8 @@ def _digest(file: Path, content: bytes) -> bytes:
     return hashlib.sha256(file.name.encode() + content).hexdigest().encode()
 
 
-def loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
-    """Return a stored executable, None where there is none.
+def loaded(file: Path, trees: tuple[PyTree, ...]) -> Function | None:
+    """Return a stored executable for arguments of a tree, None where there is none.
 
     Raises:
         NotImplementedError: what kept an earlier process from making one.
@@ -266,12 +266,13 @@ def loaded(file: Path, leaves: list[Array | np.ndarray]) -> Function | None:
     try:
         default: object = settings()["jax_default_device"]
         device = default if isinstance(default, jax.Device) else jax.devices(cast(str | None, default))[0]
-        if placed := [leaf for leaf in leaves if isinstance(leaf, jax.Array)]:
+        if placed := [leaf for leaf in jax.tree.leaves(trees) if isinstance(leaf, jax.Array)]:
             [device] = placed[0].devices()
-        serialized, inputs, outputs = pickle.loads(content)
+        serialized, outputs = pickle.loads(content)
         prepare_for(content)
+        # the arguments' tree may have classes of a user's file, which pickle cannot import
         executable: Function = serialize_executable.deserialize_and_load(
-            serialized, inputs, outputs, device.client, [device]
+            serialized, jax.tree.structure((trees, {})), outputs, device.client, [device]
         )
     except Exception as error:
         _tell("loaded", error)
@@ -300,7 +301,8 @@ def _stored(
     with outside_of_xlas_cache():
         executable = lowered.compile()
     try:
-        store_whole(file, pickle.dumps(serialize_executable.serialize(executable)))
+        serialized, _, outputs = serialize_executable.serialize(executable)
+        store_whole(file, pickle.dumps((serialized, outputs)))
     except Exception as error:
         _tell("kept", error)
     return executable

@@ -1,5 +1,6 @@
 """Executables on disk: found by the next process, the same bits; never a wrong one, never a broken one."""
 
+import collections
 import os
 import runpy
 import shutil
@@ -178,6 +179,20 @@ def test_a_program_that_a_fast_path_refused_is_not_traced_by_the_next_process(on
     for _ in range(2):
         with pytest.raises(NotImplementedError, match="sorts by length"):
             cache.cached_jit(refuses, lambda *_: "a", {})(1.0, np.zeros(2))
+    assert len(traced) == 1
+
+
+def test_a_program_of_a_class_of_a_users_file_is_kept(one):
+    """As a law of `--law FILE.py:NAME`: no other process imports its module by a name."""
+    traced, kind = [], collections.namedtuple("Mine", "gain", module="of_a_file")
+
+    def scaled(structure, law):
+        traced.append(structure)
+        return {"twice": structure * law.gain}
+
+    for _ in range(2):
+        program = cache.cached_jit(scaled, lambda *_: "a", {})
+        assert program(2.0, kind(np.ones(2)))["twice"].tolist() == [2.0, 2.0]
     assert len(traced) == 1
 
 
