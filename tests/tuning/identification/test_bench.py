@@ -57,11 +57,10 @@ KINDS = {  # kind of the commands, torque of them, and the servo that has it
 SCALES = {"velocity_command": 5.0, "effort_command": 0.4, "pwm_command": 0.3}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bench_swings_as_its_equation_says_whatever_it_is_commanded_by(bench, kind):
     asked, changes = KINDS[kind]
-    time, angles, sent = swung(asked)
+    time, angles, sent = swung(asked, duration=1.5)
     names = {f"rod.swing.{kind}": SCALES.get(kind, 1.0) * sent, "rod.swing.position": angles}
     log = Log({name: Signal(time, value) for name, value in names.items()}, "log.csv")
     found = replay.simulate(replay.prepare(log, bench.with_overrides(changes), None, 0.0))

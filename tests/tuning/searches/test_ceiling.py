@@ -1,7 +1,7 @@
 """The search of joint targets: plans that know more are no worse; what a plan may depend on; refused settings."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -20,7 +20,7 @@ from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Cargo, Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective, Term
-from tuning.problem.plans import RATE, SWING, Scored
+from tuning.problem.plans import RATE, SWING, OverTime, Scored
 from tuning.results.ceiling import Bounded, mean_and_interval
 from tuning.searches import ceiling as search
 
@@ -474,3 +474,119 @@ def test_the_interval_of_a_mean_is_students():
     expected = stats.t.interval(0.95, 3, values.mean(), stats.sem(values))
     np.testing.assert_allclose(found, [values.mean(), *expected])
     assert np.isnan(mean_and_interval(values[:1])[1:]).all()
+
+
+class Known:
+    """A simulation whose metrics are 10 under pd, 8 with retuned joint gains and 6 else, a tenth more a member."""
+
+    asked: list[Any]
+
+    def __init__(self, scenario, law, metrics, engine, *, smooth):
+        self.asked.append((scenario, type(law).__name__, engine, smooth))
+        self.pd, self.names = type(law) is PD, metrics.with_companions.names
+
+    def metrics(self, gains, parameters, *, dtype, unsteady):
+        assert dtype is np.float64 and unsteady
+        rows = 1 + 0.1 * np.arange(len(parameters.gravity))
+        found = {name: (10.0 if self.pd and not gains else 8.0 if self.pd else 6.0) * rows for name in self.names}
+        return found | {"diverged": np.zeros(len(rows), bool)}
+
+
+class Numbered(NamedTuple):
+    """Numbers of walks."""
+
+    terms: np.ndarray
+
+
+@dataclasses.dataclass
+class Aimed:
+    """Walks whose merit is the mean square of targets less 0.01, and whose metrics are 3, of fresh ones 4."""
+
+    asked: tuple[Any, ...]
+    goal: Objective
+    rows: int
+    names: tuple[str, ...]
+    numbers: Numbered
+    prepared: list[Any] = dataclasses.field(default_factory=list)
+    steps_of: list[float] = dataclasses.field(default_factory=list)
+    judged: list[Any] = dataclasses.field(default_factory=list)
+    weights: list[Any] = dataclasses.field(default_factory=list)
+
+    def prepare(self, freedom, parameters):
+        since = None if freedom.since is None else freedom.since.tolist()
+        self.prepared.append((len(freedom.base), freedom.knots.every, since, len(parameters.gravity)))
+
+    def evaluate(self, freedom, x, parameters, *, sharp):
+        assert len(parameters.gravity) == len(freedom.base) * 2
+        self.steps_of.append(float(abs(x).max()))
+        self.weights.append(tuple(self.numbers.terms[:, 0].tolist()))
+        off = freedom.targets(x) - 0.01
+        merit = (off**2).mean((2, 3, 4)).ravel()
+        metrics = {name: np.full(len(merit), 3.0) for name in self.names} | {"diverged": np.zeros(len(merit), bool)}
+        return Scored(merit, merit, merit < 9, metrics), freedom.slopes(x, 2 * off / off.shape[2])
+
+    def judge(self, targets, parameters):
+        self.judged.append((targets.shape[0], len(parameters.gravity)))
+        metrics = {name: np.full(len(targets), 4.0) for name in self.names} | {"diverged": np.zeros(len(targets), bool)}
+        return Scored(None, None, None, metrics)
+
+
+def test_a_ceiling_walks_its_contestants_and_plans_of_all_and_returns_them(monkeypatch):
+    made, followed, told = [], [], []
+    monkeypatch.setattr(Known, "asked", [], raising=False)
+    monkeypatch.setattr(mc, "Simulation", Known)
+
+    def walks_of(scenario, goal, parameters, *, metrics, engine, dtype):
+        names, terms = metrics.with_companions.names, Numbered(np.ones((len(goal.terms), 3)))
+        made.append(Aimed((scenario, engine, dtype), goal, len(parameters.gravity), names, terms))
+        return made[-1]
+
+    monkeypatch.setattr(search, "walks_of", walks_of)
+    monkeypatch.setattr(search, "tune", lambda *_, **__: "tuned")
+    monkeypatch.setattr(
+        search.retuned_pd, "joint_of", lambda found: {"kp": 20.0, "kd": 0.1} if found == "tuned" else None
+    )
+
+    def over_time(scenario, law, gains, parameters, targets=None, *, metrics, engine, dtype):
+        rows = len(parameters.gravity)
+        followed.append((type(law).__name__, gains, rows, targets is not None))
+        level = 1.0 if targets is not None else {"pd": 10.0}.get(scenario.control.controller, 6.0) - 2.0 * bool(gains)
+        still = np.zeros((rows, scenario.steps, 4, 3))
+        return OverTime(still, np.full((rows, scenario.steps), level), np.full((rows, scenario.steps, 3), level))
+
+    monkeypatch.setattr(search, "over_time", over_time)
+    scenario = mc.load_scenario("case_1_2").with_overrides(SHORT | {"control.kp": 40.0})
+    draw = Ensemble(members=2, pushes=None, cargo=Cargo(mass=(0.5, 1.0), start=(0.03, 0.05)), gravity=None)
+    asked = {"knots": (0.05,), "iterations": 2, "delays": (0.005,), "random": 1, "test_members": 3, "points": 2,
+             "against": "peak_joint_torque", "precision": "float64", "step": 0.08}  # fmt: skip
+    found = search.ceiling(scenario, {"mine": Whole(None, {"kp": 60.0})}, ensemble=draw, engine="mjx",
+                           progress=lambda *how: told.append(how), **asked)  # fmt: skip
+    own = "VirtualModelAdmittance"
+    assert {each[1:] for each in Known.asked} == {("PD", "mjx", True), (own, "mjx", True)}
+    assert sorted(each[0].control.controller for each in Known.asked) == ["base_admittance", "pd", "pd"]
+    laws = sorted(((name, gains, rows) for name, gains, rows, plans in followed if not plans), key=repr)
+    assert laws == [("PD", {"kp": 20.0, "kd": 0.1}, 2), ("PD", {}, 2), (own, {"kp": 60.0}, 2)]
+    assert [(name, gains, rows) for name, gains, rows, plans in followed if plans] == [("PD", None, 3)]
+    walked, front = made
+    assert (walked.asked, walked.rows) == ((scenario, "mjx", np.float64), 2 * (3 + 1)) and front.rows == 2
+    assert sorted(walked.prepared, key=len) == [(4, 50, None, 8), (1, 50, [0.0, 0.0], 2)]
+    step = 0.08 * 10.5 / 40.0  # of pd's mean torque, by the gain
+    assert walked.steps_of[0] == 0.0 and walked.steps_of[1] == pytest.approx(step, rel=0.01)
+    assert walked.judged == [(3, 3)]
+    names = ["clairvoyant", "causal 5 ms", "blind", "mine", "retuned_pd", "pd"]
+    assert found.contestants == names and list(found.tested) == ["blind", *names[3:]]
+    np.testing.assert_allclose(found.data["travel"].sel(contestant="pd"), [10.0, 11.0])
+    np.testing.assert_allclose(found.data["travel"].sel(contestant="mine"), [6.0, 6.6])
+    np.testing.assert_allclose(found.data["unseen_travel"].sel(tested="retuned_pd"), [9.6, 10.4, 11.2])
+    assert found.data["unseen_travel"].sel(tested="blind").values.tolist() == [4.0] * 3
+    np.testing.assert_allclose(found.data["front_share"], [0.0, 1.0])
+    assert [term.metric for term in front.goal.terms] == ["force_variation", "peak_joint_torque"]
+    assert list(dict.fromkeys(front.weights)) == [(1.0, 0.0), (0.0, 1.0)]
+    assert front.goal.limits == walked.goal.limits and len(found.data["front"]) == 2
+    searches = list(dict.fromkeys(name for name, *_ in told))
+    plans = ["blind, first", "blind", "causal 5 ms", "clairvoyant"]
+    assert searches == [*plans, *(f"front, {share} peak_joint_torque" for share in ("0%", "100%"))]
+    assert {(done, of) for _, done, of in told} == {(1, 2), (2, 2)}
+    np.testing.assert_allclose(found.data["foot_force_history"][:, 0], [1.0, 1.0, 1.0, 4.0, 8.0, 10.0])
+    assert found.data["base_offset_history"].shape == (6, 100, 3) and found.data["instant"][3] == pytest.approx(0.003)
+    assert (found.ensemble, found.asked.points) == (draw, 2)
