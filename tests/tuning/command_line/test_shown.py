@@ -11,7 +11,7 @@ import pytest
 from jax.experimental import multihost_utils
 
 import mjx_climb as mc
-from tuning.command_line import run, session
+from tuning.command_line import logs, run, session
 from tuning.command_line.processes import Process, Team
 from tuning.command_line.program import InputError
 from tuning.comparisons import remedies
@@ -209,3 +209,22 @@ def test_all_processes_begin_with_the_parts_of_the_first(monkeypatch, tmp_path):
     monkeypatch.setattr(multihost_utils, "broadcast_one_to_all", lambda value: sent.append(value) or value)
     first.begin(homes[0], "asked")
     assert [int(value) for value in sent] == [0]
+
+
+def test_a_log_is_walked_under_the_law_with_its_pushes_and_both_walks_are_shown(monkeypatch):
+    law, asked = mc.control.PD(), []
+    monkeypatch.setattr(mc, "rollout", lambda scenario, **how: asked.append((scenario, how)) or walk("pd", gap=1.0))
+    monkeypatch.setattr(mc, "metrics", lambda one, about: HELD | {"travel": one.gap, "missed_grips": 2 * int(one.gap)})
+    push = {"force": [1.0, 0.0, 0.0], "start": 0.1, "stop": 0.2}
+    logged = CASE.with_overrides({"disturbance.pushes": [push], "duration": 0.7, "control.kp": 9.0})
+    loaded = types.SimpleNamespace(scenario=CASE, law=law, engine="mjx", metrics=mc.METRICS)
+    shell, found = Shell(), types.SimpleNamespace(scenario=logged, walk=walk("pd"))
+    told = logs.walked_under_law(found, loaded, shell)
+    wanted = CASE.with_overrides({"disturbance.pushes": [push], "duration": 0.7})
+    assert asked == [(wanted, {"law": law, "engine": "mjx"})] and shell.stages == [("law on the logged pushes", {})]
+    assert {name: values["travel"] for name, values in told.items()} == {"law": 1.0, "logged commands": 0.0}
+    table, *verdicts = shell.shown
+    assert table.columns == ["metric", "law", "logged commands", "unit"]
+    assert ["travel", "1", "0", "m"] in table.sections[0][1] and len(table.sections[0][1]) == len(HELD)
+    assert verdicts[0].startswith("law: every grip held, but 2 missed the ground")
+    assert verdicts[1] == "logged commands: held all the way"

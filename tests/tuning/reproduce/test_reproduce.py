@@ -1,9 +1,11 @@
 """The paper's claims: each judged on made-up walks both ways, and the whole command."""
 
+import contextlib
 import dataclasses
 import itertools
 import json
 import re
+import types
 from pathlib import Path
 
 import numpy as np
@@ -314,3 +316,47 @@ def test_the_whole_command(tmp_path, call):
         slack = 0.2 if "%" in line else 1e-4  # per cent come with one digit after the point
         read, own = ([float(found) for found in NUMBER.findall(text)] for text in (line, expected))
         assert read == pytest.approx(own, rel=0.01, abs=slack), expected
+
+
+def test_each_case_walks_by_each_method_and_once_more_where_a_gripper_lets_go(monkeypatch, tmp_path):
+    """Without walking: what is written, drawn and judged of which walk."""
+    asked, stages, drawn = [], [], []
+
+    def rollout(scenario):
+        asked.append(scenario)
+        torn = scenario.contact.holding_limit is not None and scenario.control.controller == "pd"
+        return types.SimpleNamespace(scenario=scenario, torn_off=np.array([torn, False]))
+
+    @contextlib.contextmanager
+    def stage(name):
+        stages.append(name)
+        yield
+
+    monkeypatch.setattr(mc, "rollout", rollout)
+    monkeypatch.setattr(mc, "metrics", lambda walk: ("metrics", walk.scenario))
+    monkeypatch.setattr(results.dataset, "to_dataset", lambda walk: walk.scenario)
+    monkeypatch.setattr(results.dataset, "save", lambda data, file: drawn.append((file.name, data)))
+    monkeypatch.setattr(results.plots, "plot_comparison", lambda walks, title: (walks, title))
+    monkeypatch.setattr(results.plots, "save_figure", lambda figure, file: drawn.append((file.name, *figure)))
+    monkeypatch.setattr(results.claims, "judge_all", lambda walks, case: (walks, case))
+    found = dict(results.reproduced(tmp_path, stage))
+    cases = results.scenarios()
+    assert [*found] == [*cases] == [*results.CASES]
+    for name, scenario in cases.items():
+        own, case, stem = found[name], results.CASES[name], f"case_{name.replace('.', '_')}"
+        assert (tmp_path / f"{stem}.yaml").read_text() == scenario.to_yaml() and own.published == case
+        assert [*own.walks] == [*own.metrics] == [*results.METHODS] and own.verdicts == (own.walks, case)
+        for method, what in results.METHODS.items():
+            changed, walk = scenario.with_overrides(what.changes), own.walks[method]
+            torn = changed.control.controller == "pd"
+            assert walk.trajectory.scenario == changed and own.metrics[method] == ("metrics", changed)
+            assert (walk.unlimited is not None) == torn and (f"{stem}-{method}.nc", changed) in drawn
+            assert stages.count(f"case {name}, {what.title}") == 1
+            if torn:
+                free = changed.with_overrides({"contact.holding_limit": None})
+                assert walk.unlimited.scenario == free and (f"{stem}-{method}-unlimited.nc", free) in drawn
+                assert f"case {name}, {what.title}, grippers that never let go" in stages
+        ((walks, title),) = [rest for file, *rest in drawn if file == stem]
+        assert title == f"Case {name}: {case.title}"
+        assert walks == {results.METHODS[key].title: own.walks[key].trajectory for key in results.FIGURE}
+    assert len(asked) == len(stages) and len(drawn) == len(stages) + len(cases)
