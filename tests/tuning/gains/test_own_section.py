@@ -231,3 +231,18 @@ def test_what_is_no_metric_is_refused_in_one_line(file, name, said):
     with pytest.raises(ConfigError, match=re.escape(f"{file}: {said}")) as refused:
         own_section.load_metrics([f"{file}:{name}"])
     assert "\n" not in str(refused.value)
+
+
+class Holder:
+    """Has a law within."""
+
+    class Inner(mc.control.PD):
+        """Another pd."""
+
+        def step(self, state, measured, reference):
+            return super().step(state, measured, reference)
+
+
+def test_a_class_within_another_is_named_with_it():
+    assert own_section.reference(Holder.Inner()) == f"{Path(__file__).name}:Holder.Inner"
+    assert own_section.reference(mc.control.PD()) == "PD"

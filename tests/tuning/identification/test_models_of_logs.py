@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import sys
+import types
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.kinematics import limb_frames
 from tests.tuning.identification.recorded import ROBOT, recorded
 from tuning.identification.model import predicted
+from tuning.identification.model import variables as priors
 from tuning.identification.model.force_sensors import logged_force
 from tuning.identification.model.gripped import (
     check_parts,
@@ -251,3 +254,49 @@ def test_parts_that_no_model_of_a_log_has_are_refused(changes, held, said):
 
 def test_a_bound_of_a_variable_in_seconds_is_where_its_stage_is_looked_for():
     assert predicted.stages_for(SCENARIO, variables(SCENARIO, ["hardware.servo.delay"], held=True)).servo_delay > 0
+
+
+def test_priors_are_a_factor_of_e_or_the_scale_of_the_unit_and_delays_are_looked_for_within_20_ms():
+    positive = priors._positive("k", "N/m", 3e4)
+    assert (positive.mean, positive.sd, positive.log) == (pytest.approx(np.log(3e4)), 1.0, True)
+    assert (positive.lower, positive.upper) == (pytest.approx(30.0), pytest.approx(3e7))
+    assert np.isnan(priors._positive("k", "N/m", 0.0).mean) and np.isnan(priors._positive("k", "N/m", np.inf).mean)
+    for unit, nominal, sd in (
+        ("s", 0.002, 0.01),
+        ("s", 0.03, 0.03),
+        ("N m", -0.5, 0.5),
+        ("Ohm", 0.1, 0.5),
+        ("K", 0.2, 1.0),
+    ):
+        linear = priors._linear("k", unit, nominal, -1.0)
+        assert (linear.mean, linear.sd, linear.lower, linear.upper) == (nominal, sd, -1.0, np.inf) and not linear.log
+    bounds = {"inside": (0.5, 40.0), "wide": (1e-9, 1e9)}
+    field = {name: types.SimpleNamespace(bounds=ends, unit="N/m") for name, ends in bounds.items()}
+    found = priors._of_scenario("k", field["inside"], 10.0, 1e-3)
+    assert (found.lower, found.upper) == (0.5, 40.0)
+    found = priors._of_scenario("k", field["wide"], 10.0, 1e-3)
+    assert (found.lower, found.upper) == (pytest.approx(0.01), pytest.approx(1e4))
+    most = sys.float_info.max
+    for nominal, step, upper in ((0.0, 1e-3, 0.02), (0.015, 1e-3, 0.03), (0.001, 0.011, 0.022)):
+        late = priors._of_scenario("k", types.SimpleNamespace(bounds=(0.0, most), unit="s"), nominal, step)
+        assert (late.lower, late.upper) == (0.0, upper)
+    free = priors._of_scenario("k", types.SimpleNamespace(bounds=(-most, most), unit="1"), 0.1, 1e-3)
+    assert (free.lower, free.upper, free.sd) == (-np.inf, np.inf, 0.3)
+
+
+def test_a_sensor_of_a_foot_has_a_gain_and_each_axis_an_offset_and_shares_of_the_two_others():
+    gain, *rest = priors._of_sensor("log.LF", 2)
+    assert (gain.key, gain.nominal, gain.mean, gain.sd, gain.lower, gain.upper) == (
+        "log.LF.gain",
+        1.0,
+        1.0,
+        0.2,
+        0.1,
+        10.0,
+    )
+    keys = [each.key.removeprefix("log.LF.") for each in rest]
+    assert keys == ["zero.x", "y_in_x", "z_in_x", "zero.y", "x_in_y", "z_in_y", "zero.z", "x_in_z", "y_in_z"]
+    for each in rest:
+        ends = (2.0, -np.inf, np.inf) if "zero" in each.key else (0.05, -1.0, 1.0)
+        assert (each.nominal, each.mean, each.sd, each.lower, each.upper) == (0.0, 0.0, *ends)
+        assert each.limb == gain.limb == 2 and not each.log

@@ -1,5 +1,6 @@
 """Spaces of gains, changes by path and drawn hardware, against the same rules written a second time, with loops."""
 
+import contextlib
 import itertools
 import math
 
@@ -500,3 +501,16 @@ def test_the_worst_members_are_those_of_a_sorted_list():
                 ends = sorted(values[:, column].tolist(), reverse=not larger)[:count]
                 found = ensemble.worst_mean(values, share, larger_is_better=larger)
                 assert found[column] == pytest.approx(sum(ends) / count)
+
+
+@pytest.mark.parametrize(
+    ("pins", "fits"), [({"gait.duty": 0.8}, True), ({"gait.duty": 0.3}, False), ({"damping": 0.3}, True)]
+)
+def test_a_gait_that_is_pinned_must_be_one_that_the_scenario_can_have(pins, fits):
+    search = Search(pins={"stiffness": 5.0} | pins)
+    with contextlib.nullcontext() if fits else pytest.raises(mc.ConfigError, match="duty"):
+        spaces.check_gait(CASE, search)
+    with contextlib.nullcontext() if "damping" in pins else pytest.raises(mc.ConfigError, match="gains of the law"):
+        spaces.refuse_gait(search)
+    with pytest.raises(mc.ConfigError, match=r"gains of the law, as tune alone searches a gait, got gait\.cycle"):
+        spaces.refuse_gait(Search(also=("gait.cycle",)))

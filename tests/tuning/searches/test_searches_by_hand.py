@@ -376,6 +376,12 @@ def test_a_shard_of_an_evaluation_is_read_as_it_was_asked_for(law, tmp_path):
     draw.write_asked(tmp_path)
     kept = Kept(tmp_path, Shard(1, 2), draw.identity() | {"shard": [1, 2]}, {})
     assert judge.read_asked(kept, CASE, law, mc.METRICS).identity() == draw.identity()
+    table = mc.MetricTable((mc.METRICS["travel"], mc.METRICS["force_variation"]))
+    draw = judge.draw_of(Problem(CASE, law=law, metrics=table, engine="mjx"), gains, Ensemble(members=2), 2)
+    kept = kept._replace(identity=draw.identity() | {"shard": [1, 2]})
+    again = judge.read_asked(kept, CASE, law, table)
+    assert again.identity() == draw.identity() and (again.problem.metrics, again.problem.engine) == (table, "mjx")
+    assert again.ensemble == draw.ensemble and again.problem.ensemble == draw.problem.ensemble
 
 
 @pytest.mark.parametrize("widest", [0.021, 0.001])

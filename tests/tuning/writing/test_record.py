@@ -9,14 +9,17 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.files import dataset
 from mjx_climb.files.dataset import OutputError
 from mjx_climb.files.locks import alone
 from tests.shell import ROOT, environment
 from tuning.command_line.session import Session
 from tuning.methods.parts import Parts
 from tuning.problem.evaluation import Problem
+from tuning.writing import folder as folders
 from tuning.writing import record
 
 OURS, THEIRS = {"command": "run", "a": {"b": 1}}, {"command": "run", "a": {"b": 2}}
@@ -481,3 +484,12 @@ def test_a_result_that_another_user_planted_is_not_taken(tmp_path, monkeypatch, 
     planted.chmod(0o755)
     record.recover(home)
     assert (home / "gains.yaml").read_text() == "theirs" and not planted.exists()
+
+
+def test_data_of_a_folder_names_the_copies_of_its_files_and_keeps_its_own_scenario():
+    own = mc.load_scenario("case_1_2", {"duration": 0.5, "control.kp": 7.0})
+    copied = mc.load_scenario("case_1_2", {"duration": 2.0, "hardware.control_period": 0.004})
+    named = folders._naming(xr.Dataset(attrs={"scenario": own.to_yaml(), "title": "mine"}), copied)
+    found = dataset.scenario_of(named)
+    assert found == own.model_copy(update={"hardware": copied.hardware}) and named.attrs["title"] == "mine"
+    assert folders._naming(xr.Dataset(attrs={"title": "mine"}), copied).attrs == {"title": "mine"}
