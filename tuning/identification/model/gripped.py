@@ -7,7 +7,7 @@ are fitted.
 
 import dataclasses
 from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -38,9 +38,11 @@ from tuning.identification.model.predicted import (
     LATENESS,
     LEAD,
     Fit,
+    Given,
     Point,
     Structure,
     leaves_of,
+    over_steps,
     stages_for,
     structure_of,
     with_nuisances,
@@ -56,15 +58,6 @@ LATE = {  # kinds that are recorded late, by the keys of their delays
 }  # fmt: skip
 _GRIP = (0.0, 0.003, -0.1, 0.1)  # m, of a grip point from where the foot is seen
 _AXES = "xyz"
-
-
-class Given(NamedTuple):
-    """The log of a window."""
-
-    sent: stands.Sent  # (steps + 1, ...)
-    rates: stands.Sent  # of `sent`, over time
-    points: Any  # (limb, 3) m, where grips are seen
-    stood: State  # in which the robot was when it gripped
 
 
 def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Windows:
@@ -94,28 +87,24 @@ def simulate(structure: Structure, point: Point, given: Given, parameters: Param
     center = jnp.asarray(nominal.frame_position[0, 0] - robot.frame_position[0, 0], dtype)
     robot = execution.of_limbs(jax.tree.map(lambda value: jnp.asarray(value, dtype), robot))
     hardware = hardware_of(parameters, structure.stages, structure.time_step, robot)
-    points = given.points + _of_grips(structure.places, point.x, robot)
-    gripped = grips.gripped(robot, hardware, given.stood, points)
+    points, stood = given.common
+    gripped = grips.gripped(robot, hardware, stood, points + _of_grips(structure.places, point.x, robot))
     first = _about(point.start, center)
     limbs = first.limbs._replace(state=execution.of_limbs(first.limbs.state))
 
-    def step(carry: Any, both: tuple[stands.Sent, stands.Sent]) -> tuple[Any, dict[str, Array]]:
-        moving, _ = carry
-        sent = jax.tree.map(lambda value, rate: value - point.late * rate, *both)
+    def advance(moving: grips.Moving, sent: stands.Sent) -> tuple[grips.Moving, grips.Recorded]:
         driven = stands.with_gains(stands.Stand(robot, hardware), sent).hardware
         after, seen = grips.advance(gripped._replace(hardware=driven), moving, sent.targets)
         # the rate as it stands, half a step before the angle: right where the target jumps too
         arm = -quaternion_to_matrix(seen.base_orientation) @ center
-        seen = seen._replace(
+        return after, seen._replace(
             velocity=moving.limbs.state.joint_rates, base_position=seen.base_position + arm,
             base_linear_velocity=seen.base_linear_velocity + jnp.cross(seen.base_angular_velocity, arm),
             force=logged_force(structure.places, point.x, robot.limbs, seen.force),
         )  # fmt: skip
-        recorded = {kind: getattr(seen, kind) for kind in structure.kinds}
-        return (after, moving), {k: value[None] if k.startswith("base") else value for k, value in recorded.items()}
 
-    first = first._replace(limbs=limbs)
-    (_, last), seen = jax.lax.scan(step, (first, first), (given.sent, given.rates))
+    last, seen = over_steps(advance, structure, point, given, first._replace(limbs=limbs))
+    seen = {kind: value[:, None] if kind.startswith("base") else value for kind, value in seen.items()}
     return seen | leaves_of(_about(last, -center))
 
 
@@ -145,8 +134,12 @@ class GrippedModel(Fit):
     stood: State  # at the beginning of the log
     first: Sequence[State]  # at the beginning of each stretch
 
-    LEADS = 0.5
-    LATE = LATE
+    LEADS, LATE, SIMULATE = 0.5, LATE, staticmethod(simulate)
+
+    @property
+    def common(self) -> tuple[Any, State]:
+        """Where grips are seen, and how the robot stood when it gripped."""
+        return self.points, self.stood
 
     def begun(self, x: np.ndarray, start: np.ndarray, firsts: np.ndarray) -> tuple[Any, Any]:
         """The robot at rest on its grips, a window's length before each stretch."""
@@ -157,22 +150,6 @@ class GrippedModel(Fit):
             moving: grips.Moving = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
         count = len(self.lanes)
         return moving, jax.tree.map(lambda value: np.zeros((len(value), count, *value.shape[1:])), moving)
-
-    def run(self, x: np.ndarray, state: tuple[Any, Any], which: np.ndarray, *, early: bool) -> tuple[Any, Any]:
-        """Results of `simulate` for windows, or for the same time before each, and their tangents."""
-        steps, count = self.windows.steps, len(which)
-        span = slice(0, steps + 1) if early else slice(steps, None)
-        sent, rates = jax.tree.map(lambda value: value[:, span], self.sent(which, self.delay(x), steps))
-        given = Given(sent, rates, self.points, self.stood)
-        (of_x, late), (moving, turned) = self.tangents(), state
-        point = Point(np.broadcast_to(x, (count, len(x))), moving, np.zeros(count))
-        along = Point(np.broadcast_to(of_x, (count, *of_x.shape)), turned, np.broadcast_to(late, (count, len(late))))
-        own, of_sent = jax.tree.map(lambda value: value.ndim - 1, (point, (sent, rates)))
-        stood, parameters = jax.tree.map(np.ndim, (given.stood, self.parameters))
-        axes = (own, Given(of_sent[0], of_sent[1], 2, stood), parameters)
-        batch = execution.Robots((point, given, self.parameters), axes, (count,), along)
-        values, tangents = execution.run(simulate, self.structure, batch, batch_size=1)
-        return values, tangents
 
 
 def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Sequence[Variable]) -> GrippedModel:

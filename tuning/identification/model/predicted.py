@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -28,7 +28,6 @@ from tuning.identification.model.variables import Place, Variable, applied, vari
 from tuning.identification.model.windows import Windows
 from tuning.identification.readers.log import COMMANDS
 
-AT_ONCE = 8  # windows in one call of an executable
 DELAY, PRESLIDING = "hardware.command_delay", "hardware.servo.presliding"
 SERVO_DELAY = "hardware.servo.delay"
 LATE = {"log.velocity.delay": ("velocity",), "log.effort.delay": ("effort",)}  # of recorded kinds, behind the positions
@@ -66,6 +65,7 @@ class Given(NamedTuple):
 
     sent: stands.Sent  # (steps + 1, ...)
     rates: stands.Sent  # of `sent`, over time
+    common: Any = ()  # data of all windows
 
 
 class Before(NamedTuple):
@@ -114,18 +114,32 @@ def placed(structure: Structure, point: Point, before: Before, parameters: Param
 def simulate(structure: Structure, point: Point, given: Given, parameters: Parameters) -> dict[str, Array]:
     """The predicted records at steps 0 to `steps` (steps + 1, limb, joint), and the leaves of the state at the last."""
     stand = _stand(structure, point, parameters)
+
+    def advance(moving: stands.Moving, sent: stands.Sent) -> tuple[stands.Moving, stands.Recorded]:
+        after, seen = stands.advance(stands.with_gains(stand, sent), moving, sent.targets)
+        # the rate as it stands, half a step before the angle: right where the target jumps too
+        return after, seen._replace(velocity=moving.state.joint_rates)
+
     first = point.start._replace(state=execution.of_limbs(point.start.state))
+    last, seen = over_steps(advance, structure, point, given, first)
+    return seen | leaves_of(last)
+
+
+def over_steps(
+    advance: Callable[[Any, stands.Sent], tuple[Any, Any]], structure: Structure, point: Point, given: Any, first: Any
+) -> tuple[Any, dict[str, Array]]:
+    """The state at the last step of a window that begins in the state `first`, and the records at all steps, by kind.
+
+    `advance` takes a state and the commands that reach the servos, and gives the next state and the records.
+    """
 
     def step(carry: Any, both: tuple[stands.Sent, stands.Sent]) -> tuple[Any, dict[str, Array]]:
         moving, _ = carry
-        sent = jax.tree.map(lambda value, rate: value - point.late * rate, *both)
-        after, seen = stands.advance(stands.with_gains(stand, sent), moving, sent.targets)
-        # the rate as it stands, half a step before the angle: right where the target jumps too
-        recorded = seen._replace(velocity=moving.state.joint_rates)
-        return (after, moving), {kind: getattr(recorded, kind) for kind in structure.kinds}
+        after, seen = advance(moving, jax.tree.map(lambda value, rate: value - point.late * rate, *both))
+        return (after, moving), {kind: getattr(seen, kind) for kind in structure.kinds}
 
     (_, last), seen = jax.lax.scan(step, (first, first), (given.sent, given.rates))
-    return seen | leaves_of(last)
+    return last, seen
 
 
 def leaves_of(moving: Any) -> dict[str, Array]:
@@ -175,6 +189,8 @@ class Fit:
     LEADS: ClassVar[float] = 0.0  # s, a stretch's first samples, not fitted; above 0 it is simulated from before it
     LATE: ClassVar[Mapping[str, tuple[str, ...]]] = LATE
     APART: ClassVar[bool] = False  # limbs do not feel each other
+    AT_ONCE: ClassVar[int] = 1  # windows in one call of an executable
+    SIMULATE: ClassVar[Any]  # `simulate`, or that of another model
 
     @property
     def memory(self) -> tuple[str, ...]:
@@ -220,9 +236,33 @@ class Fit:
         """The states in which stretches begin, whose first windows are given, and their tangents (stretch, k, ...)."""
         raise NotImplementedError
 
+    @property
+    def common(self) -> Any:
+        """The data of all windows that the simulation takes."""
+        return ()
+
     def run(self, x: np.ndarray, state: tuple[Any, Any], which: np.ndarray, *, early: bool) -> tuple[Any, Any]:
         """Results of `simulate` for windows, or for the same time before each, and their tangents."""
-        raise NotImplementedError
+        (moving, turned), count, steps = state, len(which), self.windows.steps
+        sent = Given(*self.sent(which, self.delay(x), early * steps))
+        given = jax.tree.map(lambda value: value[:, : steps + 1], sent)._replace(common=self.common)
+        of_x, late = (np.broadcast_to(each, (count, *each.shape)) for each in self.tangents())
+        point = Point(np.broadcast_to(x, (count, len(x))), moving, np.zeros(count))
+        of_point, of_given = jax.tree.map(lambda value: np.ndim(value) - 1, (point, given))
+        axes = of_point, of_given._replace(common=jax.tree.map(np.ndim, self.common))
+        return self.carried(self.SIMULATE, point, given, axes, Point(of_x, turned, late))
+
+    def carried(self, function: Any, point: Point, given: Any, axes: Any, along: Point) -> tuple[Any, Any]:
+        """Results of a function of points and their data, which have so many axes each, and their tangents."""
+        count, at_once = len(point.x), min(self.AT_ONCE, int((~self.windows.abuts).sum()))
+        rows = np.arange(-(-count // at_once) * at_once) % count  # whole calls of one executable
+        point, given = jax.tree.map(lambda v, own: v[rows] if np.ndim(v) > own else v, (point, given), axes)
+        along = jax.tree.map(lambda value: value if len(value) == 1 else value[rows], along)
+        axes = (*axes, jax.tree.map(np.ndim, self.parameters))
+        robots = execution.Robots((point, given, self.parameters), axes, (len(rows),), along)
+        values, tangents = execution.run(function, self.structure, robots, batch_size=at_once)
+        values, tangents = ({name: v[:count] for name, v in each.items()} for each in (values, tangents))
+        return values, tangents
 
     def evaluate(self, x: np.ndarray, start: np.ndarray) -> Iterator[tuple[np.ndarray, dict[str, Any], dict[str, Any]]]:
         """Yield windows that run at the same time, the records of these and of those before, and the tangents.
@@ -297,7 +337,7 @@ class Fit:
 class Model(Fit):
     """The model of a log, the base held: each limb begins each stretch in a state of its own."""
 
-    APART = True
+    APART, AT_ONCE, SIMULATE = True, 8, staticmethod(simulate)
 
     @property
     def in_pieces(self) -> Fit:
@@ -340,34 +380,11 @@ class Model(Fit):
             turned[0, len(self.lanes) + n, :, n // size, n % size] = 1.0
         point = Point(np.broadcast_to(x, (count, len(x))), start, np.zeros(count))
         axes = (Point(1, 3, 0), jax.tree.map(lambda value: np.ndim(value) - 1, given))
-        found = self._carried(placed, point, given, axes, Point(of_x[None], turned, late[None]))
+        found = self.carried(placed, point, given, axes, Point(of_x[None], turned, late[None]))
         one, own = (jax.tree.map(lambda value: value[0], each) for each in (point, given))
         like = jax.eval_shape(functools.partial(moving_at, self.structure), one, own, self.parameters)
         state, turned_state = (parted(each, like)[0] for each in found)
         return state, turned_state
-
-    def run(self, x: np.ndarray, state: tuple[Any, Any], which: np.ndarray, *, early: bool) -> tuple[Any, Any]:
-        """Results of `simulate` for windows, and their tangents."""
-        del early  # a stretch begins where the log does
-        given, count = Given(*self.sent(which, self.delay(x))), len(which)
-        of_x, late = self.tangents()
-        moving, turned = state
-        point = Point(np.broadcast_to(x, (count, len(x))), moving, np.zeros(count))
-        own: Any = jax.tree.map(lambda value: np.ndim(value) - 1, (point, given))
-        of_all = (np.broadcast_to(each, (count, *each.shape)) for each in (of_x, late))
-        return self._carried(simulate, point, given, own, Point(next(of_all), turned, next(of_all)))
-
-    def _carried(self, function: Any, point: Point, given: Any, own: Any, along: Point) -> tuple[Any, Any]:
-        count = len(point.x)
-        at_once = min(AT_ONCE, int((~self.windows.abuts).sum()))
-        rows = np.arange(-(-count // at_once) * at_once) % count  # whole calls of one executable
-        point, given = (jax.tree.map(lambda value: value[rows], each) for each in (point, given))
-        along = jax.tree.map(lambda value: value if len(value) == 1 else value[rows], along)
-        axes = (*own, jax.tree.map(np.ndim, self.parameters))
-        robots = execution.Robots((point, given, self.parameters), axes, (len(rows),), along)
-        values, tangents = execution.run(function, self.structure, robots, batch_size=at_once)
-        values, tangents = ({name: v[:count] for name, v in each.items()} for each in (values, tangents))
-        return values, tangents
 
 
 class Pieces(Model):
