@@ -22,7 +22,7 @@ from jax.custom_derivatives import CustomVJPPrimal, SymbolicZero
 from jax.extend import core
 
 from mjx_climb.execution.flat import carried_on, depend, evaluated, flat, with_stable_choices
-from mjx_climb.execution.jax_internals import carried_out, inner_program, scan_sizes, without_unread
+from mjx_climb.execution.jax_internals import arguments_of, carried_out, inner_program, scan_sizes, without_unread
 from mjx_climb.execution.jax_types import Parameters, aval_of
 
 MOST_KEPT = 256  # steps of a loop that keeps its carried values at each
@@ -59,7 +59,7 @@ def with_gradients(
     weights = itertools.compress(program.out_avals, weighed)
     given = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in (*program.in_avals, *weights)]
     both = jax.make_jaxpr(of_robot)(*given)
-    return flat(without_unread(both, [True] * len(both.out_avals))[0])
+    return flat(without_unread(both))
 
 
 def _results(program: core.ClosedJaxpr, arguments: Sequence[Array], moving: Sequence[bool]) -> list[Array]:
@@ -124,7 +124,7 @@ class _Loop(NamedTuple):
         (constants, carry), (into, _) = self.sizes, self.moves()
         of_step = list(given)
         while True:
-            read = without_unread(self.body, of_step)[1]
+            read = arguments_of(self.body, of_step)
             by = [moves and is_read for moves, is_read in zip(into, read, strict=True)]
             carried = [a or b for a, b in zip(of_step, by[constants : constants + carry], strict=False)]
             if carried == of_step[:carry]:

@@ -56,11 +56,15 @@ def from_line_of(equation: core.JaxprEqn) -> AbstractContextManager[None]:
     return source_info_util.user_context(equation.source_info.traceback)
 
 
-def without_unread(program: core.ClosedJaxpr, read: Sequence[bool]) -> tuple[core.ClosedJaxpr, list[bool]]:
-    """Return a program of the results that are read, its loops too, and which of the same arguments these depend on."""
-    _, used = partial_eval.dce_jaxpr(program.jaxpr, list(read))
-    less, _ = partial_eval.dce_jaxpr(program.jaxpr, list(read), instantiate=True)
-    return core.ClosedJaxpr(less, program.consts), list(used)
+def without_unread(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
+    """Return a program without the operations that no result needs, in its loops too; all arguments stay."""
+    less, _ = partial_eval.dce_jaxpr(program.jaxpr, True, instantiate=True)
+    return core.ClosedJaxpr(less, program.consts)
+
+
+def arguments_of(program: core.ClosedJaxpr, read: Sequence[bool]) -> list[bool]:
+    """Return which arguments the results that are read depend on."""
+    return list(partial_eval.dce_jaxpr(program.jaxpr, list(read))[1])
 
 
 OVER_ROBOTS = "over_robots"  # the name of this package's own operation

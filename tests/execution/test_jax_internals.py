@@ -74,18 +74,23 @@ def test_scan_sizes():
 
 
 def test_without_unread():
-    """A loop carries no more than the results that are read depend on; all arguments stay."""
+    """A loop carries no more than its results that are read depend on; all arguments stay."""
 
     def loop(first, second):
         return lax.scan(
             lambda c, _: ((c[0] * 2, c[1] + jnp.sin(c[1]), c[2] + c[0]), None), (first, second, 0.0), length=3
         )
 
-    program = jax.make_jaxpr(lambda *given: loop(*given)[0])(1.0, 2.0)
-    less, used = jax_internals.without_unread(program, [False, False, True])
-    assert used == [True, False]
+    program = jax.make_jaxpr(lambda *given: loop(*given)[0][2])(1.0, 2.0)
+    less = jax_internals.without_unread(program)
     assert "sin" in str(program) and "sin" not in str(less)
     np.testing.assert_allclose(core.jaxpr_as_fun(less)(1.0, 2.0), [7.0])
+
+
+def test_arguments_of():
+    program = jax.make_jaxpr(lambda a, b, c: (a + b, jnp.sin(c)))(1.0, 2.0, 3.0)
+    assert jax_internals.arguments_of(program, [True, False]) == [True, True, False]
+    assert jax_internals.arguments_of(program, [False, True]) == [False, False, True]
 
 
 def test_with_inner():
