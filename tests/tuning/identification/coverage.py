@@ -62,17 +62,19 @@ def counted(repeats, duration, misread=0.0, first=0, said=lambda line: None):
             off, span = (np.where(logarithm, np.log(a / b), a - b) for a, b in ((value, true), (high, low)))
         error = 2 * Z * off / span
         known, ahead = found.posterior, found.held_out["error_over_noise"]
-        rows.append(((low <= true) & (true <= high), error, width_of(found.problem, known), ahead))
+        rows.append(
+            ((low <= true) & (true <= high), error, width_of(found.fitted, found.problem, known)[: len(KEYS)], ahead)
+        )
         warned += found.warnings
         said(f"{repeat}: errors {error.round(2).tolist()}, held out {ahead:.3f} {found.fitted.ended} {found.warnings}")
     return Counted(*map(np.array, zip(*rows, strict=True)), warned)
 
 
-def width_of(problem, known):
-    """Return the width of the intervals of KEYS over that if noise were white and the model right."""
-    free, fisher = np.flatnonzero(problem.free), np.zeros(len(problem.free))
-    fisher[free] = np.diag(covariance_of(known.information[np.ix_(free, free)], problem.prior.sd[free]))
-    return np.sqrt(np.diag(known.covariance) / fisher)[: len(KEYS)]
+def width_of(fitted, problem, known):
+    """Return the width of the intervals over that if noise were white and the model right, 1 of held variables."""
+    free, fisher = np.flatnonzero(problem.free), problem.prior.sd**2
+    fisher[free] = np.diag(covariance_of(fitted.information[np.ix_(free, free)], problem.prior.sd[free]))
+    return np.sqrt(np.diag(known.covariance) / fisher)
 
 
 def shares(inside):

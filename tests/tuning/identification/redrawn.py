@@ -29,7 +29,7 @@ def redrawn(found, draws, seed=0):
         tests = whiteness(problem, other)
         known = posterior(problem, other, tests)
         sd_of = np.sqrt(np.diag(known.covariance))[: len(KEYS)]
-        inside[n], width[n] = np.abs(moved[: len(KEYS)]) <= Z * sd_of, width_of(problem, known)
+        inside[n], width[n] = np.abs(moved[: len(KEYS)]) <= Z * sd_of, width_of(other, problem, known)[: len(KEYS)]
         wrong[n] = bool(suspicious(tests))
     return inside, width, wrong
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
+from tests.tuning.identification.coverage import width_of
 from tests.tuning.identification.recorded import ROBOT
 from tuning.identification.fit import inference, report
 from tuning.identification.fit.conclusions import identified
@@ -256,7 +257,7 @@ def test_what_was_held_out_and_missed_is_said_and_so_is_that_nothing_was(line):
     assert not any("times worse than the noise" in text for text in near)
     assert any("times worse than the noise" in text for text in far)
     none = findings(fitted(problem_of(held_out=0.0), 1))
-    assert (none.posterior.widening[:2] < 1.9).all()
+    assert (width_of(none.fitted, none.problem, none.posterior)[:2] < 1.9).all()
     assert none.held_out == {} and any("nothing was held out" in text for text in none.warnings)
 
 

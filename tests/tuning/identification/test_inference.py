@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.tuning.identification.coverage import width_of
 from tuning.identification.fit.inference import (
     Whiteness,
     covariance_of,
@@ -85,13 +86,17 @@ class Line(Problem):
         tests = [Whiteness(name, np.zeros(3), 0.01, 0.0, lasts, own) for name, lasts, own in each]
         return posterior(self, self.found(residuals, **how), tests, ahead)
 
+    def width(self, lasting=(), residuals=None, ahead=1.0):
+        """Return the posterior's standard deviations over those if noise were white and the model right."""
+        return width_of(self.found(residuals), self, self.known(lasting, residuals, ahead))
+
 
 def test_what_one_signal_lacks_widens_what_that_signal_tells_alone_and_no_more_than_the_prior():
     problem = Line()
-    plain, wrong, hopeless = problem.known(), problem.known(np.full(15, 0.9)), problem.known(np.full(15, 1e12))
-    assert plain.widening == pytest.approx(1.0, abs=0.2)
-    assert wrong.widening[1] == pytest.approx(plain.widening[1])
-    assert wrong.widening[0] == pytest.approx(np.sqrt(1 + 2 * 15 * 0.9), rel=0.01)
+    plain, wrong, hopeless = problem.width(), problem.width(np.full(15, 0.9)), problem.known(np.full(15, 1e12))
+    assert plain == pytest.approx(1.0, abs=0.2)
+    assert wrong[1] == pytest.approx(plain[1])
+    assert wrong[0] == pytest.approx(np.sqrt(1 + 2 * 15 * 0.9), rel=0.01)
     assert 99.0 < np.sqrt(hopeless.covariance[0, 0]) <= 100.0  # the prior's
 
 
@@ -120,7 +125,8 @@ def test_of_correlated_residuals_one_counts_of_so_many_as_the_correlation_lasts(
     # what a parameter moves back and forth faster than the residuals change, they hardly tell
     quick = problem.along * np.where(np.arange(len(noise)) % 2, 1.0, -1.0)[:, None]
     turned = problem.found(residuals)._replace(along=quick)
-    slow, fast = (posterior(problem, each, [first]).widening[0] for each in (problem.found(residuals), turned))
+    both = (problem.found(residuals), turned)
+    slow, fast = (width_of(each, problem, posterior(problem, each, [first]))[0] for each in both)
     assert fast == pytest.approx(1.0, abs=0.3) if per_sample else slow == pytest.approx(1.0, abs=0.2)
     assert slow > 2.5 or not per_sample
 
@@ -132,7 +138,7 @@ def test_few_blocks_count_by_students_quantile():
         problem = Line(blocks, samples=4)
         shift = np.sin(np.pi * (np.arange(blocks) + 0.5))  # +1, -1: their scatter is known
         residuals = 2 * shift[problem.block] * np.ones(len(problem.block))
-        found.append(problem.known(residuals=residuals).widening[0] / np.sqrt(blocks / (blocks - 1)))
+        found.append(problem.width(residuals=residuals)[0] / np.sqrt(blocks / (blocks - 1)))
     few, many = found
     assert many == pytest.approx(2 * np.sqrt(4), rel=0.01)
     assert few / many == pytest.approx(2.364624 / 1.961, rel=0.05)
@@ -151,8 +157,8 @@ def test_a_delay_of_commands_is_no_better_known_than_the_clock(other, shown, add
 
 
 def test_what_was_held_out_and_is_predicted_worse_widens_by_as_much():
-    plain, worse = (Line().known(ahead=ahead) for ahead in (0.9, 3.0))
-    np.testing.assert_allclose(worse.widening, 3 * plain.widening, rtol=1e-3)
+    plain, worse = (Line().width(ahead=ahead) for ahead in (0.9, 3.0))
+    np.testing.assert_allclose(worse, 3 * plain, rtol=1e-3)
 
 
 TRADED = 400.0 * np.array([[1.0, 1.0], [1.0, 1.0]]) + np.diag([1e-4, 0.0])  # their sum is told
@@ -167,7 +173,8 @@ def test_of_two_that_trade_the_less_told_is_held_and_the_other_has_its_doubt():
     assert known.covariance[1, 1] == pytest.approx(100.0**2)  # the prior is the posterior
     assert known.covariance[0, 0] == pytest.approx(100.0**2, rel=0.01)
     together = np.ones(2) @ known.covariance @ np.ones(2)
-    assert together == pytest.approx(known.widening[0] ** 2 / 400, rel=0.2)  # draws keep to what is told
+    alone = known.covariance[0, 0] - known.covariance[0, 1] ** 2 / known.covariance[1, 1]
+    assert together == pytest.approx(alone, rel=0.2)  # draws keep to what is told
 
 
 def test_what_is_not_told_at_all_is_held_at_once():

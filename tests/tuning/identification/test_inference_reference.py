@@ -120,7 +120,7 @@ def test_residuals_are_tested_lag_by_lag(seed):
 
 
 def posterior_by_hand(problem, found, tests, ahead):
-    """Covariance and widening, by rows and blocks one by one."""
+    """The widened covariance, by rows and blocks one by one."""
     sd = np.array([v.sd for v in problem.model.variables])
     free = [n for n in range(len(sd)) if problem.held is None or not problem.held[n]]
     held = [n for n in range(len(sd)) if n not in free]
@@ -148,8 +148,7 @@ def posterior_by_hand(problem, found, tests, ahead):
     square = max(ahead, 1) ** 2 * np.maximum(scatter, together / alone)
     own_sd = np.sqrt(np.diag(fisher))
     widened = 1 / np.sqrt(1 / sd[free] ** 2 + np.maximum(1 / own_sd**2 - 1 / sd[free] ** 2, 0) / square)
-    covariance, widening = np.diag(sd**2), np.ones(len(sd))
-    widening[free] = widened / own_sd
+    covariance = np.diag(sd**2)
     follow = -fisher @ information[np.ix_(free, held)] @ np.diag(sd[held] ** 2)
     covariance[np.ix_(free, held)], covariance[np.ix_(held, free)] = follow, follow.T
     covariance[np.ix_(free, free)] = (
@@ -161,7 +160,7 @@ def posterior_by_hand(problem, found, tests, ahead):
         shown = abs(found.x[late])
         most = min(shown, most) if shown > 3 * math.sqrt(covariance[late, late]) else 0.0
         covariance[keys.index(DELAY), keys.index(DELAY)] += most**2
-    return covariance, widening
+    return covariance
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -174,9 +173,9 @@ def test_a_posterior_is_that_of_dense_algebra(seed):
     found, ahead = problem.found(), float(draw.choice([0.7, 1.0, 2.0]))
     tests = inference.whiteness(problem, found)
     known = inference.posterior(problem, found, tests, ahead)
-    covariance, widening = posterior_by_hand(problem, found, tests, ahead)
+    covariance = posterior_by_hand(problem, found, tests, ahead)
     np.testing.assert_allclose(known.covariance, covariance, rtol=1e-6, atol=1e-9 * np.abs(covariance).max())
-    np.testing.assert_allclose(known.widening, widening, rtol=1e-6)
+    np.testing.assert_allclose(np.diag(known.covariance), np.diag(covariance), rtol=1e-6)
     variables, free = problem.model.variables, problem.free
     # which are not told: those that the samples hardly know were the others known, or else the least known
     sd, asked = problem.prior.sd, free & np.array([not v.beside for v in variables])

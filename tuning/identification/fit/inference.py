@@ -55,8 +55,6 @@ class Posterior(NamedTuple):
     """The posterior of the variables, in coordinates; held ones have their priors."""
 
     covariance: Float[np.ndarray, "P P"]  # widened
-    information: Float[np.ndarray, "P P"]  # of the samples alone
-    widening: Float[np.ndarray, " P"]  # factor on sd, 1 of held ones
     unseen: tuple[str, ...]  # directions, in words
     combined: tuple[str, ...]  # told combinations of variables that are not told, in words
 
@@ -124,10 +122,8 @@ def posterior(problem: Problem, found: Fitted, tests: Sequence[Whiteness], ahead
     covariance[np.ix_(free, free)] = (
         fisher * np.outer(widened / own, widened / own) + (along_held * sd[held] ** 2) @ along_held.T
     )
-    widening = np.ones(len(sd))
-    widening[free] = widened / own
     covariance += np.diag(_of_clock(problem, found, np.sqrt(np.diag(covariance))) ** 2)
-    return Posterior(covariance, information, widening, *_directions(variables, information, sd, found.x))
+    return Posterior(covariance, *_directions(variables, information, sd, found.x))
 
 
 def _scatter(problem: Problem, found: Fitted, moved: np.ndarray, expected: np.ndarray) -> np.ndarray:
