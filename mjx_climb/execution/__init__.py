@@ -4,9 +4,10 @@ The rest of the program uses these names; docs/explanation/execution.md explains
 """
 
 import contextlib
-import importlib
 import os
 import sys
+
+from mjx_climb.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -20,22 +21,8 @@ if TYPE_CHECKING:
     from mjx_climb.execution.one_robot import gradients_over_robots as gradients_over_robots
     from mjx_climb.execution.one_robot import over_robots as over_robots
     from mjx_climb.execution.paths import many_at_once as many_at_once
-
-# where each name above is defined: it is imported, and JAX with it, when it is first asked for
-_HOMES = {
-    **dict.fromkeys(("Robots", "run", "run_one", "shapes_of", "walking_with"), "batches"),
-    "reached": "flat",
-    "of_limbs": "limbs",
-    **dict.fromkeys(("gradients_over_robots", "over_robots"), "one_robot"),
-    "many_at_once": "paths",
-}
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
-
+else:  # each is imported, and JAX with it, when it is first asked for
+    __getattr__, __dir__, __all__ = lazy_names(__name__)
 
 # Processes forked from one in which JAX has begun: its threads are not there, and it would wait for them for ever.
 _too_late = False
