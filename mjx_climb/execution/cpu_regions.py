@@ -34,6 +34,7 @@ from mjx_climb.execution.flat import (
     region,
     runs,
     variables_of,
+    with_axes,
 )
 from mjx_climb.execution.jax_internals import as_one_kernel, carried_out, line_of, new_program, scan_sizes
 from mjx_climb.execution.jax_types import aval_of
@@ -253,13 +254,7 @@ class _Program(NamedTuple):
     def _wide(self, array: Varying, wanted: Has) -> Array:
         """Return an array with more of the batch axes."""
         value, has = array
-        if has == wanted:
-            return value
-        value = jnp.asarray(value)
-        own = value.ndim - sum(has)
-        there = [own + sum(wanted[:axis]) for axis, h in enumerate(has) if h]
-        shape = (*value.shape[:own], *itertools.compress(self.batch, wanted))
-        return lax.broadcast_in_dim(value, shape, (*range(own), *there))
+        return value if has == wanted else with_axes(jnp.asarray(value), has, wanted, self.batch)
 
     def _as_it_is(self, equation: core.JaxprEqn, given: Sequence[Varying]) -> list[Varying]:
         """Return the results of an equation that stands between the regions."""

@@ -186,6 +186,18 @@ def mapped(function: Function, varies: Sequence[Has], results: Sequence[Has]) ->
     return function
 
 
+def with_axes(value: Array, has: Has, wanted: Has, batch: tuple[int, ...]) -> Array:
+    """Return a value summed over the batch axes that are not wanted, and broadcast over those that it lacks."""
+    own = value.ndim - sum(has)
+    places = itertools.accumulate(has, initial=own)
+    gone = [place for place, h, w in zip(places, has, wanted, strict=False) if h and not w]
+    value = value.sum(gone) if gone else value
+    left = [h and w for h, w in zip(has, wanted, strict=True)]
+    there = [own + sum(wanted[:axis]) for axis, h in enumerate(left) if h]
+    shape = (*value.shape[:own], *itertools.compress(batch, wanted))
+    return lax.broadcast_in_dim(value, shape, (*range(own), *there))
+
+
 # --- forward derivatives
 
 

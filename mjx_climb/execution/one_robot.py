@@ -9,7 +9,7 @@ import functools
 import itertools
 import warnings
 from collections.abc import Callable, Sequence
-from typing import TypedDict, TypeVar, Unpack
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from jax.interpreters import ad, batching, mlir
 from mjx_climb.execution.adjoint import with_gradients
 from mjx_climb.execution.cpu_regions import in_regions
 from mjx_climb.execution.elements import Unsupported
-from mjx_climb.execution.flat import Has, by_axis, mapped, reached, tangents_of
+from mjx_climb.execution.flat import Has, by_axis, mapped, reached, tangents_of, with_axes
 from mjx_climb.execution.jax_internals import (
     OVER_ROBOTS,
     new_program,
@@ -116,11 +116,12 @@ def _traced(
 
 
 def _abstract(*avals: PyTree, program: core.ClosedJaxpr, **how: Unpack[_Batch]) -> list[PyTree]:
-    sizes = how["batch"]
-    return [
-        aval.update(shape=(*aval.shape, *itertools.compress(sizes, has)))
-        for aval, has in zip(program.out_avals, _results_vary(program, how["varies"], len(sizes)), strict=True)
-    ]
+    each = zip(program.out_avals, _vary({"program": program, **how}), strict=True)
+    return [aval.update(shape=(*aval.shape, *itertools.compress(how["batch"], has))) for aval, has in each]
+
+
+def _vary(how: _Whole) -> list[Has]:
+    return _results_vary(how["program"], how["varies"], len(how["batch"]))
 
 
 @functools.lru_cache(maxsize=256)
@@ -130,16 +131,19 @@ def _results_vary(program: core.ClosedJaxpr, varies: Sequence[Has], axes: int) -
 
 
 def _batched(
-    values: Sequence[Array], axes: Sequence[int | None], program: core.ClosedJaxpr, **how: Unpack[_Batch]
+    primitive: core.Primitive,
+    vary: Callable[[Any], list[Has]],
+    values: Sequence[Array],
+    axes: Sequence[int | None],
+    **how: Any,
 ) -> tuple[list[Array], list[int | None]]:
-    """Add a batch axis, as the last."""
+    """Add a batch axis, as the last, to an operation; `vary` tells which axes its results have."""
     size = next(value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
     last = [v if axis is None else jnp.moveaxis(v, axis, -1) for v, axis in zip(values, axes, strict=True)]
-    varies = tuple((*has, axis is not None) for has, axis in zip(how["varies"], axes, strict=True))
-    batch = (*how["batch"], size)
-    results = _program.bind(*last, program=program, batch=batch, varies=varies, regions=how["regions"])
-    having = _results_vary(program, varies, len(batch))
-    return results, [value.ndim - 1 if has[-1] else None for value, has in zip(results, having, strict=True)]
+    how["varies"] = tuple((*has, axis is not None) for has, axis in zip(how["varies"], axes, strict=True))
+    how["batch"] = (*how["batch"], size)
+    results = primitive.bind(*last, **how)
+    return results, [value.ndim - 1 if has[-1] else None for value, has in zip(results, vary(how), strict=True)]
 
 
 def _differentiated(
@@ -198,45 +202,18 @@ def _tangents_vary(how: _Linear) -> list[Has]:
     return [tuple(map(any, zip(*each, strict=True))) for each in zip(along, found, strict=True)]
 
 
-def _with_axes(value: Array, has: Has, wanted: Has, batch: tuple[int, ...]) -> Array:
-    """Return a value summed over the batch axes that are not wanted, and broadcast over those that it lacks."""
-    own = value.ndim - sum(has)
-    places = itertools.accumulate(has, initial=own)
-    gone = [place for place, h, w in zip(places, has, wanted, strict=False) if h and not w]
-    value = value.sum(gone) if gone else value
-    left = [h and w for h, w in zip(has, wanted, strict=True)]
-    there = [own + sum(wanted[:axis]) for axis, h in enumerate(left) if h]
-    shape = (*value.shape[:own], *itertools.compress(batch, wanted))
-    return jax.lax.broadcast_in_dim(value, shape, (*range(own), *there))
-
-
 def _tangents_made(*values: Array, **how: Unpack[_Linear]) -> list[Array]:
     both, _ = tangents_of(how["program"], how["moving"])
     batch, varies, regions = how["batch"], how["varies"], how["regions"]
     made = _program.bind(*values, program=both, batch=batch, varies=varies, regions=regions)
     count = len(how["moved"])
     each = zip(made[count:], _results_vary(both, varies, len(batch))[count:], _tangents_vary(how), strict=True)
-    return [_with_axes(value, own, wanted, batch) for value, own, wanted in each]
+    return [with_axes(value, own, wanted, batch) for value, own, wanted in each]
 
 
 def _tangents_abstract(*avals: PyTree, **how: Unpack[_Linear]) -> list[PyTree]:
-    moved = itertools.compress(how["program"].out_avals, how["moved"])
-    return [
-        aval.update(shape=(*aval.shape, *itertools.compress(how["batch"], has)))
-        for aval, has in zip(moved, _tangents_vary(how), strict=True)
-    ]
-
-
-def _tangents_batched(
-    values: Sequence[Array], axes: Sequence[int | None], **how: Unpack[_Linear]
-) -> tuple[list[Array], list[int | None]]:
-    size = next(value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
-    last = [v if axis is None else jnp.moveaxis(v, axis, -1) for v, axis in zip(values, axes, strict=True)]
-    how["varies"] = tuple((*has, axis is not None) for has, axis in zip(how["varies"], axes, strict=True))
-    how["batch"] = (*how["batch"], size)
-    made = _tangents.bind(*last, **how)
-    having = _tangents_vary(how)
-    return made, [value.ndim - 1 if has[-1] else None for value, has in zip(made, having, strict=True)]
+    each = zip(itertools.compress(how["program"].out_avals, how["moved"]), _tangents_vary(how), strict=True)
+    return [aval.update(shape=(*aval.shape, *itertools.compress(how["batch"], has))) for aval, has in each]
 
 
 def _tangents_transposed(
@@ -253,7 +230,7 @@ def _tangents_transposed(
     arguments = *values[:count], *(value for value, _ in some)
     made = _program.bind(*arguments, program=back, batch=batch, varies=varies, regions=how["regions"])
     each = zip(made, _results_vary(back, varies, len(batch)), how["varies"][count:], strict=True)
-    return [*[None] * count, *(_with_axes(value, has, wanted, batch) for value, has, wanted in each)]
+    return [*[None] * count, *(with_axes(value, has, wanted, batch) for value, has, wanted in each)]
 
 
 def _tangents_moved(
@@ -267,7 +244,7 @@ _tangents.def_abstract_eval(_tangents_abstract)
 _tangents.def_impl(lambda *values, **how: jax.jit(functools.partial(_tangents.bind, **how))(*values))
 ad.primitive_transposes[_tangents] = _tangents_transposed
 ad.primitive_jvps[_tangents] = _tangents_moved
-batching.primitive_batchers[_tangents] = _tangents_batched
+batching.primitive_batchers[_tangents] = functools.partial(_batched, _tangents, _tangents_vary)
 mlir.register_lowering(_tangents, mlir.lower_fun(_tangents_made, multiple_results=True))
 
 
@@ -307,7 +284,7 @@ def _for_cpu(*values: Array, program: core.ClosedJaxpr, **how: Unpack[_Batch]) -
 
 _program.def_abstract_eval(_abstract)
 _program.def_impl(lambda *values, **how: jax.jit(functools.partial(_program.bind, **how))(*values))
-batching.primitive_batchers[_program] = _batched
+batching.primitive_batchers[_program] = functools.partial(_batched, _program, _vary)
 ad.primitive_jvps[_program] = _differentiated
 register_reverse_mode(_program, _linearized, _whole, _as_call)
 take_tables_in_each_precision()
