@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, get_args, get_type_hints
 
 from pydantic import BaseModel, ValidationError, model_validator
@@ -110,12 +111,22 @@ def _model_in(annotation: object) -> type[BaseModel] | None:
 def _suggestion(root: type[BaseModel], where: Sequence[str | int]) -> str:
     """The nearest key of the same section or, failing that, of another one."""
     name, beside = str(where[-1]), list(section(root, where[:-1]).model_fields)
-    if near := difflib.get_close_matches(name, beside, 1):
-        return f" (did you mean {near[0]}?)"
-    places = list(keys(root))
-    near = difflib.get_close_matches(name, [place.split(".")[-1] for place in places], 1)
-    meant = [place for place in places if place.split(".")[-1] in near]
-    return f" (did you mean {' or '.join(meant)}?)" if near else ""
+    meant: dict[str, list[str]] = {}
+    for place in keys(root):
+        meant.setdefault(place.split(".")[-1], []).append(place)
+    return did_you_mean(name, beside) or did_you_mean(name, meant, meant=meant)
+
+
+def did_you_mean(
+    name: str,
+    known: Iterable[str],
+    most: int = 1,
+    alike: float = 0.6,
+    meant: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> str:
+    """A suggestion of the known names nearest to one, or of their meanings; nothing where none is so far alike."""
+    near = [each for key in difflib.get_close_matches(name, list(known), most, alike) for each in meant.get(key, [key])]
+    return f" (did you mean {' or '.join(dict.fromkeys(near))}?)" if near else ""
 
 
 def keys(root: type[BaseModel]) -> Iterator[str]:

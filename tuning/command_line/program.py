@@ -269,9 +269,7 @@ def _nearest(option: str, command: Any) -> str:
 
     A key of the scenario of this very name, else the commands that have the option, else names spelt alike.
     """
-    from difflib import get_close_matches
-
-    from mjx_climb.scenario.messages import keys
+    from mjx_climb.scenario.messages import did_you_mean, keys
     from mjx_climb.scenario.model import Scenario
 
     options = {name.lstrip("-"): [name] for parameter in command.params for name in parameter.opts}
@@ -282,8 +280,7 @@ def _nearest(option: str, command: Any) -> str:
     known, asked = changes | options, option.lstrip("-")
     if asked not in changes and (others := _commands_with(option)):
         return f" (an option of {', '.join(others)})"
-    near = get_close_matches(asked, known, 1, _ALIKE)
-    return f" (did you mean {' or '.join(known[near[0]])}?)" if near else ""
+    return did_you_mean(asked, known, alike=_ALIKE, meant=known)
 
 
 def _commands_with(option: str) -> list[str]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import AfterValidator, BeforeValidator
 
 from mjx_climb.scenario.kinds import named_in
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.messages import ConfigError, did_you_mean
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 
 if TYPE_CHECKING:
@@ -169,15 +169,12 @@ def check_metrics(
 
     Over an ensemble `LOST` may be weighed too.
     """
-    from difflib import get_close_matches
-
     from mjx_climb.walk.metrics import FAILURES
 
     known = [name for name in metrics.names if name not in FAILURES]
     weighed = [name for name in search.weights if not (over_ensemble and name == LOST)]
     for name in (*weighed, *search.limits):
         if name not in known:
-            near = get_close_matches(name, known)
-            hint = f" (did you mean {' or '.join(near)}?)" if near else ""
+            hint = did_you_mean(name, known, 3)
             reason = f"{name!r} is no metric to weigh or limit{hint}, expected one of {', '.join(known)}"
             raise ConfigError(source, reason=reason)

@@ -7,7 +7,6 @@ can exist (Rucker and Wensing, Smooth Parameterization of Rigid-Body Inertia, 20
 """
 
 import dataclasses
-import difflib
 import fnmatch
 import math
 import sys
@@ -26,7 +25,7 @@ from mjx_climb.parameter_types import Parameters
 from mjx_climb.physics.spatial import quaternion_from_rotation_vector, quaternion_to_matrix, turn_about_z
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.messages import ConfigError, did_you_mean
 from mjx_climb.value_field import ValueField
 
 FACTOR = 1.0  # prior sd of a logarithm: a factor of e, 7 at two sd
@@ -147,8 +146,7 @@ def variables(
         if key not in known:  # a pattern is of keys that such a log tells, with a value to begin at
             keys = [k for k in keys if k not in grounded and known[k].has_value] or keys
         if not keys:
-            near = difflib.get_close_matches(key, [*known, *(k.rpartition(".")[0] for k in known)], 3, 0.5)
-            meant = f" (did you mean {' or '.join(dict.fromkeys(near))}?)" if near else ""
+            meant = did_you_mean(key, [*known, *(k.rpartition(".")[0] for k in known)], 3, 0.5)
             raise ConfigError("", f"--fit {key}", "a key that can be fitted", f"an unknown one{meant}")
         if grounded and grounded[0] in keys:
             got = f"{grounded[0]}; a log with base or foot forces of a gripped robot tells it (--base free)"

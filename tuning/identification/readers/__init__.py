@@ -1,14 +1,14 @@
 """Logs of a robot: read, cleaned, doubted."""
 
 import dataclasses
-import difflib
+import functools
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from mjx_climb.robot.constants import Robot
-from mjx_climb.scenario.messages import ConfigError
+from mjx_climb.scenario.messages import ConfigError, did_you_mean
 from tuning.identification.readers.doubts import doubts, several
 from tuning.identification.readers.formats import record
 from tuning.identification.readers.formats.csv_file import write_csv as write_csv
@@ -22,6 +22,7 @@ from tuning.identification.readers.table import Recording, Table
 _IN_DEGREES = {"rad": "deg", "rad/s": "deg/s"}
 _LARGEST = 1e100  # of a number: squares and sums are finite
 _SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N"}  # of a prismatic joint
+_nearest = functools.partial(did_you_mean, alike=0.5)
 
 
 def read_log(
@@ -181,11 +182,6 @@ def _times(table: Table, source: Source, signals: Signals, recording: Recording,
             got = f"no {clock} with numbers or dates{_nearest(clock, table.times)}"
             raise ConfigError(place if source.time else recording.source, "time", expected, got)
     return unit * table.times[clock] + source.shift, clock
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, list(known), 1, 0.5)
-    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def _columns(recording: Recording) -> str:
