@@ -43,21 +43,17 @@ LINES: dict[str, tuple[str, str, str]] = {
 }
 
 
-def metrics_of(structure: Structure, law: Law, parameters: Parameters, scan: Scan = jax.lax.scan) -> Metrics:
-    """Return the metrics of a walk; nothing is stored over time."""
-    return _walked(structure, law, parameters, lambda sample: (), scan)[0]
-
-
-def metrics_under(
+def metrics_of(
     structure: Structure,
     law: Law,
     parameters: Parameters,
-    targets: Float[Array, "time limb joint"],
     scan: Scan = jax.lax.scan,
+    targets: Float[Array, "time limb joint"] | None = None,
 ) -> Metrics:
-    """Return the metrics of a walk whose joint targets, rad, take the law's place, to be differentiated by them.
+    """Return the metrics of a walk; nothing is stored over time.
 
-    Another `scan` may change the targets that it reads before the step gets them.
+    Joint targets, rad, take the law's place where given. Another `scan` may change those that it reads before the step
+    gets them.
     """
     return _walked(structure, law, parameters, lambda sample: (), scan, targets)[0]
 

@@ -29,7 +29,7 @@ from mjx_climb.physics.spatial import norm
 from mjx_climb.walk.metrics import peak
 from mjx_climb.walk.sample import Sample
 from mjx_climb.walk.structure import Structure, structure
-from mjx_climb.walks import Scan, metrics_under, samples_of
+from mjx_climb.walks import Scan, metrics_of, samples_of
 from tuning.problem.objectives import Limit, Objective, Term
 
 # robots of a call on one core: four take hardly longer than one, and more than 16 are done no sooner together
@@ -196,7 +196,7 @@ def _followed(
     asked: Asked, numbers: Numbers, law: mc.Law, parameters: mc.Parameters, targets: Array, scan: Scan = lax.scan
 ) -> tuple[Array, dict[str, Array]]:
     """Return the derivatives that follow of one walk, and its metrics and score."""
-    metrics = metrics_under(asked.structure, law, parameters, targets, scan)
+    metrics = metrics_of(asked.structure, law, parameters, scan, targets)
     terms = [
         Term(name, weight, value, smooth, larger)
         for (name, larger), (weight, value, smooth) in zip(asked.terms, numbers.terms, strict=True)
