@@ -71,11 +71,12 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         return _of_section(plain, section, **given)
 
     contact = made("contact", scenario.contact, Gripper).compiled_for()
+    in_registers = getattr(hardware.servo, "registers", None) is not None
     return Parameters(
         gravity=np.asarray(scenario.gravity, float),
         mass_scale=np.asarray(1.0),
         contact=contact,
-        drive=made("hardware.servo", hardware.servo, Servos, in_registers=_in_registers(hardware.servo)),
+        drive=made("hardware.servo", hardware.servo, Servos, in_registers=in_registers),
         joint_loop=_of_section(JointLoop, control, safe_kp=control.kp if control.safe_kp is None else control.safe_kp),
         force_sensor=_of_section(
             ForceSensors, hardware.force_sensor, dead=[instants.get(limb, math.inf) for limb in robot.limbs]
@@ -95,10 +96,6 @@ def own_parameters(scenario: Scenario, source: str = "scenario") -> Parameters:
         recovery=_recovery(scenario),
         waiting=waiting_of(scenario, contact),
     )
-
-
-def _in_registers(section: Any) -> bool:
-    return getattr(section, "registers", None) is not None
 
 
 def _of_section(kind: type[AnyComponent], section: BaseModel, **given: object) -> AnyComponent:
@@ -171,28 +168,21 @@ _OF_LIMBS = {
 }
 
 
-class _Known:
-    """Parameters with values in place of those that JAX traces.
+def known_parameters(scenario: Scenario, parameters: Parameters) -> tuple[Parameters, dict[str, bool]]:
+    """Return parameters with values in place of those that JAX traces, and by their paths whether these are known.
 
     Under jvp and grad the value is known; under jit and vmap the scenario's decides.
     """
-
-    def __init__(self, scenario: Scenario, parameters: Parameters) -> None:
-        found: dict[str, Any] = {}
-        self.traced: dict[str, bool] = {}  # by path: whether the value is known
-        for path, value in parameters.values.items():
-            if is_tracer(value):
-                try:
-                    found[path], self.traced[path] = np.asarray(concrete_or_error(None, value)), True
-                except jax.errors.ConcretizationTypeError:
-                    own = own_parameters(scenario).values
-                    found[path], self.traced[path] = own.get(path, np.zeros(())), False
-        self.parameters = parameters.replace_alone(found)
-
-
-def known_parameters(scenario: Scenario, parameters: Parameters) -> Parameters:
-    """Return parameters with the scenario's values in place of those that JAX traces."""
-    return _Known(scenario, parameters).parameters
+    found: dict[str, Any] = {}
+    traced: dict[str, bool] = {}
+    for path, value in parameters.values.items():
+        if is_tracer(value):
+            try:
+                found[path], traced[path] = np.asarray(concrete_or_error(None, value)), True
+            except jax.errors.ConcretizationTypeError:
+                own = own_parameters(scenario).values
+                found[path], traced[path] = own.get(path, np.zeros(())), False
+    return parameters.replace_alone(found), traced
 
 
 def compiled_for(scenario: Scenario, parameters: Parameters, called: Mapping[str, str] | None = None) -> Parameters:
@@ -201,12 +191,12 @@ def compiled_for(scenario: Scenario, parameters: Parameters, called: Mapping[str
     Raises:
         ValueError: a value that is traced and decides about an option that is not there.
     """
-    known, names = _Known(scenario, parameters), called or {}
-    components = known.parameters.components
+    (known, traced), names = known_parameters(scenario, parameters), called or {}
+    components = known.components
 
     def change(place: str, each: Component) -> Component:
         found = components[place].compiled_for()
-        for path in known.traced:
+        for path in traced:
             section, _, name = path.rpartition(".")
             if section == place and _options(components[place].compiled_for((name,))) != _options(found):
                 raise ValueError(
@@ -249,11 +239,11 @@ def stages_under_trace(
         ValueError: a value that is traced and decides about a stage which is not there, or a delay that is traced,
             whose buffer has a length.
     """
-    known = _Known(scenario, parameters)
-    stages = stages_of(known.parameters, scenario.time_step, robot)
-    for path, is_known in known.traced.items():
+    known, traced = known_parameters(scenario, parameters)
+    stages = stages_of(known, scenario.time_step, robot)
+    for path, is_known in traced.items():
         late = path in DELAYED.values() and not is_known
-        if late or lacking(stages, stages_of(known.parameters, scenario.time_step, robot, (path,))):
+        if late or lacking(stages, stages_of(known, scenario.time_step, robot, (path,))):
             raise ValueError(_undecided(called(path), "" if late else ", or a scenario that has such a stage"))
     return stages
 

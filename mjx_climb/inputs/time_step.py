@@ -133,7 +133,7 @@ def check_time_step(scenario: Scenario, source: str = "scenario", parameters: Pa
         ConfigError: in one line, the time step that would do.
     """
     with jax.ensure_compile_time_eval():  # under `jit` too: values that are known
-        walked = own_parameters(scenario, source) if parameters is None else known_parameters(scenario, parameters)
+        walked = own_parameters(scenario, source) if parameters is None else known_parameters(scenario, parameters)[0]
         if parameters is not None or scenario.kinds:
             _warn_of_unknown_springs(walked, scenario.time_step)
         system, rows, places = _systems(scenario, walked)
