@@ -28,7 +28,7 @@ from tuning.identification.fit.problem import Problem
 from tuning.identification.fit.report import SHOWN, plot_prediction
 from tuning.identification.model.predicted import model_of, with_nuisances
 from tuning.identification.model.variables import Place, applied, begin, variables
-from tuning.identification.model.windows import cut
+from tuning.identification.model.windows import KINDS, cut
 from tuning.identification.readers import write_csv
 from tuning.identification.readers.log import Log, Signal
 from tuning.problem import ensemble as ensembles
