@@ -6,6 +6,7 @@ import sys
 import types
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -144,6 +145,49 @@ def test_a_stretch_begins_as_the_log_has_it_with_the_bristle_of_its_rate():
     np.testing.assert_array_equal(own.guess[..., 4], 0.0)
     np.testing.assert_array_equal(own.guess_sd, [0.2, 3.0, 0.7, 0.05, 1.0])
     assert own.structure.mass == 0.1 and own.structure.stages.command_delay == 0
+
+
+@pytest.mark.parametrize("abuts", [[False, True] * 6, [False] * 12])
+def test_windows_run_in_calls_of_as_many_as_there_are_stretches_eight_at_most(abuts, monkeypatch):
+    """The last call is filled up; commands are late by their delay, gains of the log beside them."""
+    keys = ["hardware.command_delay", "robot.LF.coxa.damping", "hardware.servo.armature"]
+    own = model(keys, {"armature": 0.01}, **{"control.kp": 40.0 + np.arange(400) // 100})
+    count, calls = 11, []
+    begins = own.windows.begin[0] + 0.01 * np.arange(12)
+    start, out = np.resize(own.windows.start, (12, *own.windows.start.shape[1:])), np.zeros(12, bool)
+    windows = dataclasses.replace(own.windows, abuts=np.array(abuts), begin=begins, start=start, held_out=out)
+    own = dataclasses.replace(own, windows=windows)
+
+    def run(function, structure, robots, *, batch_size):
+        assert function is predicted.simulate and structure is own.structure
+        (point, given, parameters), (axes, of_given, of_parameters) = robots.arguments, robots.axes
+        assert (axes.x, axes.start, axes.late) == (1, 1, 0) and set(jax.tree.leaves(of_parameters)) <= {0, 1, 2, 3}
+        assert of_given.sent.targets == 3 and jax.tree.structure(of_parameters) == jax.tree.structure(parameters)
+        calls.append((batch_size, robots.shape, point, given, robots.directions))
+        return {"position": point.start[:, :1]}, {"position": robots.directions.x}
+
+    monkeypatch.setattr(predicted.execution, "run", run)
+    which, x = np.arange(count), np.arange(float(len(own.variables)))
+    x[0] = 0.003
+    state = np.arange(2.0 * count).reshape(count, 2)
+    values, tangents = own.run(x, (state, np.ones((count, 2, 2))), which, early=False)
+    np.testing.assert_array_equal(values["position"], state[:, :1])
+    ((size, shape, point, given, along),) = calls
+    stretches = abuts.count(False)
+    assert size == min(8, stretches) and shape == (-(-count // size) * size,)
+    filled = [*range(count), *range(shape[0] - count)]
+    np.testing.assert_array_equal(point.start, state[filled])
+    np.testing.assert_array_equal(point.x, np.tile(x, (shape[0], 1)))
+    of_x, late = own.tangents()
+    for row in range(count):
+        np.testing.assert_array_equal(tangents["position"][row], of_x)
+    assert along.late.shape == (shape[0], len(late)) and len(along.start) == shape[0]
+    targets, rates = windows.targets(which, own.delay(x), 0, own.schedule)
+    np.testing.assert_array_equal(given.sent.targets, targets[filled])
+    np.testing.assert_array_equal(given.rates.targets, rates[filled])
+    gains, _ = own.schedule.at(windows.moments(which, windows.steps + 1) - own.delay(x), STEP)
+    for name, each in gains.items():
+        np.testing.assert_array_equal(getattr(given.sent, name), each[filled])
 
 
 def test_windows_follow_each_other_and_know_the_records_before():

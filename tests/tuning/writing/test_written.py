@@ -149,11 +149,13 @@ def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_p
     def contents(found, compared, name):
         return Contents(Written(), found.problem, files_of(found, name) | {"more.txt": compared})
 
-    monkeypatch.setattr("tuning.pages.tune.compare", lambda *_: "more")
+    asked, stage = [], contextlib.nullcontext
+    monkeypatch.setattr("tuning.pages.tune.compare", lambda *given: asked.append(given) or "more")
     monkeypatch.setattr("tuning.pages.tune.contents", contents)
     found = found_in(mc.load_scenario("case_1_2"))
     Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
-    written = tuning.write(found, tmp_path)
+    written = tuning.write(found, tmp_path, stage=stage, begun="begun")
+    assert asked == [(found, stage, tmp_path, "begun")]
     names = {*written.files.split(", "), "settings.json"}
     assert names == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
     read = tuned.load(tmp_path / "search.nc")
