@@ -13,6 +13,7 @@ import mjx_climb as mc
 from mjx_climb.execution.batch_axes import own_axes
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
@@ -76,7 +77,8 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
     """Return the parameters of a draw with worse hardware; all else in them is as it was.
 
     Raises:
-        ConfigError: a key that the scenario does not have, or nothing there to scale.
+        ConfigError: a key that the scenario does not have, nothing there to scale, or contacts and joints that the
+            time step cannot follow.
     """
     found: dict[str, Change] = {}
     for key, value in worse.keys.items():
@@ -96,7 +98,9 @@ def worsened(scenario: mc.Scenario, drawn: mc.Parameters, worse: Setting) -> mc.
             drive = type(drawn.drive).__name__
             raise ConfigError("", "worse", f"{quantity} in the config or the draw to scale", f"none (drive: {drive})")
         found |= dict.fromkeys(own, Factor(factor))
-    return checked(scenario, drawn, found, "worse: {}")
+    worst = checked(scenario, drawn, found, "worse: {}")
+    check_time_step(scenario, "worse", worst)
+    return worst
 
 
 def together(draws: Sequence[mc.Parameters], members: int) -> mc.Parameters:

@@ -21,6 +21,7 @@ from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.disturbances.on_base import Cargo as OwnCargo
 from mjx_climb.disturbances.on_base import Push
 from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.scenario.messages import ConfigError
 from tuning.problem.settings import Finite, NonNegative, Positive, Settings, setting
 from tuning.problem.variations import (
@@ -210,11 +211,22 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
     """Return the parameters of all members in float64: axes (members, 1) before each value's own, to meet (B, 6) gains.
 
     Raises:
-        ConfigError: a factor on a value that the scenario does not have, or a control rate or delays that its time step
-            cannot tell.
+        ConfigError: a factor on a value that the scenario does not have, a control rate or delays that its time step
+            cannot tell, or contacts and joints, of a member or at the ends of the ranges, that it cannot follow.
     """
     rng = np.random.default_rng(ensemble.seed)
-    uniform = functools.partial(_uniform, rng, ensemble.members)
+    drawn = _drawn(scenario, ensemble, rng, _uniform)
+    ends = _drawn(scenario, ensemble.model_copy(update={"members": 2}), rng, _ends)
+    for each in (ends, drawn):
+        check_time_step(scenario, "ensemble", each)
+    return drawn
+
+
+def _drawn(
+    scenario: mc.Scenario, ensemble: Ensemble, rng: np.random.Generator, values: Callable[..., np.ndarray]
+) -> mc.Parameters:
+    """Return the parameters of members whose `values` are of ranges, as `_uniform` draws them."""
+    uniform = functools.partial(values, rng, ensemble.members)
     own = own_parameters(scenario)
     if ensemble.posterior is not None:  # of a generator of its own: other draws stay as they are
         of_posterior = np.random.default_rng([ensemble.seed, 1])
@@ -240,10 +252,16 @@ def draw(scenario: mc.Scenario, ensemble: Ensemble) -> mc.Parameters:
         changes |= _hardware(scenario, ensemble.hardware, own, uniform)
         changes["hardware.seed"] = rng.integers(0, 2**24, (ensemble.members, 1)).astype(float)
     drawn = changed(own, changes)
-    return drawn if not ensemble.draw else _at_paths(scenario, drawn, own, ensemble)
+    return drawn if not ensemble.draw else _at_paths(scenario, drawn, own, ensemble, values)
 
 
-def _at_paths(scenario: mc.Scenario, drawn: mc.Parameters, own: mc.Parameters, ensemble: Ensemble) -> mc.Parameters:
+def _at_paths(
+    scenario: mc.Scenario,
+    drawn: mc.Parameters,
+    own: mc.Parameters,
+    ensemble: Ensemble,
+    of_range: Callable[..., np.ndarray],
+) -> mc.Parameters:
     """Return a draw with the numbers that are drawn by path, factors on the scenario's own.
 
     Raises:
@@ -255,7 +273,7 @@ def _at_paths(scenario: mc.Scenario, drawn: mc.Parameters, own: mc.Parameters, e
         key = f"draw.{path}"
         if path not in paths:
             raise refused(path, drawn, key)
-        values = _uniform(rng, ensemble.members, how.span, logs=how.log)
+        values = of_range(rng, ensemble.members, how.span, logs=how.log)
         if how.factor is not None:
             if not scalable(own, [path]):
                 raise ConfigError("", key, "a value other than 0 in the scenario to scale", "0")
@@ -296,6 +314,11 @@ def _uniform(
     low, high = map(math.log, span) if logs else span
     values = hypercube(rng, members, np.full(math.prod(shape), low), high).reshape(members, 1, *shape)
     return np.exp(values) if logs else values
+
+
+def _ends(_: object, members: int, span: tuple[float, float], *shape: int, logs: bool = False) -> np.ndarray:
+    """Return the ends of a span for two members, as `_uniform` returns values between them."""
+    return np.multiply.outer(span, np.ones((1, *shape)))
 
 
 def _hardware(

@@ -18,7 +18,8 @@ from mjx_climb.control import law_of
 from mjx_climb.execution import devices
 from mjx_climb.files.dataset import sweep_dataset
 from mjx_climb.inputs.from_scenario import own_parameters
-from mjx_climb.inputs.resolve import AnyGains
+from mjx_climb.inputs.resolve import AnyGains, resolve_in
+from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.walks import LINES, stretches
 from tuning.gains import gains_file
@@ -266,8 +267,12 @@ def grid_of(problem: Problem, axes: Axes, gains: AnyGains | None = None, batch_s
     if (walks := math.prod(values.size for values in lists.values())) > MOST:
         raise ValueError(f"axes: expected at most {MOST} walks in all, got {walks}")
     devices.check_batch_size(batch_size)
-    size = batch_size or default_batch_size(walks, problem.scenario.steps)
-    return Grid(problem, gains, problem.with_gains(gains), lists, size)
+    size, walked = batch_size or default_batch_size(walks, problem.scenario.steps), problem.with_gains(gains)
+    corners = np.meshgrid(*([values.min(), values.max()] for values in lists.values()))
+    law, place = walked.law or law_of(walked.scenario), walked.scenario
+    robots = as_walked(place, law, dict(zip(lists, map(np.ravel, corners), strict=True)))
+    check_time_step(place, parameters=resolve_in(place, law, *robots, walked.dtype).walked)
+    return Grid(problem, gains, walked, lists, size)
 
 
 def default_batch_size(walks: int, steps: int, platform: str | None = None) -> int:

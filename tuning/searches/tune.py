@@ -19,6 +19,8 @@ from mjx_climb.execution.batch_axes import batch_shape
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.inputs.gait_values import own_gait
 from mjx_climb.inputs.own_objects import in_one_line, load, reference_to
+from mjx_climb.inputs.resolve import by_name
+from mjx_climb.inputs.time_step import check_time_step
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.methods import Method, Points, Request, Task, cmaes, method_of
@@ -32,6 +34,7 @@ from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Goal, OwnObjective
 from tuning.problem.search import METHODS, OWN_METHOD, ROBUST_WEIGHTS, Judge, Search
+from tuning.problem.spaces import JOINT, to_gains64
 from tuning.results.tuned import CHECKED, Robust, Tuned, from_rounds, of_seeds
 
 OwnMethod = str | Method | type[Method] | Callable[[Task], Points]  # a method, or the name of one
@@ -359,7 +362,8 @@ def without_goal(
     """Return the problem of a search without an objective yet; `walks` are law and engine, `space` as of `problem_of`.
 
     Raises:
-        ConfigError: settings that make no sense, or a shipped metric, from which searches know failures, is missing.
+        ConfigError: settings that make no sense, joint gains of which the time step can follow none, or a shipped
+            metric, from which searches know failures, is missing.
     """
     table = mc.MetricTable(metrics)
     if missing := [metric.name for metric in mc.METRICS if metric not in table]:
@@ -369,6 +373,9 @@ def without_goal(
     if search.method != OWN_METHOD and method_of(search.method).gradients and not space.smooth.all():
         times = ", ".join(name for name, smooth in zip(space.names, space.smooth, strict=True) if not smooth)
         raise ConfigError("", "method", f"cmaes, grid or optuna to search {times} in whole steps", search.method)
+    lowest = by_name(to_gains64(space, space.lower))
+    joint = {f"control.{name}": float(value) for name, value in lowest.items() if name in JOINT}
+    check_time_step(scenario.with_overrides(joint), "bounds" if joint else "scenario")
     return Problem(scenario, space, dtype=dtype, metrics=table, **walks)
 
 

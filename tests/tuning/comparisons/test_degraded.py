@@ -64,6 +64,7 @@ def test_a_period_is_scaled_to_whole_time_steps_one_at_least(factor, period):
             "expected delay|period|friction|backlash|noise|bias|armature|PATH=xFACTOR, PATH=VALUE or a key of hardware",
         ),
         ("nothing=3", "nothing"),
+        ("contact.damping=x10", "time_step: expected one short enough for"),
         ("delay=x2,delay=x2", ""),
     ],
 )

@@ -9,10 +9,13 @@ from tests.shell import ROOT
 from tuning.comparisons import degraded, judge
 from tuning.comparisons.judge import held, through, without_sensors
 from tuning.gains.gains_file import Whole
-from tuning.problem.ensemble import Cargo, Ensemble, Pushes
+from tuning.problem.ensemble import Cargo, Drawn, Ensemble, Posterior, Pushes
 from tuning.problem.evaluation import Problem
 
 CASE = mc.load_scenario(ROOT / "configs" / "case_1_2.yaml", ["duration=0.3"])
+POSTERIOR = Posterior(
+    keys=("contact.damping",), log=(False,), mean=(200.0,), covariance=((1.0,),), lower=(0.0,), upper=(300.0,)
+)
 DRAW = Ensemble(members=3, pushes=Pushes(), cargo=Cargo(mass=(0.5, 1.0)), gravity=None)
 
 
@@ -56,6 +59,19 @@ def test_members_walk_with_their_own_parameters_and_gains_with_their_law(asked):
     walked = [(scenario.control.controller, type(law).__name__) for scenario, law, _ in asked]
     assert walked[1] == (CASE.control.controller, "LoadTransfer") and walked[3:] == [("pd", "NoneType")] * 2
     assert all(how["smooth"] and how["unsteady"] and how["dtype"] == np.float32 for *_, how in asked)
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        {"draw": {"contact.damping": Drawn(range=(20.0, 150.0))}},
+        {"grip_stiffness": (0.5, 50.0), "draw": {}},
+        {"posterior": POSTERIOR},
+    ],
+)
+def test_a_range_that_the_time_step_cannot_follow_is_refused_before_the_first_walk(asked, ranges):
+    with pytest.raises(mc.ConfigError, match=r"^ensemble: time_step: expected one short enough for .* would do"):
+        through(Problem(CASE), {"mine": mc.Gains(1.0, 300.0, 3000.0)}, DRAW.model_copy(update=ranges))
 
 
 def test_what_was_drawn_stands_beside_the_walks(asked):

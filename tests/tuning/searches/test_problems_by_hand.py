@@ -83,6 +83,9 @@ def test_settings_that_make_no_sense_are_refused_before_pd_walks(walked):
         "search: 'lost' is no metric": lambda: tune.problem_of(CASE, Search(weights={"lost": 1.0})),
         "method: expected cmaes, grid or optuna to search gait.cycle, gait.duty in whole steps, got gradient": lambda:
             tune.problem_of(CASE, Search(also=("gait.duty", "gait.cycle"))),
+        "bounds: time_step: expected one short enough for hubrobo_v3_2 with ": lambda:
+            tune.problem_of(CASE, Search(joint_gains=True, bounds={"kp": (2e4, 3e4)})),
+        "bounds: time_step: expected one": lambda: tune.problem_of(CASE, Search(joint_gains=True, pins={"kd": 50.0})),
         "method: expected own.method in the scenario": lambda: tune.prepare(CASE, Search(method="own"), [1]),
         "method: expected at most 4 numbers to search by grid, got 12": lambda:
             tune.prepare(CASE, Search(method="grid", space="diagonal", joint_gains=False), [1]),

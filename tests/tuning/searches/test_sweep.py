@@ -90,6 +90,16 @@ def test_a_small_grid_keeps_histories_with_the_peaks_of_its_walks(whole):
         np.testing.assert_allclose(whole[name].sel(extreme="largest").max("stretch"), whole[metric], rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "axis", [{"contact.damping": [200.0, 1.0]}, {"kp": [50.0, 20_000.0]}], ids=lambda axis: next(iter(axis))
+)
+def test_a_value_that_the_time_step_cannot_follow_is_refused_before_the_first_walk(scenario, axis):
+    seen = []
+    with pytest.raises(mc.ConfigError, match=r"scenario: time_step: expected .*(damping 200|kp 20000)"):
+        sweep(scenario, axis | {"damping": [10.0, 20.0]}, batch_size=1, progress=lambda *done: seen.append(done))
+    assert not seen
+
+
 @pytest.mark.slow
 def test_progress_counts_walks_not_padding(scenario):
     seen = []
