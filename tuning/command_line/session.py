@@ -6,13 +6,12 @@ import math
 import re
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.segment import Segment
 from rich.table import Table
@@ -371,32 +370,57 @@ def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
 
 
 def print_on(console: Console, *results: "str | page.Table") -> None:
-    """Print tables and lines; no number is cut: a table that is wider than the terminal wraps."""
+    """Print tables and lines; a table that is wider than the terminal goes on below, with the names of its rows."""
     for result in results:
         if isinstance(result, str):
             console.print(result, soft_wrap=True)
             continue
-        table = drawn(result)
-        least = Measurement.get(console, console.options.update(max_width=_WIDEST), table).minimum
-        console.print(table, width=max(console.width, least), crop=False, no_wrap=True)
+        for table in drawn(result, console.width):
+            console.print(table, width=_WIDEST, crop=False, no_wrap=True)
 
 
-def drawn(made: "page.Table") -> Table:
-    """Return a table for the terminal: where it is too wide, long names break, not numbers or words."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
+def drawn(made: "page.Table", width: int) -> list[Table]:
+    """Return a table for the terminal in parts, each with the names of rows, their unit, and as many others as fit.
+
+    Where a column is too wide its lines break, between words; long names break too.
+    """
     every = [row for _, rows in made.sections for row in rows]
-    for place, name in enumerate(made.columns):
-        words = place < made.words
-        each = [part for row in every for part in (row[place].split() if words else [row[place]])]
-        least = min(max(map(len, each), default=1), LONGEST_WORD if words else _WIDEST)
-        justify: Any = "left" if words or name == "unit" else "right"
-        table.add_column(broken(name), justify=justify, overflow="fold", min_width=least)
-    for heading, rows in made.sections:
-        if heading:
-            table.add_row(heading.partition(":")[0], style="bold")
-        for row in rows:
-            table.add_row(*row, end_section=row is rows[-1])
-    return table
+    headings = [heading.partition(":")[0] for heading, _ in made.sections]
+    heads, spans = [broken(name) for name in made.columns], list[tuple[int, int]]()  # least and most characters
+    for place, head in enumerate(heads):
+        cells = [row[place] for row in every] + headings * (place == 0)
+        words = [part for cell in cells for part in (cell.split() if place < made.words else [cell])]
+        least = min(max(map(len, words), default=1), LONGEST_WORD if place < made.words else _WIDEST)
+        spans.append((max([least, *map(len, head.split())]), max(map(len, [*cells, *head.split("\n")]))))
+    names = [place for place, name in enumerate(made.columns) if place < made.words or name == "unit"]
+    parts = [list[int]()]
+    for place in (place for place in range(len(heads)) if place not in names):
+        if parts[-1] and _width(spans[each][0] for each in (*names, *parts[-1], place)) > width:
+            parts.append([])
+        parts[-1].append(place)
+    tables = []
+    for places in (sorted([*names, *part]) for part in parts):
+        widths = [spans[place][1] for place in places]
+        slack = [most - least for least, most in (spans[place] for place in places)]
+        while _width(widths) > width and any(slack):
+            widest = slack.index(max(slack))
+            slack[widest], widths[widest] = slack[widest] - 1, widths[widest] - 1
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, padding=(0, 1))
+        for place, own in zip(places, widths, strict=True):
+            justify: Any = "left" if place < made.words or made.columns[place] == "unit" else "right"
+            table.add_column(heads[place], justify=justify, overflow="fold", width=own)
+        for heading, (_, rows) in zip(headings, made.sections, strict=True):
+            if heading:
+                table.add_row(heading, style="bold")
+            for row in rows:
+                table.add_row(*(row[place] for place in places), end_section=row is rows[-1])
+        tables.append(table)
+    return tables
+
+
+def _width(widths: Iterable[int]) -> int:
+    """Return the characters of a line of columns, with a space on both sides of each."""
+    return sum(each + 2 for each in widths)
 
 
 def broken(name: str, width: int = 12) -> str:
