@@ -117,9 +117,9 @@ class Margin:
 
     @property
     def sentence(self) -> str:
-        """How far gains hold, and up to where they are better than their rival."""
+        """How far gains hold, and up to where they are better than their rival, if anywhere: `warnings` tells."""
         holds, better = ("at no value" if n is None else f"up to {self.in_words(n)}" for n in (self.holds, self.better))
-        return f"{self.title}: holds {holds}" + ("" if self.holds is None else f", better than {self.rival} {better}")
+        return f"{self.title}: holds {holds}" + ("" if self.better is None else f", better than {self.rival} {better}")
 
     @property
     def needed(self) -> float:
@@ -161,7 +161,7 @@ class Found(NamedTuple):
     holds: bool  # on the scenario's own hardware: no gripper torn off, and nothing diverges
     better: bool  # and less force variation than the rival
     walks: xr.Dataset  # by gains, quantity and point, each quantity from good to bad
-    rival: str = "pd"
+    rival: str = "pd"  # in words
 
 
 def find(
@@ -174,6 +174,7 @@ def find(
     asked: Mapping[str, Quantity] = QUANTITIES,
     engine: str = DEFAULT_ENGINE,
     progress: Callable[[int, int], None] | None = None,
+    retuned_step: float | None = None,
 ) -> Found:
     """Return the margins of one set of gains.
 
@@ -186,10 +187,13 @@ def find(
         walked: the result of `on_the_grid` for pd and others, by name, where it has walked already.
         asked: the quantities, see `quantities` for those at other paths.
         progress: called with the number of walks done and of all.
+        retuned_step: the time step of pd retuned, s, where it walks at one of its own: on other hardware, as a control
+            period of 0 is one step, so that pd is the rival, and the margins say so.
     """
     walkers = {"given": Whole(law, gains), "pd": pd_of(scenario), **others}
-    rival = RETUNED if RETUNED in others else "pd"
-    both = ["given", rival]
+    both = ["given", RETUNED if RETUNED in others else "pd"]
+    pd = "pd" if retuned_step is None else f"pd not retuned (pd retuned walks at steps of {retuned_step:g} s)"
+    rival = RETUNED if RETUNED in others else pd
     parameters, step = own_parameters(scenario), scenario.time_step
     grid = np.stack([quantity.values(parameters, step) for quantity in asked.values()])
     total = 2 * len(walkers) * grid.size
@@ -264,11 +268,16 @@ def warnings(found: Found) -> list[str]:
     if not found.holds:
         return ["on the hardware itself the walk fails: a gripper is torn off, or it diverges"]
     lines = [] if found.better else [f"on the hardware itself the force varies no less than under {found.rival}"]
+    nowhere = []  # where the best hardware is better than the robot's own
     for margin in found.margins.values():
         short = margin.falls_short("gains hold", margin.holds)
-        if not short and found.better:
+        if not short and found.better and margin.better is None:
+            nowhere.append(margin.title)
+        elif not short and found.better:
             short = margin.falls_short(f"gains stay better than {found.rival}", margin.better)
         lines += short
+    if nowhere:
+        lines.append(f"with less {' or '.join(nowhere)} the force varies no less than under {found.rival}")
     return lines
 
 

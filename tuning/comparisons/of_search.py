@@ -124,7 +124,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
 
         def find_margins(told: Callback) -> margins.Found:
             walked = {name: asked(ignore) for name, asked in others.on_hardware.items()}  # begun before this
-            how: dict[str, Any] = {"law": found.law, "engine": engine}
+            how: dict[str, Any] = {"law": found.law, "engine": engine, "retuned_step": step}
             return margins.find(scenario, found.gains, others=beside_it, walked=walked, progress=told, **how)
 
         margin, walks, level = start(find_margins), {}, walking.pop(LEVEL, walking["tuned"])

@@ -98,11 +98,21 @@ def test_gains_pay_as_long_as_they_are_better_than_pd_retuned_where_it_walks_too
     assert not worse.better and margins.warnings(worse)[0].endswith("the force varies no less than under retuned pd")
 
 
+def test_margins_say_that_pd_is_not_retuned_where_pd_retuned_has_a_time_step_of_its_own(walks, case):
+    late = case("case_1_2", "virtual_model", {"hardware.force_sensor.delay": 8e-3})
+    found = margins.find(late, GAINS, retuned_step=5e-4)
+    pd = "pd not retuned (pd retuned walks at steps of 0.0005 s)"
+    delay = found.margins["force_delay"]
+    assert delay.better == pytest.approx(DEARER, abs=4e-4)
+    assert delay.sentence.endswith(f", better than {pd} up to {1e3 * delay.better:.3g} ms")
+    assert margins.warnings(found)[0] == f"on the hardware itself the force varies no less than under {pd}"
+
+
 @pytest.mark.parametrize(
     ("reached", "said"),
     [
         ((8e-3, 5e-3), "holds up to 8 ms, better than retuned pd up to 5 ms"),
-        ((0.03, None), "holds up to 30 ms or more, better than retuned pd at no value"),
+        ((0.03, None), "holds up to 30 ms or more"),
         ((None, None), "holds at no value"),
     ],
 )

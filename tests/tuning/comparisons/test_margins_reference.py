@@ -203,6 +203,18 @@ def test_objections_to_gains_by_their_margins(holds, better, reached, lines):
     assert len(found) == len(lines) and all(map(str.startswith, found, lines))
 
 
+def test_no_lead_on_better_hardware_is_one_line_for_all_quantities():
+    """The first value walked may be better than the hardware: on the hardware itself the gains lead."""
+    each = {name: margins.Margin(1e-3, 3e-3, None, 4e-3, name) for name in ("force delay", "command delay")}
+    found = margins.Found({**each, "c": margins.Margin(1e-3, 3e-3, 3e-3, 4e-3, "c")}, True, True, None, "retuned pd")
+    said = "with less force delay or command delay the force varies no less than under retuned pd"
+    assert margins.warnings(found) == [said]
+    assert [margin.sentence for margin in each.values()] == [f"{name}: holds up to 3 ms" for name in each]
+    short = margins.Margin(1e-3, 1.5e-3, None, 4e-3, "force delay")
+    lines = margins.warnings(margins.Found({"a": short}, True, True, None, "retuned pd"))
+    assert len(lines) == 1 and lines[0].startswith("force delay: gains hold up to 1.5 ms only")
+
+
 def test_good_points_are_counted_up_to_the_first_that_is_not():
     for good, count in (([], 0), ([True, True], 2), ([False, True], 0), ([True, False, True], 1)):
         assert margins.count_good(np.array(good, bool)) == count
