@@ -1,6 +1,10 @@
 """Walks under joint targets: the same as under the law that gave them, with exact derivatives, and the least forces."""
 
+import math
+import types
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import optimize
@@ -212,3 +216,106 @@ def test_a_static_load_on_four_feet_is_shared_as_a_convex_program_shares_it():
 def test_a_call_of_many_walks_holds_four_at_least(monkeypatch, cores, walks, share):
     monkeypatch.setattr(plans.devices, "usable_cores", lambda: cores)
     assert plans._at_once(walks, kernel=False) == share
+
+
+# ------------------------------------------------------------------------------------------------- without walking
+
+
+def test_a_foot_that_swings_is_off_its_path_and_joints_have_speeds():
+    rng = np.random.default_rng(0)
+    foot, target, rates = rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    sample = types.SimpleNamespace(
+        foot_position=foot, foot_target=target, support=np.array([True, False, False, True]), joint_rates=rates
+    )
+    off = [0.0, *(math.dist(a, b) for a, b in zip(foot[1:3], target[1:3], strict=True)), 0.0]
+    np.testing.assert_allclose(plans._swing_deviation(sample, None), off)
+    np.testing.assert_array_equal(plans._joint_rates(sample, None), np.abs(rates))
+
+
+def test_histories_are_the_largest_force_and_how_far_the_base_is_off(monkeypatch):
+    rng, asked = np.random.default_rng(0), []
+    force, base, reference, joints = (rng.normal(size=(6, *own)) for own in ((4, 3), (3,), (3,), (4, 3)))
+    samples = types.SimpleNamespace(
+        foot_force=force, base_position=base, base_reference=reference, joint_targets=joints
+    )
+    monkeypatch.setattr(plans, "samples_of", lambda *given: asked.append(given) or samples)
+    found = plans._over_time("structure", "law", "parameters", "targets")
+    assert asked == [("structure", "law", "parameters", "targets")]
+    np.testing.assert_allclose(found["foot_force"], [max(map(np.linalg.norm, step)) for step in force])
+    np.testing.assert_array_equal(found["base_offset"], base - reference)
+    assert found["joint_targets"] is joints
+
+    def run(function, shape, robots, *, over_time):
+        assert function is plans._over_time and over_time and shape.smooth
+        law, _, *under = robots.arguments
+        assert [each.shape for each in under] == [(2, 3, 4, 3)] * len(robots.axes[2:]) and robots.shape == (2,)
+        asked.append((type(law).__name__, [each.dtype for each in under], robots.axes[2:]))
+        return dict.fromkeys(("joint_targets", "foot_force", "base_offset"), np.zeros(2))
+
+    monkeypatch.setattr(plans.execution, "run", run)
+    scenario, how = mc.load_scenario("case_1_2"), {"metrics": mc.METRICS, "engine": "limb", "dtype": np.float64}
+    parameters = mc.parameters(scenario).replace({"mass_scale": np.array([1.0, 1.1])})
+    plans.over_time(scenario, law_of(scenario), None, parameters, **how)
+    plans.over_time(scenario, PD(), None, parameters, np.zeros((2, 3, 4, 3), np.float32), **how)
+    assert asked[1:] == [("VirtualModelAdmittance", [], ()), ("PD", [np.dtype(float)], (3,))]
+
+
+TERMS = (Term("travel", 2.0, 0.5, 0.4, True), Term("force_variation", 1.0, 10.0, 8.0))
+LIMITS = (Limit("base_deviation", 0.02, 0.01, 0.1, ""), Limit("min_gia_margin", 3.0, 2.0, 0.05, "", True))
+WALK = {
+    "travel": 0.6, "travel_smooth": 0.55, "force_variation": 9.0, "force_variation_smooth": 8.5, "diverged": False,
+    "base_deviation": 0.021, "base_deviation_smooth": 0.022, "min_gia_margin": 2.9, "min_gia_margin_smooth": 2.8,
+    "detached_limb": -1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("sharp", [0.0, 0.25, 1.0])
+def test_what_a_search_descends_is_a_share_of_the_true_score_and_of_that_with_smooth_extremes(sharp, monkeypatch):
+    asked, goal = [], Objective(TERMS, LIMITS)
+    metrics = {name: jnp.asarray(value) for name, value in WALK.items()}
+    monkeypatch.setattr(plans, "metrics_of", lambda *given: asked.append(given) or metrics)
+    walks = walks_of(
+        mc.load_scenario("case_1_2"), goal, mc.parameters(mc.load_scenario("case_1_2")), metrics=mc.METRICS
+    )
+    score = goal.score(metrics)
+    found = plans.judged(walks.asked, "targets", walks.numbers._replace(sharp=sharp), "law", "parameters")
+    assert [each[1:3] + each[4:] for each in asked] == [("law", "parameters", "targets")]
+    assert float(found["_value"]) == pytest.approx(float(score.value)) and bool(found["_feasible"]) == bool(
+        score.feasible
+    )
+    assert float(found["_merit"]) == pytest.approx(float(score.value + score.penalty))
+    along, _ = plans._followed(walks.asked, walks.numbers._replace(sharp=sharp), "law", "parameters", "targets")
+    wanted = (1 - sharp) * float(score.descent) + sharp * float(score.value + score.penalty)
+    assert float(along) == pytest.approx(wanted) and found["travel"] is metrics["travel"]
+
+
+@pytest.mark.parametrize(("count", "calls"), [(3, 2), (9, 16), (40, 16)])
+def test_plans_walk_in_whole_calls_and_get_their_scores_in_order(count, calls, monkeypatch):
+    """Slopes by steps come back to the variables; a walk that diverged has no finite merit."""
+    monkeypatch.setattr(plans.devices, "usable_cores", lambda: 1)
+    scenario, asked = mc.load_scenario("case_1_2"), []
+    parameters = rows(scenario, PD(), None, mc.parameters(scenario), count)
+    parameters = parameters.replace({"control.kp": np.arange(1.0, count + 1)})
+    walks = walks_of(scenario, Objective(TERMS, LIMITS), parameters, metrics=mc.METRICS, dtype=np.float64)
+
+    def run(function, shape, robots, *, batch_size, over_time):
+        targets, numbers, _, own = robots.arguments
+        asked.append((function, batch_size, over_time, float(numbers.sharp), robots.axes[0]))
+        merit = np.where(own.at("control.kp") == 2.0, np.nan, own.at("control.kp"))
+        found = {"_value": merit / 2, "_merit": merit, "_feasible": merit > 1, "travel": targets[:, 0, 0, 0]}
+        return found | ({"_slopes": np.ones(targets.shape)} if function is plans.scored else {})
+
+    monkeypatch.setattr(plans.execution, "run", run)
+    targets = np.arange(float(count))[:, None, None, None] * np.ones((1, 20, 4, 3))
+    found = walks.judge(targets, parameters)
+    np.testing.assert_array_equal(found.metrics["travel"], np.arange(float(count)))
+    np.testing.assert_array_equal(found.merit, [1.0, np.inf, *np.arange(3.0, count + 1)])
+    np.testing.assert_array_equal(found.value[2:], np.arange(3.0, count + 1) / 2)
+    assert set(found.metrics) == {"travel"} and asked == [(plans.judged, calls, True, 1.0, 3)]
+    ends = np.full((4, 3), -1e3), np.full((4, 3), 1e3)
+    freedom = Freedom(targets[None], Knots(20, 5), True, None, *ends)
+    found, slopes = walks.evaluate(freedom, freedom.none, parameters, sharp=0.25)
+    assert asked[1:] == [(plans.scored, calls, True, 0.25, 3)] and found.merit[1] == np.inf
+    np.testing.assert_allclose(slopes, freedom.slopes(freedom.none, np.ones(freedom.base.shape)))
+    walks.prepare(freedom, parameters)
+    assert asked[2][:3] == (plans.scored, calls, True) and asked[2][3] == 0.0
