@@ -1,5 +1,6 @@
 """The limit of stability: what it calls unstable diverges, what it calls stable does not; and maps that show it."""
 
+import itertools
 import types
 
 import jax
@@ -12,9 +13,11 @@ import mjx_climb as mc
 from mjx_climb import execution
 from mjx_climb.control import LoadTransfer, VirtualModelAdmittance
 from mjx_climb.hardware import bus
+from mjx_climb.hardware.sensors import ForceSensor
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import growth
 from mjx_climb.viz import plots
+from mjx_climb.walk import control_loop
 from tuning.comparisons import maps, stability_limit
 from tuning.searches.sweep import sweep
 
@@ -139,6 +142,59 @@ def stepped(whole, core, sizes, weights):
         for each, old in zip((new[:first], new[first:end]), kept, strict=True)
     ]
     return np.concatenate([new[end:], *(each.ravel() for each in after)])
+
+
+@pytest.mark.parametrize("delayed", list(itertools.product((False, True), repeat=4)))
+def test_the_newest_samples_are_taken_out_of_a_memory_and_put_back_for_all(delayed):
+    """Buffers of what comes late are states by themselves; what does not stays where it is."""
+    force, base, command, reports = delayed
+    rng = np.random.default_rng(0)
+
+    def buffer(size):
+        return tuple(rng.normal(size=(3, size)))
+
+    sensor = ForceSensor(*[None] * len(ForceSensor._fields))._replace(buffer=buffer(2))
+    of_reports = control_loop.Reports((buffer(1), buffer(4)), rng.normal(size=2)) if reports else None
+    memory = control_loop.Memory(*[None] * len(control_loop.Memory._fields))._replace(
+        law=1.0, force_sensor=sensor, base_estimate=(buffer(3), buffer(4)), targets=buffer(5),
+        joint_gains=(buffer(2), buffer(6)), reports=of_reports,
+    )  # fmt: skip
+    stages = types.SimpleNamespace(force_delay=force, base_delay=base, command_delay=command)
+    samples, rest = stability_limit._taken(memory, types.SimpleNamespace(stages=stages))
+    assert samples.keys() == {name for name, late in (("force", force), ("base", base), ("command", command)) if late}
+    assert rest.force_sensor.buffer == (() if force else sensor.buffer) and rest.law == 1.0
+    assert rest.base_estimate == (() if base else memory.base_estimate)
+    assert (rest.targets, rest.joint_gains) == (((), ()) if command else (memory.targets, memory.joint_gains))
+    if force:
+        assert samples["force"] is sensor.buffer[0]
+    if base:
+        assert [each is own[0] for each, own in zip(samples["base"], memory.base_estimate, strict=True)] == [True] * 2
+    if command:
+        targets, gains, reported = samples["command"]
+        assert targets is memory.targets[0]
+        assert [id(each) for each in gains] == [id(own[0]) for own in memory.joint_gains]
+        assert [id(each) for each in reported] == [id(own[0]) for own in (of_reports.buffers if reports else ())]
+        assert rest.reports is None if not reports else rest.reports.buffers == ()
+    back = stability_limit._put(rest, samples)
+
+    def ids(own):
+        return tuple(map(id, own))
+
+    def twice(own):
+        return ids((own[0], own[0]))
+
+    assert ids(back.force_sensor.buffer) == (twice if force else ids)(sensor.buffer)
+    for own, were in zip(back.base_estimate, memory.base_estimate, strict=True):
+        assert ids(own) == (twice if base else ids)(were)
+    assert ids(back.targets) == (twice if command else ids)(memory.targets)
+    for own, were in zip(back.joint_gains, memory.joint_gains, strict=True):
+        assert ids(own) == (twice if command else ids)(were)
+    if reports:
+        assert back.reports.torque is of_reports.torque
+        for own, were in zip(back.reports.buffers, of_reports.buffers, strict=True):
+            assert ids(own) == (twice if command else ids)(were)
+    else:
+        assert back.reports is None
 
 
 @pytest.mark.parametrize("linear", [False, True])

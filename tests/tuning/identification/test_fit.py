@@ -13,7 +13,7 @@ from tests.tuning.identification.coverage import width_of
 from tests.tuning.identification.recorded import ROBOT
 from tuning.identification.fit import inference, report
 from tuning.identification.fit.conclusions import identified
-from tuning.identification.fit.identify import begins, rough_noise, searched
+from tuning.identification.fit.identify import _other_frictions, begins, rough_noise, searched
 from tuning.identification.fit.inference import Whiteness
 from tuning.identification.fit.prediction import predicted
 from tuning.identification.fit.problem import Problem
@@ -575,3 +575,25 @@ def test_samples_between_steps_are_on_parabolas_and_late_ones_on_those_before(la
     np.testing.assert_allclose(made.rate[smooth], slope[smooth], rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(made.along[:, 1], np.where(kind == 1, -made.rate, 0.0))
     assert KINDS[1] == "velocity" and made.finite
+
+
+def test_other_dry_frictions_are_a_third_and_three_times_and_the_nominal_one_within_the_bounds():
+    """None of a viscous one, nor of one that is fitted beside; of a logarithm its third and threefold too."""
+    dry = Variable("hardware.servo.coulomb_friction", "N m", 0.2, 0.2, 1.0, 0.0, 1.0)
+    of_joint = Variable("robot.LF.coxa.friction", "N m", 0.3, np.log(0.3), 1.0, 0.05, 2.0, log=True)
+    viscous = dataclasses.replace(dry, key="hardware.servo.viscous_friction")
+    beside = dataclasses.replace(dry, key="robot.RH.coxa.friction", beside=True)
+    other = dataclasses.replace(dry, key="contact.damping")
+    every = [viscous, dry, beside, of_joint, other]
+    point = np.array([0.5, 0.9, 0.7, np.log(1.5), 0.9, 7.0])
+    found = list(_other_frictions(SimpleNamespace(model=SimpleNamespace(variables=every)), point))
+    wanted = [(1, value) for value in (0.2, 0.3, 1.0)] + [(3, np.log(value)) for value in (0.3, 0.5, 2.0)]
+    assert len(found) == len(wanted)
+    for each, (place, value) in zip(found, wanted, strict=True):
+        expected = point.copy()
+        expected[place] = value
+        np.testing.assert_allclose(each, expected)
+    point[1], point[3] = 0.2, np.log(0.3)  # the nominal ones are no others
+    found = [*_other_frictions(SimpleNamespace(model=SimpleNamespace(variables=every)), point)]
+    np.testing.assert_allclose([each[1] for each in found[:2]], [0.2 / 3, 0.6])
+    np.testing.assert_allclose([np.exp(each[3]) for each in found[2:]], [0.1, 0.9])
