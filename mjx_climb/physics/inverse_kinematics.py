@@ -137,18 +137,25 @@ def solve_to_convergence(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The limit of steps of inverse kinematics, (..., limb, joint), and the feet's errors, (..., limb) m.
 
-    For NumPy, before anything is compiled: as many steps as it takes, from `angles` (..., limb, joint), none longer
-    than `longest` in any joint. With `pull`, spare joints are as near the rest posture as the steps of a
+    For NumPy, before anything is compiled: as many steps as it takes each posture, from `angles` (..., limb, joint),
+    none longer than `longest` in any joint. With `pull`, spare joints are as near the rest posture as the steps of a
     walk pull them, else where they were.
     """
+    shape = np.broadcast_shapes(foot.shape[:-1], angles.shape[:-1])
+    feet = np.broadcast_to(foot, (*shape, 3)).reshape(-1, shape[-1], 3)
+    found = np.broadcast_to(angles, (*shape, chain.robot.joints)).reshape(len(feet), shape[-1], -1).copy()
+    moving = np.arange(len(found))
     for _ in range(steps):
-        weight, way = _toward_rest(chain, angles)
+        some = found[moving]
+        weight, way = _toward_rest(chain, some)
         rest = weight / weight.max(-1, keepdims=True) * way if pull else None
-        change = _change(chain, foot, angles, 0.0, rest, longest)
-        angles = angles + change
-        if np.abs(change).max() < _SETTLED:
+        change = _change(chain, feet[moving], some, 0.0, rest, longest)
+        found[moving] = some + change
+        moving = moving[np.abs(change).max((1, 2)) >= _SETTLED]
+        if not moving.size:
             break
-    return angles, norm(foot - limb_frames(chain.robot, None, angles).foot)
+    found = found.reshape(*shape, -1)
+    return found, norm(foot - limb_frames(chain.robot, None, found).foot)
 
 
 def _toward_rest(chain: Chain, angles: AnyArray) -> tuple[AnyArray, AnyArray]:

@@ -25,14 +25,23 @@ class LimbJoints(NamedTuple):
 
 
 def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) -> LimbJoints:
-    """Return joint angles within the limits that put the feet at `feet` (limb, 3) m, in the frame of the base.
+    """Return joint angles within the limits that put the feet at `feet` (..., limb, 3) m, in the frame of the base.
 
     Of several postures the one whose joints are nearest the middle of their ranges, in the mean of squares over these;
     of limbs of three joints the one whose knee is, and the others only where knees are alike. Of limbs with more joints
     a singular posture only where there is no other. Joints nothing drives are where their springs are slack. `near` are
-    angles (limb, joint) to begin with: where all feet get there from these, no other posture is looked for. With it
-    `feet` may have batch axes.
+    angles (limb, joint) to begin with: where all feet get there from these, no other posture is looked for.
     """
+    if near is None:
+        return _best_of_many(robot, feet)
+    angles, missed = _reached(robot, feet, np.broadcast_to(near, (*feet.shape[:-1], robot.joints)))
+    if (far := missed.max(-1) >= MET).any():
+        angles[far], missed[far] = _best_of_many(robot, feet[far], near[None])
+    return LimbJoints(angles, missed)
+
+
+def _best_of_many(robot: Robot, feet: np.ndarray, also: np.ndarray | None = None) -> LimbJoints:
+    """Return the best of the postures that are reached from many starts, and from some of the caller's."""
     if robot.joints == 3:
         fractions = (np.arange(_STARTS) + 0.5) / _STARTS
         shares = np.array([[0.5, femur, tibia] for femur in fractions for tibia in fractions])
@@ -40,15 +49,8 @@ def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) 
         spread = np.random.default_rng(0).uniform(0.1, 0.9, (_OTHER_STARTS, robot.joints))
         shares = np.vstack([np.full(robot.joints, 0.5), spread])
     starts = robot.joint_lower + (robot.joint_upper - robot.joint_lower) * shares[:, None]
-    if near is not None:
-        angles, missed = _reached(robot, feet, np.broadcast_to(near, (*feet.shape[:-1], robot.joints)))
-        if missed.max() < MET:
-            return LimbJoints(angles, missed)
-        if feet.ndim > 2:
-            each = [limb_joints(robot, one, near) for one in feet]
-            return LimbJoints(np.stack([one.angles for one in each]), np.stack([one.errors for one in each]))
-        starts = np.concatenate([near[None], starts])
-    angles, missed = _reached(robot, feet, starts)
+    starts = starts if also is None else np.concatenate([also, starts])
+    angles, missed = _reached(robot, feet, starts.reshape(-1, *(1,) * (feet.ndim - 2), *robot.joint_lower.shape))
     middle, half = (robot.joint_lower + robot.joint_upper) / 2, (robot.joint_upper - robot.joint_lower) / 2
     off = np.abs(angles - middle)
     bent = ((off / half) ** 2).mean(-1)
@@ -57,10 +59,9 @@ def limb_joints(robot: Robot, feet: np.ndarray, near: np.ndarray | None = None) 
     else:  # one range off the middle, at worst
         bent += least_singular_values(robot, angles, keeps_attitude(robot)) < SINGULAR
     bent[missed >= MET] = np.inf
-    first_best = np.where(np.isfinite(bent), bent <= bent.min(0) + MET, missed <= missed.min(0)).argmax(0)
-    limbs = np.arange(len(feet))
-    best, errors = angles[first_best, limbs], missed[first_best, limbs]
-    return LimbJoints(np.where(np.isfinite(errors)[:, None], best, middle), errors)
+    best = np.where(np.isfinite(bent), bent <= bent.min(0) + MET, missed <= missed.min(0)).argmax(0)[None]
+    errors, angles = (np.take_along_axis(*each, 0)[0] for each in ((missed, best), (angles, best[..., None])))
+    return LimbJoints(np.where(np.isfinite(errors)[..., None], angles, middle), errors)
 
 
 def _reached(robot: Robot, feet: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -342,7 +342,7 @@ def test_odd_files_walk_on_a_slope(saved, name):
 def test_the_gravity_is_the_earths_unless_told(saved, gravity, asked, lies, turned, monkeypatch, ended):
     """It is said and written, also where the walk says that it does not hold; no time is spent on walking here."""
     monkeypatch.setattr(first_walks, "with_joint_gains", lambda scenario, *_: (scenario, "as they were"))
-    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario, *_: (scenario, False, "falls", np.nan))
+    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario, *_: (scenario, False, "falls", np.nan, {}))
     monkeypatch.setattr(rendering, "stance", picture := Mock(side_effect=rendering.RenderingError("no OpenGL")))
     file = saved(dog())
     config = file.with_suffix(".yaml")
@@ -360,7 +360,7 @@ def test_what_the_first_walks_show_is_said(saved, monkeypatch, ended):
     monkeypatch.setattr(
         first_walks, "with_joint_gains", lambda scenario, told: told(15) or (changed(scenario), "found")
     )
-    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario, *_: (scenario, True, "holds", 1e4))
+    monkeypatch.setattr(first_walks, "slow_enough", lambda scenario, *_: (scenario, True, "holds", 1e4, {}))
     monkeypatch.setattr(first_walks, "on_ceiling", lambda scenario, *_: (False, "lets go"))
     code, out, err = ended(saved(dog()))
     words = " ".join(err.split())

@@ -71,8 +71,6 @@ def robot(asked: Robot) -> None:
       mjx-climb robot limbero.urdf --gravity 1.62 --slope 30
       mjx-climb robot pendulum.xml --stand --write bench.yaml
     """
-    from mjx_climb.viz import rendering
-
     file, write = asked.file, asked.write
     if write is not None and write.resolve() == file.resolve():
         raise mc.ConfigError(write, "", "another file than the robot's own")
@@ -83,6 +81,8 @@ def robot(asked: Robot) -> None:
         scenario, walks = _walked(asked)
     _put(scenario, write, mc.Scenario.to_yaml, "run {}")
     if write is not None:
+        from mjx_climb.viz import rendering
+
         try:
             picture = rendering.save_image(write.with_suffix(".png"), rendering.stance(scenario.robot))
             typer.echo(f"wrote {picture}: where its feet are")
@@ -129,14 +129,14 @@ def _walked(asked: Robot) -> tuple[mc.Scenario, bool]:
     session.say(f"{total} walks of {steps}: about {duration(seconds)} on one core, once compiled")
     with session.stage("walking it, with other joint gains and slower gaits beside") as show:
         scenario, searched = first_walks.with_joint_gains(scenario, told)
-        scenario, walks, how, load = first_walks.slow_enough(scenario, told)
-        hung = first_walks.on_ceiling(scenario, told) if walks and any(gravity) and not asked.roof else None
+        scenario, walks, how, load, hung = first_walks.slow_enough(scenario, told)
+        ceiling = first_walks.on_ceiling(scenario, told, hung) if walks and any(gravity) and not asked.roof else None
     tell("changed", f"kp {scenario.control.kp:g}, kd {scenario.control.kd:g}", searched)
     tell("taken" if walks else "failed", "walk", how)
     if heavy := first_walks.heavy_load(scenario, load):
         tell("warning", "load", heavy)
-    if hung:
-        tell("taken" if hung[0] else "warning", "ceiling", hung[1])
+    if ceiling:
+        tell("taken" if ceiling[0] else "warning", "ceiling", ceiling[1])
     return scenario, walks
 
 

@@ -6,6 +6,7 @@ grips never let go: they hold where none uses more than its limit, under any con
 
 import math
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +21,7 @@ from mjx_climb.scenario.model import Scenario
 from mjx_climb.walk.metrics import GRIPS, METRICS
 from tuning.comparisons.remedies import GAP, gap_in_words
 from tuning.problem.evaluation import RIGID
-from tuning.problem.spaces import JOINT
-from tuning.searches.retuned_pd import follows
+from tuning.problem.spaces import JOINT, follows
 
 _LIMIT = "contact.holding_limit"  # of contacts that have one
 WALKS = 16
@@ -41,7 +41,7 @@ Told = Callable[[int], None]  # takes how many more walks are done
 def expected(scenario: Scenario) -> tuple[int, float]:
     """Return how many walks a scenario gets where it holds at its own cycle, and the seconds they take on one core."""
     grids, joints = _grids(scenario), load_robot(scenario.robot).joint_lower.size
-    batches = grids + len(SLOWER[0]) + 1
+    batches = grids + 1
     seconds = batches * WALKS * joints * _steps(scenario) * STEP_TIME
     return grids * math.prod(GRID) + len(SLOWER[0]) + 1, seconds
 
@@ -61,6 +61,8 @@ class FirstWalk(NamedTuple):
     holds: bool
     how: str
     peak_foot_force: float  # N
+    # metrics of the same walk on a ceiling, (1,) each, where it has walked
+    hung: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 def _walked(
@@ -130,21 +132,26 @@ def slow_enough(scenario: Scenario, told: Told = lambda _: None) -> FirstWalk:
     """Return a scenario with its cycle, or twice or four times that, whichever is the first at which it walks.
 
     It walks where all grippers reach the ground, all grips hold and the base strays by no more than half its height.
-    Where it does at none, the words say why the slowest one fails.
+    Where it does at none, the words say why the slowest one fails. Walks on a ceiling fill the same batch.
     """
-    cycle = scenario.gait.cycle
+    cycle, gravity = scenario.gait.cycle, [scenario.gravity, _upwards(scenario)]
     for times in SLOWER:
         cycles = cycle * np.array(times)
         span = 2 * float(cycles[0])
         longer = scenario.with_overrides({"duration": span})
-        walked = _walked(longer, {"gait.cycle": cycles})
+        both = {"gait.cycle": np.tile(cycles, 2), "gravity": np.repeat(gravity, len(times), axis=0)}
+        every = _walked(longer, both)
         told(len(times))
-        if (held := walked["holds"]).any():
-            found = float(cycles[np.argmax(held)])
+        walked = {name: value[: len(times)] for name, value in every.items()}
+        if walked["holds"].any():
+            place = int(np.argmax(walked["holds"]))
+            found = float(cycles[place])
+            # of slower ones two cycles are longer than this walk
+            hung = {} if place else {name: value[len(times) :][:1] for name, value in every.items()}
             slower = "" if found == cycle else f", which it does not at {found / 2:g} s"
             scenario = scenario.with_overrides({"gait.cycle": found, "duration": 2 * found})
             how = f"holds for {span:g} s at a cycle of {found:g} s{slower}"
-            return FirstWalk(scenario, True, how, float(walked["peak_foot_force"][np.argmax(held)]))
+            return FirstWalk(scenario, True, how, float(walked["peak_foot_force"][place]), hung)
     broken = _walked(longer, {"gait.cycle": cycles[-1]}, smooth=False)
     if walked["upright"][-1] and broken["detached_limb"][0] >= 0:
         why = f"limb {_detached(scenario, broken)} lets go; a grip that held would pull {_pulled(scenario, walked)}"
@@ -178,13 +185,21 @@ def _gap(scenario: Scenario, broken: Mapping[str, np.ndarray]) -> str:
     return gap_in_words(scenario, *(float(broken[name][0]) for name in GAP))
 
 
-def on_ceiling(scenario: Scenario, told: Told = lambda _: None) -> tuple[bool, str]:
+def _upwards(scenario: Scenario) -> list[float]:
+    """Return the gravity on a ceiling."""
+    return [0.0, 0.0, float(np.linalg.norm(scenario.gravity))]
+
+
+def on_ceiling(
+    scenario: Scenario, told: Told = lambda _: None, hung: Mapping[str, np.ndarray] = MappingProxyType({})
+) -> tuple[bool, str]:
     """Return whether a walk holds on a ceiling, and in words the holding limit with which it would hold there.
 
     It is the largest pull on grips that never let go, rounded up: any limit above that changes nothing in the walk.
+    `hung` are the metrics of that walk, where it has walked.
     """
-    upwards = {"gravity": [0.0, 0.0, float(np.linalg.norm(scenario.gravity))]}
-    walked = _walked(scenario, upwards)
+    upwards = {"gravity": _upwards(scenario)}
+    walked = hung or _walked(scenario, upwards)
     told(1)
     pull, robot = float(walked["peak_pull_force"][0]), load_robot(scenario.robot)
     # it hangs away from the ground, as far as the limbs hold the base

@@ -30,6 +30,7 @@ from mjx_climb.hardware.stages import IDEAL, stages_of
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, gait_of, own_gait, scenario_with_gait, why_fixed
 from mjx_climb.inputs.resolve import AnyGains, has_gains_of_the_paper
+from mjx_climb.inputs.time_step import short_enough
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import RobotFile
@@ -398,3 +399,9 @@ def own_values(scenario: mc.Scenario, law: mc.Law) -> dict[str, Any]:
 def to_gains64(space: Space, theta: Float[np.ndarray, "*batch n"]) -> AnyGains:
     """Return the gains of points in double precision, independent of JAX's setting."""
     return space.to_gains(np.asarray(theta, float))
+
+
+def follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
+    """Return whether the time step is short enough for joint gains, and their gait where they have one."""
+    own = {f"control.{name}": float(joint[name]) for name in JOINT}
+    return short_enough(scenario_with_gait(scenario.with_overrides(own), joint))

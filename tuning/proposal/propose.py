@@ -267,7 +267,7 @@ def _gait(robot: Found, section: Section, stance: Stance, reach: float) -> Secti
     for shorter in (2**halvings for halvings in range(_HALVINGS + 1)):
         stride, step = _STRIDE * reach / _REACH / shorter, _STEP_HEIGHT * reach / _REACH / shorter
         stances = [Stance(height, footholds + np.array([x, 0.0])) for x in (-stride, stride)]
-        if all(worth(each) > 0 for each in (*stances, Stance(height - step, footholds))):
+        if (worth(*stances, Stance(height - step, footholds)) > 0).all():
             break
     else:
         why = "limbs do not reach footholds even so near to those where they stand: look at the stance"

@@ -55,21 +55,21 @@ class Standing:
         self.near = np.where(self.in_space, MET, max(missing, MET))
         self.rows = [list(limbs).index(name) for name in self.robot.limbs]  # of the model's limbs in the section
 
-    def worth(self, stance: Stance) -> float:
-        """Return the score of a stance: below 0 a foot misses its place or a joint its limits, 0 is singular.
+    def worth(self, *stances: Stance) -> np.ndarray:
+        """Return the score of each stance: below 0 a foot misses its place or a joint its limits, 0 is singular.
 
         It is the smallest singular value of the limbs' Jacobians, as the grips hold, and less within `_WELL` of a
         joint's limit.
         """
         robot, lower, upper = self.robot, self.robot.joint_lower, self.robot.joint_upper
-        feet = np.column_stack([stance.footholds, np.full(len(lower), -stance.height)])[self.rows] - self.offset
-        found = limb_joints(robot, feet)
-        share = float((np.minimum(found.angles - lower, upper - found.angles) / (upper - lower)).min())
-        if share <= 0 or not (found.errors < self.near).all():
-            return -1.0
+        down = np.ones((len(lower), 1))
+        feet = np.stack([np.hstack([each.footholds, -each.height * down]) for each in stances])[:, self.rows]
+        found = limb_joints(robot, feet - self.offset)
+        share = (np.minimum(found.angles - lower, upper - found.angles) / (upper - lower)).min((1, 2))
         turned = len(lower) <= STANDING and keeps_attitude(robot)
-        least = float(least_singular_values(robot, found.angles, turned).min())
-        return least * min(share / _WELL, 1.0) if least > SINGULAR else 0.0
+        least = least_singular_values(robot, found.angles, turned).min(1)
+        worth = np.where(least > SINGULAR, least * np.minimum(share / _WELL, 1.0), 0.0)
+        return np.asarray(np.where((share <= 0) | ~(found.errors < self.near).all(1), -1.0, worth))
 
     def sampled(self, away: np.ndarray, reach: float) -> Stance | None:
         """Return a stance from postures at random, at the height where the worst limb has most room, or None.
@@ -115,7 +115,7 @@ def checked(section: Section, stance: Stance) -> Stance | None:
     """Return a stance to as few digits as will do, None where joints pass their limits, or it is singular."""
     worth = Standing(section, stance.footholds).worth
     tried = (Stance(round(stance.height, digits), stance.footholds.round(digits)) for digits in (4, 12))
-    return next((rounded for rounded in tried if worth(rounded) > 0), None)
+    return next((rounded for rounded in tried if worth(rounded)[0] > 0), None)
 
 
 def searched(section: Section, hips: np.ndarray, reach: float) -> Stance:
@@ -135,7 +135,8 @@ def searched(section: Section, hips: np.ndarray, reach: float) -> Stance:
     standing = Standing(section, hips[:, :2] + 0.5 * reach * away)
     best, most = None, -1.0
     if standing.in_space.all() and stances:
-        most, best = max(((standing.worth(stance), stance) for stance in stances), key=lambda found: found[0])
+        worths = standing.worth(*stances)
+        most, best = float(worths.max()), stances[int(worths.argmax())]
     if most < 0:
         at_random = standing.sampled(away, reach)
         best = at_random and checked(section, at_random)

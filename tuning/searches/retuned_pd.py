@@ -10,8 +10,7 @@ import numpy as np
 
 import mjx_climb as mc
 from mjx_climb.control import PD, PlannedTransfer
-from mjx_climb.inputs.gait_values import GAIT, gait_of, scenario_with_gait
-from mjx_climb.inputs.time_step import short_enough
+from mjx_climb.inputs.gait_values import GAIT, gait_of
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from tuning.gains.gains_file import applied, by_name
@@ -22,7 +21,7 @@ from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.readings import reads_forces
 from tuning.problem.search import OWN_METHOD, Search
-from tuning.problem.spaces import JOINT, default_bounds
+from tuning.problem.spaces import JOINT, default_bounds, follows
 from tuning.results.tuned import Tuned
 from tuning.searches import tune
 
@@ -197,12 +196,6 @@ def rival_of(retuned: Tuned, step: float | None = None) -> Rival:
     lacks = _lacks(retuned.scenario, _highest(spaces.space(retuned.scenario, retuned.search)))
     name = "pd" if retuned.law is None else type(retuned.law).__name__
     return Rival(joint_of(retuned), retuned.value, lacks, retuned.feasible, step, name)
-
-
-def follows(scenario: mc.Scenario, joint: Mapping[str, float]) -> bool:
-    """Return whether the time step is short enough for joint gains, and their gait where they have one."""
-    own = {f"control.{name}": float(joint[name]) for name in JOINT}
-    return short_enough(scenario_with_gait(scenario.with_overrides(own), joint))
 
 
 def _lacks(scenario: mc.Scenario, highest: Mapping[str, float]) -> str:

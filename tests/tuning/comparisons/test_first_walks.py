@@ -15,7 +15,7 @@ HASTY = mc.load_scenario("case_1_2").with_overrides({"gait.cycle": 0.4, "disturb
 @pytest.mark.nightly
 def test_the_fastest_cycle_that_holds():
     """It holds, and the one that is twice as fast does not."""
-    scenario, holds, how, _ = slow_enough(HASTY.with_overrides({"contact.holding_limit": 5.0}))
+    scenario, holds, how, *_ = slow_enough(HASTY.with_overrides({"contact.holding_limit": 5.0}))
     assert holds and scenario.gait.cycle > 0.4 and scenario.duration == 2 * scenario.gait.cycle
     assert f"at a cycle of {scenario.gait.cycle:g} s, which it does not at {scenario.gait.cycle / 2:g} s" in how
     assert not mc.rollout(scenario).detached.any()
@@ -34,7 +34,7 @@ def test_the_fastest_cycle_that_holds():
     ],
 )
 def test_what_holds_at_no_cycle_says_why(change, why):
-    scenario, holds, how, _ = slow_enough(HASTY.with_overrides(change))
+    scenario, holds, how, *_ = slow_enough(HASTY.with_overrides(change))
     assert not holds and scenario.gait.cycle == 0.4
     assert how.startswith("does not walk at any cycle from 0.4 to 1.6 s: ")
     assert re.search(why, how), how
@@ -47,15 +47,19 @@ def short(**changes):
 
 
 def walking(monkeypatch, metrics):
-    """Have walks with metrics by kp and kd (N,) each, and what is asked of them."""
+    """Have walks with metrics by kp and kd (N,) each, and what is asked of them; return those that were asked."""
+    asked = []
 
     def walk(scenario, gains, parameters, **how):
         kp, kd = (np.asarray(parameters.at(f"control.{name}"), float) for name in ("kp", "kd"))
         found = dict.fromkeys([*mc.METRICS.names, "missed_grips", "unheld_gap", *first_walks.GAP], 0.0)
-        found |= {"detached_limb": -1.0} | metrics(kp, kd, how | {"cycle": np.asarray(parameters.at("gait.cycle"))})
+        own = {"cycle": np.asarray(parameters.at("gait.cycle")), "up": np.asarray(parameters.at("gravity"))[..., 2] > 0}
+        asked.append(own | {"duration": scenario.duration})
+        found |= {"detached_limb": -1.0} | metrics(kp, kd, how | own)
         return {name: np.broadcast_to(value, kp.shape) for name, value in found.items()}
 
     monkeypatch.setattr(first_walks, "rollout_metrics", walk)
+    return asked
 
 
 @pytest.mark.parametrize("bad", [{"base_deviation": 0.03}, {"missed_grips": 1}, {"diverged": True}, {}], ids=str)
@@ -116,14 +120,19 @@ def test_the_first_cycle_that_holds_of_its_own_and_slower_ones_is_taken(fast, cy
 
     def metrics(kp, kd, how):
         each = {name: np.where(how["cycle"] > fast, value, lost.get(name, value)) for name, value in sound.items()}
-        return each | {"peak_foot_force": 10 * how["cycle"]}
+        return each | {"peak_foot_force": 10 * how["cycle"], "peak_pull_force": how["cycle"] + how["up"]}
 
-    walking(monkeypatch, metrics)
-    done = []
+    asked, done = walking(monkeypatch, metrics), []
     found = slow_enough(short(), done.append)
     assert (found.scenario.gait.cycle, found.scenario.duration, found.holds) == (cycle, 2 * cycle, True)
     assert found.how == said and found.peak_foot_force == pytest.approx(10 * cycle)
     assert done == ([1] if fast < 0.6 else [1, 2])
+    walks = len(asked)
+    holds, how = on_ceiling(found.scenario, hung=found.hung)
+    assert (holds, how) == on_ceiling(found.scenario) == (True, f"holds there too: the largest pull is {cycle + 1} N")
+    # one more for the slowest, whose two cycles are longer than the walk that it was found by
+    assert len(asked) == walks + (2 if fast == 2.0 else 1)
+    assert asked[-1]["up"].all() and asked[-1]["duration"] == 2 * cycle
 
 
 @pytest.mark.parametrize(
@@ -180,7 +189,7 @@ def test_the_walks_are_counted_before_they_begin():
     """Fewer where they have many steps, and the time in proportion to steps and joints."""
     (few, brief), (fewer, longer) = (expected(short(**{"time_step": step})) for step in (1e-3, 2e-6))
     assert (few, fewer) == (47, 17)
-    assert longer / brief == pytest.approx(500 * 3 / 5)
+    assert longer / brief == pytest.approx(500 * 2 / 4)
 
 
 @pytest.mark.slow
@@ -206,7 +215,7 @@ def test_the_gap_is_named_before_a_stronger_gripper():
         ({}, "limb [LR][FH] lets go"),
         ({"contact.capture_distance": 0.001}, "grips miss the ground|lets go"),
     ):
-        _, holds, how, _ = slow_enough(soft.with_overrides(change))
+        _, holds, how, *_ = slow_enough(soft.with_overrides(change))
         assert not holds
         assert re.search(
             rf"a foot is \S+ mm off the ground when its gripper shuts, .*: raise control.kp, .*{then}", how
