@@ -1,5 +1,6 @@
 """Maps: the scores of walks over a grid of two gains, and where the closed loop is unstable."""
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -67,7 +68,12 @@ def score_of(objective: objectives.Goal, metrics: Mapping[str, Any]) -> objectiv
     }
     arrays["diverged"] = arrays["diverged"].astype(bool)
     with jax.enable_x64(True), devices.on_host():
-        score = jax.jit(objective.score)(arrays)
+        score = _score(objective, arrays)
     held = ~np.isfinite(arrays["detached_at"].astype(float))
     value, descent, penalty, feasible = (np.asarray(part) for part in score)
     return objectives.Score(value, descent, penalty, feasible & held)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _score(objective: objectives.Goal, metrics: Mapping[str, jax.Array]) -> objectives.Score:
+    return objective.score(metrics)

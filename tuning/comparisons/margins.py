@@ -23,7 +23,9 @@ from mjx_climb.parameter_types import path_of_gain
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import MAX_DELAY
+from mjx_climb.walk.structure import structure
 from tuning.gains.gains_file import Whole, by_name
+from tuning.problem.evaluation import RIGID
 from tuning.problem.variations import PERIOD, Factor, changed, checked, scalable, scaled, whole_periods
 
 POINTS = 16  # values of a quantity that are walked at a time
@@ -249,13 +251,27 @@ def on_the_grid(
         for quantity in asked.values()
         for path in quantity.paths
     }
+    rigid = _rigid(scenario, engine) if isinstance(walker.law, PD) else None
+    law, gains = (walker.law, without_joint(walker.gains)) if rigid is None else (None, rigid)
     found = mc.rollout_metrics(
-        scenario, without_joint(walker.gains), own.replace(batch), law=walker.law, metrics=_METRICS,
-        engine=engine, progress=progress,
-    )  # fmt: skip
+        scenario, gains, own.replace(batch), law=law, metrics=_METRICS, engine=engine, progress=progress
+    )
     dims = ("quantity", "point")
     data = {name: (dims, value) for name, value in found.items()}
     return xr.Dataset(data, {"quantity": list(asked), "value": (dims, values)})
+
+
+def _rigid(scenario: mc.Scenario, engine: str) -> mc.Gains | None:
+    """Return gains with which the scenario's law is pd, whose walks then need no program of their own.
+
+    None of laws other than base admittance, and where force sensors may fall silent, which it would notice.
+    """
+    control = scenario.control
+    if (control.controller, control.reading) != ("base_admittance", "virtual_model"):
+        return None
+    if structure(scenario, engine, own_parameters(scenario)).stages.silent_sensors:
+        return None
+    return mc.Gains(*(np.full(6, value) for value in (RIGID, control.damping, control.stiffness)))
 
 
 def pd_of(scenario: mc.Scenario) -> Whole:

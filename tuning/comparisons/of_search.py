@@ -25,6 +25,7 @@ from tuning.comparisons.side_by_side import (
     planned,
     retuned,
     rivals,
+    walks_together,
 )
 from tuning.comparisons.worth import Worth, best_without, between, give_joint_gains
 from tuning.gains.gains_file import Whole
@@ -61,7 +62,7 @@ def begin(problem: Problem, search: Search, start: Begin, *, seeds: int = 1, out
     return Begun(
         start(retuned(problem, search, seeds, out)),
         None if plan is None else start(plan),
-        {"pd": start(one_walk(under_pd(scenario), None, engine)), "config": start(one_walk(scenario, law, engine))},
+        walks_together(problem, {"pd": (under_pd(scenario), None), "config": (scenario, law)}, start),
         start(lambda report: verification.map_around(problem, report)) if on_the_map else None,
         {
             "pd": start(lambda report: margins.on_the_grid(scenario, margins.pd_of(scenario), engine, report)),
@@ -116,7 +117,7 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
             beside = beside_retuned(problem, joint, ours)
             if plan is not None:
                 del beside[retuned_pd.UNSEARCHED]
-            walking |= {name: start(one_walk(*walker, engine)) for name, walker in beside.items()}
+            walking |= walks_together(problem, beside, start)
             if LEVEL in beside:
                 step = beside[LEVEL][0].time_step
             else:

@@ -119,7 +119,7 @@ def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun 
                 return lambda _: future.result()
 
             both: dict[str, Any] = {
-                name: each(ignore) for name, each in walks_together(walkers, problem.engine, start).items()
+                name: each(ignore) for name, each in walks_together(problem, walkers, start).items()
             }
         alone, metrics = ({name: each[part] for name, each in both.items()} for part in (0, 1))
         with stage("stability limit"):

@@ -60,15 +60,18 @@ def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Work[mc.
     return lambda _: mc.rollout(scenario, law=law, engine=engine)
 
 
-def walks_together(walkers: Mapping[str, Walker], engine: str, begin: Begin) -> dict[str, Work[mc.Trajectory]]:
-    """Begin the walks of some robots, by as few compiled programs as there can be: pd is a rigid base admittance."""
-    laws = [(each.control.controller, each.control.reading) for each, law in walkers.values() if law is None]
-    shared = ("base_admittance", "virtual_model") in laws
+def walks_together(problem: Problem, walkers: Mapping[str, Walker], begin: Begin) -> dict[str, Work[mc.Trajectory]]:
+    """Begin the walks of some robots beside a problem's law, by as few compiled programs as there can be.
+
+    Pd is a rigid base admittance.
+    """
+    control = problem.scenario.control
+    shared = problem.law is None and (control.controller, control.reading) == ("base_admittance", "virtual_model")
 
     def walking(scenario: mc.Scenario, law: mc.Law | None) -> Work[mc.Trajectory]:
         if not shared or law is not None or scenario.control.controller != "pd":
-            return one_walk(scenario, law, engine)
-        return lambda _: walk_of_pd(scenario, engine)
+            return one_walk(scenario, law, problem.engine)
+        return lambda _: walk_of_pd(scenario, problem.engine)
 
     return {name: begin(walking(*walker)) for name, walker in walkers.items()}
 

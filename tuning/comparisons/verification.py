@@ -117,20 +117,27 @@ def tests(found: Tuned) -> Tests:
     # as many robots as searches have: they walk by programs that were compiled for it
     around = problem.evaluate(np.resize(points, (max(len(points), CANDIDATES), space.size)))
     around = jax.tree.map(lambda values: values[: len(points)], around)
-    slopes = slopes_at(problem, found.theta)
+    slopes = slopes_at(problem, found.theta, _rows_of_last_descent(found))
     radius = stability_limit.spectral_radius(walked.scenario, {}, law=walked.law, engine=walked.engine)
     return Tests(around, slopes, float(radius))
 
 
-def slopes_at(problem: Problem, theta: np.ndarray) -> np.ndarray:
-    """Return the slopes (parts,) of the value at a point, true extremes, by the program of a search's last start.
+def _rows_of_last_descent(found: Tuned) -> int:
+    """Return how many points a search walked side by side when it last took derivatives, 1 where it took none."""
+    rounds = found.data["round"].values
+    descended = rounds[np.isfinite(found.data["gradient_norm"].values)]
+    return int((rounds == descended.max(initial=-1)).sum()) or 1
+
+
+def slopes_at(problem: Problem, theta: np.ndarray, rows: int = 1) -> np.ndarray:
+    """Return the slopes (parts,) of the value at a point, true extremes, by a search's program for so many `rows`.
 
     They are by the natural logarithm of a gain, or of the size of an array.
     """
     space = problem.space
     slopes, smooth = np.full(space.size, np.nan), space.smooth
     if smooth.any():
-        slopes[smooth] = problem.evaluate(theta[None], np.eye(space.size)[smooth]).sharp[0]
+        slopes[smooth] = problem.evaluate(np.tile(theta, (rows, 1)), np.eye(space.size)[smooth]).sharp[0]
     slopes = np.where(space.units > 0, theta * slopes, slopes)
     return np.array([slopes[own].sum() for own in space.parts.values()])
 

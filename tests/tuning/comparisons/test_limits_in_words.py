@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from tuning.command_line.session import Compilation
 from tuning.comparisons import maps, verification
 from tuning.comparisons.verification import binding_limits, broken_limits, verify
 from tuning.problem import spaces
@@ -122,6 +123,14 @@ def test_a_walk_without_a_metric_that_counts_keeps_no_limit():
     missing, there = (maps.score_of(goal, {**HELD, "cost_of_transport": cost}) for cost in (None, 3.0))
     assert not missing.feasible and not missing.value < np.inf
     assert there.feasible and there.value == 1.5
+
+
+def test_the_scores_of_several_walks_are_compiled_once():
+    goal = Objective((Term("cost_of_transport", 1.0, 2.0, 2.0),), ())
+    maps.score_of(goal, {**HELD, "cost_of_transport": 3.0})
+    with Compilation() as watched:
+        assert maps.score_of(goal, {**HELD, "cost_of_transport": 5.0}).value == 2.5
+    assert watched.seconds == {}
 
 
 @pytest.mark.parametrize(("law", "settings", "names"), [

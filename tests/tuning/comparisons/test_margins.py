@@ -13,11 +13,17 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from tuning.comparisons import linear_margins, margins, stability_limit
 from tuning.gains import gains_file
 from tuning.gains.gains_file import Whole, by_name
+from tuning.problem.evaluation import RIGID
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "hardware_walks.json").read_text())
 GAINS = mc.Gains(1.0, 150.0, 3e3, kp=np.asarray(20.0), kd=np.asarray(0.1))
 RETUNED_KP = 40.0  # with which pd's force varies by 75 N, not 100 N
 TORN, DEARER, DIVERGES, WEAK = 9.5e-3, 7.1e-3, 20.5e-3, 0.31
+
+
+def is_pd(law, gains):
+    """Return whether gains walk as pd: under it, or under base admittance with a mass that nothing moves."""
+    return isinstance(law, PD) or bool(np.all(by_name(gains).get("inertia", 1.0) == RIGID))
 
 
 @pytest.fixture
@@ -27,7 +33,7 @@ def walks(monkeypatch):
 
     def walked(scenario, gains, parameters, *, law, metrics, engine, progress):
         kept.append((law, gains, parameters))
-        given = not isinstance(law, PD)
+        given = not is_pd(law, gains)
         retuned = parameters.joint_loop.kp == RETUNED_KP
         variation = (
             np.where(given, 50.0, np.where(retuned, 75.0, 100.0))
@@ -69,8 +75,8 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
     hardware = {"hardware.control_period": 0.005, "hardware.force_sensor.delay": 0.002, "hardware.seed": 3}
     scenario = case("case_1_2", "virtual_model", hardware)
     margins.find(scenario, GAINS)
-    (_, gains, given), (law, _, pd) = walks[:2]
-    assert isinstance(law, PD) and set(by_name(gains)) == {"inertia", "damping", "stiffness"}
+    (_, gains, given), (law, of_pd, pd) = walks[:2]
+    assert is_pd(law, of_pd) and set(by_name(gains)) == {"inertia", "damping", "stiffness"}
     changed = {
         0: (given.force_sensor.delay, 0.002), 1: (given.bus.command_delay, 0.0), 2: (given.bus.control_period, 0.005),
         3: (given.joint_loop.kp, 20.0),
@@ -82,6 +88,25 @@ def test_what_is_walked_is_the_scenario_with_one_thing_changed(walks, case):
     np.testing.assert_allclose(given.joint_loop.kd / given.joint_loop.kp, 0.1 / 20)
     np.testing.assert_allclose(pd.joint_loop.kp / given.joint_loop.kp, 50 / 20)  # pd has the scenario's own
     assert given.bus.seed == 3
+
+
+@pytest.mark.parametrize(
+    ("law", "changes", "shared"),
+    [("virtual_model", {}, True), ("measured_pose", {}, False), ("pd", {}, False), ("end_effector", {}, False),
+     ("virtual_model", {"hardware.force_sensor.dead": {"LF": 0.1}}, False)],
+)  # fmt: skip
+def test_pd_walks_on_worse_hardware_by_the_program_of_base_admittance_where_the_config_does(
+    law, changes, shared, walks, case
+):
+    """Elsewhere, and where base admittance would notice that a sensor is silent, by its own."""
+    scenario = case("case_1_2", law, changes)
+    for pd in (margins.pd_of(scenario), Whole(PD(), {"kp": RETUNED_KP, "kd": 0.2})):
+        margins.on_the_grid(scenario, pd)
+        of_pd, gains, parameters = walks.pop()
+        assert (of_pd is None) == shared and is_pd(of_pd, gains)
+        assert np.unique(parameters.joint_loop.kp).max() == by_name(pd.gains)["kp"]
+    margins.on_the_grid(scenario, Whole(None, GAINS))
+    assert walks.pop()[1].inertia != RIGID
 
 
 def test_gains_pay_as_long_as_they_are_better_than_pd_retuned_where_it_walks_too(walks, case):

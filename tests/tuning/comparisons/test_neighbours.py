@@ -35,6 +35,14 @@ def evaluated(asked):
     return evaluate
 
 
+def rounds_of(*rounds):
+    """Return data of a search: so many points in each round, with derivatives or without."""
+    counts, descents = zip(*rounds, strict=True)
+    number = np.repeat(np.arange(len(rounds)), counts)
+    norms = np.where(np.repeat(descents, counts), 1.0, np.nan)
+    return xr.Dataset({"round": ("point", number), "gradient_norm": ("point", norms)})
+
+
 @pytest.mark.parametrize("also", [(), ("gait.cycle", "gait.height")])
 def test_neighbours_are_a_fifth_less_and_more_of_each_gain_and_within_the_bounds_of_a_gait(also, monkeypatch):
     """As many walk as searches have at least, over and over; the radius is that of the gains with their gait."""
@@ -46,7 +54,8 @@ def test_neighbours_are_a_fifth_less_and_more_of_each_gain_and_within_the_bounds
     theta = space.upper - 1e-3
     gains = spaces.to_gains64(space, theta)
     problem = Problem(scenario, space)
-    found = types.SimpleNamespace(theta=theta, problem=problem, walked=problem.with_gains(gains))
+    data = rounds_of((24, False), (3, True), (3, True))
+    found = types.SimpleNamespace(theta=theta, problem=problem, walked=problem.with_gains(gains), data=data)
     told = verification.tests(found)
     expected = [theta]
     for factor in (0.8, 1.2):
@@ -66,12 +75,31 @@ def test_neighbours_are_a_fifth_less_and_more_of_each_gain_and_within_the_bounds
         for place, name in enumerate(space.names)
     ]
     np.testing.assert_allclose(told.slopes, wanted)
+    assert len(asked[1][0]) == 3 and (asked[1][0] == theta).all()
     (((where, none), how),) = looked
     assert told.radius == 0.97 and how["law"] is None and none == {}
     np.testing.assert_allclose(where.control.stiffness, by_name(gains)["stiffness"])
     assert where.gait.cycle == (
         pytest.approx(np.exp(space.upper[space.names.index("gait.cycle")] - 1e-3)) if also else 4
     )
+
+
+@pytest.mark.parametrize(
+    ("rounds", "rows"),
+    [([(24, False), (3, True)], 3), ([(3, True), (2, True), (1, True)], 1), ([(4, True), (9, False)], 4),
+     ([(9, False)], 1)],
+)  # fmt: skip
+def test_slopes_are_those_of_as_many_points_as_a_search_descended_with_last(rounds, rows, monkeypatch):
+    """Their program is there: one for another number of points would be compiled for them alone."""
+    asked, scenario = [], mc.load_scenario("case_1_2")
+    space = spaces.space(scenario, Search())
+    monkeypatch.setattr(Problem, "evaluate", lambda self, *how: evaluated(asked)(*how))
+    monkeypatch.setattr(stability_limit, "spectral_radius", lambda *_, **__: 0.97)
+    problem = Problem(scenario, space)
+    verification.tests(
+        types.SimpleNamespace(theta=space.lower, problem=problem, walked=problem, data=rounds_of(*rounds))
+    )
+    assert [len(theta) for theta, directions in asked if directions is not None] == [rows]
 
 
 def test_a_value_is_verified_alone_and_its_neighbours_relative_to_pds(monkeypatch):

@@ -10,6 +10,7 @@ from tests.shell import ROOT
 from tuning.background import ignore
 from tuning.comparisons import side_by_side
 from tuning.problem import evaluation
+from tuning.problem.evaluation import Problem
 
 CASE = mc.load_scenario(ROOT / "configs" / "case_1_2.yaml", ["duration=0.3"])
 PD = evaluation.under_pd(CASE)
@@ -49,7 +50,7 @@ def test_pd_shares_the_compiled_program_where_that_is_another_walk_s(changes, la
     monkeypatch.setattr(mc, "rollout", rollout)
     walkers = {"pd": (evaluation.under_pd(case), None), "config": (case, None)}
     with pytest.raises(Asked):
-        side_by_side.walks_together(walkers, "limb", lambda work: work)["pd"](ignore)
+        side_by_side.walks_together(Problem(case), walkers, lambda work: work)["pd"](ignore)
     assert asked == [law]
 
 
