@@ -6,7 +6,7 @@ are rivals, and `contents(found: Kind, compared, name)`, of a config's name.
 
 import importlib
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +45,7 @@ def write(
     sections: Sequence[str | SectionOf] = (),
     stage: Stage = silent,
     settings: Mapping[str, Any] | None = None,
+    answer: Callable[[Written], None] = lambda _: None,
 ) -> Written:
     """Compare a result, test it, and write the files of its command: numbers, pictures, gains and the report.
 
@@ -60,6 +61,7 @@ def write(
             `tuning.pages.section.Section`, or None; or FILE.py:NAME of such.
         stage: opened for each longer work, see `tuning.background.Stage`; nothing is printed.
         settings: of a command, which knows its folder again by them.
+        answer: called with what was found, before anything is drawn or written.
 
     Raises:
         ConfigError: over an ensemble, some gains diverge in each member; a section fails.
@@ -70,7 +72,9 @@ def write(
     kind = importlib.import_module(_PAGES[type(found).__name__])
     own = [load_section(each) if isinstance(each, str) else each for each in sections]
     compared = kind.compare(found, stage, home, begun) if hasattr(kind, "compare") else None
-    made, told = kind.contents(found, compared, _name(origin)), sections_of(own, found, compared)
+    made = kind.contents(found, compared, _name(origin))
+    answer(made.written)
+    told = sections_of(own, found, compared)
     how: dict[str, Any] = {"origin": origin, "figures": figures, "stage": stage, "settings": settings}
     return folders.write(made, home, f"tuning.{found.KIND}(...)", sections=told, **how)
 

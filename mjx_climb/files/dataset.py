@@ -10,11 +10,10 @@ import os
 import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-import xarray as xr
 
 from mjx_climb.child_process import read_apart
 from mjx_climb.disturbances.on_base import Push
@@ -30,6 +29,9 @@ from mjx_climb.scenario.model import Scenario
 from mjx_climb.trajectory import Trajectory
 from mjx_climb.walk.metrics import METRICS, Metric, MetricTable
 from mjx_climb.walk.sample import DIMS, Sample, unknown
+
+if TYPE_CHECKING:
+    import xarray as xr  # walks do not wait for it
 
 PACKAGE_FOLDER = Path(__file__).parents[1]
 _TIMES = 16  # more than one damaged block of a disk takes away
@@ -58,12 +60,14 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
 _NEEDED = {"time", "limb", "joint", *(field.name for field in dataclasses.fields(State)), "joint_torque", "foot_force"}
 
 
-def to_dataset(trajectory: Trajectory) -> xr.Dataset:
+def to_dataset(trajectory: Trajectory) -> "xr.Dataset":
     """Return a walk as labelled arrays: every variable has units and a long name.
 
     The attributes hold the resolved scenario (YAML), the gains (JSON), versions and git revision: the same walk gives
     the same file.
     """
+    import xarray as xr
+
     labels: dict[str, tuple[Sequence[str], str]] = {
         "limb": (list(trajectory.limbs), "limb"),
         "joint": (list(trajectory.robot.joint_names), "joint, from the base outwards"),
@@ -85,10 +89,10 @@ def to_dataset(trajectory: Trajectory) -> xr.Dataset:
 
 def sweep_dataset(
     metrics: Mapping[str, np.ndarray],
-    coordinates: Mapping[str, np.ndarray | xr.DataArray],
+    coordinates: "Mapping[str, np.ndarray | xr.DataArray]",
     scenario: Scenario,
     table: MetricTable = METRICS,
-) -> xr.Dataset:
+) -> "xr.Dataset":
     """Return the metrics of a grid of walks as labelled arrays.
 
     Arguments:
@@ -101,6 +105,8 @@ def sweep_dataset(
     Raises:
         ValueError: an unknown metric or coordinate, or shapes that do not fit.
     """
+    import xarray as xr
+
     coords, shape = {}, []
     for name, values in coordinates.items():
         if not isinstance(values, xr.DataArray) or "units" not in values.attrs:
@@ -136,14 +142,14 @@ def metric_attributes(metric: Metric) -> dict[str, Any]:
     return {"units": metric.unit, "long_name": metric.long_name, "larger_is_better": larger}
 
 
-def larger_is_better(variable: xr.DataArray) -> bool:
+def larger_is_better(variable: "xr.DataArray") -> bool:
     """Return whether a variable should be large: as its attributes say, else as the shipped metric of its name."""
     name = str(variable.name)
     by_name = name in METRICS.names and METRICS[name].larger_is_better
     return bool(variable.attrs.get("larger_is_better", by_name))
 
 
-def scenario_of(dataset: xr.Dataset) -> Scenario:
+def scenario_of(dataset: "xr.Dataset") -> Scenario:
     """Return the scenario that a dataset was made from.
 
     Raises:
@@ -189,7 +195,7 @@ def _from_json(text: str, dtype: np.dtype) -> dict[str, Any]:
     return {n: None if v is None else np.asarray(v, dtype) for n, v in json.loads(text).items()}
 
 
-def save(dataset: xr.Dataset, path: str | os.PathLike[str]) -> Path:
+def save(dataset: "xr.Dataset", path: str | os.PathLike[str]) -> Path:
     """Write a dataset as netCDF4 and return its path; a crash leaves the old file or the new one.
 
     Files in the same folder that its scenario names are named relative to it: the folder can be moved.
@@ -213,7 +219,7 @@ def _seal(content: bytes) -> bytes:
     return f"sha256 {hashlib.sha256(content).hexdigest()}\n".encode() * _TIMES
 
 
-def load(path: str | os.PathLike[str]) -> xr.Dataset:
+def load(path: str | os.PathLike[str]) -> "xr.Dataset":
     """Read a dataset that `save` wrote, or another program.
 
     HDF5 may hang where a file is damaged: one without the digest of `save` is read by another process first.
@@ -221,6 +227,8 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
     Raises:
         ConfigError: no netCDF4 file, a damaged one, or one that is not read in time.
     """
+    import xarray as xr
+
     try:
         content = Path(path).read_bytes()
         seal = content[-len(_seal(b"")) :]

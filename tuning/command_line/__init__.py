@@ -23,7 +23,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     warnings.formatwarning = one_line
     atexit.register(gc.freeze)  # at its end Python looks for garbage among all that is left: 0.6 s
-    gc.set_threshold(100_000, 10, 100)  # at its own pace it looks for garbage among all that was just imported
+    gc.set_threshold(300_000, 10, 100)  # at its own pace it looks for garbage among all that was just imported
 
     from tuning.command_line import processes, program
 

@@ -95,8 +95,8 @@ def margins(asked: Margins, walk: Annotated[Walk, "-metrics"], output: Annotated
                 stable = linear_margins.find(place, own, found.margins, progress=told, **how)
             warnings = evaluation.warnings(found) + linear_margins.warnings(found.margins, stable)
             files = pages.files(found, stable, warnings, "config" if walk.gains is None else walk.gains.stem)
+            shell.show(pages.margins_table(found, stable), *(f"warning: {line}" for line in warnings))
             names = shell.fill(out, files)
-        shell.show(pages.margins_table(found, stable), *(f"warning: {line}" for line in warnings))
         shell.written(names, files["margins.json"])
 
 
@@ -251,8 +251,8 @@ def pushes(asked: Pushes, walk: Annotated[Walk, "-gains", "-metrics"], output: A
             again = repeated(["evaluate", "--pushes"], "--gains", "--retuned-pd", "--push-length", "--largest-push",
                              "--push-draws", "--engine")  # fmt: skip
             files, page = pages.files(found), pages.page_of(found, scenario)
+            shell.show(*page.tables, page.findings.verdict)
             names = shell.fill(out, files, page.at, again)
-        shell.show(*page.tables, page.findings.verdict)
         shell.written(names, files["pushes.json"])
 
 

@@ -1,6 +1,7 @@
 """Commands about a robot's log: the motion for one, the parameters in it, the simulation beside it."""
 
 import contextlib
+import importlib
 import json
 import os
 from collections.abc import Mapping
@@ -54,9 +55,9 @@ def excite(
         shell.opening()
         found = excitation.chosen(rig, stage=shell.stage)
         options = (f"--{name.replace('_', '-')}" for name in Excitation.model_fields)
-        files = shell.write(found, repeated(("excite",), *options)).files
         shell.show(written.table(found), written.limits(found))
         shell.show(*written.notes(found), found.best.information.unseen())
+        files = shell.write(found, repeated(("excite",), *options)).files
         shell.written(files, to_json(written.summary(found)))
 
 
@@ -194,6 +195,7 @@ def replay(
       mjx-climb replay case_2 --log walk.mcap --gains best.yaml --with-law
     """
     with output.session() as shell:
+        from tuning.background import background
         from tuning.identification.model import replay as replays
         from tuning.results.config_file import write_config
 
@@ -206,8 +208,10 @@ def replay(
         walk.take(shell, "replay.json", loaded, "replay", asked=asked.settings(log))
         asked.say_read(log, shell)
         shell.opening()
-        with shell.stage("replay"):
-            found = replays.simulate(prepared, loaded.engine)
+        with background(busy=1) as begin:
+            begin(lambda _: importlib.import_module("mjx_climb.viz.plots"))  # matplotlib takes half a second
+            with shell.stage("replay"):
+                found = replays.simulate(prepared, loaded.engine)
         under_law = walked_under_law(found, loaded, shell) if asked.with_law else {}
         with shell.whole() as out:
             write_config(found.scenario, out, loaded.law)
@@ -240,7 +244,6 @@ def _write(
     """Write a replay into a folder and print its errors; return the names of the files, and the errors as JSON."""
     from mjx_climb.files import dataset
     from tuning import numbers
-    from tuning.identification.model.replay_picture import plot_replay
     from tuning.identification.readers.log import signals_of
     from tuning.pages.contents import Picture
     from tuning.pages.table import Table
@@ -249,6 +252,9 @@ def _write(
     rows = [[name, *map(numbers.number, error[:4]), units[name]] for name, error in found.errors.items()]
     table = Table("", ["signal", "rms error", "largest", "at s", "moved", "unit"], [("", rows)], 1)
     shell.show(table, *found.warnings, f"base {found.base}; moved: standard deviation of what was logged")
+
+    from tuning.identification.model.replay_picture import plot_replay
+
     by_signal = {name: {**error._asdict(), "unit": units[name]} for name, error in found.errors.items()}
     whole = {"base": found.base, "signals": by_signal, "warnings": [*found.log.warnings, *found.warnings]}
     text = numbers.to_json({**whole, "judged": under_law} if under_law else whole) + "\n"

@@ -124,6 +124,7 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
         with shell.whole() as out:
             found = dict(results.reproduced(out, shell.stage))
             said: list[Any] = [*results.tables(found), *results.lines(found)]
+            shell.show(*said)
             with (captured := console()).capture() as capture:
                 captured.width = WIDTH
                 print_on(captured, *said)
@@ -131,7 +132,6 @@ def reproduce(output: Annotated[Output, "out", "json_only"]) -> None:
             files = {"reproduce.json": text, "paper.md": results.as_markdown(found), "tables.txt": capture.get()}
             names = shell.fill(out, files, lambda at: results.page(found, out, at), "mjx-climb reproduce --out again")
             count = len(list(out.glob("*.nc")))
-        shell.show(*said)
         shell.written(f"{names}, figures (.png), scenarios (.yaml), {count} walks (.nc)", text)
 
 

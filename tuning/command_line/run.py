@@ -1,5 +1,6 @@
 """`mjx-climb run`: one robot through one scenario, with pictures, video, snapshots and the viewer."""
 
+import importlib
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -151,8 +152,7 @@ def run(walk: Walk, output: Annotated[Output, "-sections"], pictures: Pictures, 
     """
     with output.session() as shell:
         from mjx_climb.robot_import.load import load_robot
-        from mjx_climb.viz import rendering
-        from tuning.numbers import presentable, to_json
+        from tuning.background import background
         from tuning.writing.record import settings_of, walks_at_home
 
         loaded = walk.load_with_gains()
@@ -164,27 +164,24 @@ def run(walk: Walk, output: Annotated[Output, "-sections"], pictures: Pictures, 
         settings = settings_of(loaded, "run", compare=pictures.compare)
         words = dict.fromkeys((walk.config.stem, name, *walk.words))
         shell.claim("trajectory.nc", *words, settings=settings, varied=walk.varied)
-        with shell.whole() as place:
-            walks, metrics, files = _written(loaded, name, shell, pictures, recording, place)
-        walks, own = walks_at_home(walks, place, shell.out), metrics[name]
-        show(walks, metrics, loaded, shell)
-        shell.written(files, to_json(presentable(own, None)))
+        with shell.whole() as place, background(busy=1) as begin:
+            begin(lambda _: importlib.import_module("mjx_climb.viz.plots"))  # matplotlib takes half a second
+            walks, own, (files, text) = _written(loaded, name, shell, pictures, recording, place)
+        shell.written(files, text)
         if pictures.view:
-            rendering.view(*walks.values(), until=interruption.requested)
+            from mjx_climb.viz import rendering
+
+            rendering.view(*walks_at_home(walks, place, shell.out).values(), until=interruption.requested)
         if own["detached_limb"] is not None or own["diverged"] or own.get("stands_at") is not None:
             raise typer.Exit(1)
 
 
 def _written(
     loaded: "Problem", name: str, shell: "Session", pictures: Pictures, recording: Recording, out: Path
-) -> tuple[Walks, dict[str, dict[str, Any]], str]:
-    """Walk and write into a folder; return the walks, their metrics, and the names of the files."""
-    from mjx_climb.files import dataset
-    from mjx_climb.viz import plots, rerun_recording
-    from mjx_climb.viz import recording as recordings
+) -> tuple[Walks, dict[str, Any], tuple[str, str]]:
+    """Walk, print how it went, and write into a folder; return walks, metrics, names of files, and metrics as JSON."""
     from tuning import scenario_files
     from tuning.numbers import presentable, to_json
-    from tuning.pages.contents import Picture
     from tuning.results.config_file import write_config
 
     scenario = write_config(loaded.scenario, out, loaded.law, loaded.metrics)
@@ -192,17 +189,24 @@ def _written(
     with shell.stage(name):
         walks = {name: mc.rollout(scenario, law=loaded.law, engine=loaded.engine)}
     walked = walks[name]
-    files: dict[str, Any] = {"walk": Picture("", lambda: plots.plot_walk(walked))}
-    files["feet"] = Picture("", lambda: plots.plot_feet(walked))
     if (rival := pictures.compare) is not None:
         changes = {"control.controller": rival, "control.reading": "virtual_model"}
         beside = scenario_files.copied(loaded.scenario.with_overrides(changes), out)
         with shell.stage(rival):
             walks = {rival: mc.rollout(beside, engine=loaded.engine), **walks}
-        files["comparison"] = Picture("", lambda: plots.plot_comparison(walks))
     metrics = {name: mc.metrics(walked, loaded.metrics) for name, walked in reversed(walks.items())}
-    text = to_json(presentable(metrics[name], None)) + "\n"
-    written = shell.fill(out, {"trajectory.nc": dataset.to_dataset(walked), "metrics.json": text, **files})
+    show(walks, metrics, loaded, shell)
+
+    from mjx_climb.files import dataset
+    from mjx_climb.viz import plots, rerun_recording
+    from mjx_climb.viz import recording as recordings
+    from tuning.pages.contents import Picture
+
+    text = to_json(presentable(metrics[name], None))
+    drawn = {"walk": Picture("", lambda: plots.plot_walk(walked)), "feet": Picture("", lambda: plots.plot_feet(walked))}
+    if rival is not None:
+        drawn["comparison"] = Picture("", lambda: plots.plot_comparison(walks))
+    written = shell.fill(out, {"trajectory.nc": dataset.to_dataset(walked), "metrics.json": text + "\n", **drawn})
     names = [written, *pictures.write(walks, out, shell.stage)]
     for asked, save, file in (
         (recording.mcap, recordings.save_mcap, "walk.mcap"),
@@ -211,7 +215,7 @@ def _written(
         if asked:
             with shell.stage(file, compiles=False):
                 names.append(save(walked, out / file).name)
-    return walks, metrics, ", ".join(names)
+    return walks, metrics[name], (", ".join(names), text)
 
 
 def show(walks: Walks, metrics: Mapping[str, Mapping[str, Any]], loaded: "Problem", shell: "Session") -> None:

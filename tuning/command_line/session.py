@@ -227,36 +227,40 @@ class Session:
         self.say(f"{before}written to {self.out} in {duration(time.perf_counter() - self.begin)}: {files}")
         self.print_json(json)
 
-    def write(self, found: "Result | Identified | Excited", again: str, begun: "Begun | None" = None) -> "Written":
-        """Write a result with its report, where `again` repeats it."""
+    def write(
+        self, found: "Result | Identified | Excited", again: str, begun: "Begun | None" = None,
+        answer: "Callable[[Written], None]" = lambda _: None,
+    ) -> "Written":  # fmt: skip
+        """Write a result with its report, where `again` repeats it; `answer` prints what it holds before that."""
         from tuning import kinds
 
         return kinds.write(
             found, self.out, begun=begun, origin=origin(self.name, again), figures=self.figures,
-            sections=self.sections, stage=self.stage, settings=self.settings,
+            sections=self.sections, stage=self.stage, settings=self.settings, answer=answer,
         )  # fmt: skip
 
     def result(self, found: "Result", again: str, begun: "Begun | None" = None, *, before: str = "") -> None:
-        """Write a result with its report, where `again` repeats it, and print its tables, or that of its walks."""
+        """Print the tables of a result, or that of its walks, and write it, with a report where `again` repeats it."""
+        written = self.write(found, again, begun, lambda told: self._answer(found, told))
+        self.written(written.files, written.summary, before)
+
+    def _answer(self, found: "Result", told: "Written") -> None:
         from tuning.pages import comparison
 
-        written, problem = self.write(found, again, begun), found.problem
-        if written.tables:
-            self.show(*written.tables)
+        problem = found.problem
+        if told.tables:
+            self.show(*told.tables)
         else:
-            self.show(comparison_table(written.compared, "pd", self.tables.width, problem.metrics, problem.law))
+            self.show(comparison_table(told.compared, "pd", self.tables.width, problem.metrics, problem.law))
             if found.search is not None:
-                self.show(comparison.gains_table(written.compared, problem.law))
-        self.show(*written.outcome)
-        self.written(written.files, written.summary, before)
+                self.show(comparison.gains_table(told.compared, problem.law))
+        self.show(*told.outcome)
 
     def first_result(self, found: "Result", made: "Contents", again: str, lacks: str) -> None:
         """Print the first table of a result, and write it so far, unless the folder holds the whole one."""
         from tuning.writing import folder, record
 
-        told, problem = made.written, found.problem
-        self.show(comparison_table(told.compared, "pd", self.tables.width, problem.metrics, problem.law))
-        self.show(*told.outcome)
+        self._answer(found, made.written)
         if (before := record.read(self.out)) is not None and before.whole:
             return
         how: dict[str, Any] = {"origin": origin(self.name, again), "settings": self.settings, "finished": False}

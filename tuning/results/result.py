@@ -3,9 +3,7 @@
 import dataclasses
 import functools
 from pathlib import Path
-from typing import ClassVar
-
-import xarray as xr
+from typing import TYPE_CHECKING, ClassVar
 
 import mjx_climb as mc
 from mjx_climb.inputs.resolve import AnyGains, with_gains
@@ -13,6 +11,9 @@ from mjx_climb.scenario.kinds import named_in
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # marker files of folders in which nothing is kept
 WITHOUT_PARTS = (
@@ -30,7 +31,7 @@ class Result:
     FILE: ClassVar[str]  # of the data; by it the folder of a result is known
     KIND: ClassVar[str]  # the function of `tuning` that gives it
 
-    data: xr.Dataset
+    data: "xr.Dataset"
     problem: Problem
     search: Search | None = None  # its settings, where gains were searched
     ensemble: Ensemble | None = None  # as its user gave it, where there was one

@@ -298,10 +298,15 @@ def traced(monkeypatch, tmp_path, folder):
     monkeypatch.setattr("tuning.writing.record.settings_of", lambda *_, **__: {})
     monkeypatch.setattr("tuning.writing.record.own_folder", lambda *_, **__: tmp_path / "out")
     monkeypatch.setattr("tuning.writing.record.walks_at_home", lambda walks, *_: walks)
+
+    def wrote(*_, answer, **__):
+        written = SimpleNamespace(tables=(1,), outcome=(), files="files", summary="{}")
+        answer(written)
+        return written
+
     scenario, found = mc.load_scenario(CONFIG), Found()
     log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.force.x": ()}, source="log.csv")
     returned = {
-        "tuning.kinds.write": SimpleNamespace(tables=(1,), outcome=(), files="files", summary="{}"),
         "mjx_climb.metrics": MEASURED,
         "mjx_climb.inputs.time_step.largest_time_step": 0.001,
         "mjx_climb.viz.rendering.save_image": "picture",
@@ -313,7 +318,7 @@ def traced(monkeypatch, tmp_path, folder):
         "tuning.proposal.stand.on_stand": "hubrobo_v3_2",
         "tuning.comparisons.first_walks.heavy_load": "",
         "tuning.comparisons.first_walks.on_ceiling": None,
-        "tuning.comparisons.first_walks.slow_enough": (scenario, True, "as it is", 0.5),
+        "tuning.comparisons.first_walks.slow_enough": (scenario, True, "as it is", 0.5, {}),
         "tuning.comparisons.first_walks.with_joint_gains": (scenario, "as they are"),
         "tuning.benchmarks.measure.measure": defaultdict(float, devices=["cpu"], versions={"mujoco": ""}),
         "tuning.command_line.cache.cache": [SimpleNamespace(text="")],
@@ -346,6 +351,7 @@ def traced(monkeypatch, tmp_path, folder):
     for name, value in returned.items():
         assert name.rpartition(".")[2] in RECORDED.get(name.rpartition(".")[0], "") or name.count(".") > 3
         getattr(calls, name.replace(".", "_")).return_value = value
+    calls.tuning_kinds_write.side_effect = wrote
     calls.tuning_identification_fit_identify_identify.return_value.as_json.return_value = {}
     calls.tuning_identification_model_replay_simulate.return_value.scenario = scenario
     loaded, load_scenario = {}, mc.load_scenario

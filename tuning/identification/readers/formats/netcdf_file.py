@@ -2,13 +2,16 @@
 
 import itertools
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from mjx_climb.files import dataset
 from mjx_climb.scenario.messages import ConfigError
 from tuning.identification.readers.table import Recording, Table
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 SUFFIXES = (".nc",)
 _JOINT = {"joint_targets": "command", "joint_angles": "position", "joint_rates": "velocity", "joint_torque": "effort"}
@@ -39,7 +42,7 @@ def read(path: Path) -> Recording:
     return Recording({"": Table("", time, fields, unnamed=unnamed)}, str(path), _late(data, str(path)))
 
 
-def _late(data: xr.Dataset, source: str) -> tuple[str, ...]:
+def _late(data: "xr.Dataset", source: str) -> tuple[str, ...]:
     """Return the note on the commands of a walk: they were recorded behind the bus, not before."""
     delay = dataset.scenario_of(data).hardware.command_delay if "scenario" in data.attrs else 0.0
     sent = f"commands are those that reached the servos, {delay:g} s after they were sent"
