@@ -97,12 +97,13 @@ def test_targets_are_means_of_held_commands_around_a_step_and_know_their_rates()
 
 
 @pytest.mark.parametrize(
-    ("rate", "change", "bristle", "lead"),
-    [(0.1, 0.4, 0.1, 0.0), (0.1, 0.4, 0.1, 0.004), (-0.2, 0.1, 0.3, 0.0), (0.5, 0.4, 0.6, 0.0), (-0.5, 0.4, -0.6, 0.0)],
-)
-def test_a_heavy_joint_alone_is_braked_by_its_bristle_as_by_hand(rate, change, bristle, lead):
+    ("rate", "change", "bristle", "lead", "heavy"),
+    [(0.1, 0.4, 0.1, 0.0, 50.0), (0.1, 0.4, 0.1, 0.004, 50.0), (-0.2, 0.1, 0.3, 0.0, 50.0), (0.5, 0.4, 0.6, 0.0, 50.0),
+     (-0.5, 0.4, -0.6, 0.0, 50.0), (0.1, 0.4, 0.1, 0.004, 1.0), (0.1, 0.4, 0.1, 0.0, 1.0)],
+)  # fmt: skip
+def test_a_heavy_joint_alone_is_braked_by_its_bristle_as_by_hand(rate, change, bristle, lead, heavy):
     """Beside its armature links weigh nothing, and no spring pulls: friction alone changes its rate."""
-    friction, bend, heavy, step = 5.0, 0.001, 50.0, 1e-3
+    friction, bend, step, near = 5.0, 0.001, 1e-3, 1e-6 if heavy > 1 else 1e-3
     servo = {"coulomb_friction": friction, "presliding": bend, "armature": heavy}
     scenario = mc.Scenario().with_overrides(
         {f"hardware.servo.{name}": value for name, value in servo.items()}
@@ -124,9 +125,9 @@ def test_a_heavy_joint_alone_is_braked_by_its_bristle_as_by_hand(rate, change, b
     slope = friction * per_change if abs(reached) < 1 else 0.0
     acceleration = -friction * (share if abs(reached) < 1 else np.sign(reached)) / (heavy + slope)
     np.testing.assert_allclose(after.change, step * acceleration, rtol=1e-2)
-    np.testing.assert_allclose(after.state.joint_rates, rate + step * acceleration, rtol=1e-6)
+    np.testing.assert_allclose(after.state.joint_rates, rate + step * acceleration, rtol=near)
     np.testing.assert_allclose(after.servo.bristle, bent)
-    np.testing.assert_allclose(seen.velocity, rate + step * acceleration / 2, rtol=1e-6)
+    np.testing.assert_allclose(seen.velocity, rate + step * acceleration / 2, rtol=near)
 
 
 @functools.cache
@@ -136,3 +137,23 @@ def _advanced(stages):
         return stands.advance(stands.Stand(robot, hardware_of(own, stages, 1e-3, robot), lead), moving, targets)
 
     return advanced
+
+
+def test_frictions_of_a_limb_are_found_joint_after_joint_within_their_limits():
+    """A second implementation by loops; with enough sweeps each torque is its limit or what its bristle asks for."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(4, 3, 3))
+    mobility = root @ root.transpose(0, 2, 1) + np.eye(3)
+    free, share = rng.normal(size=(2, 4, 3))
+    most, per_change = rng.uniform(0.2, 1.0, (2, 4, 3))
+    with jax.enable_x64(True):
+        found = stands._reached(*map(jnp.asarray, (mobility, free, most, share, per_change)))
+    for limb in range(4):
+        borne, reached = most[limb] * np.clip(share[limb], -1, 1), share[limb].copy()
+        for _ in range(stands._SWEEPS):
+            for n in range(3):
+                others = free[limb, n] - sum(mobility[limb, n, m] * borne[m] for m in range(3) if m != n)
+                stiff = most[limb, n] * per_change[limb, n] * mobility[limb, n, n]
+                reached[n] = (share[limb, n] + per_change[limb, n] * others) / (1 + stiff)
+                borne[n] = most[limb, n] * min(max(reached[n], -1.0), 1.0)
+        np.testing.assert_allclose(found[limb], reached, rtol=1e-9)
