@@ -35,6 +35,7 @@ from mjx_climb.scenario.messages import ConfigError
 from tuning.background import Callback, Work, background, ignore
 from tuning.gains import gains_file
 from tuning.gains.gains_file import Whole, by_name
+from tuning.methods.adam import choose
 from tuning.methods.many_variables import Evaluated, descend
 from tuning.problem import ensemble as ensembles
 from tuning.problem import objectives
@@ -372,14 +373,9 @@ def _no_worse(own: Ended, less: Ended, *, alone: bool) -> Ended:
     worse = less.scored.merit < own.scored.merit if alone else np.full(len(own.scored.merit), False)
     if not alone and less.scored.merit.mean() < own.scored.merit.mean():
         worse = ~worse
-
-    def chosen(mine: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return np.where(worse.reshape(-1, *[1] * (np.ndim(mine) - 1)), other, mine)
-
-    targets, parameters = jax.tree.map(chosen, own.plan[1:], less.plan[1:])
-    return own._replace(
-        plan=Start(own.plan.name, targets, parameters), scored=jax.tree.map(chosen, own.scored, less.scored)
-    )
+    targets, parameters = choose(worse, less.plan[1:], own.plan[1:])
+    plan = Start(own.plan.name, targets, parameters)
+    return own._replace(plan=plan, scored=choose(worse, less.scored, own.scored))
 
 
 def _search(

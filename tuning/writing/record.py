@@ -17,8 +17,6 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import numpy as np
 from pydantic import BaseModel
 
 import mjx_climb as mc
@@ -59,11 +57,7 @@ def settings_of(problem: Problem, command: str, **asked: Any) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     """Return settings as a mapping, and an array, a gain of a file, as lists of numbers."""
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json")
-    if isinstance(value, (np.ndarray, np.generic, jax.Array)):
-        return value.tolist()
-    raise TypeError(f"expected settings or an array, got {type(value).__name__}")
+    return value.model_dump(mode="json") if isinstance(value, BaseModel) else value.tolist()
 
 
 def without_machine(identity: Settings) -> dict[str, Any]:
