@@ -26,7 +26,7 @@ from mjx_climb.execution.jax_internals import (
     with_inner,
 )
 from mjx_climb.execution.jax_types import Atom, Function, Parameters
-from mjx_climb.execution.simpler import is_made_simpler, simpler
+from mjx_climb.execution.simpler import rule_of, simpler
 
 
 def flat(program: core.ClosedJaxpr) -> core.ClosedJaxpr:
@@ -260,7 +260,7 @@ def evaluated(
 def _has_choices(jaxpr: core.Jaxpr) -> bool:
     return any(
         equation.primitive.name in _COMPARISONS
-        or is_made_simpler(equation, differentiated=True)
+        or rule_of(equation, differentiated=True) is not None
         or any(map(_has_choices, core.jaxprs_in_params(equation.params)))
         for equation in jaxpr.eqns
     )

@@ -36,7 +36,7 @@ def simpler(equation: core.JaxprEqn, *, differentiated: bool) -> core.ClosedJaxp
         equation: of a traced program.
         differentiated: whether the derivative is taken of the simpler program; JAX's own rules are better for matrices.
     """
-    if (rule := _rule_of(equation, differentiated)) is None:
+    if (rule := rule_of(equation, differentiated=differentiated)) is None:
         return None
     given = [jax.ShapeDtypeStruct(aval_of(atom).shape, aval_of(atom).dtype) for atom in equation.invars]
 
@@ -48,12 +48,8 @@ def simpler(equation: core.JaxprEqn, *, differentiated: bool) -> core.ClosedJaxp
         return jax.make_jaxpr(written)(*given)
 
 
-def is_made_simpler(equation: core.JaxprEqn, *, differentiated: bool) -> bool:
-    """Return whether `simpler` returns a program."""
-    return _rule_of(equation, differentiated) is not None
-
-
-def _rule_of(equation: core.JaxprEqn, differentiated: bool) -> Rule | None:
+def rule_of(equation: core.JaxprEqn, *, differentiated: bool) -> Rule | None:
+    """Return the rule by which `simpler` returns a program, None where it returns none."""
     name = equation.primitive.name
     rule = _CHOICES.get(name) or (None if differentiated else _MATRICES.get(name))
     return rule if rule is not None and _is_small(equation) else None

@@ -3,6 +3,7 @@
 import importlib
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,8 @@ def save_rrd(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
 
         for place, limb in enumerate(trajectory.limbs):
             forces = trajectory.foot_force[rows, place]
-            arrows(f"world/force/{limb}", trajectory.foot_position[rows, place], forces, _colors(forces, limit))
+            colors = _bytes([marks.color(force, limit) for force in forces])
+            arrows(f"world/force/{limb}", trajectory.foot_position[rows, place], forces, colors)
             force, support = np.linalg.norm(forces, axis=-1), trajectory.support[rows, place]
             for name, values in (("force", force), ("support", support)):
                 columns = rr.Scalars.columns(scalars=values.astype(float))
@@ -75,12 +77,8 @@ def save_rrd(trajectory: Trajectory, path: str | os.PathLike[str]) -> Path:
         return write_bytes_atomically(path, file.read_bytes())
 
 
-def _bytes(rgb: marks.RGB) -> np.ndarray:
+def _bytes(rgb: marks.RGB | Sequence[marks.RGB]) -> np.ndarray:
     return np.round(255 * np.asarray(rgb)).astype(np.uint8)
-
-
-def _colors(forces: np.ndarray, limit: float | None) -> np.ndarray:
-    return np.stack([_bytes(marks.color(force, limit)) for force in forces])
 
 
 def _log_bodies(rr: Any, stream: Any, walk: Trajectory, rows: np.ndarray, times: Any) -> None:
