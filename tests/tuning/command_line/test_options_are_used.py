@@ -19,7 +19,7 @@ import mjx_climb as mc
 from tests import approved
 from tests.shell import ROOT
 from tuning.command_line.options import SearchFile
-from tuning.command_line.program import COMMANDS, program
+from tuning.command_line.program import ARGUMENTS, COMMANDS, program
 from tuning.gains import gains_file, own_section
 from tuning.problem.search import Search
 
@@ -481,7 +481,12 @@ def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_
 def test_what_a_command_asks_for_is_what_was_approved(line, traced, folder, tmp_path, cpu_alone):
     """Calls of what takes long, draws or writes, with their arguments, and what is printed."""
     (tmp_path / "folder").mkdir()
-    text = shortened(traced(line)).replace(str(folder), "FOLDER").replace(str(tmp_path), "HERE")
+    before = ARGUMENTS.set(line.format(folder=folder, config=CONFIG).split())
+    try:
+        text = shortened(traced(line))
+    finally:
+        ARGUMENTS.reset(before)
+    text = text.replace(str(folder), "FOLDER").replace(str(tmp_path), "HERE")
     text = re.sub(r"\.out\.[0-9a-f]{8}", ".out", text.replace(str(ROOT), "ROOT"))
     name = re.sub(r"[^a-z0-9]+", "_", line.replace("{config}", "").replace("{folder}", "")).strip("_")
     approved.check(Path(__file__).parent / "approved" / "asked" / f"{name}.txt", text)
