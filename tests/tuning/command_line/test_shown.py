@@ -128,20 +128,25 @@ def test_a_search_tells_its_best_its_slope_and_the_walks_alive(monkeypatch):
     assert second.startswith("descent 3/9: best none feasible yet, 7 of 8 alive")
 
 
+@pytest.mark.parametrize("tables", [(), ("its own",)])
 @pytest.mark.parametrize("before", [None, types.SimpleNamespace(whole=False), types.SimpleNamespace(whole=True)])
-def test_a_first_result_is_written_unless_the_folder_holds_the_whole_one(before, monkeypatch, tmp_path):
+def test_a_first_result_is_written_unless_the_folder_holds_the_whole_one(before, tables, monkeypatch, tmp_path):
     shell, out = shell_of(monkeypatch)
     shown, written = [], []
     monkeypatch.setattr(shell, "show", lambda *what: shown.append(what))
     monkeypatch.setattr(session, "comparison_table", lambda *how: how)
+    monkeypatch.setattr(comparison, "gains_table", lambda *how: how)
     monkeypatch.setattr(record, "read", lambda place: before if place == tmp_path else 1 / 0)
     monkeypatch.setattr(folder, "write", lambda *given, **how: written.append((given, how)) or NAMED)
     shell.out, shell.name, shell.settings = tmp_path, "case", {"a": 1}
-    told = types.SimpleNamespace(compared="walks", outcome=("one", "two"))
+    told = types.SimpleNamespace(compared="walks", outcome=("one", "two"), tables=tables)
     problem = types.SimpleNamespace(metrics="metrics", law="law")
     made = types.SimpleNamespace(written=told, problem=problem)
-    shell.first_result(types.SimpleNamespace(problem=problem), made, "again", "the rivals")
-    assert shown == [(("walks", "pd", shell.tables.width, "metrics", "law"),), ("one", "two")]
+    search = None if before is None else "search"
+    shell.first_result(types.SimpleNamespace(problem=problem, search=search), made, "again", "the rivals")
+    of_walks = [(("walks", "pd", shell.tables.width, "metrics", "law"),)]
+    of_walks += [] if search is None else [(("walks", "law"),)]
+    assert shown == [*([tables] if tables else of_walks), ("one", "two")]
     if before is not None and before.whole:
         assert not written and shell.lacks == "" and not out.getvalue()
         return
