@@ -151,16 +151,18 @@ def test_a_law_hears_what_sensors_and_servos_say_and_when():
     begun = State(
         reference.base_position, reference.base_orientation, jnp.zeros(3), jnp.zeros(3), jnp.asarray(rest), 0 * rest
     )
-    memory = control_loop.begin(controller, ROBOT, begun, reference)
+    memory = jax.jit(lambda: control_loop.begin(controller, ROBOT, begun, reference))()
     assert (memory.sensor_watch is None, memory.reports is None) == (False, False)
-    support = jnp.array([True, True, False, True])
-    wanted = np.asarray(inverse_kinematics(GEOMETRY, (FEET - BASE) @ axes).joint_angles)
+    support = np.array([True, True, False, True])
+    wanted = np.asarray(jax.jit(inverse_kinematics)(GEOMETRY, (FEET - BASE) @ axes).joint_angles)
     history = {name: [value] for name, value in zip(
         SERVOS, (rest, 0 * rest, 0 * rest, (FEET - BASE) @ axes), strict=True)}  # fmt: skip
     rises, torque, targets = [], 0 * rest, [rest]
     # LH has been silent for so long that it is lost after two samples more; then it reads again
     watch = watching.begin(jnp.asarray(FEET))._replace(doubt=jnp.array([-0.1, 0.0935, -0.1, -0.1]))
     memory = memory._replace(sensor_watch=watch)
+
+    watched = jax.jit(watching.watched)
 
     @jax.jit
     def passed(memory, state, lever, force, moment, felt, n):
@@ -177,7 +179,7 @@ def test_a_law_hears_what_sensors_and_servos_say_and_when():
         angles, rates = rest + random.normal(0, 0.1, (4, 3)), random.normal(0, 0.1, (4, 3))
         base = BASE + random.normal(0, 0.1, 3), turn, random.normal(0, 1, 3), random.normal(0, 1, 3)
         lever = FEET + random.normal(0, 0.1, (4, 3)) - base[0]
-        state = State(*(jnp.asarray(each) for each in (*base, angles, rates)))
+        state = State(*base, angles, rates)
         memory, _, _, drive = passed(memory, state, lever, force, moment, by_effort, n)
         bases.append(base)
         for name, value in zip(SERVOS, (angles, rates, torque, lever @ axes), strict=True):
@@ -186,9 +188,10 @@ def test_a_law_hears_what_sensors_and_servos_say_and_when():
         read[n >= np.round(dead / STEP)] = 0.0
         rises.append(float(watch.kp_rise))  # sent with the law's command, a step later
         if n % PERIOD == 0:
-            watch, believed, known = watching.watched(watch, jnp.asarray(read), support, PERIOD * STEP)
+            watch, believed, known = watched(watch, read, support, PERIOD * STEP)
             rises[-1] = float(watch.kp_rise)
-            wrench = base_wrench_of_foot_force(jnp.asarray(lever), believed, jnp.asarray(moment))
+            about = np.cross(lever, believed) + moment
+            wrench = np.concatenate([np.sum(believed, axis=0), about.sum(0)])
             heard = memory.law
             np.testing.assert_allclose(heard.foot_force, believed)
             np.testing.assert_allclose(heard.wrench, wrench * known, atol=1e-12)
