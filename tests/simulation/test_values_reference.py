@@ -263,6 +263,9 @@ def test_each_key_of_a_scenario_is_the_parameter_of_its_path():
     np.testing.assert_array_equal(own.at("gravity"), scenario.gravity)
     assert {"disturbance.pushes.0.force", "disturbance.pushes.1.moment", "disturbance.cargo.mass"} <= own.paths.keys()
     told = paths(scenario)
+    limit = {"unit": "N", "bounds": (0.0, math.inf), "shape": (), "value": scenario.contact.holding_limit}
+    meaning = "holding limit of a gripper, which lets go of a stronger pull"
+    assert told["contact.holding_limit"] == {**limit, "meaning": meaning}
     assert told["hardware.servo.torque_limit"]["value"] == 3.0 and told["disturbance.cargo.mass"]["unit"] == "kg"
     assert told["gravity"]["shape"] == (3,) and own.units["control.kp"][0] == "N m/rad" and {*told} == {*own.paths}
     assert all(np.asarray(v).dtype == np.float32 for v in parameters(scenario, jnp.float32).values.values())
