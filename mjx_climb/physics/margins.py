@@ -77,7 +77,7 @@ def tumbling_moment(axes: Axes, net_wrench: tuple[Array, Array], holding_force: 
         pulls = axes.held & (axes.normal[..., 2] > 0.0)
         arms = jnp.where(pulls, norm(axes.normal), 0.0)
     # of two feet none is off the axis, and JAX has no tangent of a maximum over nothing
-    longest = (arms.max(1, initial=0.0) if arms.shape[1] else jnp.zeros_like(length)) / length
+    longest = (arms.max(1) if arms.shape[1] else jnp.zeros_like(length)) / length
     # ClimbLab's M_ab = tumbling / length - holding is negative while the axis is stable.
     holding = longest if on_holds else holding_force * longest
     return _smallest_over_axes(holding - tumbling / length, axes)

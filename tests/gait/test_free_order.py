@@ -3,19 +3,36 @@
 import dataclasses
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mjx_climb as mc
+from mjx_climb.gait.chosen_footholds import situation_of
 from mjx_climb.gait.footholds.farthest import Farthest
 from mjx_climb.gait.footholds.footholds import Prospects
+from mjx_climb.gait.footholds.nearest import Nearest
 from mjx_climb.gait.free_order import FreeOrder, first_largest
 from mjx_climb.ground.ground import Ground
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.inverse_kinematics import limb_geometry
 from tests.gait.test_planner import NO_PUSH, SOFT, holds
-from tests.gait.test_planner_decisions import FEET, MOVES, PERIOD, PLAN, ROBOT, STEP, begun, planner_of
+from tests.gait.test_planner_decisions import (
+    BASE,
+    FEET,
+    MOVES,
+    PERIOD,
+    PLAN,
+    ROBOT,
+    STEP,
+    begun,
+    body_of,
+    ground_of,
+    nested,
+    planner_of,
+    reaches,
+)  # fmt: skip
 
 # a limb swings for 0.2 s, and all stand for 0.1 s
 WALK = {
@@ -75,3 +92,37 @@ def test_the_limb_that_can_go_farthest_is_next(case):
     lifted = [int((~walk.support[:, limb]).argmax()) for limb in range(4)]
     assert lifted[2] < lifted[3] < lifted[0]
     np.testing.assert_allclose(walk.grip_point[-1][ways > 0], points, rtol=0, atol=1e-3)
+
+
+def test_prospects_are_those_of_a_loop_over_holds():
+    """Behind and ahead, near and far, in reach or not, and at another limb's foot; the last hold is padding."""
+    random, advance = np.random.default_rng(12), np.array([0.16, 0.01, 0.0])
+    points = (FEET + random.uniform(-0.12, 0.12, (8, 4, 3)) * [1, 0.4, 0]).reshape(-1, 3)
+    feet = FEET - [0.12, 0.0, 0.0]
+    feet[1] = FEET[0] + [0.04, 0.0, 0.0]  # before the first limb
+    points = np.vstack([points, feet, points[:1]])
+    planner = planner_of(rule=Nearest(reach_a_stride_on=False), holds=ground_of(points, random), free=True)
+    ways = jnp.zeros(3), jnp.asarray(advance)
+
+    @jax.jit
+    def found(memory, body):
+        return planner.prospects(situation_of(PLAN, memory, body, ways[1]), body, ways)
+
+    prospects = found(nested(begun(planner, goal=feet)), body_of())
+    forward, there = advance / np.linalg.norm(advance), reaches(points, BASE)
+    farthest, near, in_vain = np.full(4, -np.inf), np.zeros(4), np.zeros(4)
+    for limb in range(4):
+        ahead, worth, may = [], [], []
+        for number, point in enumerate(points[:-1]):
+            step = point - feet[limb]
+            free = all(np.linalg.norm(point - feet[other]) > 1e-3 for other in range(4) if other != limb)
+            may.append(there[limb, number] and free)
+            worth.append(-np.sum((point - feet[limb] - advance) ** 2))
+            ahead.append(there[limb, number] and step @ forward > 0 and np.linalg.norm(step) <= 0.2)
+            farthest[limb] = max(farthest[limb], step @ forward) if may[-1] else farthest[limb]
+        best = max((w for w, m in zip(worth, may, strict=True) if m), default=-np.inf)
+        near[limb], in_vain[limb] = sum(ahead), sum(a and w > best for a, w in zip(ahead, worth, strict=True))
+    np.testing.assert_allclose(prospects.farthest, farthest)
+    np.testing.assert_array_equal(prospects.near, near)
+    np.testing.assert_array_equal(prospects.in_vain, in_vain)
+    assert in_vain.any() and (near < there.sum(1)).all()

@@ -637,6 +637,25 @@ def test_a_file_that_begins_at_a_foot(saved):
         propose(turned, base="torso")
 
 
+def test_constraints_of_a_robot_that_is_turned_round_bind_what_they_bound(saved):
+    constraints = """<equality><joint name="mimic" joint1="L0_1" joint2="L2_1" polycoef="0.1 2 0 0 0" active="false"/>
+      <joint name="alone" joint1="L0_2"/><connect name="loop" site1="foot0" site2="foot2"/>
+      <weld name="weld" body1="L0_2" body2="L1_2" active="false"/></equality></mujoco>"""
+    model = model_of(saved(climbers.mjcf(4, 3).replace("</mujoco>", constraints)))
+    told = []
+    for each in (model, rerooted(model, "L1_2").compile()):
+        kinds = [mujoco.mjtObj.mjOBJ_JOINT] * 2 + [mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY]
+        ends = [
+            [mujoco.mj_id2name(each, kind, int(ids[n])) for ids in (each.eq_obj1id, each.eq_obj2id)]
+            for n, kind in enumerate(kinds)
+        ]
+        names = [each.equality(n).name for n in range(each.neq)]
+        told.append(
+            (names, ends, each.eq_type.tolist(), each.eq_active0.tolist(), each.eq_data[:, :11].round(9).tolist())
+        )
+    assert told[0] == told[1] and told[0][1][:2] == [["L0_1", "L2_1"], ["L0_2", None]]
+
+
 def test_one_row_of_joints_begins_at_a_foot(saved):
     """Its base is in the middle, and what hangs on it either way are the limbs."""
     text = rerooted(model_of(saved(climbers.mjcf(2, 7))), "L0_6").to_xml()
