@@ -7,6 +7,7 @@ equations as they are.
 
 import functools
 import itertools
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, TypedDict, TypeVar, Unpack
@@ -202,6 +203,12 @@ def _tangents_vary(how: _Linear) -> list[Has]:
     return [tuple(map(any, zip(*each, strict=True))) for each in zip(along, found, strict=True)]
 
 
+def _shared_out(value: Array, has: Has, wanted: Has, batch: tuple[int, ...]) -> Array:
+    """Return a value in equal parts over the batch axes that it lacks: their sum is the value."""
+    lacking = math.prod(size for size, h, w in zip(batch, has, wanted, strict=True) if w and not h)
+    return value if has == wanted else with_axes(value / lacking, has, wanted, batch)
+
+
 def _tangents_made(*values: Array, **how: Unpack[_Linear]) -> list[Array]:
     both, _ = tangents_of(how["program"], how["moving"])
     batch, varies, regions = how["batch"], how["varies"], how["regions"]
@@ -223,8 +230,12 @@ def _tangents_transposed(
     count, program, batch = len(how["moving"]), how["program"], how["batch"]
     given = iter(zip(weights, _tangents_vary(how), strict=True))
     along = [next(given) if moves else None for moves in how["moved"]]
-    some = [each for each in along if each is not None and not isinstance(each[0], ad.Zero)]
+    given_weights = [each for each in along if each is not None]
+    some = [(weight, has) for weight, has in given_weights if not isinstance(weight, ad.Zero)]
     weighed = tuple(each is not None and not isinstance(each[0], ad.Zero) for each in along)
+    # a result of all robots counts once, not once for each
+    axes = tuple(map(any, zip(*how["varies"][:count], *(has for _, has in some), strict=True)))
+    some = [(_shared_out(weight, has, axes, batch), axes) for weight, has in some]
     back = with_gradients(program, how["moving"], weighed, values=False)
     varies = (*how["varies"][:count], *(has for _, has in some))
     arguments = *values[:count], *(value for value, _ in some)

@@ -243,6 +243,12 @@ def test_a_folder_in_which_another_user_may_have_put_a_file_is_not_used(folder, 
     assert next(machine.cache()).findings == [cache.doubt(folder)]
 
 
+def test_where_nobody_else_comes_in_it_does_not_matter_who_may_write(folder):
+    (folder / "programs").chmod(0o777)
+    folder.chmod(0o700)
+    assert cache.doubt(folder) is None
+
+
 @pytest.mark.nightly
 def test_a_folder_that_is_made_here_lets_nobody_else_in(run, tmp_path, monkeypatch):
     """Whatever the user's umask."""

@@ -46,6 +46,12 @@ def test_a_gait_that_was_worked_out_for_its_own_values_is_fixed(tmp_path):
     assert why_fixed(low, ["gait.duty"]) == (
         "gait.duty: expected none, as gait.swing: low_reaction is computed for the scenario's own gait"
     )
+    np.save(tmp_path / "map.npy", np.zeros((2, 2)))
+    ground = {"file": str(tmp_path / "map.npy"), "resolution": 9.0, "origin": [-4.5, -4.5]}
+    mapped = CASE.with_overrides({"ground.map": ground})
+    for key in own_gait(CASE):
+        fixed = f"{key}: expected none, as a map's footholds are computed for the scenario's own gait"
+        assert why_fixed(mapped, ["gait.duty", key]) == (fixed if key in ("gait.cycle", "gait.stride") else "")
     with pytest.raises(ValueError, match=r"^gains.gait.duty: expected none, as gait.swing"):
         with_gait(low, own_parameters(low), {"gait.duty": 0.8})
 

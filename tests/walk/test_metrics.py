@@ -115,9 +115,15 @@ def test_metrics_are_what_numpy_makes_of_the_samples():
     assert found["least_forward_speed"] < 0 < found["largest_forward_speed"]
 
 
-def test_companions_are_means_over_instants_and_feet_or_joints():
-    """The power mean of order 32; of what may be negative a log-sum-exp in hundredths of the first value."""
+@pytest.mark.parametrize("size", [1.0, 1e12])
+def test_companions_are_means_over_instants_and_feet_or_joints(size):
+    """The power mean of order 32; of what may be negative a log-sum-exp in hundredths of the first value.
+
+    No power of a large force overflows.
+    """
     samples = samples_of(0)
+    large = {name: size * getattr(samples, name) for name in ("foot_force", "joint_torque")}
+    samples = dataclasses.replace(samples, **large)
     found, (_, peaks, least) = evaluated(samples), expected_of(samples)
     least["largest_forward_speed"] = -least["least_forward_speed"]
     for name, values in peaks.items():
