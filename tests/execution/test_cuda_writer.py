@@ -19,7 +19,7 @@ from jaxtyping import Float
 from mjx_climb.control import law_of
 from mjx_climb.execution import of_limbs
 from mjx_climb.execution.adjoint import with_gradients
-from mjx_climb.execution.cuda_writer import FUNCTIONS, READ
+from mjx_climb.execution.cuda_writer import FUNCTIONS, READ, literal
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import tangents_of
 from mjx_climb.execution.gpu_kernel import body_of, side_by_side, written
@@ -146,6 +146,18 @@ def exchanges(step, size=1):
         program = jax.make_jaxpr(function)(np.ones((4, size), "f4"), np.ones(4, "f4"))
     text = written(body_of(program), (False, False)).text
     return text.split("#pragma unroll 1")[1].count("__shfl_")
+
+
+def test_a_number_is_written_with_all_its_bits():
+    """Infinities and what is no number by theirs, of IEEE 754."""
+    for value in (np.inf, -np.inf, np.nan):
+        (bits,) = re.fullmatch(r"__int_as_float\(0x([0-9a-f]{8})\)", literal(np.float32(value))).groups()
+        np.testing.assert_array_equal(np.array(int(bits, 16), np.uint32).view(np.float32), np.float32(value))
+    for value in np.random.default_rng(0).normal(size=20).astype(np.float32):
+        (text,) = re.fullmatch(r"\((\S+)f\)", literal(value)).groups()
+        assert np.float32(text) == value
+    whole = np.int32(-7), np.uint32(7), np.bool_(True), np.bool_(False)
+    assert [*map(literal, whole)] == ["((int)-7)", "((unsigned)7u)", "true", "false"]
 
 
 def test_an_extreme_keeps_a_nan_on_either_side(tmp_path):

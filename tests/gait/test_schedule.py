@@ -10,7 +10,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD, law_of
 from mjx_climb.execution.batch_axes import over_batch, own_axes
 from mjx_climb.gait import schedule as gait
-from mjx_climb.gait.base_path import sway_of, swayed
+from mjx_climb.gait.base_path import check_base, sway_of, swayed
 from mjx_climb.gait.periodic import Periodic
 from mjx_climb.gait.swing import COUNT, added_shapes
 from mjx_climb.hardware.stages import hardware_of, stages_of
@@ -327,3 +327,16 @@ def test_a_plan_is_its_settings_turned_to_the_heading():
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-12), found.sway, sway)
     np.testing.assert_allclose(plain.base_start, turn @ np.asarray(robot.stance_position), atol=1e-12)
     assert plain.sway is plain.landing is None
+
+
+def test_a_base_that_no_foot_could_follow_is_refused_with_how_far_it_could_go():
+    def checked(height):
+        check_base(mc.Scenario().with_overrides({"gait.height": height}))
+
+    checked(1.02)
+    with pytest.raises(mc.ConfigError, match=r"gait\.height: expected at most .*, got 3$") as refused:
+        checked(3.0)
+    limit = float(str(refused.value).split("at most ")[1].split(",")[0])
+    checked(0.99 * limit)
+    with pytest.raises(mc.ConfigError):
+        checked(1.01 * limit)
