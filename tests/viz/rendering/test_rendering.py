@@ -566,6 +566,11 @@ def test_the_viewer_shows_walk_after_walk_with_a_pause(monkeypatch):
     monkeypatch.setattr(film, "time", still)
     rendering.view(*walks, until=lambda: True)
     assert next(clock) == 1 and not shown  # asked before the first picture
+    window.is_running = lambda: len(shown) < 3
+    rendering.view(*walks, rounds=1)
+    assert len(shown) == 3  # closed by its user
+    window.is_running, clock = lambda: True, itertools.count()
+    shown.clear()
     rendering.view(*walks, rounds=1)
     start = canvas.follower(walks, surroundings.model(walks), 1.5)(walks[0], 0.0)
     assert (window.cam.distance, window.cam.azimuth, window.cam.elevation) == (start.distance, 98, -38)
