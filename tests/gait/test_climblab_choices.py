@@ -168,26 +168,34 @@ def test_each_option_decides_some_choices(name):
     assert (same == 1) == (name == "base_must_follow") and same > 0.9
 
 
-def test_the_table_of_reach_has_climblabs_rows():
-    """At a height the row counts that is nearest, of rows every half degree with the other joint at an end."""
-    table, height = height_table(ROBOT, limb_geometry(ROBOT)), np.linspace(-0.25, 0.3, 2000)
-    lower, upper = np.degrees(ROBOT.joint_lower[0]), np.degrees(ROBOT.joint_upper[0])
-    femur, tibia = (np.arange(lower[n], upper[n] + 0.25, 0.5) for n in (1, 2))
+@pytest.mark.parametrize("femur_lower", [None, -2.2])
+def test_the_table_of_reach_has_climblabs_rows(femur_lower):
+    """At a height the row counts that is nearest, of rows every half degree with the other joint at an end.
 
-    def rows(femur, tibia):
-        """Distance from the first joint in the limb's plane, and height, by forward kinematics."""
-        joints = np.zeros((max(np.size(femur), np.size(tibia)), 4, 3))
-        joints[..., 1], joints[..., 2] = np.radians(femur)[..., None], np.radians(tibia)[..., None]
-        foot = np.asarray(limb_frames(ROBOT, None, joints).foot)[:, 0] - ROBOT.frame_position[0, 0]
-        return np.column_stack([foot[:, :2] @ np.sqrt([0.5, 0.5]), foot[:, 2]])
-
-    far = np.vstack([rows(lower[1:2], tibia), rows(femur, upper[2:])])
-    lowest = far[:, 1].argmin()
-    near = np.vstack([far[: lowest + 1], rows(femur, lower[2:]), rows(upper[1:2], tibia)])
+    Also where one limb's femur goes so far that its lowest row is of another joint than the others' lowest.
+    """
+    robot, lower = ROBOT, np.array(ROBOT.joint_lower)
+    if femur_lower is not None:
+        lower[1, 1] = femur_lower
+        robot = dataclasses.replace(ROBOT, joint_lower=lower)
+    table, height = height_table(robot, limb_geometry(robot)), np.linspace(-0.25, 0.3, 500)
     each = jax.jit(jax.vmap(lambda z: [outward(arcs, jnp.full(4, z)) for arcs in (table.near, table.far)]))(height)
-    for found, (out, up) in zip(each, (near.T, far[lowest:].T), strict=True):
-        want = out[abs(up - height[:, None]).argmin(1)]
-        np.testing.assert_allclose(found, np.tile(want[:, None], 4), rtol=0, atol=1e-9)
+    for limb in (0, 1):
+        low, high = np.degrees(robot.joint_lower[limb]), np.degrees(robot.joint_upper[limb])
+        femur, tibia = (np.arange(low[n], high[n] + 0.25, 0.5) for n in (1, 2))
+
+        def rows(femur, tibia, limb=limb):
+            """Distance from the first joint in the limb's plane, and height, by forward kinematics."""
+            joints = np.zeros((max(np.size(femur), np.size(tibia)), 4, 3))
+            joints[..., 1], joints[..., 2] = np.radians(femur)[..., None], np.radians(tibia)[..., None]
+            foot = np.asarray(limb_frames(robot, None, joints).foot)[:, limb] - robot.frame_position[limb, 0]
+            return np.column_stack([foot[:, :2] @ (np.sqrt([0.5, 0.5]) * [(1, 1), (-1, 1)][limb]), foot[:, 2]])
+
+        far = np.vstack([rows(low[1:2], tibia), rows(femur, high[2:])])
+        lowest = far[:, 1].argmin()
+        near = np.vstack([far[: lowest + 1], rows(femur, low[2:]), rows(high[1:2], tibia)])
+        for found, (out, up) in zip(each, (near.T, far[lowest:].T), strict=True):
+            np.testing.assert_allclose(found[:, limb], out[abs(up - height[:, None]).argmin(1)], rtol=0, atol=1e-9)
 
 
 def test_a_limb_reaches_no_nearer_and_no_farther_than_its_rows_and_turns_within_its_yaw_limits():

@@ -40,6 +40,19 @@ def test_a_graspability_map_has_the_limits_as_colours():
     assert bar.get_ylabel() == "holding limit [N]"
 
 
+@pytest.mark.parametrize(("sides", "inches"), [
+    ((2.0, 1.0, 0.5), (2.2 * 1.1 / 2.1, 2.2 * 0.6 / 2.1)), ((1.0, 9.0, 0.0), (7.0, 0.3)),
+])  # fmt: skip
+def test_a_graspability_map_is_to_scale(sides, inches):
+    """With 0.1 m more, from above and from the side, no flatter than 0.3 inch and no higher than two columns."""
+    figure = plots.plot_holds(of(np.array([[0.0, 0, 0], sides]), limit=np.array([1.0, 2.0]), count=3))
+    assert figure.get_size_inches() == pytest.approx((3.5, 0.9 + sum(inches)))
+    side, above, _ = figure.axes
+    assert side.get_gridspec().get_height_ratios() == pytest.approx([*inches[::-1]])
+    assert (side.get_ylabel(), above.get_ylabel(), above.get_xlabel()) == ("z [m]", "y [m]", "x [m]")
+    assert side.get_aspect() == above.get_aspect() == 1
+
+
 def test_the_feet_are_drawn_over_what_can_be_held(walk):
     """Walking along y, ahead is y and to the left is -x, in mm from where the base starts."""
     side, above, bar = plots.plot_feet(walk).axes

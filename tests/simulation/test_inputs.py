@@ -152,6 +152,8 @@ def test_directions_have_an_axis_before_those_of_the_robots():
     assert found["kp"].shape == (4, 2)
     shared = resolved_directions(resolved, gains, {"damping": np.ones((2, 1, 6)), "kp": np.ones((2, 1))})
     assert shared["damping"].shape == (4, 2, 6) and shared["kp"].shape == (4, 2)
+    alike = resolved_directions(resolved, gains, {"damping": np.arange(8.0).reshape(2, 4, 1)})["damping"]
+    np.testing.assert_array_equal(alike, np.broadcast_to(np.arange(8.0).reshape(2, 4, 1).swapaxes(0, 1), (4, 2, 6)))
     for rates, said in (({"damping": np.ones((2, 6))}, r"damping: expected shape \(2, 4, 6\)"),
                         ({"damping": np.ones((3, 4, 6)), "kp": np.ones((2, 4))}, r"kp: expected shape \(3, 4\)"),
                         ({"damping": np.ones((2, 3, 6))}, r"damping: expected shape \(2, 4, 6\)")):  # fmt: skip
