@@ -7,7 +7,7 @@ import operator
 import os
 from collections.abc import Callable, ItemsView, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
@@ -742,6 +742,14 @@ class Scenario(v.Section):
     disturbance: Disturbance = setting(Disturbance(), "cargo and pushes")
     hardware: Hardware = setting(Hardware(), "sensors, rate, bus and servos; ideal ones by default")
     own: Own | None = setting(None, "law, metrics, objective and method of your own: files are run")
+
+    if TYPE_CHECKING:  # the keywords, for type checkers: pydantic takes the values of YAML too
+
+        def __init__(
+            self, *, robot: Any = ..., gravity: Any = ..., duration: float = ..., time_step: float = ...,
+            gait: Any = ..., ground: Any = ..., contact: Any = ..., control: Any = ..., disturbance: Any = ...,
+            hardware: Any = ..., own: Any = ...,
+        ) -> None: ...  # fmt: skip
 
     @model_validator(mode="after")
     def _gains_of_registers(self) -> Scenario:

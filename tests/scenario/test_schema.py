@@ -1,7 +1,9 @@
 """The schema for editors: it takes what the loader takes, and refuses what the loader refuses."""
 
+import ast
 import contextlib
 import importlib.util
+import inspect
 import io
 import json
 import re
@@ -90,3 +92,9 @@ def test_every_key_is_described(schema):
     for name, section in [*schema.schema["$defs"].items(), ("Scenario", schema.schema)]:
         for key, value in section.get("properties", {}).items():
             assert value.get("description"), f"{name}.{key}"
+
+
+def test_type_checkers_know_the_keywords_of_a_scenario():
+    nodes = ast.walk(ast.parse(inspect.getsource(mc.Scenario)))
+    (init,) = [node for node in nodes if isinstance(node, ast.FunctionDef) and node.name == "__init__"]
+    assert [argument.arg for argument in init.args.kwonlyargs] == [*mc.Scenario.model_fields]
