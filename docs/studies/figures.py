@@ -81,18 +81,6 @@ def part_of_ceiling(servos: str, case: str) -> float:
     return 100 * (pd - law) / (pd - plan)
 
 
-def no_room() -> str:
-    """Return in a sentence how far ahead of load transfer the plan that knows all is on the searched gaits."""
-    first, second, third = (
-        100 * (1 - ceiling(place, "clairvoyant") / ceiling(place, "load_transfer"))
-        for place in (f"dynamixel_x_{case}_searched_gait" for case in CASES)
-    )
-    return (
-        f"The searched gaits leave little room: even the plan that knows all is {first:.1f}, {second:.1f} and "
-        f"{third:.0f} % ahead of load transfer"
-    )
-
-
 def listed(values: Sequence[float]) -> str:
     """Return values as "12, 11 and 14"."""
     *first, last = (f"{value:.0f}" for value in values)
@@ -131,7 +119,6 @@ def texts() -> dict[Path, list[str]]:
             f"robots {listed(leads['ideal'])} %.",
             f"On the gaits found on `dynamixel_x` that is {listed(parts)} % of what joint targets take off that know "
             "all in advance",
-            no_room(),
             *_searched(),
             *_plans(),
         ],
