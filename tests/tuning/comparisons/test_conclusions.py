@@ -10,6 +10,7 @@ import xarray as xr
 import mjx_climb as mc
 from mjx_climb.control import LoadTransfer, PlannedTransfer
 from tuning.comparisons import maps, of_ensemble, of_laws, of_search, of_sweep, verification
+from tuning.comparisons import worth as worths
 from tuning.comparisons.side_by_side import AtOneStep
 from tuning.problem import spaces
 from tuning.problem.ensemble import Ensemble, Worst
@@ -383,3 +384,19 @@ def test_laws_results_are_by_their_searches():
     assert dataclasses.replace(found, searched={"a": (far, unsettled), "b": (far, far)}).unsettled == ["a"]
     walks = found.data.assign_coords(gains=["a", "b", "half the friction", "pd"])
     assert dataclasses.replace(found, data=walks).hardware == ["half the friction"]
+
+
+def test_the_worth_of_a_sensor_is_unknown_where_one_of_the_values_is():
+    values = {"objective": 0.3, "force_variation": 30.0}
+    for lost in values:
+        found = worths.worth_of(values, {"objective": 0.4, "force_variation": 40.0} | {lost: np.nan}, RIVAL)
+        than = "pd with kp 17, kd 1, which needs none"
+        assert found.in_words == f"the force sensor: not to be compared with {than}: a walk failed"
+
+
+@pytest.mark.parametrize(("plan", "name"), [(0.45, "retuned_pd"), (0.35, "planned_unsearched")])
+def test_searches_are_compared_where_both_were_made(plan, name):
+    """The plan on pd's joint gains was not searched: where it is the rival, ends of searches tell nothing."""
+    best = worths.best_without(searched(), (PD, None), {"retuned_pd": 0.4, "planned_unsearched": plan})
+    assert best.name == name and best.pd is None
+    assert best.ends == (worths.Ends([0.3] * 4, [0.4] * 4) if name == "retuned_pd" else None)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import mjx_climb as mc
 from tests.tuning.identification.coverage import width_of
 from tests.tuning.identification.recorded import ROBOT
-from tuning.identification.fit import inference, report
+from tuning.identification.fit import inference, output, report
 from tuning.identification.fit.conclusions import identified
 from tuning.identification.fit.identify import _other_frictions, begins, rough_noise, searched
 from tuning.identification.fit.inference import Whiteness
@@ -597,3 +597,30 @@ def test_other_dry_frictions_are_a_third_and_three_times_and_the_nominal_one_wit
     found = [*_other_frictions(SimpleNamespace(model=SimpleNamespace(variables=every)), point)]
     np.testing.assert_allclose([each[1] for each in found[:2]], [0.2 / 3, 0.6])
     np.testing.assert_allclose([np.exp(each[3]) for each in found[2:]], [0.1, 0.9])
+
+
+def test_members_are_drawn_from_what_the_scenario_has_of_a_fit_and_times_are_none_below_zero():
+    every = [
+        Variable("hardware.command_delay", "s", 0.0, 0.0, 0.01, -0.001, 0.02),
+        Variable("robot.LF.coxa.friction", "N m", 0.3, 0.3, 1.0, 0.0, 1.0),
+        Variable("contact.stiffness", "N/m", 1e4, math.log(1e4), 1.0, 10.0, 1e7, log=True),
+        Variable("gravity.tilt_x", "rad", 0.0, 0.0, 0.1, -0.5, 0.5),
+        Variable("log.clock", "s", 0.0, 0.0, 1.0, 0.0, 1.0),
+    ]  # fmt: skip
+    model = SimpleNamespace(
+        parameters=SimpleNamespace(paths={each.key: None for each in every[::2][:2]}), variables=every
+    )
+    covariance = np.arange(25.0).reshape(5, 5) + np.arange(25.0).reshape(5, 5).T
+    found = SimpleNamespace(
+        model=model, fitted=SimpleNamespace(x=np.arange(5.0)), posterior=SimpleNamespace(covariance=covariance),
+        estimates=dict.fromkeys(each.key for each in every),
+    )  # fmt: skip
+    made = output.ensemble_of(found)
+    assert (made.pushes, made.cargo, made.gravity, made.grip_stiffness, made.robot_mass) == (
+        None, None, None, (1.0, 1.0), (1.0, 1.0)
+    )  # fmt: skip
+    drawn = made.posterior
+    assert drawn.keys == ("hardware.command_delay", "contact.stiffness", "gravity.tilt_x")
+    assert (drawn.log, drawn.mean, drawn.held) == ((False, True, False), (0.0, 2.0, 3.0), ("robot.LF.coxa.friction",))
+    assert (drawn.lower, drawn.upper) == ((0.0, 10.0, -0.5), (0.02, 1e7, 0.5))
+    np.testing.assert_array_equal(drawn.covariance, covariance[[0, 2, 3]][:, [0, 2, 3]])
