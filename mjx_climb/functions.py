@@ -22,6 +22,7 @@ from mjx_climb.physics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import Robot
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.scenario.values import G
 from mjx_climb.shapes import check_shape
 from mjx_climb.simulation import Simulation
 from mjx_climb.trajectory import Trajectory, named
@@ -162,7 +163,7 @@ def _with_room(values: np.ndarray, room: int) -> np.ndarray:
     return whole
 
 
-STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+STANDARD_GRAVITY = (0.0, 0.0, -G)
 
 
 def forward_dynamics(

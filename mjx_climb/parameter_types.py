@@ -14,6 +14,7 @@ from jaxtyping import Real
 
 from mjx_climb.arrays import AnyArray, namespace
 from mjx_climb.component import Component
+from mjx_climb.scenario.values import MAX_GRAVITY
 from mjx_climb.value_field import POSITIVE, ValueField
 
 # batch axes of one gain need not be those of another: they broadcast
@@ -21,7 +22,6 @@ _Values = Array | np.ndarray
 _Gain = Real[_Values, ""] | Real[_Values, "... 1"] | Real[_Values, "... 6"] | float
 _JointGain = Real[_Values, "..."] | float
 _Scalar = Real[_Values, "..."]
-MAX_GRAVITY = 1e4  # m/s^2, a thousand G
 ROUNDING = 2.0**-21  # of a number of steps: the error of single precision
 
 

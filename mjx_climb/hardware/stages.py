@@ -13,6 +13,7 @@ from mjx_climb.component import given
 from mjx_climb.hardware.bus import Buffer, buffer_length, period_steps, weights
 from mjx_climb.parameter_types import SECTIONS, Parameters
 from mjx_climb.robot.constants import Robot
+from mjx_climb.scenario.declared import JOINT_GAINS
 
 _SERVO = SECTIONS["drive"]
 # by the names of buffers: the path of their delay
@@ -22,7 +23,6 @@ DELAYED = {
     "command": "hardware.command_delay",
     "servo": f"{_SERVO}.delay",
 }
-_JOINT_GAINS = ("kp", "kd", "ki", "safe_kp")
 _QUADRATIC = ("quadratic_load_friction", "quadratic_external_load_friction")
 _STRIBECK = ("stribeck_friction", "stribeck_load_friction", "stribeck_external_load_friction", *_QUADRATIC)
 _OF_LOAD = ("external_load_friction", "stribeck_external_load_friction", *_QUADRATIC)
@@ -222,7 +222,7 @@ def hardware_of(parameters: Parameters, stages: Stages, time_step: float, robot:
     limit, stall = ("current_limit", "torque_limit") if stages.voltage else ("torque_limit", "")
     loop = SECTIONS["joint_loop"]
     for path, own, combined in (
-        *((f"{loop}.{gain}", "driven", jnp.multiply) for gain in _JOINT_GAINS),
+        *((f"{loop}.{gain}", "driven", jnp.multiply) for gain in JOINT_GAINS),
         (f"{_SERVO}.{stall}", "driven", jnp.multiply), (f"{_SERVO}.{limit}", "torque_limit", jnp.minimum),
         (f"{_SERVO}.coulomb_friction", "friction", jnp.add), (f"{_SERVO}.viscous_friction", "damping", jnp.add),
     ):  # fmt: skip
@@ -242,5 +242,5 @@ def _at_supply_voltage(parameters: Parameters, stages: Stages) -> Parameters:
     known = jnp.isfinite(servos.supply_voltage) & jnp.isfinite(servos.rated_voltage)
     supply, rated = (jnp.where(known, volts, 1.0) for volts in (servos.supply_voltage, servos.rated_voltage))
     paths = [f"{_SERVO}.torque_limit", f"{_SERVO}.no_load_speed"]
-    paths += [f"{SECTIONS['joint_loop']}.{gain}" for gain in _JOINT_GAINS] if stages.voltage else []
+    paths += [f"{SECTIONS['joint_loop']}.{gain}" for gain in JOINT_GAINS] if stages.voltage else []
     return parameters.replace_alone({path: parameters.at(path) * (supply / rated) for path in paths})

@@ -19,13 +19,13 @@ from mjx_climb.gait.recovery import recovery_of
 from mjx_climb.inputs.from_scenario import check_parameters, compiled_for, own_parameters
 from mjx_climb.inputs.gait_values import GAIT, TIMES, with_gait
 from mjx_climb.parameter_types import Gains, Parameters, path_of_gain, with_whole_steps
+from mjx_climb.scenario.declared import JOINT_GAINS
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from mjx_climb.shapes import broadcasts
 
 AnyGains = Gains | Law | Mapping[str, AnyArray]  # values by name
 
-_JOINT_LOOP = ("kp", "kd", "ki", "safe_kp")
 _MAY_BE_ZERO = ("kd", "ki")
 
 
@@ -70,13 +70,13 @@ def resolve(
     own = own_parameters(scenario) if parameters is None else parameters
     check_parameters(own, len(scenario.gait.lift_off))
     values = _values_by_name(law, gains)
-    called = {path_of_gain(name): f"gains.{name}" for name in values if name in (*GAIT, *_JOINT_LOOP)}
+    called = {path_of_gain(name): f"gains.{name}" for name in values if name in (*GAIT, *JOINT_GAINS)}
     own = with_gait(
         scenario, own, {key: checked_value(f"gains.{key}", values.pop(key), (), 0.0) for key in GAIT if key in values}
     )
     joint = {
         path_of_gain(name): checked_value(f"gains.{name}", values.pop(name), (), zero=name in _MAY_BE_ZERO)
-        for name in _JOINT_LOOP
+        for name in JOINT_GAINS
         if name in values
     }
     law = with_values(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
@@ -137,7 +137,7 @@ def recorded(scenario: Scenario, gains: AnyGains | None, resolved: WalkInputs) -
     A law of translations leaves the rotations as they were given, or as the scenario has them.
     """
     law, parameters = resolved.law, resolved.parameters
-    joint = {name: getattr(parameters.joint_loop, name) for name in _JOINT_LOOP if name in _values_by_name(law, gains)}
+    joint = {name: getattr(parameters.joint_loop, name) for name in JOINT_GAINS if name in _values_by_name(law, gains)}
     if not has_gains_of_the_paper(law):
         return {name: getattr(law, name) for name in law.GAINS} | joint
     place, six = gains if isinstance(gains, Gains) else scenario.control, {}
@@ -185,7 +185,7 @@ def _values_by_name(law: Law, gains: AnyGains | None, what: str = "gains") -> di
     """The values given, by name; values of six axes are cut to the translations for a law of three."""
     values = dict(gains or {}) if isinstance(gains, Mapping | None) else by_name(gains)
     values = {name: real_numbers(f"{what}.{name}", value) for name, value in values.items()}
-    known = [*law.GAINS, *_JOINT_LOOP]
+    known = [*law.GAINS, *JOINT_GAINS]
     if values.keys() >= Gains.AXES.keys():  # those of the paper, others beside them or not
         for name, field in law.GAINS.items():
             if field.shape == (3,) and jnp.ndim(values.get(name, 0.0)) and jnp.shape(values[name])[-1] == 6:
@@ -214,7 +214,7 @@ def resolved_directions(resolved: WalkInputs, gains: AnyGains | None, directions
     for key in TIMES:
         if np.any(given.pop(key, 0.0)):
             raise ValueError(f"directions.{key}: expected none, as it is counted in whole time steps")
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys([*_JOINT_LOOP, *GAIT], ())
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys([*JOINT_GAINS, *GAIT], ())
     shapes |= {name: field.lengths for name, field in law.GAINS.items()}
     count = max([np.shape(rates)[0] for rates in given.values() if np.ndim(rates)], default=1)
     values = resolved.parameters.values

@@ -97,6 +97,9 @@ class JointLoop(Values):
     safe_kp: Array = positive("N m/rad", "joint gain kp without a sensor", default=50.0)
 
 
+JOINT_GAINS = tuple(JointLoop.__annotations__)
+
+
 class Recovery(Values):
     """Thresholds that interrupt the gait, and how it is interrupted."""
 

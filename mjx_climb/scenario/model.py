@@ -732,7 +732,7 @@ class Scenario(v.Section):
     """One walk of one robot, fully specified. Immutable and hashable."""
 
     robot: AnyRobot = setting("hubrobo_v3_2", "name of the robot, or your own from a file")
-    gravity: v.Gravity = setting((0.0, 0.0, -9.81), "gravity, world axes, m/s^2; a slope tilts it")
+    gravity: v.Gravity = setting((0.0, 0.0, -v.G), "gravity, world axes, m/s^2; a slope tilts it")
     duration: v.Positive = setting(8.0, "length of the walk, s; a whole number of time steps")
     time_step: v.Positive = setting(0.001, "time step of the simulation, s")
     gait: Gait = setting(Gait(), "how the limbs move")

@@ -129,6 +129,7 @@ def _is_name(text: str) -> str:
 
 
 MAX_GRAVITY = 1e4  # m/s^2, a thousand G
+G = 9.81  # m/s^2
 MAX_LENGTH = 100.0  # m, of a step
 MAX_COUNT = 20_000  # of points that can be held
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]  # strict: no booleans, no strings

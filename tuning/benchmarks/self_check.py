@@ -21,11 +21,10 @@ from mjx_climb.parameter_types import Gains
 from mjx_climb.physics.equations_of_motion import ENGINES
 from mjx_climb.physics.state import State
 from mjx_climb.robot_import.load import load_model
-from mjx_climb.scenario.model import Scenario
+from mjx_climb.scenario.model import SHIPPED_LIMBS, Scenario
 from mjx_climb.simulation import Simulation
 from mjx_climb.trajectory import named
 
-LIMBS = ("LF", "LH", "RH", "RF")
 MUJOCO = "mujoco"  # among the engines: its C code
 STORED = Path(__file__).with_name("self_check.json")
 
@@ -68,7 +67,7 @@ def measure() -> dict[str, dict[str, Value]]:
     # the derivative by a logarithm is that along the gain itself
     along = {"damping": np.full((1, 6), DAMPING), "stiffness": np.full((1, 6), STIFFNESS)}
     values, tangents = Simulation(SCENARIO).jvp(gains, along, dtype=np.float64)
-    walk = named({name: value.item() for name, value in values.items()}, LIMBS)
+    walk = named({name: value.item() for name, value in values.items()}, SHIPPED_LIMBS)
     gradient = {name: tangents[name].item() for name, value in walk.items() if type(value) is float}
     return {"walk": walk, "gradient": gradient, **_accelerations()}
 
@@ -126,7 +125,7 @@ def _accelerations() -> dict[str, dict[str, float]]:
     mujoco.mj_forward(model, data)
     found[MUJOCO] = np.concatenate([data.qacc[:3], rotation @ data.qacc[3:6], data.qacc[6:]])
     names = [f"base {kind}{axis}" for kind in ("", "r") for axis in "xyz"]
-    names += [f"{limb} {link}" for limb in LIMBS for link in ("coxa", "femur", "tibia")]
+    names += [f"{limb} {link}" for limb in SHIPPED_LIMBS for link in ("coxa", "femur", "tibia")]
     return {engine: dict(zip(names, values.tolist(), strict=True)) for engine, values in found.items()}
 
 

@@ -150,6 +150,7 @@ class Walk(Options):
         """
         from mjx_climb.control import SHIPPED, is_shipped
         from mjx_climb.inputs.from_scenario import own_parameters
+        from mjx_climb.scenario.declared import JOINT_GAINS
         from mjx_climb.scenario.yaml_text import pairs
         from mjx_climb.walk.structure import structure
         from tuning.gains import gains_file
@@ -176,8 +177,8 @@ class Walk(Options):
             gains = {f"control.{name}" for name in law.GAINS}
             mine = {key: changes.pop(key) for key in list(changes) if key in gains}
             for key in changes:
-                if key.split(".")[0] == "control" and key.removeprefix("control.") not in gains_file.OPTIONAL:
-                    expected = f"one of {', '.join([*law.GAINS, *gains_file.OPTIONAL])} in control"
+                if key.split(".")[0] == "control" and key.removeprefix("control.") not in JOINT_GAINS:
+                    expected = f"one of {', '.join([*law.GAINS, *JOINT_GAINS])} in control"
                     raise InputError(f"--set {key}: expected {expected}, which {type(law).__name__} reads")
             try:
                 law = of_one(law, {key[8:]: value for key, value in mine.items()}) if mine else law

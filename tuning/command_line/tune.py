@@ -70,9 +70,9 @@ class Over(Options):
 
     def points(self, scenario: "mc.Scenario") -> Schedule:
         """Return the operating points, with the scenario's own gravity or cargo where that is not named."""
-        from mjx_climb.functions import STANDARD_GRAVITY
+        from mjx_climb.scenario.values import G
 
-        strength, load = math.hypot(*scenario.gravity) / math.hypot(*STANDARD_GRAVITY), scenario.disturbance.cargo.mass
+        strength, load = math.hypot(*scenario.gravity) / G, scenario.disturbance.cargo.mass
         values: dict[str, Any] = {"gravity": (strength,), "cargo": (load,)}
         for text in self.over:
             names, equals, numbers = text.partition("=")

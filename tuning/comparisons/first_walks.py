@@ -18,6 +18,7 @@ from mjx_climb.parameter_types import Gains
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import Scenario
+from mjx_climb.scenario.values import G
 from mjx_climb.walk.metrics import GRIPS, METRICS
 from tuning.comparisons.remedies import GAP, gap_in_words
 from tuning.problem.evaluation import RIGID
@@ -32,7 +33,6 @@ STEP_TIME = 1e-6  # s on one core, of a time step of one joint of one walk
 GRID, TIMES = (5, 3), (5.0, 10.0)  # values of kp and kd; the first grid goes so many times lower and higher
 SAGS = 0.1  # of the stance's height: how far the base may stray for less force variation
 MANY = 2.0  # times the robot's weight on Earth, in a single foot: worth a warning
-EARTH = 9.81  # m/s^2
 
 
 Told = Callable[[int], None]  # takes how many more walks are done
@@ -224,7 +224,7 @@ def on_ceiling(
 
 def heavy_load(scenario: Scenario, peak_foot_force: float) -> str | None:
     """Return in words a load on one foot that is many times the robot's weight on Earth; None of one that is not."""
-    weight = EARTH * float(load_robot(scenario.robot).total_mass)
+    weight = G * float(load_robot(scenario.robot).total_mass)
     if not peak_foot_force > MANY * weight:
         return None
     times = f"{peak_foot_force / weight:.2g} times its weight on Earth"

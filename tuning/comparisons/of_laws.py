@@ -7,13 +7,12 @@ import xarray as xr
 
 from tuning.background import Stage, silent
 from tuning.comparisons import judge, paired
+from tuning.comparisons.degraded import METRICS
 from tuning.comparisons.of_ensemble import shown
 from tuning.problem.objectives import Objective
 from tuning.problem.readings import best_of_both, reads_forces
 from tuning.results.judged import Comparison
 from tuning.searches import retuned_pd
-
-SHOWN = ("force_variation", "peak_foot_force", "peak_pull_force", "cost_of_transport", "peak_joint_torque")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +29,7 @@ def compare(found: Comparison, stage: Stage = silent, *_: object) -> LawsCompari
     problem = found.problem
     assert isinstance(problem.objective, Objective)
     reading = [name for name in found.laws if reads_forces(found.tuned[name].problem)]
-    of_laws, goal = shown(problem.metrics, SHOWN), problem.objective
+    of_laws, goal = shown(problem.metrics, METRICS), problem.objective
     with stage("intervals", compiles=False):
         table = paired.compared(found.data, of_laws, retuned_pd.NAME, goal, shared=found.hardware)
         joint = retuned_pd.joint_of(found.tuned[retuned_pd.NAME])
@@ -51,7 +50,7 @@ def _sensor(found: Comparison, table: xr.Dataset, reading: Sequence[str], joint:
     goal = found.problem.objective
     assert isinstance(goal, Objective)
     walks = found.data.sel(gains=[ours, without, judge.PD])
-    beside = paired.compared(walks, shown(found.problem.metrics, SHOWN), without, goal)
+    beside = paired.compared(walks, shown(found.problem.metrics, METRICS), without, goal)
     pd = float(table["value"].sel(metric="objective", statistic="mean", gains=retuned_pd.NAME))
     by_effort = found.problem.scenario.hardware.force_sensor.source == "joint_effort"
     return paired.sensor_in_words(beside, ours, pd, joint, "reading joint efforts" if by_effort else "a force sensor")

@@ -20,6 +20,7 @@ from mjx_climb.inputs.gait_values import GAIT, gait_of, own_gait, scenario_with_
 from mjx_climb.inputs.resolve import AnyGains, with_gains
 from mjx_climb.inputs.resolve import by_name as by_name
 from mjx_climb.scenario import registers
+from mjx_climb.scenario.declared import JOINT_GAINS
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Servo, overridden
 from mjx_climb.scenario.yaml_text import parse, read
@@ -27,7 +28,6 @@ from tuning.gains import own_section
 from tuning.gains.ros2_control import commented
 
 REQUIRED = ("inertia", "damping", "stiffness")  # scalar or six values: translations x, y, z, then rotations
-OPTIONAL = ("kp", "kd", "ki", "safe_kp")
 _EARLIER = "admittance.py"  # the file of Eqs. 2 and 3 in earlier versions, as some gains files name it
 LAW = "law"  # whose gains they are: the name of a shipped law, or FILE.py:NAME; the config's where there is none
 SECTION = "gait"
@@ -57,7 +57,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
     if not (of_scenarios(name) if law is None else own_section.reference(law) == name):
         own_section.check_reference(law, stored, source)
     required = REQUIRED if law is None and name != PD.__name__ else tuple((law or PD()).GAINS)
-    gait, keys = _gait(data.pop(SECTION, {}), source), (*required, *OPTIONAL)
+    gait, keys = _gait(data.pop(SECTION, {}), source), (*required, *JOINT_GAINS)
     _limits(data.pop(LIMITS, {}), PD() if law is None else law, source)
     for key in (*data, *required):
         if key not in keys:
@@ -65,7 +65,7 @@ def load(path: str | os.PathLike[str], law: mc.Law | None = None) -> AnyGains:
         if key not in data:
             raise ConfigError(source, key, "a value", "none")
     # keys that the scenario has too are checked as there
-    joint = data if law is None else {key: value for key, value in data.items() if key in OPTIONAL}
+    joint = data if law is None else {key: value for key, value in data.items() if key in JOINT_GAINS}
     try:
         control = overridden(mc.Scenario(), {f"control.{key}": value for key, value in joint.items()}, source).control
     except ConfigError as error:
@@ -159,7 +159,7 @@ def _data(path: str | os.PathLike[str]) -> dict[str, Any]:
     source = os.fsdecode(path)
     data = parse(read(source), source)
     if not isinstance(data, dict):
-        raise ConfigError(source, "", f"a mapping with keys {', '.join((*REQUIRED, *OPTIONAL))}")
+        raise ConfigError(source, "", f"a mapping with keys {', '.join((*REQUIRED, *JOINT_GAINS))}")
     return data
 
 
@@ -234,7 +234,7 @@ def apart(scenario: mc.Scenario, gains: AnyGains) -> tuple[mc.Scenario, AnyGains
 def applied(scenario: mc.Scenario, gains: AnyGains) -> mc.Scenario:
     """Return the scenario with gains in its control section, their gait and values at paths, as far as it has them."""
     values = by_name(gains)
-    control = {f"control.{name}": value for name, value in values.items() if name in REQUIRED + OPTIONAL}
+    control = {f"control.{name}": value for name, value in values.items() if name in REQUIRED + JOINT_GAINS}
     if "kp" in values and scenario.control.safe_kp is None:  # the scenario's own kp, not that of the gains
         control = {"control.safe_kp": scenario.control.kp} | control
     there = {name: value for name, value in values.items() if "." in name and name not in GAIT}

@@ -12,11 +12,11 @@ from mjx_climb.robot_import.bodies import at_zero, foot_of
 from mjx_climb.robot_import.description import JOINTS, SPECK, SPECK_MOMENT, impossible, one_limit
 from mjx_climb.robot_import.markup import is_urdf, urdf_limits
 from mjx_climb.robot_import.robot_file import REACH
+from mjx_climb.scenario.values import G
 from tuning.proposal.limbs import Found, Note, driven_joints
 from tuning.proposal.stance import STANDING, Section, Stance, Standing, checked, searched
 from tuning.proposal.tree import UPRIGHT
 
-EARTH = 9.81  # m/s^2
 # HubRobo v3.2, in proportion to which a gait and a grip are proposed
 _MASS, _REACH = 2.2539, 0.287  # kg, m
 _STRIDE, _STEP_HEIGHT = 0.05, 0.03  # m
@@ -50,7 +50,7 @@ class Proposal(NamedTuple):
 
 
 def propose(
-    file: str | os.PathLike[str], gravity: float = EARTH, base: str | None = None, stand_on: Sequence[str] = ()
+    file: str | os.PathLike[str], gravity: float = G, base: str | None = None, stand_on: Sequence[str] = ()
 ) -> Proposal:
     """Return sections of a scenario for the robot in an MJCF or URDF; its time step remains to be chosen.
 

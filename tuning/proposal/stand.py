@@ -7,8 +7,7 @@ from typing import Any
 from mjx_climb.robot.constants import RobotError
 from mjx_climb.robot_import.bodies import joints_of, rigid_parts, robot_in
 from mjx_climb.robot_import.description import JOINTS
-
-MOST_JOINTS = 7
+from tuning.proposal.limbs import MOST_JOINTS
 
 
 def on_stand(file: str | os.PathLike[str], base: str | None = None) -> Mapping[str, Any]:

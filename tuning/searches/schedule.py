@@ -16,11 +16,11 @@ import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.files import dataset
-from mjx_climb.functions import STANDARD_GRAVITY as EARTH
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.parameter_types import GAIN_UNITS
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
+from mjx_climb.scenario.values import G
 from tuning.gains.gains_file import by_name
 from tuning.gains.gains_tables import axes_of, labelled
 from tuning.methods import Request, Task
@@ -34,7 +34,6 @@ from tuning.problem.spaces import refuse_gait, to_gains64
 from tuning.results.scheduled import Scheduled
 from tuning.searches import retuned_pd, tune
 
-G = -EARTH[2]  # m/s^2
 CANDIDATES = 24  # random points per operating point
 ITERATIONS = (10, 8)  # of the two descents
 _VARIED = ("gravity", "disturbance.cargo.mass")

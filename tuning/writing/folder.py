@@ -17,9 +17,9 @@ from tuning.background import Stage, silent
 from tuning.pages import page
 from tuning.pages.contents import Contents, Files, Picture, Written
 from tuning.pages.page import NOWHERE, Origin, Page, Part
+from tuning.pages.runs import SETTINGS
 from tuning.pages.section import Section
 from tuning.results.config_file import write_config
-from tuning.writing import record
 from tuning.writing.record import Settings, at_home, whole
 
 
@@ -89,7 +89,7 @@ def fill(
     formats, kept = sorted({*figures} | ({"png"} if report is not None else set())), place / "config.yaml"
     for section in sections:
         own = {**section.files, **section.pictures}
-        if taken := (every.keys() | {page.NAME, "config.yaml", record.FILE}) & own.keys():
+        if taken := (every.keys() | {page.NAME, "config.yaml", SETTINGS}) & own.keys():
             raise ConfigError(f"section {section.heading}", "", "other files than those of the result", min(taken))
         if (outside := leaving(place, own)) is not None:
             raise ConfigError("", f"section {section.heading}", "files in the result's folder", f"{outside!r}")

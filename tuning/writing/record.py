@@ -26,10 +26,10 @@ from mjx_climb.files.locks import alone, is_held, refused
 from mjx_climb.files.writing import write_in_place
 from mjx_climb.reading import leaving, read_found
 from tuning.methods import parts
+from tuning.pages.runs import SETTINGS
 from tuning.problem.evaluation import Problem
 from tuning.results.result import RESULTS, WITHOUT_PARTS
 
-FILE = "settings.json"
 _OF_THE_MACHINE = ("versions", "platform", "batch_size")  # of an identity: how it is computed
 
 Settings = Mapping[str, Any]
@@ -68,7 +68,7 @@ def without_machine(identity: Settings) -> dict[str, Any]:
 def read(folder: Path) -> Record | None:
     """Return the record of a folder, None without one; one that is damaged has neither settings nor files."""
     try:
-        found = json.loads(read_found(folder / FILE))
+        found = json.loads(read_found(folder / SETTINGS))
         settings, files, whole = found["settings"], found["files"], found["whole"] is True
         if not isinstance(settings, dict | None) or not isinstance(files, list):
             raise TypeError
@@ -82,7 +82,7 @@ def read(folder: Path) -> Record | None:
 def check_names(folder: Path, record: Record | None) -> None:
     """Raise OutputError where a record names files that are not in a folder: they would be removed, or replaced."""
     if record is not None and (outside := leaving(folder, record.files)) is not None:
-        got = f"{outside!r}, which leaves it (correct {FILE} or the link, or choose another folder)"
+        got = f"{outside!r}, which leaves it (correct {SETTINGS} or the link, or choose another folder)"
         raise OutputError(f"{folder}: expected results with files in this folder, got {got}")
 
 
@@ -98,7 +98,7 @@ def give_up(folder: Path, there: Collection[Path]) -> None:
     """Remove the files written since `begin` if they only say whose folder it is: no work was done."""
     new = [path for path in folder.glob("[!.]*") if path not in there]
     files = {file.name for path in new for file in (path, *path.rglob("*")) if not file.is_dir()}
-    if files <= {FILE, parts.IDENTITY}:
+    if files <= {SETTINGS, parts.IDENTITY}:
         for path in new:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         with contextlib.suppress(OSError):  # another command is in it
@@ -110,7 +110,7 @@ def another(folder: Path, settings: Settings | None) -> str:
     """Return in words whose result, or unfinished work, a folder holds; nothing where it is free or these settings'."""
     record, there = read(folder), [name for name in RESULTS if (folder / name).exists()]
     if record is None:
-        return f"a result without {FILE} ({there[0]})" if there else ""
+        return f"a result without {SETTINGS} ({there[0]})" if there else ""
     if record.settings == settings:
         return ""
     kind = "the result" if record.files or there else "unfinished work"
@@ -316,4 +316,4 @@ def _replace(place: Path, target: Path, record: Record) -> None:
 
 
 def _write(folder: Path, record: Record) -> None:
-    write_in_place(folder / FILE, (json.dumps(record._asdict(), indent=1) + "\n").encode())
+    write_in_place(folder / SETTINGS, (json.dumps(record._asdict(), indent=1) + "\n").encode())

@@ -79,7 +79,7 @@ def test_a_list_of_files_that_leaves_the_folder_is_refused_and_nothing_is_remove
     thesis.write_text("mine")
     (home / "inputs").symlink_to(tmp_path)
     name = {"dots": "inner/../../thesis.tex", "root": str(thesis), "link": "inputs/thesis.tex"}[way]
-    (home / record.FILE).write_text(json.dumps({"settings": None, "files": ["gains.yaml", name], "whole": True}))
+    (home / record.SETTINGS).write_text(json.dumps({"settings": None, "files": ["gains.yaml", name], "whole": True}))
     for attempt in (lambda: fill(home, "report.html", settings=None), lambda: record.check_own(home, "search.nc")):
         with pytest.raises(OutputError, match=f"^{home}: expected results with files in this folder, got '.*{name}'"):
             attempt()
@@ -101,7 +101,7 @@ def test_records_and_parts_are_written_in_place_of_links(tmp_path):
     home, thesis, absent = tmp_path / "home", tmp_path / "thesis.tex", tmp_path / "absent"
     (home / "parts").mkdir(parents=True)
     thesis.write_text("mine")
-    (home / record.FILE).symlink_to(absent)
+    (home / record.SETTINGS).symlink_to(absent)
     (home / "parts" / "identity.json").symlink_to(absent)
     (home / "parts" / "part-000000.npz").symlink_to(thesis)
     record.begin(home, OURS)
@@ -162,9 +162,9 @@ def test_each_run_has_a_folder_of_its_own(tmp_path):
         (lambda at: record.begin(at, THEIRS), "unfinished work of another run, which differs in a.b"),
         (lambda at: fill(at, "gains.yaml", settings=None), "the result of unknown settings"),
         (lambda at: (at / "sweep.nc").write_text(""), r"a result without settings.json \(sweep.nc\)"),
-        (lambda at: (at / record.FILE).write_text("{"), "unfinished work of unknown settings"),
+        (lambda at: (at / record.SETTINGS).write_text("{"), "unfinished work of unknown settings"),
         (
-            lambda at: (at / record.FILE).write_text('{"settings": [1], "files": [], "whole": true}'),
+            lambda at: (at / record.SETTINGS).write_text('{"settings": [1], "files": [], "whole": true}'),
             "unfinished work of unknown settings",
         ),
     ],
@@ -339,7 +339,7 @@ def kill(monkeypatch):
 def settled(folder):
     """Return what a folder holds as text, by name, without its record; None where it is not whole."""
     own = record.read(folder)
-    there = {name: (folder / name).read_text() for name in listed(folder) if name != record.FILE}
+    there = {name: (folder / name).read_text() for name in listed(folder) if name != record.SETTINGS}
     return there if own is not None and own.whole else None
 
 

@@ -57,7 +57,6 @@ LATE = {  # kinds that are recorded late, by the keys of their delays
     FORCE_DELAY: ("force",), LATE_FORCE: ("force",), "log.base.delay": KINDS[4:],
 }  # fmt: skip
 _GRIP = (0.0, 0.003, -0.1, 0.1)  # m, of a grip point from where the foot is seen
-_AXES = "xyz"
 
 
 def cut_gripped(log: Log, robot: Robot, time_step: float, held_out: float) -> Windows:
@@ -122,7 +121,7 @@ def _of_grips(places: Sequence[Place], x: Array, robot: Robot) -> Array:
     own = {place.key: value for place, value in zip(places, x, strict=True)}
     zero = jnp.zeros_like(x[0])
     return jnp.stack([
-        jnp.stack([own.get(f"log.{limb}.grip.{axis}", zero) for axis in _AXES]) for limb in robot.limbs
+        jnp.stack([own.get(f"log.{limb}.grip.{axis}", zero) for axis in "xyz"]) for limb in robot.limbs
     ])  # fmt: skip
 
 
@@ -156,7 +155,7 @@ def gripped_model(scenario: mc.Scenario, log: Log, windows: Windows, chosen: Seq
     """The model of a gripped robot's log, with the nuisances beside the chosen variables."""
     robot, own = load_robot(scenario.robot), own_parameters(scenario)
     every = gripped_with_nuisances(scenario, chosen, windows.kinds)
-    every += [Variable(f"log.{limb}.grip.{a}", "m", 0.0, *_GRIP, beside=True) for limb in robot.limbs for a in _AXES]
+    every += [Variable(f"log.{limb}.grip.{a}", "m", 0.0, *_GRIP, beside=True) for limb in robot.limbs for a in "xyz"]
     stages = stages_for(scenario, chosen)._replace(
         force_delay=0, force_noise=False, force_resolution=False, force_dead=False, base_delay=0, base_noise=False
     )
@@ -185,7 +184,7 @@ def check_parts(own: Parameters, *, held: bool) -> None:
     if not isinstance(drive, Servos):
         if held:
             raise ConfigError("", "hardware.servo", "servos with the base held", name)
-        leaves = jax.tree.leaves(jax.eval_shape(drive.init, jnp.zeros((len(_AXES), len(_AXES)))))
+        leaves = jax.tree.leaves(jax.eval_shape(drive.init, jnp.zeros((3, 3))))
         if drive.feels_load or not all(jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves):
             expected = "expected a drive that remembers real numbers and asks for no load"
             raise ConfigError(f"hardware.servo: {expected} with a log, got {name}")
@@ -206,7 +205,7 @@ def gripped_with_nuisances(scenario: mc.Scenario, chosen: Sequence[Variable], ki
 def _posed(log: Log, robot: Robot, moment: float) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) m and orientation (4,) of the base as logged, the rest stance's where they are not."""
     found = []
-    for what, axes in (("position", _AXES), ("orientation", "wxyz")):
+    for what, axes in (("position", "xyz"), ("orientation", "wxyz")):
         rest = np.asarray(getattr(robot, f"stance_{what}"), float)
         signals: list[Signal | None] = [log.signals.get(f"base.{what}.{axis}") for axis in axes]
         own = [r if s is None else np.interp(moment, s.time, s.value) for s, r in zip(signals, rest, strict=True)]

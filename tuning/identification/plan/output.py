@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from mjx_climb.scenario.values import G
 from mjx_climb.viz import plots
 from tuning.identification.plan.excitation import PLAIN, Excited, scale
 from tuning.identification.plan.information import SEEN
@@ -20,7 +21,6 @@ from tuning.problem.evaluation import Problem
 
 TRAJECTORY = "excitation_trajectory.yaml"
 APPROACH = 3.0  # s, in which a trajectory controller takes the robot to the first posture
-_EARTH = 9.81  # m/s^2
 BINS = 150  # of a picture's envelopes
 
 
@@ -149,7 +149,7 @@ def notes(found: Excited) -> list[str]:
         said.append("The config has no torque limit (hardware.servo.torque_limit): none was kept.")
     if value("hardware.servo.no_load_speed") is None:
         said.append(f"The config has no speed limit (hardware.servo.no_load_speed): {SPEED:g} rad/s were taken.")
-    if abs(gravity - _EARTH) > 0.2:
+    if abs(gravity - G) > 0.2:
         said.append(
             f"Gravity is the config's, {gravity:.3g} m/s^2; in a laboratory on Earth: --set gravity=[0,0,-9.81]."
         )
