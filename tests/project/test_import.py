@@ -77,6 +77,18 @@ def test_import_writes_nothing_and_starts_no_device(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "before",
+    ["tuning.writing.record", "tuning.proposal.propose, tuning.comparisons.first_walks",
+     "tuning.identification.model.replay, tuning.identification.readers"],
+    ids=["run", "robot", "replay"],
+)  # fmt: skip
+def test_walks_do_not_wait_for_what_draws_and_labels_them(before):
+    late = "{'matplotlib', 'xarray', 'pandas', 'PIL'}"
+    assert printed(f"import sys, {before}; print({late} & set(sys.modules))") == "set()\n"
+
+
+@pytest.mark.slow
 def test_writing_a_search_does_not_wait_for_what_identification_imports():
     assert printed("import sys, tuning.kinds; print('scipy.stats' in sys.modules)") == "False\n"
 
