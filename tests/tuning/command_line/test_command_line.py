@@ -598,3 +598,13 @@ def test_a_rival_of_a_file_has_its_joint_gains_and_gait(tmp_path):
     file = tmp_path / "pd.yaml"
     file.write_text("law: PD\nkp: 20.0\nkd: 0.5\ngait: {duty: 0.8}\n")
     assert evaluate.Rival(retuned_pd=file).joint_gains() == {"kp": 20.0, "kd": 0.5, "gait.duty": 0.8}
+
+
+@pytest.mark.parametrize(("command", "there"), [("run", True), ("runs", False)])
+def test_a_key_that_is_typed_as_an_option_is_looked_for_where_keys_can_be_set(command, there, call):
+    code, _, said = call(command, "--disturbance.cargo.mass=3")
+    assert (
+        code == 2
+        and "No such option: --disturbance.cargo.mass" in said
+        and ("--set disturbance.cargo.mass=" in said) is there
+    )
