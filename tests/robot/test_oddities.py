@@ -173,7 +173,11 @@ def test_an_inertia_of_something_larger_is_told_by_its_radius_of_gyration(saved)
     assert "radius of gyration" not in told(propose(saved(text, "robot.urdf")))
     knee = text.index('name="RF_tibia"')
     proposal = propose(saved(text[:knee] + text[knee:].replace('"0.0001"', '"1"', 3), "robot.urdf"))
-    assert "warning inertia of 'RF_tibia' 1 kg m^2 with 0.1 kg, a radius of gyration of 3.16 m" in told(proposal)
+    radius = "1 kg m^2 with 0.1 kg, a radius of gyration of 3.16 m"
+    assert f"warning inertia of 'RF_tibia' {radius}; a limb is" in told(proposal)
+    start = text.index('name="RF_')
+    several = propose(saved(text[:start] + text[start:].replace('"0.0001"', '"1"', 6), "robots.urdf"))
+    assert re.search(rf"{re.escape(radius)}, as of 1 others; a limb is", told(several))
 
 
 def test_a_file_with_y_up(saved, plain_stance):

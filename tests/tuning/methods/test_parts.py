@@ -90,6 +90,13 @@ def test_a_part_is_known_by_its_number_its_computation_and_every_bit(tmp_path):
     np.testing.assert_array_equal(ours.load(0)["x"], [0, 1])
 
 
+def test_a_part_that_would_run_code_is_not_read(tmp_path):
+    parts = Parts(tmp_path, {"a": 1})
+    parts.save(0, {"x": np.array([{}], object)})
+    with pytest.raises(ValueError, match="allow_pickle=False"):
+        parts.load(0)
+
+
 def test_a_damaged_identity_is_said_in_one_line(tmp_path):
     file = Parts(tmp_path / "shard-1-of-1", {"shard": [1, 1], "a": 1.5}).folder / IDENTITY
     (tmp_path / "shard-1-of-1" / shards.FILE).write_text('{"again": ""}')
