@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, cast
 
@@ -26,12 +25,10 @@ from mjx_climb.scenario.values import G
 from mjx_climb.shapes import check_shape
 from mjx_climb.simulation import Simulation
 from mjx_climb.trajectory import Trajectory, named
-from mjx_climb.walk.metrics import METRICS, Metric
+from mjx_climb.walk.metrics import METRICS, Metric, start
 from mjx_climb.walk.sample import DIMS, Sample
 from mjx_climb.walk.structure import structure
-from mjx_climb.walks import Metrics, metrics_of_samples
-
-_ROOM = 1024  # samples that a program takes, times a power of 2: one serves walks of many lengths
+from mjx_climb.walks import PART, Metrics, metrics_of_samples
 
 
 def rollout(
@@ -146,21 +143,23 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
         ValueError: two metrics of one name, or one that does not keep its shapes.
     """
     steps, parameters = len(trajectory.time), trajectory.parameters
-    room = next(room for power in itertools.count() if (room := _ROOM * 2**power) >= steps)
-    whole: dict[str, Any] = {name: _with_room(np.asarray(getattr(trajectory, name)), room) for name in DIMS}
-    samples = Sample(**whole)
+    whole: dict[str, Any] = {name: np.asarray(getattr(trajectory, name)) for name in DIMS}
     shape = structure(trajectory.scenario, DEFAULT_ENGINE, parameters, metrics=metrics)
-    time_step = np.asarray(shape.time_step, samples.base_position.dtype)
-    how = parameters, time_step, np.asarray(steps, np.int32)
-    found = execution.run_one(metrics_of_samples, shape._replace(steps=0, time_step=0.0), samples, *how)
+    dtype = whole["base_position"].dtype
+    with jax.enable_x64(dtype == np.float64):
+        like = jax.eval_shape(lambda: start(shape.metrics, dtype))
+    running = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), like)
+    how, found = (parameters, np.asarray(shape.time_step, dtype), np.asarray(steps, np.int32)), dict[str, np.ndarray]()
+    for first in range(0, steps, PART):  # by one program for walks of any length
+        part = Sample(**{name: _filled(values[first : first + PART]) for name, values in whole.items()})
+        asked = shape._replace(steps=0, time_step=0.0), part, *how, running
+        running, found = execution.run_one(metrics_of_samples, *asked)
     return named({name: found[name].item() for name in shape.metrics.names}, trajectory.limbs)
 
 
-def _with_room(values: np.ndarray, room: int) -> np.ndarray:
-    """Return values, and zeros behind them."""
-    whole = np.zeros((room, *values.shape[1:]), values.dtype)
-    whole[: len(values)] = values
-    return whole
+def _filled(values: np.ndarray) -> np.ndarray:
+    """Return the values of a part of a walk, and zeros behind them where it is a shorter one."""
+    return np.concatenate([values, np.zeros((PART - len(values), *values.shape[1:]), values.dtype)])
 
 
 STANDARD_GRAVITY = (0.0, 0.0, -G)

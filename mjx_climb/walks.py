@@ -169,17 +169,23 @@ def metrics_of_samples(
     parameters: Parameters,
     time_step: Float[Array, ""],
     steps: Int[Array, ""],
-) -> Metrics:
-    """Return the metrics of the first `steps` of samples stacked over time, of a walk that is over."""
+    before: Running,
+) -> tuple[Running, Metrics]:
+    """Return the metrics of a walk of `steps` so far, of the samples that follow `before`, stacked over time.
+
+    Before the first samples all values of `before` are zeros; those behind the last step are left out.
+    """
     dtype, table = samples.base_position.dtype, structure.metrics
     robot = jax.tree.map(lambda value: jnp.asarray(value, dtype), structure.robot)
     context = _context(structure._replace(time_step=time_step), robot, parameters)
+    begun = jax.tree.map(functools.partial(jnp.where, before.steps > 0), before, start(table, dtype))
 
     def step(running: Running, sample: Sample) -> tuple[Running, None]:
         after = accumulate(table, running, sample, context)
         return jax.tree.map(functools.partial(jnp.where, running.steps < steps), after, running), None
 
-    return finish(table, jax.lax.scan(step, start(table, dtype), samples)[0], context)
+    running = jax.lax.scan(step, begun, samples)[0]
+    return running, finish(table, running, context)
 
 
 def real_metrics(structure: Structure, parameters: Parameters) -> list[str]:

@@ -13,13 +13,16 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, TypeVar, cast
 
+import jax
+import jax.numpy as jnp
 from jax import Array
 from jaxtyping import PyTree
 
-from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start
+from mjx_climb.control.law import Command, JointGains, Law, Measurement, Reference, Start, scalar
 from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply
 
 AnyLaw = TypeVar("AnyLaw", bound=Law)
+AnySum = TypeVar("AnySum", bound="Sum")
 
 
 class Part(NamedTuple):
@@ -68,8 +71,11 @@ class Sum(Law, metaclass=Made):
         """Let both take their step, and add up their commands."""
         steps = [part.of(self).step(own, measured, reference) for part, own in zip(self.PARTS, state, strict=True)]
         (one, first), (other, second) = steps
+        return (one, other), self._together(first, second, reference)
+
+    def _together(self, first: Command, second: Command, reference: Reference) -> Command:
         back = quaternion_conjugate(reference.base_orientation)
-        command = Command(
+        return Command(
             base_position=first.base_position + (second.base_position - reference.base_position),
             base_orientation=quaternion_multiply(
                 first.base_orientation, quaternion_multiply(back, second.base_orientation)
@@ -78,11 +84,20 @@ class Sum(Law, metaclass=Made):
             base_displacement=first.base_displacement + second.base_displacement,
             joint_gains=product(first.joint_gains, second.joint_gains),
         )
-        return (one, other), command
 
     def search_bounds(self, period: float) -> dict[str, tuple[float, float]]:
         """Return where the searches of both look."""
         return {key: pair for part in self.PARTS for key, pair in part.bounds(self, period).items()}
+
+
+class Choice(Sum):
+    """One of two laws, made by `either`: both go on side by side, and the robot follows the commands of one."""
+
+    second: Array = scalar("1", "0: the first law commands, 1: the second", bounds=(0.0, 1.0), default=0.0)
+
+    def _together(self, first: Command, second: Command, reference: Reference) -> Command:
+        chosen: Command = jax.tree.map(functools.partial(jnp.where, jnp.asarray(self.second) > 0), second, first)
+        return chosen
 
 
 def product(first: JointGains | None, second: JointGains | None) -> JointGains | None:
@@ -101,14 +116,25 @@ def combined(first: Law, second: Law) -> Law:
     Its gains are those of both. Where these have a name in common, the name of the law stands in front of all:
     `virtual_model_damping`, `end_effector_damping`; of two laws of one kind, `first_damping`, `second_damping`.
     """
-    laws: Any = first, second
-    kind = _sum_of(*map(type, laws))
+    return _made(Sum, first, second)
+
+
+def either(first: Law, second: Law, *, take_second: bool) -> Law:
+    """Return a law that commands as one of two does, an instance of a class `FIRST|SECOND`; gains as of `combined`.
+
+    Walks under either law have the same compiled program. Both leave the joint loop's gains alone.
+    """
+    return dataclasses.replace(_made(Choice, first, second), second=float(take_second))
+
+
+def _made(base: type[AnySum], *laws: Law) -> AnySum:
+    kind = _class_of(base, *map(type, laws))
     return kind(**{name: getattr(law, own) for law, part in zip(laws, kind.PARTS, strict=True)
                    for own, name in part.names})  # fmt: skip
 
 
 @functools.cache
-def _sum_of(first: type[Law], second: type[Law]) -> type[Sum]:
+def _class_of(base: type[AnySum], first: type[Law], second: type[Law]) -> type[AnySum]:
     owns = [{field.name: field for field in dataclasses.fields(kind)} for kind in (first, second)]
     places = [f"{_prefix(kind)}_" for kind in (first, second)]
     if places[0] == places[1]:
@@ -122,9 +148,10 @@ def _sum_of(first: type[Law], second: type[Law]) -> type[Sum]:
         fields |= {names[name]: field for name, field in own.items()}
         parts.append(Part(kind, tuple(names.items())))
     limbwise = frozenset(name for part in parts for own, name in part.names if own in part.kind.LIMBWISE)
-    name = f"{first.__qualname__}+{f'({second.__qualname__})' if issubclass(second, Sum) else second.__qualname__}"
-    made_by = _sum_of, (first, second)
-    return law_class(name, Sum, fields, PARTS=tuple(parts), LIMBWISE=limbwise, MADE_BY=made_by)
+    sign = "|" if base is Choice else "+"
+    name = f"{first.__qualname__}{sign}{f'({second.__qualname__})' if issubclass(second, Sum) else second.__qualname__}"
+    made_by = _class_of, (base, first, second)
+    return law_class(name, base, fields, PARTS=tuple(parts), LIMBWISE=limbwise, MADE_BY=made_by)
 
 
 def law_class(name: str, base: type[AnyLaw], fields: Mapping[str, Any], **attributes: object) -> type[AnyLaw]:

@@ -191,17 +191,21 @@ def outside_of_xlas_cache() -> AbstractContextManager[None]:
 
 
 def as_one_kernel(program: core.ClosedJaxpr) -> Callable[..., list[Array]]:
-    """Return a program as a function that XLA:CPU compiles as a single kernel."""
-    carry_out: Callable[..., list[Array]] = core.jaxpr_as_fun(program)
+    """Return a program as a function that XLA:CPU compiles as a single kernel; it is not traced once more."""
 
-    def kernel(*arguments: Array) -> list[Array]:
-        with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):  # not for calls within
-            return carry_out(*arguments)
+    def kernel(value: Array) -> Array:
+        return value
 
     def call(*arguments: Array) -> list[Array]:
+        (like,) = jax.make_jaxpr(jax.jit(kernel))(0.0).eqns
+        counts = {"in": len(program.in_avals), "out": len(program.out_avals)}
+        each = {  # of an argument or a result
+            name: value * counts["out" if name.startswith("out") else "in"]
+            for name, value in like.params.items()
+            if isinstance(value, tuple) and len(value) == 1
+        }
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            results: list[Array] = jax.jit(kernel)(*arguments)
-            return results
+            return carried_out(like.primitive, like.params | each | {"jaxpr": program}, arguments)
 
     return call
 

@@ -11,7 +11,7 @@ from tuning.background import Begin, Stage, Work
 from tuning.gains.gains_file import by_name
 from tuning.methods.rounds import counted
 from tuning.numbers import change, failed, is_number, number
-from tuning.problem.evaluation import Problem, walk_of_pd
+from tuning.problem.evaluation import Problem, walk_of_any
 from tuning.problem.search import Search
 from tuning.results.tuned import Tuned
 from tuning.searches import retuned_pd
@@ -63,15 +63,15 @@ def one_walk(scenario: mc.Scenario, law: mc.Law | None, engine: str) -> Work[mc.
 def walks_together(problem: Problem, walkers: Mapping[str, Walker], begin: Begin) -> dict[str, Work[mc.Trajectory]]:
     """Begin the walks of some robots beside a problem's law, by as few compiled programs as there can be.
 
-    Pd is a rigid base admittance.
+    Pd, base admittance and load transfer by plan share one, see `walk_of_any`.
     """
-    control = problem.scenario.control
+    control, plan = problem.scenario.control, retuned_pd.by_plan(problem)
     shared = problem.law is None and (control.controller, control.reading) == ("base_admittance", "virtual_model")
 
     def walking(scenario: mc.Scenario, law: mc.Law | None) -> Work[mc.Trajectory]:
-        if not shared or law is not None or scenario.control.controller != "pd":
-            return one_walk(scenario, law, problem.engine)
-        return lambda _: walk_of_pd(scenario, problem.engine)
+        if shared and isinstance(law, PlannedTransfer | None):
+            return lambda _: walk_of_any(scenario, law, problem.engine, beside=plan)
+        return one_walk(scenario, law, problem.engine)
 
     return {name: begin(walking(*walker)) for name, walker in walkers.items()}
 

@@ -12,6 +12,8 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
+from mjx_climb.control import law_of
+from mjx_climb.control.combined import either
 from mjx_climb.execution import devices
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains, by_name
@@ -180,19 +182,33 @@ def under_pd(scenario: mc.Scenario) -> mc.Scenario:
     return scenario.with_own(law=None, metrics=[], objective=None).with_overrides(changes)
 
 
-def walk_of_pd(scenario: mc.Scenario, engine: str = DEFAULT_ENGINE) -> mc.Trajectory:
-    """Return the walk of a scenario under pd by the compiled program of base admittance, with a `RIGID` virtual mass.
+def walk_of_any(
+    scenario: mc.Scenario, law: mc.Law | None, engine: str = DEFAULT_ENGINE, *, beside: mc.Law | None = None
+) -> mc.Trajectory:
+    """Return a walk under pd, base admittance or the law `beside` them, by one compiled program for all of these.
 
-    It is that of pd's own program to the displacement of that mass, some 1e-10 m. A walk whose force sensors may fall
-    silent is pd's own: base admittance would notice.
+    Pd is base admittance with a `RIGID` virtual mass: its walk is that of its own program to the displacement of that
+    mass, some 1e-10 m. Walks whose force sensors may fall silent are the law's own: base admittance would notice.
+
+    Arguments:
+        scenario: under pd or base admittance.
+        law: the law beside them with its gains; None: the scenario's.
+        beside: its kind, where there is one in the program.
     """
     rigid = scenario.with_overrides({"control.controller": "base_admittance"})
     if structure(rigid, engine, own_parameters(rigid)).stages.silent_sensors:
-        return mc.rollout(scenario, engine=engine)
-    control = scenario.control
-    own = mc.Gains(*(np.full(6, value) for value in (control.inertia, control.damping, control.stiffness)))
-    walk = mc.rollout(rigid, dataclasses.replace(own, inertia=np.full(6, RIGID)), engine=engine)
-    return dataclasses.replace(walk, scenario=scenario, gains=own)
+        return mc.rollout(scenario, law=law, engine=engine)
+    mass, control = law_of(rigid), scenario.control
+    if control.controller == "pd":
+        mass = dataclasses.replace(mass, inertia=RIGID)
+    if beside is not None:
+        mass = either(mass, beside if law is None else law, take_second=law is not None)
+    walk = mc.rollout(rigid, law=mass, engine=engine)
+    if law is None:
+        gains: Any = mc.Gains(*(np.full(6, getattr(control, name)) for name in mc.Gains.AXES))
+        return dataclasses.replace(walk, scenario=scenario, gains=gains, law="")
+    gains = {name: np.asarray(getattr(law, name), float) for name in law.GAINS}
+    return dataclasses.replace(walk, scenario=scenario, gains=gains, law=type(law).__name__)
 
 
 def baseline(

@@ -5,7 +5,8 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb import walks
-from mjx_climb.control import law_of
+from mjx_climb.control import PlannedTransfer, law_of
+from mjx_climb.inputs.resolve import by_name
 from tests.shell import ROOT
 from tuning.background import ignore
 from tuning.comparisons import side_by_side
@@ -14,6 +15,7 @@ from tuning.problem.evaluation import Problem
 
 CASE = mc.load_scenario(ROOT / "configs" / "case_1_2.yaml", ["duration=0.3"])
 PD = evaluation.under_pd(CASE)
+PLAN = PlannedTransfer(load=1.1)
 
 
 class Asked(Exception):
@@ -21,11 +23,13 @@ class Asked(Exception):
 
 
 @pytest.mark.slow
-def test_pd_by_the_program_of_base_admittance_walks_as_by_its_own():
-    own, shared = mc.rollout(PD), evaluation.walk_of_pd(PD)
+@pytest.mark.parametrize("walker", [(PD, None), (CASE, None), (PD, PLAN)], ids=["pd", "base admittance", "by plan"])
+def test_laws_by_one_program_walk_as_by_their_own(walker):
+    scenario, law = walker
+    own, shared = mc.rollout(scenario, law=law), evaluation.walk_of_any(scenario, law, beside=PLAN)
     assert shared.scenario == own.scenario and shared.law == own.law
-    for name in mc.Gains.AXES:
-        np.testing.assert_array_equal(getattr(shared.gains, name), getattr(own.gains, name))
+    for name, value in by_name(own.gains).items():
+        np.testing.assert_array_equal(by_name(shared.gains)[name], value)
     for name in ("joint_angles", "base_position", "foot_force"):
         np.testing.assert_allclose(getattr(shared, name), getattr(own, name), rtol=1e-6, atol=1e-9)
     for name, value in mc.metrics(own).items():
@@ -43,8 +47,8 @@ def test_pd_by_the_program_of_base_admittance_walks_as_by_its_own():
 def test_pd_shares_the_compiled_program_where_that_is_another_walk_s(changes, law, monkeypatch):
     case, asked = mc.load_scenario(ROOT / "configs" / "case_1_2.yaml", ["duration=0.3", *changes]), []
 
-    def rollout(scenario, gains=None, **_):
-        asked.append(type(law_of(scenario)).__name__)
+    def rollout(scenario, law=None, **_):
+        asked.append(type(law or law_of(scenario)).__name__)
         raise Asked
 
     monkeypatch.setattr(mc, "rollout", rollout)
@@ -52,6 +56,21 @@ def test_pd_shares_the_compiled_program_where_that_is_another_walk_s(changes, la
     with pytest.raises(Asked):
         side_by_side.walks_together(Problem(case), walkers, lambda work: work)["pd"](ignore)
     assert asked == [law]
+
+
+def test_load_transfer_by_plan_shares_the_program_of_base_admittance(monkeypatch):
+    asked = []
+
+    def rollout(scenario, law=None, **_):
+        asked.append(type(law))
+        raise Asked
+
+    monkeypatch.setattr(mc, "rollout", rollout)
+    walkers = {"pd": (PD, None), "config": (CASE, None), "plan": (PD, PLAN)}
+    for walk in side_by_side.walks_together(walkers, "limb", lambda work: work).values():
+        with pytest.raises(Asked):
+            walk(ignore)
+    assert asked == [asked[0]] * 3 and asked[0].__name__ == "VirtualModelAdmittance|PlannedTransfer"
 
 
 def test_histories_of_a_finer_walk_have_the_stretches_of_the_coarser_one():
