@@ -1,6 +1,7 @@
 """Grid search: every pair of values of two gains, the same on all axes, in batches of one program: `tuning.sweep`."""
 
 import dataclasses
+import functools
 import math
 import os
 from collections.abc import Iterable, Mapping
@@ -132,6 +133,8 @@ class Grid:
     walked: Problem  # with these
     axes: Mapping[str, np.ndarray]
     size: int  # robots that walk at a time
+    # results of `points`, once they have walked
+    _beside: dict[str, np.ndarray] = dataclasses.field(default_factory=dict, compare=False, repr=False)
 
     @property
     def rows(self) -> int:
@@ -148,8 +151,16 @@ class Grid:
         return {name: own[place] for (name, own), place in zip(self.axes.items(), places, strict=True)}
 
     def walk(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the metrics of some rows, and their time histories where they are kept."""
-        return self._walk(self._values(rows))
+        """Return the metrics of some rows, and their time histories where they are kept.
+
+        The `points` walk in places that the rows leave free in the last share of a program, where there are enough.
+        """
+        values, points, count = self._values(rows), {} if self._beside else self.points, len(rows)
+        if count + len(points) <= len(execution.walking_with(range(count), count)):
+            values = {name: np.append(own, [point[name] for point in points.values()]) for name, own in values.items()}
+        found = self._walk(values)
+        self._beside.update({name: own[count:] for name, own in found.items() if len(own) > count})
+        return {name: own[:count] for name, own in found.items()}
 
     def _walk(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         walked = self.walked
@@ -157,8 +168,9 @@ class Grid:
         walk = mc.rollout_histories if self.rows <= HISTORIES else mc.rollout_metrics
         return walk(walked.scenario, *robots, dtype=walked.dtype, **walked.walks)
 
-    def named(self) -> dict[str, dict[str, Any]]:
-        """Return the metrics of the config's gains and of pd, as far as they are points of the plane of the grid.
+    @functools.cached_property
+    def points(self) -> dict[str, dict[str, float]]:
+        """The config's gains and pd, as far as they are points of the plane of the grid.
 
         They walk by the grid's compiled program, which is quick on a CPU: on others there are none.
         """
@@ -171,14 +183,18 @@ class Grid:
             points["config"] = {name: values.item() for name, values in own.items()}
         if {*self.axes} == {"stiffness", "damping"} and law == ("base_admittance", "virtual_model"):
             points["pd"] = dict.fromkeys(self.axes, RIGID)
-        if not points:
-            return {}
-        count = len(execution.walking_with(range(len(points)), min(self.size, self.rows)))
-        values = {name: np.resize([point[name] for point in points.values()], count) for name in self.axes}
-        found, limbs = self._walk(values), self.walked.scenario.limbs
+        return points
+
+    def named(self) -> dict[str, dict[str, Any]]:
+        """Return the metrics of `points`."""
+        if self.points and not self._beside:
+            count = len(execution.walking_with(range(len(self.points)), min(self.size, self.rows)))
+            each = [*self.points.values()]
+            self._beside.update(self._walk({name: np.resize([p[name] for p in each], count) for name in self.axes}))
+        limbs, names = self.walked.scenario.limbs, self.walked.metrics.names
         return {
-            name: trajectory.named({key: found[key][place].item() for key in self.walked.metrics.names}, limbs)
-            for place, name in enumerate(points)
+            name: trajectory.named({key: self._beside[key][place].item() for key in names}, limbs)
+            for place, name in enumerate(self.points)
         }
 
     def name(self, row: int) -> str:

@@ -306,6 +306,24 @@ def test_gains_of_the_config_and_pd_are_points_of_the_plane(monkeypatch):
     assert sweep.grid_of(Problem(scenario), both, batch_size=4).named() == {}
 
 
+def test_gains_of_the_config_and_pd_walk_in_free_places_of_the_grid(monkeypatch):
+    asked = []
+
+    def walks(scenario, gains, parameters, **how):
+        asked.append(np.ravel(gains["stiffness"]))
+        return {name: np.arange(len(asked[-1])) + 0.5 for name in mc.METRICS.names} | {"detached_limb": np.full(8, -1)}
+
+    monkeypatch.setattr(mc, "rollout_histories", walks)
+    monkeypatch.setattr(sweep.jax, "default_backend", lambda: "cpu")
+    monkeypatch.setattr(sweep.execution, "walking_with", lambda robots, whole: range(8))
+    scenario = CASE.with_overrides({"control.stiffness": 4e3})
+    grid = sweep.grid_of(Problem(scenario), {"stiffness": [1e3, 2e3], "damping": [10.0, 20.0, 30.0]})
+    assert len(grid.walk(np.arange(6))["travel"]) == 6
+    assert [own["travel"] for own in grid.named().values()] == [6.5, 7.5]
+    (stiffness,) = asked
+    np.testing.assert_array_equal(stiffness, [1e3] * 3 + [2e3] * 3 + [4e3, 1e12])
+
+
 REFUSED = {
     "axes.nothing: expected a gain of the law": {"nothing": [1.0], "damping": [1.0]},
     "axes: expected two gains, got 1": {"damping": [1.0]},
