@@ -143,7 +143,7 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
         ValueError: two metrics of one name, or one that does not keep its shapes.
     """
     steps, parameters = len(trajectory.time), trajectory.parameters
-    whole: dict[str, Any] = {name: np.asarray(getattr(trajectory, name)) for name in DIMS}
+    whole = {name: np.asarray(getattr(trajectory, name)) for name in DIMS}
     shape = structure(trajectory.scenario, DEFAULT_ENGINE, parameters, metrics=metrics)
     dtype = whole["base_position"].dtype
     with jax.enable_x64(dtype == np.float64):
@@ -151,8 +151,8 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
     running = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), like)
     how, found = (parameters, np.asarray(shape.time_step, dtype), np.asarray(steps, np.int32)), dict[str, np.ndarray]()
     for first in range(0, steps, PART):  # by one program for walks of any length
-        part = Sample(**{name: _filled(values[first : first + PART]) for name, values in whole.items()})
-        asked = shape._replace(steps=0, time_step=0.0), part, *how, running
+        part: dict[str, Any] = {name: _filled(values[first : first + PART]) for name, values in whole.items()}
+        asked = shape._replace(steps=0, time_step=0.0), Sample(**part), *how, running
         running, found = execution.run_one(metrics_of_samples, *asked)
     return named({name: found[name].item() for name in shape.metrics.names}, trajectory.limbs)
 

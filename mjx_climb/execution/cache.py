@@ -13,6 +13,7 @@ import contextlib
 import functools
 import hashlib
 import importlib.metadata
+import json
 import os
 import pickle
 import platform
@@ -24,6 +25,7 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple, TypeVar, cast
 
@@ -268,18 +270,57 @@ def loaded(file: Path, trees: tuple[PyTree, ...]) -> Function | None:
         device = default if isinstance(default, jax.Device) else jax.devices(cast(str | None, default))[0]
         if placed := [leaf for leaf in jax.tree.leaves(trees) if isinstance(leaf, jax.Array)]:
             [device] = placed[0].devices()
-        serialized, outputs = pickle.loads(content)
-        prepare_for(content)
-        # the arguments' tree may have classes of a user's file, which pickle cannot import
-        executable: Function = serialize_executable.deserialize_and_load(
-            serialized, jax.tree.structure((trees, {})), outputs, device.client, [device]
-        )
+        ahead = _ahead.pop((file, device), None)
+        executable = _executable(content, device) if ahead is None or ahead.cancel() else ahead.result()
     except Exception as error:
         _tell("loaded", error)
         return None
+    _asked[file.name] = None
     monitoring.record_event(_HIT)
     monitoring.record_event_duration_secs(_SECONDS, time.perf_counter() - begin)
     return executable
+
+
+def _executable(content: bytes, device: jax.Device) -> Function:
+    serialized, outputs, count = pickle.loads(content)
+    prepare_for(content)
+    # the arguments' tree may have classes of a user's file, which pickle cannot import: it is called with the leaves
+    inputs = jax.tree.structure(((0,) * count, {}))
+    found: Function = serialize_executable.deserialize_and_load(serialized, inputs, outputs, device.client, [device])
+    return lambda *trees: found(*jax.tree.leaves(trees))
+
+
+_asked: dict[str, None] = {}  # names of the files of executables that this process has asked for, in their order
+_ahead: dict[tuple[Path, jax.Device], Future[Function]] = {}  # executables that are loaded before they are asked for
+
+
+@contextlib.contextmanager
+def loading_ahead(occasion: str) -> Iterator[None]:
+    """Load the executables that a process asked for on the last such occasion, on a CPU, while other things go on.
+
+    XLA loads beside Python, which imports for a while. At the end the names of those asked for meanwhile are kept.
+    """
+    if (folder := cache_folder()) is None:
+        yield
+        return
+    file = folder / "occasions" / hashlib.sha256(occasion.encode()).hexdigest()
+
+    def begin() -> None:
+        device, names = jax.devices()[0], json.loads(read_whole(file) or b"[]")
+        for name in names if device.platform == "cpu" else ():
+            program = folder / "programs" / name
+            if (content := read_whole(program)) is not None:
+                _ahead[program, device] = loader.submit(_executable, content, device)
+
+    loader = ThreadPoolExecutor(1, "loader")
+    loader.submit(begin)
+    try:
+        yield
+    finally:
+        loader.shutdown(wait=False, cancel_futures=True)
+        _ahead.clear()
+        if _asked:
+            store_whole(file, json.dumps([*_asked]).encode())
 
 
 def _stored(
@@ -300,9 +341,10 @@ def _stored(
         raise
     with outside_of_xlas_cache():
         executable = lowered.compile()
+    _asked[file.name] = None
     try:
         serialized, _, outputs = serialize_executable.serialize(executable)
-        store_whole(file, pickle.dumps((serialized, outputs)))
+        store_whole(file, pickle.dumps((serialized, outputs, len(jax.tree.leaves(trees)))))
     except Exception as error:
         _tell("kept", error)
     return executable

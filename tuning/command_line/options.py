@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, model_validator
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
 from mjx_climb.scenario.kinds import DEFAULT_ENGINE, ENGINES, Controller
+from tuning.command_line import processes
 from tuning.command_line.from_models import in_options
 from tuning.command_line.program import InputError
 from tuning.problem.search import Search, check_metrics
@@ -307,11 +308,7 @@ class Output(Options):
             from tuning.pages.section import load_section
 
             sections = [load_section(text) for text in self.sections]
-        with reserved_stdout() as stdout:
-            if walks:
-                from mjx_climb.execution import devices
-
-                devices.begin()
+        with reserved_stdout() as stdout, processes.devices_begun() if walks else contextlib.nullcontext():
             with contextlib.closing(Session(stdout, self.out, self.json_only, self.figures, sections)) as session:
                 yield session
 

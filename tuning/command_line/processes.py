@@ -145,14 +145,22 @@ class Team:
 
 
 @contextlib.contextmanager
+def devices_begun() -> Iterator[None]:
+    """Begin to start JAX's devices, and to load what this command needed the last time, for the same config."""
+    from mjx_climb.execution import cache, devices
+
+    devices.begin()
+    with cache.loading_ahead(" ".join(ARGUMENTS.get()[:2])):
+        yield
+
+
+@contextlib.contextmanager
 def joined(apart: bool = False) -> Iterator[Team]:
     """Join the other processes, where a launcher started several and they are not to walk apart."""
     own = None if apart else process()
     with contextlib.ExitStack() as stack:
         if own is None:
-            from mjx_climb.execution import devices
-
-            devices.begin()  # before the rest is imported
+            stack.enter_context(devices_begun())  # before the rest is imported
             yield Team(None, Path())
             return
         import tempfile

@@ -1,7 +1,7 @@
 """A sweep beside pd, pd retuned and the scenario's own gains: walks, its limit of stability, time histories."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -48,10 +48,8 @@ class Begun(NamedTuple):
 
 def begin(problem: Problem, walked: Problem, axes: Axes, start: Begin) -> Begun:
     """Begin the rivals of a grid with `axes` as of `tuning.sweep`; `walked` has the gains of the grid."""
-    return Begun(
-        start(lambda _: retuned_pd.least(problem.scenario, halvings=1, engine=problem.engine)),
-        start(lambda _: stability_limit.over_axes(walked.scenario, axes, law=walked.law, engine=problem.engine)),
-    )
+    limit = start(lambda _: stability_limit.over_axes(walked.scenario, axes, law=walked.law, engine=problem.engine))
+    return Begun(start(lambda _: retuned_pd.least(problem.scenario, halvings=1, engine=problem.engine)), limit)
 
 
 def own_name(problem: Problem) -> str:
@@ -77,76 +75,101 @@ class SweepComparison:
     level: AtOneStep | None  # where pd retuned walks at a time step of its own
     histories: xr.Dataset  # a grid with time histories: this one, or a coarser one of a large one
     remedies: Sequence[str] = ()  # where all failed: changes that keep the grippers of the config's walk shut
+    drawn: Any = None  # result of `draw`
 
 
-def compare(found: Swept, stage: Stage = silent, _: object = None, begun: Begun | None = None) -> SweepComparison:
+def compare(
+    found: Swept,
+    stage: Stage = silent,
+    _: object = None,
+    begun: Begun | None = None,
+    *,
+    draw: Callable[[xr.Dataset, Compared], Any] = ignore,
+) -> SweepComparison:
     """Simulate the rivals of a grid, and compute its limit of stability.
 
     Arguments:
         found: the grid.
         stage: opened for each longer work.
         begun: the result of `begin`, where it was begun before the grid walked.
+        draw: called with the grid and the rows that it can be drawn with, while pd is retuned.
     """
     problem, walked, own, best = found.problem, found.walked, own_name(found.problem), best_cell(found.data)
     axes = {name: found.data[name].values for name in found.axes}
     large = found.data["diverged"].size > HISTORIES
+    alone = _Alone(problem, ("best", retuned_pd.NAME, retuned_pd.UNSEARCHED, GIVEN, own, "pd"))
     with background() as beside:
         others = begun or begin(problem, walked, axes, beside)
         walking_again = beside(lambda _: with_histories(found.data, walked, best)) if large else None
-        with stage("pd retuned"):
-            rival = others.rival(ignore)
-            if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
-                rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
         walkers: dict[str, Walker] = {"pd": (under_pd(problem.scenario), None), own: (problem.scenario, problem.law)}
         walkers |= {} if found.gains is None else {GIVEN: (walked.scenario, walked.law)}
         if best is not None:
             at_best = walked.with_gains({name: best[name].item() for name in found.axes})
             walkers["best"] = at_best.scenario, at_best.law
-        level = None
-        if rival is not None:
-            walkers |= beside_retuned(problem, rival.joint, walkers.get("best"))
-            own_step = walkers[retuned_pd.NAME][0].time_step
-            level = None if own_step == problem.scenario.time_step else AtOneStep(own_step, np.nan)
-        # side by side: most of the time goes to the compiler, where each has a program of its own
-        with stage("walks alone"), ThreadPoolExecutor(devices.usable_cores()) as pool:
-
-            def measured(work: Work[mc.Trajectory]) -> tuple[mc.Trajectory, Values]:
-                walk = work(ignore)
-                return walk, mc.metrics(walk, problem.metrics)
-
-            def start(work: Work[Any]) -> Work[Any]:
-                future = pool.submit(measured, work)
-                return lambda _: future.result()
-
-            both: dict[str, Any] = {
-                name: each(ignore) for name, each in walks_together(problem, walkers, start).items()
-            }
-        alone, metrics = ({name: each[part] for name, each in both.items()} for part in (0, 1))
+        with stage("walks alone"):
+            alone.walk(walkers)
         with stage("stability limit"):
-            radius = stability_limit.on_map(others.limit(ignore), found.data)
+            data = found.data.assign(spectral_radius=stability_limit.on_map(others.limit(ignore), found.data))
+        drawn = draw(data, alone.rows(found.axes))
+        level = None
+        with stage("pd retuned"):
+            rival = others.rival(ignore)
+            if best is not None and (rival is None or (rival.lacks and best[VARIATION] < rival.value)):
+                rival = retuned_pd.least(problem.scenario, engine=problem.engine)  # a verdict takes all of pd's bounds
+            if rival is not None:
+                rivals = beside_retuned(problem, rival.joint, walkers.get("best"))
+                own_step = rivals[retuned_pd.NAME][0].time_step
+                level = None if own_step == problem.scenario.time_step else AtOneStep(own_step, np.nan)
+                alone.walk(rivals)
         histories = found.data
         if walking_again is not None:
             with stage("histories"):
                 histories = walking_again(ignore)
-    order = ("best", retuned_pd.NAME, retuned_pd.UNSEARCHED, GIVEN, own, "pd")
-    names = [name for name in order if name in alone]
-    paths = [name for name in found.axes if is_path(name)]
-    rows: dict[str, tuple[Values | None, Values]] = {}
-    for name in names:
-        gains, there = gains_of(alone[name]), {path: alone[name].parameters.at(path) for path in paths}
-        gains = {**(gains or {}), **there} if there else gains
-        rows[name] = gains, metrics[name]
-    data = found.data.assign(spectral_radius=radius)
-    worth, level, said = conclusions(found, best, rows, rival, level, metrics.get(LEVEL))
-    walks = {name: alone[name] for name in names if name in rows}
+    rows = alone.rows(found.axes)
+    worth, level, said = conclusions(found, best, rows, rival, level, alone.metrics.get(LEVEL))
+    walks = {name: alone.walks[name] for name in rows}
     remedied = []
     if best is None:
         with stage("what would help", compiles=False):
             remedied = _help(walks, walked.law)
     failures = int(walks_failed(data).sum())
     return SweepComparison(
-        data, best, walks, rows, failures, at_edge(found, best), worth, said, level, histories, remedied
+        data, best, walks, rows, failures, at_edge(found, best), worth, said, level, histories, remedied, drawn
     )
+
+
+class _Alone:
+    """Walks beside a grid, and their metrics, by name."""
+
+    def __init__(self, problem: Problem, order: Sequence[str]) -> None:
+        self._problem, self._order = problem, order  # of the rows
+        self.walks: dict[str, mc.Trajectory] = {}
+        self.metrics: dict[str, Values] = {}
+
+    def walk(self, walkers: Mapping[str, Walker]) -> None:
+        """Simulate robots side by side: most of the time goes to the compiler, where each has a program of its own."""
+        with ThreadPoolExecutor(devices.usable_cores()) as pool:
+
+            def measured(work: Work[mc.Trajectory]) -> tuple[mc.Trajectory, Values]:
+                walk = work(ignore)
+                return walk, mc.metrics(walk, self._problem.metrics)
+
+            def start(work: Work[Any]) -> Work[Any]:
+                future = pool.submit(measured, work)
+                return lambda _: future.result()
+
+            both: dict[str, Any] = walks_together(self._problem, walkers, start)
+            for name, each in both.items():
+                self.walks[name], self.metrics[name] = each(ignore)
+
+    def rows(self, axes: Sequence[str]) -> dict[str, tuple[Values | None, Values]]:
+        """Return the gains, and values at paths among the axes of a grid, and the metrics of these walks."""
+        paths, found = [name for name in axes if is_path(name)], dict[str, tuple[Values | None, Values]]()
+        for name in (name for name in self._order if name in self.walks):
+            walk = self.walks[name]
+            gains, there = gains_of(walk), {path: walk.parameters.at(path) for path in paths}
+            found[name] = {**(gains or {}), **there} if there else gains, self.metrics[name]
+        return found
 
 
 def conclusions(

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 
 from mjx_climb import trajectory
 from mjx_climb.viz import plots
-from tuning.comparisons import verdicts
+from mjx_climb.viz.plots.styling import render_ahead
+from tuning.background import Stage, silent
+from tuning.comparisons import of_sweep, verdicts
 from tuning.comparisons.of_sweep import SweepComparison, own_name, variation_of
-from tuning.comparisons.of_sweep import compare as compare
 from tuning.comparisons.side_by_side import Compared, Values
 from tuning.numbers import number, remarks, to_json
 from tuning.pages import comparison
@@ -26,6 +27,27 @@ FIRST_MAP = "Force variation over both gains; brighter is better."
 LACKS = "pd retuned, the walks in double precision and the limit of stability"  # of the first page
 MAPS = "All metrics over both gains; brighter is better."
 _HATCHED = ("detached_limb", "diverged")  # shown on every map
+
+
+class Drawn(NamedTuple):
+    """A sheet of maps, and what is marked on it."""
+
+    figure: Figure
+    marked: tuple[Mapping[str, tuple[float, float]], Values]
+
+
+def compare(
+    found: Swept, stage: Stage = silent, _: object = None, begun: of_sweep.Begun | None = None
+) -> SweepComparison:
+    """Return `of_sweep.compare`; the sheet of maps is drawn while pd is retuned."""
+
+    def draw(data: xr.Dataset, rows: Compared) -> Drawn:
+        with stage("maps", compiles=False):
+            figure = sheet(data, rows)
+            render_ahead(figure, "png")
+        return Drawn(figure, _marked(data, rows))
+
+    return of_sweep.compare(found, stage, begun=begun, draw=draw)
 
 
 def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
@@ -47,7 +69,7 @@ def contents(found: Swept, compared: SweepComparison, name: str) -> Contents:
     said = Findings.of(compared.verdict, lines, "" if compared.worth is None else compared.worth.in_words)
     listed = {name: [float(f"{value:.6g}") for value in data[name].values] for name in found.axes}
     call = f'tuning.sweep(mjx_climb.load_scenario("config.yaml"), {listed})'
-    page, maps = page_of(found, compared, said), Picture(MAPS, lambda: sheet(data, compared.rows))
+    page, maps = page_of(found, compared, said), Picture(MAPS, lambda: sheet(data, compared.rows, compared.drawn))
     written = Written(walks=compared.walks, compared=compared.rows, data=data, outcome=said.lines)
     return _contents(found, written, summary, page, maps, f'tuning.write({call}, "again")')
 
@@ -127,12 +149,22 @@ def precision_of(best: xr.Dataset | None) -> str:
     return f"{alone}; the map is in single precision, where the best has {number(best['force_variation'].item())} N"
 
 
-def sheet(data: xr.Dataset, compared: Compared) -> Figure:
-    """Draw the maps of all metrics that have values, with the gains and with pd's values to compare with."""
+def sheet(data: xr.Dataset, compared: Compared, drawn: Drawn | None = None) -> Figure:
+    """Draw the maps of all metrics that have values, with the gains and with pd's values to compare with.
+
+    They are those that were `drawn` before, unless something else was marked there.
+    """
+    marked = _marked(data, compared)
+    if drawn is not None and drawn.marked == marked:
+        return drawn.figure
     metrics = [str(n) for n, v in data.items() if "larger_is_better" in v.attrs and n not in _HATCHED]
     known = [name for name in metrics if np.isfinite(data[name]).any()]
-    baselines = {name: value for name, value in compared["pd"][1].items() if value is not None}
-    return plots.plot_maps(data, known, marks(data, compared), baselines=baselines, columns=3)
+    return plots.plot_maps(data, known, marked[0], baselines=marked[1], columns=3)
+
+
+def _marked(data: xr.Dataset, compared: Compared) -> tuple[dict[str, tuple[float, float]], Values]:
+    """Return gains and values of pd that are marked on maps."""
+    return marks(data, compared), {name: value for name, value in compared["pd"][1].items() if value is not None}
 
 
 def marks(data: xr.Dataset, compared: Compared) -> dict[str, tuple[float, float]]:

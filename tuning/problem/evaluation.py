@@ -12,6 +12,7 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
+from mjx_climb.component import with_values
 from mjx_climb.control import law_of
 from mjx_climb.control.combined import either
 from mjx_climb.execution import devices
@@ -200,7 +201,7 @@ def walk_of_any(
         return mc.rollout(scenario, law=law, engine=engine)
     mass, control = law_of(rigid), scenario.control
     if control.controller == "pd":
-        mass = dataclasses.replace(mass, inertia=RIGID)
+        mass = with_values(mass, {"inertia": RIGID})
     if beside is not None:
         mass = either(mass, beside if law is None else law, take_second=law is not None)
     walk = mc.rollout(rigid, law=mass, engine=engine)

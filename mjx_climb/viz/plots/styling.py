@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import weakref
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,25 @@ def save_figure(
     """
     if unknown := [kind for kind in formats if kind not in FORMATS]:
         raise ValueError(f"formats: expected some of {', '.join(FORMATS)}, got {unknown[0]!r}")
+    ahead, paths = _AHEAD.pop(figure, {}), []
+    for kind in formats:
+        content = ahead.get((kind, dpi)) or _rendered(figure, kind, dpi)
+        paths.append(write_bytes_atomically(f"{os.fspath(path_stem)}.{kind}", content))
+    return tuple(paths)
+
+
+# files of figures that nothing changes until they are saved, by format and resolution
+_AHEAD: weakref.WeakKeyDictionary[Figure, dict[tuple[str, int], bytes]] = weakref.WeakKeyDictionary()
+
+
+@style()
+def render_ahead(figure: Figure, kind: str, *, dpi: int = 300) -> None:
+    """Make the file of a figure that the next `save_figure` writes."""
+    _AHEAD.setdefault(figure, {})[kind, dpi] = _rendered(figure, kind, dpi)
+
+
+def _rendered(figure: Figure, kind: str, dpi: int) -> bytes:
+    """Return the file of a figure."""
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         try:
@@ -109,9 +129,6 @@ def save_figure(
     if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
         figure.set_layout_engine(None)  # it is laid out now; each format would do it again
-    paths = []
-    for kind in formats:
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format=kind, dpi=dpi, metadata=_METADATA[kind])
-        paths.append(write_bytes_atomically(f"{os.fspath(path_stem)}.{kind}", buffer.getvalue()))
-    return tuple(paths)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, dpi=dpi, metadata=_METADATA[kind])
+    return buffer.getvalue()

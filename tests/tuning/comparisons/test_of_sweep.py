@@ -39,7 +39,7 @@ def test_laws_by_one_program_walk_as_by_their_own(walker):
 @pytest.mark.parametrize(
     ("changes", "law"),
     [
-        ([], "VirtualModelAdmittance"),
+        ([], "VirtualModelAdmittance|PlannedTransfer"),
         (["control.reading=measured_pose"], "PD"),  # another program walks the config's gains: pd has its own
         (["hardware.force_sensor.dead.LF=0.1"], "PD"),  # base admittance would notice that a sensor is silent
     ],
@@ -67,7 +67,7 @@ def test_load_transfer_by_plan_shares_the_program_of_base_admittance(monkeypatch
 
     monkeypatch.setattr(mc, "rollout", rollout)
     walkers = {"pd": (PD, None), "config": (CASE, None), "plan": (PD, PLAN)}
-    for walk in side_by_side.walks_together(walkers, "limb", lambda work: work).values():
+    for walk in side_by_side.walks_together(Problem(CASE), walkers, lambda work: work).values():
         with pytest.raises(Asked):
             walk(ignore)
     assert asked == [asked[0]] * 3 and asked[0].__name__ == "VirtualModelAdmittance|PlannedTransfer"
