@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.control import PD, EndEffectorAdmittance, MeasuredPoseAdmittance, Start, VirtualModelAdmittance, begin
-from mjx_climb.control.combined import combined
+from mjx_climb.control.combined import combined, either
 from tests.control.test_laws import STEP, measured_of, reference_of
 from tuning.gains import gains_file, own_section
 
@@ -53,6 +53,17 @@ def test_base_and_feet_yield_at_once(scene):
     np.testing.assert_allclose(command.foot_position - reference.foot_position, feet, rtol=1e-9)
     turned = (turn * Rotation.from_rotvec(shift[3:])).as_quat(scalar_first=True, canonical=True)
     np.testing.assert_allclose(command.base_orientation, turned, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("take_second", "own"), [(False, BASE), (True, FEET)])
+def test_one_of_two_laws_commands(scene, take_second, own):
+    """As it does alone, while the other one goes on; both choices have one structure, so one compiled program."""
+    reference, measured = scene
+    law = either(BASE, FEET, take_second=take_second)
+    assert jax.tree.structure(law) == jax.tree.structure(either(BASE, FEET, take_second=not take_second))
+    command, alone = walked(law, measured, reference), walked(own, measured, reference)
+    jax.tree.map(np.testing.assert_array_equal, command, alone)
+    assert pickle.loads(pickle.dumps(type(law))) is type(law)
 
 
 def test_shifts_add_up_and_turns_follow_each_other(scene):

@@ -6,6 +6,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -127,6 +128,30 @@ def test_a_file_that_is_not_what_was_written_is_not_executed(run, tmp_path, dama
     [file] = (tmp_path / "programs").iterdir()
     damage(file, run)
     assert run() == (1, values)
+
+
+def test_executables_of_the_last_occasion_are_loaded_before_they_are_asked_for(tmp_path, monkeypatch):
+    """By another thread; what another occasion asked for is not."""
+    loaders, executable = [], cache._executable
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
+
+    def loaded(*given):
+        loaders.append(threading.current_thread().name)
+        return executable(*given)
+
+    monkeypatch.setattr(cache, "_executable", loaded)
+
+    def asked(occasion):
+        program = cache.cached_jit(_repeated, lambda *_: "a", {})
+        with cache.loading_ahead(occasion):
+            while occasion == "first" and (tmp_path / "occasions").exists() and not cache._ahead:
+                time.sleep(0.01)
+            return np.asarray(program(2, np.arange(3.0))["all"])
+
+    made = [asked("first") for _ in range(2)] + [asked("second")]
+    assert [name.startswith("loader") for name in loaders] == [True, False]
+    for each in made:
+        np.testing.assert_array_equal(each, [[0.0, 1.0, 2.0]] * 2)
 
 
 def test_shapes_are_traced_once_for_all_processes(tmp_path, monkeypatch):

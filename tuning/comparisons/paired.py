@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy  # its parts are imported when they are first used
 import xarray as xr
-from scipy.special import betaincinv, fdtrc, stdtr, stdtrit
 
 from mjx_climb.files import dataset
 from tuning.comparisons import judge as judging
@@ -176,9 +176,9 @@ def _multiple(
     """
     size = deviations / np.sqrt(np.where(there & (variances > 0), variances, 1.0))
     # the same for both signs
-    chance = 2 * stdtr(freedom, -np.abs(size))
+    chance = 2 * scipy.special.stdtr(freedom, -np.abs(size))
     least = np.quantile(chance[:, there].min(axis=1, initial=1.0), 1 - level, method="weibull")
-    return np.asarray(-stdtrit(freedom, least / 2))
+    return np.asarray(-scipy.special.stdtrit(freedom, least / 2))
 
 
 def _unseen(differences: Statistic, difference: np.ndarray, walks: int) -> np.ndarray:
@@ -248,7 +248,7 @@ class _Luck(NamedTuple):
         gains, of_scale = self.lends.any(0), self.freedom * self.independent
         others = max(gains.sum() - 1, 1)
         rest = (scale.sum(-1, keepdims=True) - scale) / others
-        chance = fdtrc(of_scale, of_scale * others, scale / np.where(rest > 0, rest, 1.0))
+        chance = scipy.special.fdtrc(of_scale, of_scale * others, scale / np.where(rest > 0, rest, 1.0))
         lent = self.lends & ((chance >= _UNLIKE) | (rest <= 0))
         alike = _mean(relative, lent, -1)
         # a statistic in which searches end alike by chance
@@ -321,8 +321,8 @@ def lost(failed: np.ndarray, baseline: int) -> Interval:
     base = (~failed & failed[baseline]).sum(axis=2).mean(axis=1)
     either = alone + base
     # of shape parameters of 0 the quantile is that end itself
-    least = np.where(alone > 0, betaincinv(np.where(alone > 0, alone, 1), base + 1, tail), 0.0)
-    most = np.where(base > 0, betaincinv(alone + 1, np.where(base > 0, base, 1), 1 - tail), 1.0)
+    least = np.where(alone > 0, scipy.special.betaincinv(np.where(alone > 0, alone, 1), base + 1, tail), 0.0)
+    most = np.where(base > 0, scipy.special.betaincinv(alone + 1, np.where(base > 0, base, 1), 1 - tail), 1.0)
     missed = 1 - tail ** (1 / walks)
     low = np.where(either > 0, (2 * least - 1) * either / walks, -missed)
     high = np.where(either > 0, (2 * most - 1) * either / walks, missed)
@@ -330,7 +330,7 @@ def lost(failed: np.ndarray, baseline: int) -> Interval:
     difference = share - share[baseline]
     if seeds > 1:
         of_seeds = failed.mean(axis=2) - failed.mean(axis=2)[baseline]
-        half = -stdtrit(seeds - 1, tail) * of_seeds.std(axis=1, ddof=1) / math.sqrt(seeds)
+        half = -scipy.special.stdtrit(seeds - 1, tail) * of_seeds.std(axis=1, ddof=1) / math.sqrt(seeds)
         low, high = np.minimum(low, difference - half), np.maximum(high, difference + half)
     low[baseline] = high[baseline] = 0.0
     open_ended = np.full(len(failed), np.nan)

@@ -28,14 +28,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy  # its parts are imported when they are first used
 import xarray as xr
 from jax import Array
 from jax.extend.core import jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from threadpoolctl import threadpool_limits
 
 import mjx_climb as mc
@@ -260,9 +258,9 @@ def _with_delays(core: np.ndarray, sizes: Sequence[int], weights: Sequence[np.nd
         return core
     late, newest = sum(signals), np.repeat([weight[0] for weight in weights], signals)
     each = [(weight, len(weight) - 1, np.eye(size)) for weight, size in zip(weights, signals, strict=True)]
-    read = block_diag(*(np.kron(weight[1:, None], one) for weight, _, one in each))
-    entered = block_diag(*(np.kron(np.eye(1, kept), one) for _, kept, one in each))
-    shifted = block_diag(*(np.kron(np.eye(kept, k=1), one) for _, kept, one in each))
+    read = scipy.linalg.block_diag(*(np.kron(weight[1:, None], one) for weight, _, one in each))
+    entered = scipy.linalg.block_diag(*(np.kron(np.eye(1, kept), one) for _, kept, one in each))
+    shifted = scipy.linalg.block_diag(*(np.kron(np.eye(kept, k=1), one) for _, kept, one in each))
     with np.errstate(invalid="ignore"):  # a robot that has no finite Jacobian has no finite radius
         # the late signals by the states: by the rest within the step where a delay is below a step, and by the buffers
         signal = np.concatenate([core[:, late:, :late] * newest, np.broadcast_to(read, (len(core), *read.shape))], 1)
@@ -320,8 +318,10 @@ def _coupled(acts: np.ndarray) -> np.ndarray:
 
     The eigenvalues are those of these states together and of each other state by itself.
     """
-    _, group = connected_components(csr_array(acts), connection="strong")
-    return np.asarray(np.bincount(group)[group] > 1)
+    reach = acts | np.eye(len(acts), dtype=bool)
+    for _ in range(len(acts).bit_length()):  # twice as far each time
+        reach = reach @ reach
+    return np.asarray((reach & reach.T).sum(0) > 1)
 
 
 def over_axes(

@@ -4,7 +4,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import optax
 
 BACK = 0.5  # share of its steps that a row keeps which goes back
 
@@ -30,6 +29,8 @@ class Adam:
             tiny: added to the root of the squares.
             scales: (B,) of the steps.
         """
+        import optax  # takes 0.1 s to load: few commands step
+
         self.best, self.least, self.there = x, np.full(len(x), np.inf), np.zeros((len(x), moves))
         adam, self._patience = optax.scale_by_adam(*memory, eps=tiny), patience
         # a memory for each row, as one may begin anew; compiled once

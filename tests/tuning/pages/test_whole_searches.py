@@ -221,6 +221,16 @@ def test_the_folder_of_a_sweep(told, tmp_path):
         drawn_again("sweep_True", made, tmp_path)
 
 
+def test_a_sheet_that_was_drawn_ahead_is_taken_unless_other_gains_or_values_are_marked():
+    grid, pd = grid_of(), (None, metrics_of(10.0))
+    rows = {"best": ({"stiffness": 100.0, "damping": 10.0}, metrics_of(20.0)), "pd": pd}
+    drawn = sweep.Drawn(sweep.sheet(grid, rows), sweep._marked(grid, rows))
+    assert sweep.sheet(grid, rows | {"retuned_pd": ({"kp": 17.0}, metrics_of(15.0))}, drawn) is drawn.figure
+    assert sweep.sheet(grid, rows | {"pd": (None, metrics_of(11.0))}, drawn) is not drawn.figure
+    moved = ({"stiffness": 1000.0, "damping": 10.0}, metrics_of(20.0))
+    assert sweep.sheet(grid, rows | {"best": moved}, drawn) is not drawn.figure
+
+
 def test_the_folder_of_a_sweep_before_it_is_compared():
     named = {"config": metrics_of(30.0), "pd": metrics_of(80.0, **TORN)}
     same("sweep_first", sweep.first(Swept(grid_of(), Problem(CASE)), named))

@@ -14,6 +14,7 @@ from matplotlib.patches import PathPatch
 
 import mjx_climb as mc
 from mjx_climb.viz import plots
+from mjx_climb.viz.plots import styling
 
 CASE = {
     "duration": 2.0,
@@ -335,6 +336,15 @@ def test_a_legend_is_as_wide_as_its_figure_at_most(words, columns):
     figure.draw_without_rendering()
     assert len({round(text.get_window_extent().x0) for text in legend.get_texts()}) == columns
     assert legend.get_window_extent().width <= figure.bbox.width
+
+
+def test_a_picture_is_saved_as_it_was_rendered_ahead_and_then_as_it_is(tmp_path):
+    figure = Figure(figsize=(1, 1))
+    saved = [plots.save_figure(figure, tmp_path / "as it is", dpi=50)[0].read_bytes()]
+    styling.render_ahead(figure, "png", dpi=50)
+    figure.text(0.5, 0.5, "later")
+    saved += [plots.save_figure(figure, tmp_path / "as it is", dpi=50)[0].read_bytes() for _ in range(2)]
+    assert saved[0] == saved[1] != saved[2]
 
 
 def test_names_that_are_no_mathematics_are_drawn_as_they_stand(tmp_path):
