@@ -177,11 +177,13 @@ def test_settings():
 
 def test_as_one_kernel():
     """One call of a kernel, whatever is in it; the name is known to XLA, which does not read others."""
-    program = jax.make_jaxpr(lambda x: jnp.exp(jnp.sin(x) * jnp.cos(x)))(jnp.ones(64))
-    lowered = jax.jit(jax_internals.as_one_kernel(program)).lower(jnp.ones(64))
-    text = lowered.compile().as_text()
+    x, y = jnp.ones(64), jnp.full(64, 2.0)
+    program = jax.make_jaxpr(lambda x, y: [jnp.exp(jnp.sin(x) * jnp.cos(x)), x + y, x - y])(x, y)
+    compiled = jax.jit(jax_internals.as_one_kernel(program)).lower(x, y).compile()
+    text = compiled.as_text()
     assert 'xla_cpu_small_call="true"' in text and text.count(" call(") == 1
-    np.testing.assert_allclose(lowered.compile()(jnp.ones(64))[0], np.exp(np.sin(1.0) * np.cos(1.0)) * np.ones(64))
+    for found, expected in zip(compiled(x, y), (np.exp(np.sin(1.0) * np.cos(1.0)), 3.0, -1.0), strict=True):
+        np.testing.assert_allclose(found, np.full(64, expected), rtol=1e-6)
 
 
 def test_launched():
