@@ -140,6 +140,7 @@ def test_executables_of_the_last_occasion_are_loaded_before_they_are_asked_for(t
         return executable(*given)
 
     monkeypatch.setattr(cache, "_executable", loaded)
+    monkeypatch.setattr(cache, "executable_file", batches.executable_file)  # which no other test has
 
     def asked(occasion):
         program = cache.cached_jit(_repeated, lambda *_: "a", {})
