@@ -124,7 +124,7 @@ def test_a_law_is_compared_with_pd_at_its_own_time_step_and_at_that_of_pd(step, 
         (of_search, "scores_of", lambda _, metrics: {"objective": metrics}), (retuned_pd, "joint_of", lambda _: joint),
         (retuned_pd, "rival_of", lambda *_: retuned_pd.Rival(joint, 0.5)), (worths, "worth_of", worth),
         (mc, "rollout", lambda walked, **_: walked), (mc, "metrics", lambda walked, _: walked.time_step),
-        (side_by_side, "walk_of_pd", lambda walked, _: walked),
+        (side_by_side, "walk_of_any", lambda walked, *_, **__: walked),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
     own = Problem(scenario)
