@@ -21,7 +21,6 @@ from tuning.comparisons.side_by_side import (
     Values,
     beside_retuned,
     gains_of,
-    one_walk,
     planned,
     retuned,
     rivals,
@@ -107,10 +106,11 @@ def compare(found: Tuned, stage: Stage = silent, out: Path | None = None, begun:
         tested = start(lambda _: verification.tests(found))  # the longest to compile
         others = begun or begin(problem, found.search, start, seeds=found.seeds, out=out)
         mapped = others.over or start(lambda told: verification.map_of(found, progress=told))
-        walking = {**others.walks, "tuned": start(one_walk(*ours, engine))}
+        walking = {**others.walks, **walks_together(problem, {"tuned": ours}, start)}
         rival, plan = rivals(others.retuned, others.planned, stage)
         if plan is not None:
-            walking[retuned_pd.PLANNED] = start(one_walk(plan.walked.scenario, plan.walked.law, engine))
+            of_plan = {retuned_pd.PLANNED: (plan.walked.scenario, plan.walked.law)}
+            walking |= walks_together(problem, of_plan, start)
         beside_it = {"config": Whole(problem.law, {})}
         joint, step = {} if rival is None else retuned_pd.joint_of(rival), None
         if rival is not None:
