@@ -124,13 +124,16 @@ def either(first: Law, second: Law, *, take_second: bool) -> Law:
 
     Walks under either law have the same compiled program. Both leave the joint loop's gains alone.
     """
-    return dataclasses.replace(_made(Choice, first, second), second=float(take_second))
+    which: Any = {"second": float(take_second)}
+    return dataclasses.replace(_made(Choice, first, second), **which)
 
 
 def _made(base: type[AnySum], *laws: Law) -> AnySum:
     kind = _class_of(base, *map(type, laws))
-    return kind(**{name: getattr(law, own) for law, part in zip(laws, kind.PARTS, strict=True)
-                   for own, name in part.names})  # fmt: skip
+    values: Any = {
+        name: getattr(law, own) for law, part in zip(laws, kind.PARTS, strict=True) for own, name in part.names
+    }
+    return cast(AnySum, kind(**values))
 
 
 @functools.cache
