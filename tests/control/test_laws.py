@@ -137,6 +137,9 @@ def test_the_base_yields_by_eq_3_against_the_wrench_along_the_axes_of_the_refere
 def test_gains_that_nobody_gives_are_those_of_the_papers_case_1_2():
     for kind in (VirtualModelAdmittance, MeasuredPoseAdmittance, EndEffectorAdmittance):
         assert (kind().inertia, kind().damping, kind().stiffness) == (1.0, 5e3, 5e4), kind
+        # one range for a gain, whichever law has it
+        bounds = {name: kind.GAINS[name].bounds for name in ("inertia", "damping", "stiffness")}
+        assert bounds == {"inertia": (0.1, 1e2), "damping": (1.0, 1e5), "stiffness": (1e2, 1e6)}, kind
     control = mc.load_scenario("case_1_2").control
     assert (control.inertia, control.damping, control.stiffness) == (1.0, 5e3, 5e4)
 
