@@ -1,6 +1,7 @@
 """Robots of all shapes, two to eight limbs of two to seven joints, made at random: both engines against MuJoCo."""
 
 import dataclasses
+import re
 
 import jax.numpy as jnp
 import mujoco
@@ -106,3 +107,27 @@ def test_the_model_of_mjx_has_a_robots_armature_once_and_its_cargo():
     mass[1] += 0.7
     np.testing.assert_allclose(ours.body_mass, mass, rtol=1e-12)
     np.testing.assert_array_equal(ours.opt.gravity, GRAVITY)
+
+
+GOOD = mjcf(2, 2)
+LONE = re.sub(r'<body name="limb.*</body></body>(?=</body></worldbody>)', "", GOOD)
+NO_ROBOTS = {
+    "nothing": "<mujoco/>",
+    "no limb": LONE,
+    "feet without links": LONE.replace("</body></worldbody>", "<site/></body></worldbody>"),
+    "a base beside its centre of mass": GOOD.replace('<inertial pos="0 0 0"', '<inertial pos="0 0 1e-3"'),
+    "two joints in a link": GOOD.replace("<joint", '<joint axis="1 0 0"/><joint', 1),
+    "no feet": re.sub("<site[^>]*>", "", GOOD),
+    "links that do not share out": re.sub(r'<body name="limb1_1".*?</body>', "<site/>", GOOD),
+    "no stance": re.sub("<keyframe>.*</keyframe>", "", GOOD),
+}
+
+
+@pytest.mark.parametrize("name", NO_ROBOTS)
+def test_a_model_that_is_no_robot_of_limbs_is_refused(name):
+    text = re.sub("<keyframe>.*</keyframe>", "", NO_ROBOTS[name]) if name != "no stance" else NO_ROBOTS[name]
+    model = mujoco.MjModel.from_xml_string(text)
+    assert len(robot_from_model(mujoco.MjModel.from_xml_string(GOOD), "good").limbs) == 2
+    stance = None if name == "no stance" else model.qpos0
+    with pytest.raises(mc.RobotError, match=r"^name: expected a floating base with its frame"):
+        robot_from_model(model, "name", stance)

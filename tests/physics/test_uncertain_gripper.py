@@ -1,5 +1,6 @@
 """Grippers that may fail: with neither spread nor test they are `Gripper`; a grip that fails is tried again."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -90,3 +91,18 @@ def test_a_grip_that_fails_its_test_is_tried_again_so_many_times():
         else:
             assert not held.any() and missed.sum() == 1
     assert 0 < bears[0].sum() < LIMBS
+
+
+def test_an_unbreakable_one_passes_its_tests_and_a_torn_one_forgets_nothing_else():
+    contact, inner = gripper(spread=0.3, tested_pull=4.0)
+    sure = contact.unbreakable()
+    assert contact.breaks and not sure.breaks and sure.tested_pull == 0.0
+    assert [getattr(sure, name) for name in ("spread", "tries", "stiffness")] == [0.3, 3.0, 1e4]
+    memory, [*_, grip] = walked(contact, [SHUT, SHUT], [0.0, 0.0])
+    torn = np.arange(LIMBS) == 2
+    after, gone = contact.tear_off(memory, grip, jnp.asarray(torn))
+    same, expected = inner.tear_off(memory.gripper, grip, jnp.asarray(torn))
+    for one, other in ((gone, expected), (after.gripper, same)):
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+    np.testing.assert_array_equal(gone.torn_off, grip.torn_off | torn)
+    assert after._replace(gripper=None) == memory._replace(gripper=None)
