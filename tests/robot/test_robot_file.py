@@ -27,6 +27,8 @@ from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geomet
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.description import files_of
 from mjx_climb.robot_import.load import load_model, load_robot, model_path
+from mjx_climb.scenario.model import RobotFile
+from tests.robot import climbers
 
 LIMBS = {"LF": (1, 1), "LH": (-1, 1), "RH": (-1, -1), "RF": (1, -1)}  # signs of x and y
 LINKS = ("yaw", "lift", "knee")
@@ -554,3 +556,31 @@ def test_the_files_of_a_robot_grow_with_its_meshes(tmp_path):
         file.write_text(f'<mujoco><compiler meshdir="geo/obj"/><asset>{meshes}</asset></mujoco>')
         counts.append(len(files_of(file)) - 1)
     assert counts[1] == 4 * counts[0]
+
+
+def test_a_robot_from_a_file_is_drawn_as_plain_shapes(saved):
+    """A box around the first joints, one ahead in it, and for each joint a servo and a link; then a gripper."""
+    model = load_model(RobotFile.model_validate(climbers.config(saved(climbers.mjcf(4, 3)), 4, 3)["robot"]))
+    assert (model.geom_contype[:] | model.geom_conaffinity[:]).sum() == 0
+    found = [
+        (model.body(model.geom_bodyid[n]).name, mujoco.mjtGeom(model.geom_type[n]).name[7:].lower(),
+         model.mat(model.geom_matid[n]).name, model.geom_pos[n].round(6).tolist(), model.geom_size[n].round(6).tolist())
+        for n in range(1, model.ngeom)
+    ]  # fmt: skip
+    hip = 0.08 / np.sqrt(2)  # the base's centre is 3 mm ahead
+    x, y = hip + 0.003, hip
+    shapes = [
+        ("base", "box", "shell", [0, 0, 0], [0.95 * x, 0.95 * y, 0.2 * y]),
+        ("base", "box", "frame", [0.7 * x, 0, 0], [0.06 * x, 0.6 * y, 0.22 * y]),
+    ]
+    for limb in range(4):
+        for joint, (length, material) in enumerate(((0.03, "frame"), (0.15, "shell"), (0.15, "frame")), 1):
+            thick, end = min(0.12 * length, 0.014), length * (0.85 if joint == 3 else 1.0)
+            body = f"limb{limb}_joint{joint}"
+            shapes.append((body, "cylinder", "servo", [0, 0, 0], [1.2 * thick, 1.4 * thick, 0]))
+            shapes.append((body, "capsule", material, [end / 2, 0, 0], [0.7 * thick, end / 2, 0]))
+        shapes.append((body, "capsule", "gripper", [(length + end) / 2, 0, 0], [thick, (length - end) / 2, 0]))
+    for one, other in zip(found, shapes, strict=True):
+        assert one[:3] == other[:3]
+        np.testing.assert_allclose(one[3], other[3], atol=2e-6)
+        np.testing.assert_allclose(one[4], other[4], atol=2e-6)
