@@ -43,6 +43,7 @@ def test_every_array_of_a_walk_is_a_variable_with_units_found_by_label(trajector
     arrays = {f.name for f in dataclasses.fields(trajectory)} - {"scenario", "gains", "parameters", "limbs", "law"}
     assert arrays == set(ds.VARIABLES)
     dataset = ds.to_dataset(trajectory)
+    assert {*dataset.coords} == {"time", "limb", "joint", "axis", "six", "quaternion"}
     for name, variable in [*dataset.variables.items(), *sweep().variables.items()]:
         assert variable.attrs["units"] and variable.attrs["long_name"], name
     torque = dataset["joint_torque"].sel(limb="RH", joint="femur")
