@@ -23,10 +23,11 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.time_step import check_time_step, growth, largest_time_step
 from mjx_climb.physics.contact.contact import Springs
 from mjx_climb.physics.contact.gripper import Gripper
-from mjx_climb.physics.inverse_kinematics import inverse_kinematics, limb_geometry
+from mjx_climb.physics.inverse_kinematics import Chain, inverse_kinematics, limb_geometry
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.description import files_of
 from mjx_climb.robot_import.load import load_model, load_robot, model_path
+from mjx_climb.robot_import.robot_file import SNAP
 from mjx_climb.scenario.model import RobotFile
 from tests.robot import climbers
 
@@ -584,3 +585,23 @@ def test_a_robot_from_a_file_is_drawn_as_plain_shapes(saved):
         assert one[:3] == other[:3]
         np.testing.assert_allclose(one[3], other[3], atol=2e-6)
         np.testing.assert_allclose(one[4], other[4], atol=2e-6)
+
+
+@pytest.mark.parametrize("which", ["0 -1 {}", "{} -1 0"])
+@pytest.mark.parametrize("tilt", [0.0, 0.4, 3.0])
+def test_axes_near_a_yaw_and_two_pitches_are_exactly_these_and_others_the_files(which, tilt, saved):
+    """By tilts in units of the tolerance, of the second axis along the first and of it across the third."""
+    second = 'name="L1_1" type="hinge" axis="{}"'
+    text = climbers.mjcf(4, 3).replace(second.format("0 -1 0"), second.format(which.format(tilt * SNAP)))
+    robot = load_robot(RobotFile.model_validate(climbers.config(saved(text), 4, 3)["robot"]))
+    assert isinstance(limb_geometry(robot), Chain) == (tilt > 1)
+    file, ours = mujoco.MjModel.from_xml_string(text), robot.model
+    data, own = mujoco.MjData(file), mujoco.MjData(ours)
+    angles = np.random.default_rng(0).uniform(-0.3, 0.3, 3)
+    for joint, angle in enumerate(angles):
+        data.joint(f"L1_{joint}").qpos[:] = angle
+        own.joint(f"limb1_joint{joint + 1}").qpos[:] = angle
+    mujoco.mj_kinematics(file, data)
+    mujoco.mj_kinematics(ours, own)
+    away = own.site("limb1_foot").xpos - own.body("base").xpos - (data.site("foot1").xpos - data.body("trunk").xipos)
+    assert (np.abs(away).max() < 1e-9) == (tilt != 0.4)
