@@ -590,9 +590,10 @@ def test_a_robot_from_a_file_is_drawn_as_plain_shapes(saved):
 @pytest.mark.parametrize("which", ["0 -1 {}", "{} -1 0"])
 @pytest.mark.parametrize("tilt", [0.0, 0.4, 3.0])
 def test_axes_near_a_yaw_and_two_pitches_are_exactly_these_and_others_the_files(which, tilt, saved):
-    """By tilts in units of the tolerance, of the second axis along the first and of it across the third."""
-    second = 'name="L1_1" type="hinge" axis="{}"'
-    text = climbers.mjcf(4, 3).replace(second.format("0 -1 0"), second.format(which.format(tilt * SNAP)))
+    """By tilts in units of the tolerance: of both pitches along the yaw, or of the first one across the other."""
+    text, axis = climbers.mjcf(4, 3), 'name="L1_{}" type="hinge" axis="{}"'
+    for joint in (1, 2) if which == "0 -1 {}" else (1,):
+        text = text.replace(axis.format(joint, "0 -1 0"), axis.format(joint, which.format(tilt * SNAP)))
     robot = load_robot(RobotFile.model_validate(climbers.config(saved(text), 4, 3)["robot"]))
     assert isinstance(limb_geometry(robot), Chain) == (tilt > 1)
     file, ours = mujoco.MjModel.from_xml_string(text), robot.model
