@@ -249,8 +249,8 @@ def test_a_known_mass_on_the_feet_tells_torques_from_masses_where_no_effort_is_r
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("fit", "unseen", "words"), [
-    # without torques recorded, what brakes a joint is one number
-    (("control.kd", "hardware.servo.viscous_friction"), {"hardware.servo.viscous_friction"},
+    # without torques recorded, what brakes a joint is one number: where the search ends decides which stays nominal
+    (("control.kd", "hardware.servo.viscous_friction"), {"control.kd", "hardware.servo.viscous_friction"},
      "does not tell control.kd from hardware.servo.viscous_friction"),
     # the coxa turns about the vertical: how high its link's mass lies moves nothing
     pytest.param(("control.kp", "robot.LF.coxa.center.z"), {"robot.LF.coxa.center.z"},
@@ -266,10 +266,12 @@ def test_what_the_log_cannot_see_is_said(fit, unseen, words):
         **({} if "control.kd" in fit else {"control.kd": 0.3}),
     })  # fmt: skip
     found = tuning.identify(scenario, log_of(TRUE, 3.0), fit, starts=1)
-    assert {key for key, estimate in found.estimates.items() if not estimate.seen} == unseen
+    untold = {key for key, estimate in found.estimates.items() if not estimate.seen}
+    assert len(untold) == 1 and untold <= unseen
     assert any(words in line for line in found.warnings), found.warnings
     if "control.kd" in fit:
         assert any("control.kd" in line and "viscous" in line for line in found.combined)
+        assert sum(estimate.value for estimate in found.estimates.values()) == pytest.approx(TRUE.kd, rel=0.02)
 
 
 @pytest.mark.nightly
