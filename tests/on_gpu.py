@@ -189,7 +189,7 @@ def main():
             code = f"not ended after {LIMIT:.0f} s"
         print(f"-- {part}: {code or 'ok'}, {time.perf_counter() - begin:.0f} s", flush=True)
         failed += [part] * bool(code)
-    raise SystemExit(", ".join(failed))
+    raise SystemExit(", ".join(failed) or 0)
 
 
 if __name__ == "__main__":
