@@ -10,6 +10,7 @@ from mjx_climb.control import PD
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.model import MAX_DELAY
 from tuning.comparisons import linear_margins, margins, stability_limit
+from tuning.problem.evaluation import RIGID
 
 STEP = 1e-3
 GAINS = mc.Gains(1.0, 150.0, 3e3, kp=np.asarray(20.0), kd=np.asarray(0.1))
@@ -84,11 +85,12 @@ def test_margins_are_those_of_a_second_program(seed, monkeypatch, case):
         loop, bus = parameters.joint_loop, parameters.bus
         columns = [parameters.force_sensor.delay, bus.command_delay, bus.control_period, loop.kp]
         shape = np.broadcast_shapes(*map(np.shape, columns))
+        pd = isinstance(law, PD) or (isinstance(gains, mc.Gains) and np.all(gains.inertia == RIGID))
         force, detached, diverged = np.full(shape, 100.0), np.full(shape, np.nan), np.zeros(shape, bool)
         for row, (name, column) in enumerate(zip(own, columns, strict=True)):
             for k in range(shape[1]):
                 value = np.broadcast_to(column, shape)[row, k]
-                if isinstance(law, PD):
+                if pd:
                     diverged[row, k] = beyond(name, value / (50.0 if name == "joint_gains" else 1), falls[name])
                     continue
                 value = value / (20.0 if name == "joint_gains" else 1)
