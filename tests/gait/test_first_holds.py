@@ -1,5 +1,7 @@
 """A robot that chooses its footholds stands on holds from the start, with their normals and limits."""
 
+import contextlib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -100,6 +102,21 @@ def test_the_check_of_a_stance_looks_where_its_feet_stand(heading):
             ConfigError, match=f"none for {robot.limbs[limb]}, the nearest {nearest:.2g} m away".replace("[", r"\[")
         ):
             checked(away)
+
+
+@pytest.mark.parametrize("height", [1.0, 2.0])
+def test_a_base_that_the_gait_raises_reaches_less(height):
+    """Holds straight below the feet, which a raised base has to stretch for."""
+    robot = load_robot("hubrobo_v3_2")
+    own = quaternion_to_matrix(robot.stance_orientation)
+    feet = robot.stance_position + limb_frames(robot, own, robot.stance_joints).foot
+    holds = {"points": [{"at": at} for at in feet.tolist()]}
+    keys = {"gait.footholds": "nearest", "gait.height": height, "ground.holds": holds}
+    refused = (
+        contextlib.nullcontext() if height == 1.0 else pytest.raises(ConfigError, match="none for LF, the nearest")
+    )
+    with refused:
+        check_first_holds(mc.load_scenario("case_1_1", keys))
 
 
 @pytest.mark.parametrize(("scale", "said"), [(1.0, False), (10.0, False), (1000.0, True)])

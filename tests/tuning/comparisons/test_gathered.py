@@ -13,7 +13,7 @@ import mjx_climb as mc
 from mjx_climb.control import PD, PlannedTransfer, VirtualModelAdmittance, law_of
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.background import ignore
-from tuning.comparisons import compare, judge, of_ensemble, of_front, of_sweep, stability_limit
+from tuning.comparisons import compare, judge, of_ensemble, of_front, of_sweep, stability_limit, worth
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import Search
@@ -380,3 +380,13 @@ def test_laws_are_searched_from_each_seed_and_judged_on_the_same_unseen_walks(me
     with pytest.raises(KeyboardInterrupt):
         compare.run(laws, base, search, seeds=3)
     assert len(searches) == 8
+
+
+@pytest.mark.parametrize("ours", [0.2, 0.4])
+@pytest.mark.parametrize(("better", "larger"), [("min_tsm", True), ("force_variation", False)])
+def test_the_worth_at_the_knee_of_a_front_knows_which_way_a_metric_is_better(better, larger, ours):
+    without = {f"without_{better}": 0.3, "without_kp": 20.0, "without_kd": 1.0, "without_law": retuned_pd.NAME}
+    asked = types.SimpleNamespace(better=better, against="cost_of_transport")
+    data = xr.Dataset({better: ("front", [9.0, ours])})
+    found = types.SimpleNamespace(problem=Problem(FINE), rival=xr.Dataset(without), asked=asked, data=data, knee=1)
+    assert ("does not pay" in worth.of_front(found)) is ((ours < 0.3) == larger)

@@ -349,3 +349,10 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call)
     assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
         "config.yaml", "margins.json", "margins.nc", "margins.png", "settings.json"
     }  # fmt: skip
+
+
+def test_gains_without_those_of_the_joint_loop_keep_all_others():
+    """Of a law's own by name, and of base admittance."""
+    joint = {"kp": 40.0, "kd": 0.3, "ki": 2.0}
+    assert margins.without_joint({"leak": 1.0, **joint}) == {"leak": 1.0}
+    assert by_name(margins.without_joint(mc.Gains(1.0, 2.0, 3.0, **joint))).keys() == mc.Gains.AXES.keys()
