@@ -224,6 +224,15 @@ def test_reverse_mode_pays_from_where_forward_mode_costs_as_much():
     assert labels["adjoint_from"].endswith(f"searches use it from {REVERSE_ABOVE + 1} on")
 
 
+def test_each_row_of_a_bench_is_another_number_and_says_which():
+    names, labels, _, _ = zip(*machine.ROWS, strict=True)
+    assert len({*names}) == len({*labels}) == len(names)
+    for gains in ("2", "12"):
+        assert [label for name, label in zip(names, labels, strict=True) if name == f"gradient_cost_{gains}"] == [
+            f"value and gradient by {gains} gains, in values"
+        ]
+
+
 def test_work_takes_turns_and_the_first_turn_does_not_count():
     order = []
     work = {"a": (1, lambda: order.append("a")), "b": (2, lambda: order.append("b"))}

@@ -53,6 +53,15 @@ def test_results_are_listed_with_the_settings_that_differ(results):
     ]  # fmt: skip
 
 
+def test_settings_are_shown_as_they_were_written(tmp_path):
+    """Truth values are no numbers, and whole numbers have any length."""
+    for when, value in enumerate((True, [0.25, False], 2e4, 10**400, None)):
+        left(tmp_path / str(when), "tune", when, search={"asked": value})
+    shown = [run.differs.removeprefix("search.asked ") for run in runs.below(tmp_path)][::-1]
+    assert shown[:3] + shown[4:] == ["True", "0.25 False", "20000", "None"]
+    assert shown[3].startswith("1000000") and shown[3].endswith("...")
+
+
 def test_a_result_without_a_record_is_known_by_its_file(tmp_path):
     (tmp_path / "sweep.nc").write_text("")
     (tmp_path / "settings.json").write_text("{")
