@@ -172,6 +172,14 @@ def test_a_diverged_walk_has_the_metrics_of_its_finite_part(name):
     assert (diverged["detached_at"], diverged["detached_limb"]) == (pytest.approx(20 * STEP), 1)
 
 
+def test_a_walk_that_is_finite_but_for_its_last_sample_has_diverged():
+    samples = samples_of(0)
+    position = samples.base_position.copy()
+    position[-1] = np.nan
+    last = evaluated(dataclasses.replace(samples, base_position=position))
+    assert last["diverged"] and not evaluated(samples)["diverged"]
+
+
 def test_without_a_finite_sample_there_are_no_metrics():
     samples = samples_of(0)
     found = evaluated(dataclasses.replace(samples, base_position=np.full_like(samples.base_position, np.nan)))
