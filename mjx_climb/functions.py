@@ -25,7 +25,7 @@ from mjx_climb.scenario.values import G
 from mjx_climb.shapes import check_shape
 from mjx_climb.simulation import Simulation
 from mjx_climb.trajectory import Trajectory, named
-from mjx_climb.walk.metrics import METRICS, Metric, start
+from mjx_climb.walk.metrics import METRICS, Metric, MetricTable, start
 from mjx_climb.walk.sample import DIMS, Sample
 from mjx_climb.walk.structure import structure
 from mjx_climb.walks import PART, Metrics, metrics_of_samples
@@ -146,15 +146,21 @@ def metrics(trajectory: Trajectory, metrics: Iterable[Metric] = METRICS) -> dict
     whole = {name: np.asarray(getattr(trajectory, name)) for name in DIMS}
     shape = structure(trajectory.scenario, DEFAULT_ENGINE, parameters, metrics=metrics)
     dtype = whole["base_position"].dtype
-    with jax.enable_x64(dtype == np.float64):
-        like = jax.eval_shape(lambda: start(shape.metrics, dtype))
-    running = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), like)
+    running = _room(shape.metrics, dtype)
     how, found = (parameters, np.asarray(shape.time_step, dtype), np.asarray(steps, np.int32)), dict[str, np.ndarray]()
     for first in range(0, steps, PART):  # by one program for walks of any length
         part: dict[str, Any] = {name: _filled(values[first : first + PART]) for name, values in whole.items()}
         asked = shape._replace(steps=0, time_step=0.0), Sample(**part), *how, running
         running, found = execution.run_one(metrics_of_samples, *asked)
     return named({name: found[name].item() for name in shape.metrics.names}, trajectory.limbs)
+
+
+@functools.lru_cache(maxsize=64)
+def _room(metrics: MetricTable, dtype: np.dtype) -> Any:
+    """Return zeros in place of running values: tracing for their shapes takes longer than a short walk's metrics."""
+    with jax.enable_x64(dtype == np.float64):
+        like = jax.eval_shape(lambda: start(metrics, dtype))
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), like)
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

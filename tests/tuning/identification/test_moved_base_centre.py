@@ -40,7 +40,7 @@ def test_a_fitted_centre_moves_neither_the_feet_nor_where_the_base_is_seen():
     structure = Structure(ROBOT, places, stages_for(SCENARIO, ()), SCENARIO.time_step, 0, KINDS)
     hardware = hardware_of(parameters, structure.stages, structure.time_step, ROBOT)
     sent = Sent(np.broadcast_to(joints[0], (1, 4, 3)))
-    given = Given(sent, jax.tree.map(np.zeros_like, sent), np.asarray(feet.position) + off, state)
+    given = Given(sent, jax.tree.map(np.zeros_like, sent), (np.asarray(feet.position) + off, state))
     seen = simulate(structure, Point(jnp.asarray(CENTER), grips.begin(hardware, state), 0.0), given, parameters)
     np.testing.assert_allclose(seen["force"][0], SCENARIO.contact.stiffness * off, rtol=1e-9)
     for n, kind in enumerate(KINDS[1:]):
@@ -66,7 +66,7 @@ def test_the_records_of_a_robot_that_sways_are_those_that_were_read():
     phase = 40 * scenario.time_step * np.arange(steps + 1)[:, None, None] + np.arange(3)
     sent, rates = Sent(joints + 0.05 * np.sin(phase)), Sent(0.05 * 40 * np.cos(phase) + 0 * joints)
     feet = foot_kinematics(ROBOT, limb_frames(ROBOT, None, joints), state).position
-    given = Given(sent, rates, np.asarray(feet), state)
+    given = Given(sent, rates, (np.asarray(feet), state))
     point = Point(jnp.asarray(CENTER), grips.begin(hardware, state), 2e-3)
     seen = jax.jit(simulate, static_argnums=0)(structure, point, given, parameters)
     lines = [f"{kind} {np.shape(values)}: {left.of_values(values)}\n" for kind, values in seen.items()]
