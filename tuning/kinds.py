@@ -61,7 +61,7 @@ def write(
             `tuning.pages.section.Section`, or None; or FILE.py:NAME of such.
         stage: opened for each longer work, see `tuning.background.Stage`; nothing is printed.
         settings: of a command, which knows its folder again by them.
-        answer: called with what was found, before anything is written.
+        answer: called with tables and verdicts, before anything is written.
 
     Raises:
         ConfigError: over an ensemble, some gains diverge in each member; a section fails.

@@ -270,8 +270,8 @@ def loaded(file: Path, trees: tuple[PyTree, ...]) -> Function | None:
         device = default if isinstance(default, jax.Device) else jax.devices(cast(str | None, default))[0]
         if placed := [leaf for leaf in jax.tree.leaves(trees) if isinstance(leaf, jax.Array)]:
             [device] = placed[0].devices()
-        ahead = _ahead.pop((file, device), None)
-        executable = _executable(content, device) if ahead is None or ahead.cancel() else ahead.result()
+        ahead = ahead_of_use.pop((file, device), None)
+        executable = executable_of(content, device) if ahead is None or ahead.cancel() else ahead.result()
     except Exception as error:
         _tell("loaded", error)
         return None
@@ -281,7 +281,8 @@ def loaded(file: Path, trees: tuple[PyTree, ...]) -> Function | None:
     return executable
 
 
-def _executable(content: bytes, device: jax.Device) -> Function:
+def executable_of(content: bytes, device: jax.Device) -> Function:
+    """Return the executable of a file's content on a device, a function of the same trees of arguments."""
     serialized, outputs, count = pickle.loads(content)
     prepare_for(content)
     # the arguments' tree may have classes of a user's file, which pickle cannot import: it is called with the leaves
@@ -291,7 +292,9 @@ def _executable(content: bytes, device: jax.Device) -> Function:
 
 
 _asked: dict[str, None] = {}  # names of the files of executables that this process has asked for, in their order
-_ahead: dict[tuple[Path, jax.Device], Future[Function]] = {}  # executables that are loaded before they are asked for
+ahead_of_use: dict[
+    tuple[Path, jax.Device], Future[Function]
+] = {}  # executables that are loaded before they are asked for
 
 
 @contextlib.contextmanager
@@ -310,7 +313,7 @@ def loading_ahead(occasion: str) -> Iterator[None]:
         for name in names if device.platform == "cpu" else ():
             program = folder / "programs" / name
             if (content := read_whole(program)) is not None:
-                _ahead[program, device] = loader.submit(_executable, content, device)
+                ahead_of_use[program, device] = loader.submit(executable_of, content, device)
 
     loader = ThreadPoolExecutor(1, "loader")
     loader.submit(begin)
@@ -318,7 +321,7 @@ def loading_ahead(occasion: str) -> Iterator[None]:
         yield
     finally:
         loader.shutdown(wait=False, cancel_futures=True)
-        _ahead.clear()
+        ahead_of_use.clear()
         if _asked:
             store_whole(file, json.dumps([*_asked]).encode())
 

@@ -132,20 +132,20 @@ def test_a_file_that_is_not_what_was_written_is_not_executed(run, tmp_path, dama
 
 def test_executables_of_the_last_occasion_are_loaded_before_they_are_asked_for(tmp_path, monkeypatch):
     """By another thread; what another occasion asked for is not."""
-    loaders, executable = [], cache._executable
+    loaders, executable = [], cache.executable_of
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
 
     def loaded(*given):
         loaders.append(threading.current_thread().name)
         return executable(*given)
 
-    monkeypatch.setattr(cache, "_executable", loaded)
+    monkeypatch.setattr(cache, "executable_of", loaded)
     monkeypatch.setattr(cache, "executable_file", batches.executable_file)  # which no other test has
 
     def asked(occasion):
         program = cache.cached_jit(_repeated, lambda *_: "a", {})
         with cache.loading_ahead(occasion):
-            while occasion == "first" and (tmp_path / "occasions").exists() and not cache._ahead:
+            while occasion == "first" and (tmp_path / "occasions").exists() and not cache.ahead_of_use:
                 time.sleep(0.01)
             return np.asarray(program(2, np.arange(3.0))["all"])
 

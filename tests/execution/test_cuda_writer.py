@@ -149,7 +149,7 @@ def exchanges(step, size=1):
 
 
 def test_a_number_is_written_with_all_its_bits():
-    """Infinities and what is no number by theirs, of IEEE 754."""
+    """Infinities and NaN by their bits in IEEE 754."""
     for value in (np.inf, -np.inf, np.nan):
         (bits,) = re.fullmatch(r"__int_as_float\(0x([0-9a-f]{8})\)", literal(np.float32(value))).groups()
         np.testing.assert_array_equal(np.array(int(bits, 16), np.uint32).view(np.float32), np.float32(value))

@@ -34,7 +34,7 @@ def walk(controller, **changes):
 
 
 class Shell:
-    """A session that keeps what it shows, and the names of its stages."""
+    """A session that keeps its tables, lines and names of stages."""
 
     def __init__(self):
         self.shown, self.stages, self.tables = [], [], types.SimpleNamespace(width=90)

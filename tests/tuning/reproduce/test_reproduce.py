@@ -319,7 +319,7 @@ def test_the_whole_command(tmp_path, call):
 
 
 def test_each_case_walks_by_each_method_and_once_more_where_a_gripper_lets_go(monkeypatch, tmp_path):
-    """Without walking: what is written, drawn and judged of which walk."""
+    """Without walking: which walk is written, drawn and judged."""
     asked, stages, drawn = [], [], []
 
     def rollout(scenario):
