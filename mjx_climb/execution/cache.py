@@ -292,9 +292,8 @@ def executable_of(content: bytes, device: jax.Device) -> Function:
 
 
 _asked: dict[str, None] = {}  # names of the files of executables that this process has asked for, in their order
-ahead_of_use: dict[
-    tuple[Path, jax.Device], Future[Function]
-] = {}  # executables that are loaded before they are asked for
+# executables that are loaded before they are asked for
+ahead_of_use: dict[tuple[Path, jax.Device], Future[Function]] = {}
 
 
 @contextlib.contextmanager
