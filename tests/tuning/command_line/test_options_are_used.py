@@ -295,8 +295,17 @@ def traced(monkeypatch, tmp_path, folder):
     # settings, and the name of a folder, have all that is typed, used or not
     for name in ("out", "results"):
         (tmp_path / name).mkdir()
-    monkeypatch.setattr("tuning.writing.record.settings_of", lambda *_, **__: {})
-    monkeypatch.setattr("tuning.writing.record.own_folder", lambda *_, **__: tmp_path / "out")
+    taken = []
+
+    def settings_of(*of, rows=None, **more):
+        taken.append(f"depends on {of}, {more}" + (f", rows by {', '.join(rows)}" if rows else ""))
+        return {}
+
+    monkeypatch.setattr("tuning.writing.record.settings_of", settings_of)
+    monkeypatch.setattr(
+        "tuning.writing.record.own_folder",
+        lambda base, _, varied: taken.append(f"takes {base}{', varied' * varied}") or tmp_path / "out",
+    )
     monkeypatch.setattr("tuning.writing.record.walks_at_home", lambda walks, *_: walks)
 
     def wrote(*_, answer, **__):
@@ -366,16 +375,18 @@ def traced(monkeypatch, tmp_path, folder):
 
     def run(line):
         calls.reset_mock()
+        taken.clear()
         shutil.rmtree("elsewhere", ignore_errors=True)  # as another form of the command left it
         command, *words = line.format(folder=folder, config=CONFIG).split()
         with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(out):
             try:
-                command_line(command)([command, *words], standalone_mode=False)
+                run.code = command_line(command)([command, *words], standalone_mode=False) or 0
             except mc.ConfigError as error:
                 return f"{REFUSED}{error}"
         calls_alone = re.sub(r"0x[0-9a-f]+|id='\d+'|\.[0-9a-f]{12}\.part", "", "\n".join(map(repr, calls.mock_calls)))
         return re.sub(r"[\d.]+ s\b", "", out.getvalue()) + calls_alone
 
+    run.taken = taken
     return run
 
 
@@ -398,8 +409,16 @@ ASKED = (
     "evaluate {config} --gains {folder}/held.yaml --pushes --push-length 0.5 --set control.recovery.shift=0.02",
     "evaluate {config} --pushes --set control.controller=pd", "evaluate --merge folder",
     "replay {config} --log log.csv --video --with-law",
+    "evaluate {config} --gains {folder}/held.yaml --pushes --push-length 0.5 --push-length 0.1 --largest-push 30 "
+    "--push-draws 9 --engine mjx",
+    "excite {config} --fit control.kp --fit control.kd --family chirp --duration 3 --low 0.2 --high 5 --kp 30 --kp 60 "
+    "--mass 0.1 --drop --limb-by-limb --rate 50 --noise 1e-3 --margin 0.5 --candidates 3 --seed 5",
+    "identify {config} --log log.csv --fit control.kp --fit gravity --signals signals.yaml --base held --mass 0.1 "
+    "--held-out 0.3 --starts 2 --out elsewhere",
+    "replay {config} --log log.csv --signals signals.yaml --base held --mass 0.1",
+    "robot robot.xml --gravity 1.62 --slope 30 --base trunk --limbs a,b", "robot robot.xml --write dog.yaml --roof",
 )  # fmt: skip
-LONG = re.compile(r"\b(Scenario|Parameters|Structure|MetricTable|Ensemble|Search|Ceiling|Space|array|Objective)\(")
+LONG = re.compile(r"\b(Scenario|Robot|Parameters|Structure|MetricTable|Ensemble|Search|Ceiling|Space|array|Objective)\(")
 OF_MOCKS = re.compile(r"^call\..*__(?:iter|len|enter|exit)__\(.*\n", re.MULTILINE)
 
 
@@ -407,6 +426,8 @@ def shortened(text):
     """Return a text with a number in place of each long value; settings stand below it, equal ones once."""
     known = defaultdict(list)
     text = OF_MOCKS.sub("", text).replace(repr(MEASURED), "METRICS")
+    whole = mc.load_scenario(CONFIG).to_yaml()
+    text = text.replace(whole, "SCENARIO\n").replace(repr(whole), "SCENARIO")
     text = re.sub(r"<MagicMock name='mock\.([^']*)' >", r"\1", text).replace("\ncall.", "\n")
     while found := LONG.search(text):
         end, depth = found.end(), 1
@@ -479,14 +500,37 @@ def test_a_setting_that_is_typed_counts_more_than_the_file_even_where_it_is_the_
 
 @pytest.mark.parametrize("line", ASKED)
 def test_what_a_command_asks_for_is_what_was_approved(line, traced, folder, tmp_path, cpu_alone):
-    """Calls of what takes long, draws or writes, with their arguments, and what is printed."""
+    """Calls of what takes long, draws or writes, with their arguments, what is printed, and all that a result is of."""
     (tmp_path / "folder").mkdir()
     before = ARGUMENTS.set(line.format(folder=folder, config=CONFIG).split())
     try:
-        text = shortened(traced(line))
+        text = shortened("\n".join([traced(line), *traced.taken]))
     finally:
         ARGUMENTS.reset(before)
     text = text.replace(str(folder), "FOLDER").replace(str(tmp_path), "HERE")
     text = re.sub(r"\.out\.[0-9a-f]{8}", ".out", text.replace(str(ROOT), "ROOT"))
-    name = re.sub(r"[^a-z0-9]+", "_", line.replace("{config}", "").replace("{folder}", "")).strip("_")
+    name = re.sub(r"[^a-z0-9]+", "_", line.replace("{config}", "").replace("{folder}", ""))[:90].strip("_")
     approved.check(Path(__file__).parent / "approved" / "asked" / f"{name}.txt", text)
+
+
+@pytest.mark.parametrize("write", ["", " --write dog.yaml"])
+@pytest.mark.parametrize("walks", [True, False])
+def test_a_robot_that_walks_at_no_gait_is_proposed_all_the_same_and_ends_with_1(walks, write, traced, monkeypatch):
+    slow_enough = (mc.load_scenario(CONFIG), walks, "as it is", 0.5, {})
+    monkeypatch.setattr("tuning.comparisons.first_walks.slow_enough", lambda *_: slow_enough)
+    text = traced(f"robot robot.xml{write}")
+    assert traced.code == (0 if walks else 1)
+    assert f"{'taken ' if walks else 'failed'}   walk" in text
+    assert ("mjx-climb run dog.yaml" if write else "time_step: 0.001") in text
+    assert ("on_ceiling(" in text) is walks
+
+
+@pytest.mark.parametrize(
+    ("found", "code"),
+    [({}, 0), ({"detached_limb": "LF", "detached_at": 0.1}, 1), ({"diverged": True}, 1), ({"stands_at": 0.0}, 1),
+     ({"stands_at": None, "missed_grips": 2}, 0)],
+)  # fmt: skip
+def test_a_walk_that_fails_ends_with_1(found, code, traced, monkeypatch):
+    monkeypatch.setattr(mc, "metrics", lambda *_: MEASURED | {"stands_at": None} | found)
+    traced("run {config}")
+    assert traced.code == code
