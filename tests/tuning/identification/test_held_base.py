@@ -104,20 +104,8 @@ def test_targets_are_means_of_held_commands_around_a_step_and_know_their_rates()
 def test_a_heavy_joint_alone_is_braked_by_its_bristle_as_by_hand(rate, change, bristle, lead, heavy):
     """Beside its armature links weigh nothing, and no spring pulls: friction alone changes its rate."""
     friction, bend, step, near = 5.0, 0.001, 1e-3, 1e-6 if heavy > 1 else 1e-3
-    servo = {"coulomb_friction": friction, "presliding": bend, "armature": heavy}
-    scenario = mc.Scenario().with_overrides(
-        {f"hardware.servo.{name}": value for name, value in servo.items()}
-        | {"control.kd": 0.0, "gravity": [0.0, 0.0, 0.0]}
-    )
-    robot, own = ROBOT, parameters(scenario)
-    with jax.enable_x64(True):
-        stand = stands.Stand(robot, hardware_of(own, stages_of(own, step), step, robot), lead)
-        angles = jnp.asarray(robot.stance_joints, float)
-        moving = stands.begin(stand, angles, jnp.full(angles.shape, rate))
-        moving = moving._replace(
-            change=jnp.full(angles.shape, change), servo=moving.servo._replace(bristle=jnp.full(angles.shape, bristle))
-        )
-        after, seen = _advanced(stand.hardware.stages)(robot, own, lead, moving, angles)
+    own = rubbed({"coulomb_friction": friction, "presliding": bend, "armature": heavy}, gravity=[0.0, 0.0, 0.0])
+    after, seen = one_step(own, rate, change, bristle, lead=lead)
     bent = np.clip(bristle + rate * step / bend, -1, 1)
     per_rate = 1 / (bend / RELAXATION + abs(change) / 2)
     share, per_change = bent + per_rate * rate, per_rate * (step / 2 + lead)
@@ -128,6 +116,44 @@ def test_a_heavy_joint_alone_is_braked_by_its_bristle_as_by_hand(rate, change, b
     np.testing.assert_allclose(after.state.joint_rates, rate + step * acceleration, rtol=near)
     np.testing.assert_allclose(after.servo.bristle, bent)
     np.testing.assert_allclose(seen.velocity, rate + step * acceleration / 2, rtol=near)
+
+
+@pytest.mark.parametrize(("rate", "bristle"), [(0.5, 0.6), (-0.5, -0.6)])
+@pytest.mark.parametrize("scale", [1.0, 1.3])
+def test_gears_rub_by_what_they_carry_of_motor_and_load(rate, bristle, scale):
+    """The load, gravity and the motion, by MuJoCo; each joint slips, and its armature is far above all inertias."""
+    heavy, off = 1e5, np.linspace(-0.03, 0.03, 12).reshape(4, 3)
+    own = rubbed({"coulomb_friction": 0.1, "presliding": 0.001, "armature": heavy, "load_friction": 0.3,
+                  "external_load_friction": 0.5}, gravity=[1.0, -2.0, -9.0]).replace({"mass_scale": np.array(scale)})  # fmt: skip
+    after, _ = one_step(own, rate, 0.0, bristle, off)
+    data = mujoco.MjData(model := welded("hubrobo_v3_2", dataclasses.replace(TRUTH, gravity=(1.0, -2.0, -9.0))))
+    data.qpos[:], data.qvel[:] = ROBOT.stance_joints.ravel(), rate
+    mujoco.mj_forward(model, data)
+    load, torque = -scale * data.qfrc_bias.reshape(4, 3), 50.0 * off
+    np.testing.assert_allclose(after.servo.load, load, rtol=1e-9, atol=1e-9)
+    most = 0.1 + np.abs(0.5 * load - 0.3 * torque)
+    np.testing.assert_allclose(after.change, 1e-3 * (torque + load - np.sign(rate) * most) / heavy, rtol=1e-5)
+
+
+def rubbed(servo, gravity):
+    """Return parameters of servos whose gears rub by their load, with gains of 50 and 0."""
+    servo = {"load_friction": 0.0, "external_load_friction": 1e-12} | servo
+    changes = {f"hardware.servo.{name}": value for name, value in servo.items()}
+    scenario = mc.Scenario().with_overrides(changes | {"control.kp": 50.0, "control.kd": 0.0, "gravity": gravity})
+    return parameters(scenario)
+
+
+def one_step(own, rate, change, bristle, off=0.0, lead=0.0):
+    """Return the robot a step after joints in its stance had a rate, which had changed, and a bent bristle."""
+    stages = stages_of(own, 1e-3)
+    with jax.enable_x64(True):
+        stand = stands.Stand(ROBOT, hardware_of(own, stages, 1e-3, ROBOT), lead)
+        angles = jnp.asarray(ROBOT.stance_joints, float)
+        moving = stands.begin(stand, angles, jnp.full(angles.shape, rate))
+        moving = moving._replace(
+            change=jnp.full(angles.shape, change), servo=moving.servo._replace(bristle=jnp.full(angles.shape, bristle))
+        )
+        return _advanced(stages)(ROBOT, own, lead, moving, angles + off)
 
 
 @functools.cache
