@@ -24,11 +24,12 @@ from mjx_climb.walk.metrics import FAILURES
 from mjx_climb.walks import LINES
 from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning import numbers
-from tuning.command_line import evaluate, main, options, session, sweep
+from tuning.command_line import evaluate, logs, machine, main, options, results, run, session, sweep, tune
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
 from tuning.comparisons import of_sweep
 from tuning.gains import gains_file
+from tuning.identification.plan.settings import Excitation
 from tuning.identification.readers import read_log
 from tuning.pages import page
 from tuning.results.swept import best_cell
@@ -55,6 +56,8 @@ def files(tmp_path_factory):
     held = "inertia: 1\ndamping: 1\nstiffness: 1"
     for name, text in {**texts, "held": held, "lawful": f"law: VirtualModelAdmittance\n{held}"}.items():
         (folder / f"{name}.yaml").write_text(text)
+    (folder / "pd.yaml").write_text(held)
+    (folder / "kp.yaml").write_text("law: PD\nkp: 50.0\n")
     (folder / "file").write_text("")
     law = "from mjx_climb.control import VirtualModelAdmittance\nclass Mine(VirtualModelAdmittance): pass"
     (folder / "law.py").write_text(law)
@@ -608,3 +611,65 @@ def test_a_key_that_is_typed_as_an_option_is_looked_for_where_keys_can_be_set(co
         and "No such option: --disturbance.cargo.mass" in said
         and ("--set disturbance.cargo.mass=" in said) is there
     )
+
+
+LOG = {"log": "log.csv", "fit": ["control.kp"]}
+EDGES = {  # of an option: its model with what that needs, the last values that it takes, and the first that it does not
+    "slope": (options.Walk, {"config": "a"}, ["0", "180"], ["-0.1", "180.1"]),
+    "members": (options.Members, {}, ["1"], ["0"]),
+    "test_members": (tune.Many, {}, ["1"], ["0"]),
+    "seeds": (tune.Laws, {}, ["1", "100"], ["0", "101"]),
+    "held_out": (logs.Fitted, LOG, ["0", "0.8"], ["-0.1", "0.81"]),
+    "starts": (logs.Fitted, LOG, ["1", "64"], ["0", "65"]),
+    "mass": (logs.Fitted, LOG, ["0"], ["-0.001", "inf"]),
+    "push_draws": (evaluate.Pushes, {}, ["8"], ["7"]),
+    "largest_push": (evaluate.Pushes, {}, ["1e-9"], ["0", "inf"]),
+    "push_length": (evaluate.Pushes, {}, [["1e-9", "2"]], [["0"], ["1", "-1"]]),
+    "batch": (machine.Bench, {}, ["64"], ["63"]),
+    "dpi": (results.Plot, {"folder": "a"}, ["20", "2400"], ["19", "2401"]),
+    "figure_size": (
+        results.Plot, {"folder": "a"}, ["10.16x2540", "2540X10.16"],
+        ["10.1x100", "100x10.1", "2541x100", "100x2541", "100", "100x100x100", "ax100"],
+    ),
+    "rate": (results.Export, {"gains": "a"}, ["1", "1000000"], ["0", "1000001"]),
+    "name": (results.Export, {"gains": "a"}, ["_a1"], ["1a", "a-b", "\u00e9"]),
+    "batch_size": (sweep.Grid, {"axis": {"kp": ["1", "2", "2"], "kd": ["1", "2", "2"]}}, ["1"], ["0"]),
+    "stiffness": (
+        sweep.Grid, {"axis": {"kp": ["1", "2", "2"]}}, ["1e-30:1e30:2", "1:2:100000"],
+        ["0.9e-30:1:2", "1:1.1e30:2", "1:2:1", "1:2:100001", "1:1:2", "2:1:2", "1:2"],
+    ),
+    "size": (
+        run.Pictures, {}, ["64x4096", "4096X64"],
+        ["62x64", "64x62", "64x4098", "4098x64", "65x64", "64x65", "64", "64x64x64"],
+    ),
+    "duration": (Excitation, {}, ["2", "600"], ["1.9", "601"]),
+    "high": (Excitation, {"low": "0.5"}, ["0.51"], ["0.5", "0.4"]),
+    "margin": (Excitation, {}, ["1", "1e-9"], ["0", "1.01"]),
+    "candidates": (Excitation, {}, ["1", "256"], ["0", "257"]),
+    "seed": (Excitation, {}, ["0", "2147483647"], ["-1", "2147483648"]),
+    "noise": (Excitation, {}, ["1e-12"], ["0"]),
+    "kp": (Excitation, {}, [["1e-9"]], [["0"], ["1", "-1"]]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_an_option_takes_values_up_to_its_edges_and_none_beyond(name):
+    model, needed, taken, refused = EDGES[name]
+    for value in taken:
+        found = getattr(made(model, needed | {name: value}), name)
+        numbers = (
+            [float(part) for part in re.split("[xX:]", value)] if isinstance(value, str) and name != "name" else []
+        )
+        if name == "figure_size":
+            numbers = [number / 25.4 for number in numbers]
+        assert numbers == [] or np.ravel(found).tolist() == pytest.approx(numbers)
+    for value in refused:
+        with pytest.raises(InputError, match=f"--{'update-' * (name == 'rate')}{name.replace('_', '-')}"):
+            made(model, needed | {name: value})
+
+
+def test_only_a_held_base_is_moved_limb_by_limb_dropped_and_weighed():
+    for name, value in {"kp": ["40"], "mass": "0.1", "drop": True, "limb_by_limb": True}.items():
+        made(Excitation, {name: value})
+        with pytest.raises(InputError, match=f"--{name.replace('_', '-')}: expected none with base free"):
+            made(Excitation, {name: value, "base": "free"})

@@ -418,7 +418,9 @@ ASKED = (
     "replay {config} --log log.csv --signals signals.yaml --base held --mass 0.1",
     "robot robot.xml --gravity 1.62 --slope 30 --base trunk --limbs a,b", "robot robot.xml --write dog.yaml --roof",
 )  # fmt: skip
-LONG = re.compile(r"\b(Scenario|Robot|Parameters|Structure|MetricTable|Ensemble|Search|Ceiling|Space|array|Objective)\(")
+LONG = re.compile(
+    r"\b(Scenario|Robot|Parameters|Structure|MetricTable|Ensemble|Search|Ceiling|Space|array|Objective)\("
+)
 OF_MOCKS = re.compile(r"^call\..*__(?:iter|len|enter|exit)__\(.*\n", re.MULTILINE)
 
 

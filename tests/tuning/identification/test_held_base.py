@@ -123,8 +123,9 @@ def test_a_heavy_joint_alone_is_braked_by_its_bristle_as_by_hand(rate, change, b
 def test_gears_rub_by_what_they_carry_of_motor_and_load(rate, bristle, scale):
     """The load, gravity and the motion, by MuJoCo; each joint slips, and its armature is far above all inertias."""
     heavy, off = 1e5, np.linspace(-0.03, 0.03, 12).reshape(4, 3)
-    own = rubbed({"coulomb_friction": 0.1, "presliding": 0.001, "armature": heavy, "load_friction": 0.3,
-                  "external_load_friction": 0.5}, gravity=[1.0, -2.0, -9.0]).replace({"mass_scale": np.array(scale)})  # fmt: skip
+    servo = {"coulomb_friction": 0.1, "presliding": 0.001, "armature": heavy}
+    servo |= {"load_friction": 0.3, "external_load_friction": 0.5}
+    own = rubbed(servo, gravity=[1.0, -2.0, -9.0]).replace({"mass_scale": np.array(scale)})
     after, _ = one_step(own, rate, 0.0, bristle, off)
     data = mujoco.MjData(model := welded("hubrobo_v3_2", dataclasses.replace(TRUTH, gravity=(1.0, -2.0, -9.0))))
     data.qpos[:], data.qvel[:] = ROBOT.stance_joints.ravel(), rate
