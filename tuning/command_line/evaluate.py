@@ -156,7 +156,8 @@ class Worse(Rivals):
 
     worse: tuple[str, ...] = setting(
         (),
-        "walk on worse hardware too: a factor, as delay=x2, a key of the section hardware, as backlash=0.01, or a path",
+        "walk on worse hardware too: a factor, as delay=x2, a key of the section hardware, as servo.backlash=0.01, "
+        "or a path",
         metavar="KEY=VALUE",
     )
 

@@ -167,7 +167,8 @@ def _kind(field: FieldInfo) -> Any:
     if any(isinstance(extra, BeforeValidator) for extra in field.metadata):
         return str
     if get_origin(field.annotation) in (Union, types.UnionType):
-        return get_args(field.annotation)[0]  # the others are None, or for Python alone
+        kind = get_args(field.annotation)[0]  # the others are None, or for Python alone
+        return get_args(kind)[0] if get_origin(kind) is Annotated else kind
     return field.annotation
 
 

@@ -4,6 +4,7 @@ import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.scenario import shipped
 from mjx_climb.walk.metrics import FAILURES
+from tests import approved
 from tests.shell import PROGRAM, ROOT, environment
 from tuning.command_line import from_models
 from tuning.command_line.options import EngineName
@@ -30,6 +32,9 @@ def test_every_command_has_examples_and_says_what_each_option_does(call, command
         assert re.search(rf"^  {option}\b", text, re.MULTILINE), option
     for parameter in re.split(r"\n(?=  -)", text.partition("\nOptions:\n")[2]):
         assert re.search(r"(  |\n {10,})[A-Z]\w*[:,]? \w+", parameter), parameter  # a sentence
+    # headings, options, their values, ranges and defaults
+    behind = text[text.rindex(examples[-1]) + len(examples[-1]) :].strip()
+    approved.check(Path(__file__).parent / "approved" / "help" / f"{command}.txt", f"{behind}\n")
 
 
 def test_the_list_of_commands_is_not_cut_off(call):

@@ -264,6 +264,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     gains_file.save(mc.Gains(1.0, 100.0, 1000.0, kp=50.0, kd=0.2), folder / "held.yaml")
     gains_file.save(mc.Gains(2.0, 300.0, 3000.0, kp=60.0, kd=0.3), folder / "gains.yaml")
+    (folder / "gait.yaml").write_text("{inertia: 2.0, damping: 300.0, stiffness: 3e3, kp: 60.0, gait: {duty: 0.8}}")
     (folder / "search.yaml").write_text("{space: diagonal, seed: 7}")
     (folder / "ensemble.yaml").write_text(
         (ROOT / "configs" / "ensemble.yaml").read_text().replace("seed: 0", "seed: 7")
@@ -402,15 +403,20 @@ ASKED = (
     "evaluate {config} --gains {folder}/held.yaml --retuned-pd {folder}/gains.yaml --members 4",
     "evaluate {config} --gains {folder}/held.yaml --ensemble {folder}/ensemble.yaml --shard 1/2",
     "evaluate {config} --gains {folder}/held.yaml --margins --retuned-pd {folder}/gains.yaml",
-    "evaluate {config} --margins --margin contact.damping=x0.5 --set control.controller=pd",
-    "evaluate {config} --gains {folder}/held.yaml --worse force_sensor.noise=0.5 --members 3",
+    "evaluate {config} --margins --margin contact.damping=x0.5 --margin control.kd=0.1 --set control.controller=pd",
+    "evaluate {config} --gains {folder}/gait.yaml --margins --controller end_effector_admittance",
+    "evaluate {config} --gains {folder}/held.yaml --worse force_sensor.noise=0.5 --worse servo.backlash=0.01 "
+    "--members 3",
     "evaluate {config} --gains {folder}/held.yaml --ceiling --against base_deviation --members 3",
     "evaluate {config} --ceiling --set control.controller=pd",
     "evaluate {config} --gains {folder}/held.yaml --pushes --push-length 0.5 --set control.recovery.shift=0.02",
     "evaluate {config} --pushes --set control.controller=pd", "evaluate --merge folder",
     "replay {config} --log log.csv --video --with-law",
-    "evaluate {config} --gains {folder}/held.yaml --pushes --push-length 0.5 --push-length 0.1 --largest-push 30 "
-    "--push-draws 9 --engine mjx",
+    "evaluate {config} --gains {folder}/mine.yaml --law {folder}/mine.py:Mine --pushes --push-length 0.5 "
+    "--push-length 0.1 --largest-push 30 --push-draws 9 --engine mjx",
+    "evaluate {config} --gains {folder}/held.yaml --ceiling --delays 0.01,0.02 --knots 0.2,0.1 --iterations 7 --weight "
+    "travel=2 --limit min_tsm=0.1 --test-members 5 --ensemble {folder}/ensemble.yaml --against travel --better min_tsm "
+    "--points 4",
     "excite {config} --fit control.kp --fit control.kd --family chirp --duration 3 --low 0.2 --high 5 --kp 30 --kp 60 "
     "--mass 0.1 --drop --limb-by-limb --rate 50 --noise 1e-3 --margin 0.5 --candidates 3 --seed 5",
     "identify {config} --log log.csv --fit control.kp --fit gravity --signals signals.yaml --base held --mass 0.1 "
