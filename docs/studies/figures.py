@@ -290,14 +290,13 @@ def worth_rows(rows: Sequence[Row]) -> Iterator[str]:
 def headline() -> str:
     """Return in a sentence where a force sensor is worth something beside the best law without one."""
     found = list(worths(table("what_a_sensor_is_worth")))
-    told = {servos: [each.size for each in found if each.told and each.servos == servos] for servos in WEIGHED}
-    sizes = {span(each): [WEIGHED[name] for name in told if span(told[name]) == span(each)] for each in told.values()}
-    said = " and ".join(f"{size} % on {' and '.join(names)} servos" for size, names in sizes.items())
-    rest = len(found) - sum(map(len, told.values()))
+    told = [each.size for each in found if each.told and each.servos in WEIGHED]
+    others = [each for each in found if not each.told or each.servos not in WEIGHED]
+    behind = f", in {len(less)} less" if (less := [each for each in others if each.told and each.size < 0]) else ""
     return (
         "Beside the best law without one, which hands loads over by plan, a force sensor is worth, of pd's objective, "
-        f"{said} under weight. On ideal robots and in microgravity, {rest} of {len(found)} comparisons, it is worth "
-        "nothing that can be told."
+        f"{span(told)} % on {' and '.join(WEIGHED.values())} servos under weight. On ideal robots and in microgravity, "
+        f"{len(others)} of {len(found)} comparisons, it is worth nothing that can be told{behind}."
     )
 
 

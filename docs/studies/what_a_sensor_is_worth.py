@@ -58,6 +58,7 @@ OFFSETS = "FootOffsets@outward,upward"
 # by name in the table: the law, and what its robot has in place of force sensors
 LAWS = {
     "pd": ("PD", {}),
+    "FootOffsets": (OFFSETS, {}),
     "PlannedTransfer": ("PlannedTransfer", {}),
     "LoadTransfer": ("LoadTransfer", {}),
     "PlannedTransfer+FootOffsets": (f"PlannedTransfer+{OFFSETS}", {}),
@@ -79,14 +80,15 @@ SPREAD, WIDE, NEAR = 0.12, 0.25, 0.06
 FLAT, PATIENCE = 5e-4, 25  # a search begins anew that finds better by no more in so many rounds
 AHEAD = 200  # points of each search that are kept, of which the best walk once more
 JOINT = {"kp": (5.0, 200.0), "kd": (0.01, 3.0)}
-SHARES = {"pd": 0.3, "PlannedTransfer+FootOffsets": 0.7, "LoadTransfer+FootOffsets": 0.7}  # of the time; others 1
+# of the time; others 1
+SHARES = {"pd": 0.3, "FootOffsets": 0.3, "PlannedTransfer+FootOffsets": 0.7, "LoadTransfer+FootOffsets": 0.7}
 GAINS = ("ceiling_gains", "what_a_sensor_is_worth_gains")  # tables of the best that are known
 
 
 def known(hardware, case, law):
     """Return the gains of a law, and of the one that it is made of, that are known: those of this hardware first."""
     names, found = {law, law.partition("+")[0]}, {}
-    names |= {"PD"} if law == "pd" else {"LoadTransfer"}
+    names |= {"LoadTransfer"} if "Transfer" in law else {"PD", "pd"}
     for file in (Path(__file__).with_name(f"{name}.csv") for name in GAINS):
         for row in csv.DictReader(file.open()) if file.exists() else ():
             if row["case"] == case and row["law"] in names:
@@ -395,7 +397,7 @@ def main():
     parser.add_argument("--grips", choices=list(GRIPS), default="at once")
     parser.add_argument("--hardware", nargs="+", default=list(HARDWARE))
     parser.add_argument("--case", nargs="+", default=list(study.CASES))
-    parser.add_argument("--laws", nargs="+", default=list(LAWS)[:5], help=f"of {', '.join(LAWS)}; pd first")
+    parser.add_argument("--laws", nargs="+", default=list(LAWS)[:6], help=f"of {', '.join(LAWS)}; pd first")
     parser.add_argument("--varied", action="store_true", help="draw the hardware, as configs/ensemble_*.yaml does")
     parser.add_argument("--own-gait", action="store_true", help="walk with the config's gait")
     parser.add_argument("--nominal", action="store_true", help="search on the case's own walk alone")

@@ -4,12 +4,14 @@ from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import PyTree
 
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, scalar
 from mjx_climb.physics.spatial import quaternion_conjugate, quaternion_multiply, quaternion_to_matrix
 
 RELEASE = 0.05  # s, in which an offset fades once its gripper has opened
 _SMALL = 1e-12  # m^2: a foot right under the base has no way outward
+_SLOW = 4e-6  # m^2/s^2: below 2 mm/s a foot leads by less
 LEAST = 0.02  # weight of a foot that stands: three of them can always take the wrench
 
 
@@ -50,22 +52,37 @@ def feet_shifted(reference: Reference, offsets: Offsets, rotation: Array) -> Com
 
 
 class FootOffsets(Law):
-    """Feet held off where the gait wants them, without a sensor: `FootOffsets@outward,upward` by gait phase."""
+    """Feet held off where the gait wants them, without a sensor: `FootOffsets@outward,upward` by gait phase.
+
+    Dry friction holds joints back, so that feet stay behind on their way as the base sees it: `onward` leads them.
+    """
 
     outward: Array = scalar("m", "offset away from the base", bounds=(-1e-2, 1e-2), default=0.0)
     upward: Array = scalar("m", "offset along the ground's normal", bounds=(-1e-2, 1e-2), default=0.0)
+    onward: Array = scalar("m", "offset along the foot's way from the base", bounds=(0.0, 3e-3), default=0.0)
 
-    LIMBWISE: ClassVar[frozenset[str]] = frozenset({"outward", "upward"})
+    LIMBWISE: ClassVar[frozenset[str]] = frozenset({"outward", "upward", "onward"})
 
-    def init(self, start: Start) -> tuple[()]:
-        """Return no state."""
-        return ()
+    def init(self, start: Start) -> Offsets:
+        """Return where the feet are from the base, and the law's period."""
+        rotation = quaternion_to_matrix(start.reference.base_orientation)
+        return Offsets(_lever(start.reference, rotation), jnp.asarray(start.period))
 
-    def step(self, state: tuple[()], measured: Measurement, reference: Reference) -> tuple[tuple[()], Command]:
+    def step(self, last: PyTree, measured: Measurement, reference: Reference) -> tuple[PyTree, Command]:
         """Return the reference with shifted feet."""
         rotation = quaternion_to_matrix(reference.base_orientation)
         flat, up = jnp.array([1.0, 1.0, 0.0], rotation.dtype), jnp.array([0.0, 0.0, 1.0], rotation.dtype)
-        lever = (reference.foot_position - reference.base_position) @ rotation * flat
-        out = lever / jnp.sqrt((lever * lever).sum(1, keepdims=True) + _SMALL)
-        moved = jnp.atleast_1d(self.outward) * out + jnp.atleast_1d(self.upward) * up
-        return state, feet_shifted(reference, Offsets(moved, jnp.zeros((), moved.dtype)), rotation)
+        lever = _lever(reference, rotation)
+        outward, onward = _direction(lever * flat, _SMALL), _direction((lever - last.displacement) / last.period, _SLOW)
+        gains = map(jnp.atleast_1d, (self.outward, self.upward, self.onward))
+        moved = sum(gain * way for gain, way in zip(gains, (outward, up, onward), strict=True))
+        return last._replace(displacement=lever), feet_shifted(reference, last._replace(displacement=moved), rotation)
+
+
+def _lever(reference: Reference, rotation: Array) -> Array:
+    return (reference.foot_position - reference.base_position) @ rotation
+
+
+def _direction(way: Array, small: float) -> Array:
+    """Return rows of length 1, of less where a row's square is not far above a small one."""
+    return way / jnp.sqrt((way * way).sum(1, keepdims=True) + small)

@@ -123,6 +123,25 @@ def test_feet_are_held_away_from_the_base_and_up_by_phase():
     assert set(law.GAINS) >= {"upward_in_swing", "outward_standing"}
 
 
+def test_feet_lead_on_their_way_seen_from_the_base():
+    """The base moves by 8 mm/s, foot 1 by 30 mm/s upward in the base's turned axes: friction holds back all joints."""
+    before, law = reference(), FootOffsets(onward=7e-4)
+    period, attitude = float(start(before).period), Rotation.from_quat(before.base_orientation, scalar_first=True)
+    of_base, of_feet = np.array([8e-3, 0.0, 0.0]), np.zeros((4, 3))
+    of_feet[1] = of_base + attitude.apply([0.0, 0.0, 0.03])
+    now = before._replace(
+        base_position=before.base_position + of_base * period, foot_position=before.foot_position + of_feet * period
+    )
+    state, resting = law.step(law.init(start(before)), measurement(), before)
+    state, command = law.step(state, measurement(), now)
+    np.testing.assert_allclose(resting.foot_position, FEET, atol=1e-12)
+    way = of_feet - of_base
+    length = np.sqrt((way**2).sum(1, keepdims=True) + 0.002**2)
+    np.testing.assert_allclose(command.foot_position - now.foot_position, 7e-4 * way / length, atol=2e-8)
+    _, rests = law.step(state, measurement(), now)
+    np.testing.assert_allclose(rests.foot_position, now.foot_position, atol=1e-9)
+
+
 def test_loaded_feet_are_as_far_within_the_ground_as_they_sink():
     """Feet that sink by a way for their planned force are feet that do not, seen so much higher from the base."""
     now = reference((9.0,) * 4, (9.0,) * 4, turned=0.0)
