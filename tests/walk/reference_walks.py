@@ -184,7 +184,7 @@ WALKS = {  # the law, its values, and changes of the scenario, perhaps by a fold
         "hardware.force_sensor.bias": -0.2, "hardware.base_estimate.delay": 0.002,
     }),
     "foot offsets and internal forces on a wall": ("FootOffsets+InternalForce", {
-        "outward": 6e-4, "upward": -4e-4, "damping": [2e3, 3e3, 2.5e3], "stiffness": [9e3, 8e3, 1e4],
+        "outward": 6e-4, "upward": -4e-4, "onward": 5e-4, "damping": [2e3, 3e3, 2.5e3], "stiffness": [9e3, 8e3, 1e4],
     }, HOLDS | {
         "gait.footholds": "farthest", "gait.settling": 0.15, "gait.cycle": 2.0, "gait.stride": 0.015,
         "ground.holds": {
