@@ -88,6 +88,29 @@ def test_works_that_nobody_asks_for_are_stopped(cores):
         raise KeyboardInterrupt
 
 
+def test_a_work_that_somebody_still_waits_for_is_stopped_at_the_end_too(cores):
+    cores(16)
+    heard, done = threading.Event(), []
+
+    def long(report):
+        for _ in range(1000):
+            report(1)
+            threading.Event().wait(0.005)
+        done.append("to its end")
+
+    def wait_for(result):
+        with pytest.raises(KeyboardInterrupt):
+            result(lambda _: heard.set())
+        done.append("stopped")
+
+    with background() as begin:
+        waiting = threading.Thread(target=wait_for, args=[begin(long)])
+        waiting.start()
+        assert heard.wait(20)
+    waiting.join(20)
+    assert done == ["stopped"]
+
+
 def test_works_wait_behind_a_gate_and_are_left_where_it_never_opens(cores):
     cores(4)
     done = []

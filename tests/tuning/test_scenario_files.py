@@ -56,6 +56,7 @@ def test_a_folder_with_copies_can_be_moved(config, tmp_path):
     assert str(tmp_path) not in (moved / "config.yaml").read_text()
     again = mc.load_scenario(moved / "config.yaml")
     assert Path(again.robot.file) == moved / "inputs" / "robot" / "robot.urdf"
+    assert Path(again.ground.map.file) == moved / "inputs" / "ground" / "rock.csv"
     np.testing.assert_array_equal(load_robot(again.robot).link_inertia, robot.link_inertia)
     np.testing.assert_array_equal(foothold_heights(again, robot), heights)
     assert again.with_files(lambda key, _: key) == scenario.with_files(lambda key, _: key)

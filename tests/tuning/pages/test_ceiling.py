@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import scipy.stats
 import xarray as xr
 
 import mjx_climb as mc
@@ -14,7 +15,7 @@ from tuning.pages import ceiling as pages
 from tuning.problem.ceiling import Ceiling
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
-from tuning.results.ceiling import Bounded
+from tuning.results.ceiling import Bounded, mean_and_interval
 
 SCENARIO = mc.Scenario().with_overrides({"duration": 0.3})
 MEANS = {"clairvoyant": 0.6, "causal 5 ms": 0.65, "blind": 0.8, "mine": 0.7, "retuned_pd": 0.85, "pd": 1.0}
@@ -69,6 +70,32 @@ def test_a_sensor_is_worth_at_most_what_knowing_all_betters_the_blind_plan_by():
     assert "mine reaches 0.700, 50% of the way" in said
 
 
+def test_the_two_best_of_many_starts_tell_how_far_the_search_is_known():
+    """At the coarsest knots alone, whatever their order; of one start there is nothing to tell."""
+    records = [("blind, first", 0.2, 0.9), ("blind, first", 0.2, 0.8), ("blind, first", 0.2, 0.84), ("blind", 0.2, 0.7),
+               ("blind, first", 0.1, 0.6), ("blind, first", 0.1, 0.61)]  # fmt: skip
+    names = ("contestant", "knots", "merit")
+    data = {f"descent_{name}": ("descent", np.array([each[k] for each in records])) for k, name in enumerate(names)}
+    found = dataclasses.replace(bounded(), data=xr.Dataset(data))
+    assert found.spread == pytest.approx(0.84 / 0.8 - 1)
+    assert np.isnan(dataclasses.replace(found, data=found.data.isel(descent=[0, 3, 4, 5])).spread)
+
+
+@pytest.mark.parametrize("count", [2, 5, 30])
+def test_a_mean_has_students_interval(count):
+    values = np.random.default_rng(count).normal(0.2, 0.1, count)
+    low, high = scipy.stats.t.interval(0.95, count - 1, values.mean(), scipy.stats.sem(values))
+    assert mean_and_interval(values) == pytest.approx((values.mean(), low, high))
+    mean, *none = mean_and_interval(values[:1])
+    assert mean == values[0] and np.isnan(none).all()
+
+
+def test_a_share_is_of_what_knowing_all_betters_and_of_laws_that_break_limits_the_least_is_the_best():
+    worse = bounded({**MEANS, "clairvoyant": 0.9})
+    assert all(np.isnan(worse.share(name)) for name in worse.contestants)
+    assert bounded(broken=("mine", "retuned_pd", "pd")).best_law == "mine" and bounded().best_law == "mine"
+
+
 def test_of_several_starts_at_one_spacing_the_best_tells_how_far_the_search_is_from_its_end():
     found = bounded()
     data = found.data.isel(descent=[1, 0, 3])  # the better start comes first
@@ -96,6 +123,12 @@ def test_a_gait_that_pd_lacks_is_said(own, warned):
     found = bounded()
     found.data.attrs["own_gait"] = own
     assert any("retuned_pd walks with the config's gait" in line for line in pages.notes(found)) == warned
+
+
+def test_a_walk_that_was_lost_leaves_nothing_to_compare():
+    assert (
+        pages.sentence(bounded({**MEANS, "blind": np.nan})) == "A walk was lost, so that the plans cannot be compared"
+    )
 
 
 def test_a_law_that_breaks_a_limit_is_named_and_not_the_best():

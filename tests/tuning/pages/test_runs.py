@@ -55,11 +55,43 @@ def test_results_are_listed_with_the_settings_that_differ(results):
 
 def test_settings_are_shown_as_they_were_written(tmp_path):
     """Truth values are no numbers, and whole numbers have any length."""
-    for when, value in enumerate((True, [0.25, False], 2e4, 10**400, None)):
+    for when, value in enumerate((True, [0.25, False], 2e4, 10**400, None, "a" * 40, "b" * 41)):
         left(tmp_path / str(when), "tune", when, search={"asked": value})
     shown = [run.differs.removeprefix("search.asked ") for run in runs.below(tmp_path)][::-1]
-    assert shown[:3] + shown[4:] == ["True", "0.25 False", "20000", "None"]
-    assert shown[3].startswith("1000000") and shown[3].endswith("...")
+    assert shown[:3] + shown[4:] == ["True", "0.25 False", "20000", "None", "a" * 40, "b" * 37 + "..."]
+    assert shown[3] == "1" + "0" * 36 + "..."
+
+
+def test_settings_of_many_levels_differ_by_their_last(tmp_path):
+    """Results of one instant stand by their names, the last first."""
+    for name in ("a", "b", "c"):
+        asked = {"value": name, "both": 1}
+        for level in range(20):
+            asked = {f"k{level}": asked}
+        left(tmp_path / name, "tune", 1000, search=asked)
+    before = ".".join(["search", *(f"k{level}" for level in reversed(range(20))), "value"])
+    assert [(run.name, run.differs) for run in runs.below(tmp_path)] == [(n, f"{before} {n}") for n in "cba"]
+
+
+HELD = {"force_variation": 47.091, "detached_limb": None, "detached_at": None, "diverged": False, "stands_at": None}
+TORN = {"detached_limb": "LF", "detached_at": 3.25}
+
+
+@pytest.mark.parametrize(("file", "found", "said"), [
+    ("metrics", HELD, "held all the way: force variation 47.09 N"),
+    ("metrics", HELD | TORN, "limb LF let go at 3.25 s: force variation 47.09 N"),
+    ("metrics", HELD | {"stands_at": 0.5}, "stands from 0.5 s for want of a grip: force variation 47.09 N"),
+    ("metrics", HELD | TORN | {"diverged": True}, "diverged: force variation 47.09 N"),
+    ("metrics", HELD | {"force_variation": None, "diverged": True}, "diverged"),
+    ("metrics", {"detached_limb": "LF"}, ""),
+    ("margins", {"warnings": ["one", "another"]}, "one; another"),
+    ("margins", {"warnings": []}, ""),
+])  # fmt: skip
+def test_the_verdict_of_a_walk_and_of_margins(tmp_path, file, found, said):
+    (tmp_path / f"{file}.json").write_text(json.dumps(found))
+    assert runs.verdict(tmp_path) == said
+    left(tmp_path / "page", "run", 0, report="The page's.")
+    assert runs.verdict(tmp_path / "page") == "The page's."
 
 
 def test_a_result_without_a_record_is_known_by_its_file(tmp_path):
@@ -67,6 +99,8 @@ def test_a_result_without_a_record_is_known_by_its_file(tmp_path):
     (tmp_path / "settings.json").write_text("{")
     (run,) = runs.below(tmp_path)
     assert (run.name, run.command, run.differs, run.said) == (".", "sweep.nc", "", "settings.json is damaged")
+    (tmp_path / "report.html").write_text('<p class="verdict">What came of it.</p>')
+    assert runs.below(tmp_path)[0].said == "What came of it."
 
 
 DEEP = "[" * 900 + "]" * 900
@@ -131,9 +165,10 @@ def test_a_list_of_many_folders_ends_where_it_is_asked_to(results):
 
 
 def test_the_page_links_to_the_pages_of_the_results(results):
+    left(results / "odd #1?", "run", 1, report="odd")
     page = runs.write(runs.below(results), results, results / "page").read_text()
     assert '<a href="../a/tuned/report.html">a/tuned</a>' in page and "pd&#39;s 1" in page
-    assert "report.html" not in page.replace("../a/tuned/report.html", "")
+    assert '<a href="../odd%20%231%3F/report.html">odd #1?</a>' in page and page.count("report.html") == 2
 
 
 def test_the_command_lists_prints_json_and_refuses_in_one_line(call, results, tmp_path):

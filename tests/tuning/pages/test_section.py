@@ -45,6 +45,14 @@ def same_file(found, compared):
     return Section("Mine", files={"config.yaml": "mine"})
 
 
+def same_record(found, compared):
+    return Section("Mine", pictures={"settings.json": Picture("", Figure)})
+
+
+def same_page(found, compared):
+    return Section("Mine", files={"report.html": "mine"})
+
+
 def outside(found, compared):
     return Section("Mine", files={"../mine.txt": "mine"})
 
@@ -84,6 +92,8 @@ def test_sections_of_ones_own_stand_on_the_page_and_in_the_folder(written, tmp_p
     ("section", "said"),
     [
         (same_file, "section Mine: expected other files than those of the result, got config.yaml"),
+        (same_record, "section Mine: expected other files than those of the result, got settings.json"),
+        (same_page, "section Mine: expected other files than those of the result, got report.html"),
         (outside, "section Mine: expected files in the result's folder, got '../mine.txt'"),
         (without_picture, "section without_picture: IndexError: pop from empty list"),
     ],

@@ -1,6 +1,7 @@
 """Folders of made-up results, whole: files, page and pictures against texts that were read and computed by hand."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -139,6 +140,46 @@ def test_the_files_of_margins(wide):
     written = Written(tables=[margins.margins_table(found, stable)])
     files = margins.files(found, stable, ["a warning"], "soft gains")
     same(f"margins_{wide}", Contents(written, PROBLEM, files, _page(written.tables).at))
+
+
+def test_pictures_are_those_of_the_files_that_are_there(tmp_path, monkeypatch):
+    """The way of a search lies over its map; a law of one's own is not here; metrics are of maps and of draws alone."""
+    grid = xr.Dataset({"diverged": (("a", "b"), np.zeros((2, 2), int))}, {"a": [1.0, 2.0], "b": [1.0, 2.0]})
+    walks = xr.Dataset({"travel": (("gains", "seed", "member"), np.ones((2, 2, 3))), "mass": ("member", np.ones(3))})
+    there = {"map.nc": grid, "search.nc": xr.Dataset(), "compared.nc": walks}
+    monkeypatch.setattr(redrawn.dataset, "load_trajectory", lambda file: file.name)
+    monkeypatch.setattr(redrawn.dataset, "load", lambda file: there[file.name])
+    monkeypatch.setattr(redrawn.tuned, "load", lambda file: file.name)
+    monkeypatch.setattr(redrawn.paired, "taken", lambda data: ("taken", data))
+    for name in ("plot_walk", "plot_feet", "plot_convergence", "plot_path", "plot_laws", "plot_judged", "sheet"):
+        module = redrawn.plots if name in ("plot_walk", "plot_feet") else redrawn
+        monkeypatch.setattr(module, name, lambda *given, name=name: (name, *given))
+
+    def drawn(*files, metrics=()):
+        folder = tmp_path / "-".join(files)
+        folder.mkdir(exist_ok=True)
+        for file in files:
+            (folder / file).touch()
+        return dict(redrawn.figures(folder, metrics))
+
+    assert drawn("trajectory.nc") == {
+        "walk": ("plot_walk", "trajectory.nc"), "feet": ("plot_feet", "trajectory.nc")
+    }  # fmt: skip
+    way = {"convergence": ("plot_convergence", "search.nc")}
+    assert drawn("search.nc") == way
+    assert drawn("search.nc", "map.nc") == {
+        "map": ("sheet", grid, {}), **way, "path": ("plot_path", "search.nc", grid)
+    }  # fmt: skip
+    assert drawn("compared.nc") == {"compared": ("plot_laws", ("taken", walks))}
+    assert drawn("compared.nc", "search.nc", metrics=["travel"]) == {"judged": ("plot_judged", walks, ["travel"])}
+    there["search.nc"].attrs["law"] = "Mine"
+    assert drawn("search.nc") == {}
+    for files, said in (
+        (["search.nc"], "expected a result with maps or an ensemble to draw metrics of, got search.nc"),
+        (["compared.nc"], "--metric: expected one of travel, got 'mass'"), ([], "expected a folder with a result ("),
+    ):  # fmt: skip
+        with pytest.raises(mc.ConfigError, match=re.escape(said)):
+            drawn(*files, metrics=["mass"])
 
 
 def _page(tables):

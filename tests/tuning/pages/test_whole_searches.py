@@ -1,5 +1,6 @@
 """Folders of made-up searches, whole: files, page and pictures against texts that were read and computed by hand."""
 
+import contextlib
 import dataclasses
 import types
 
@@ -24,7 +25,7 @@ from tuning.comparisons.of_sweep import SweepComparison
 from tuning.comparisons.paired import Verdict
 from tuning.comparisons.side_by_side import AtOneStep
 from tuning.comparisons.worth import Worth
-from tuning.pages import ceiling, laws, pareto, schedule, sweep, tune
+from tuning.pages import ceiling, comparison, laws, pareto, schedule, sweep, tune
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Pareto, Search
 from tuning.problem.spaces import space
@@ -281,6 +282,65 @@ def test_the_folder_of_a_search(told):
     contents = tune.contents(found, compared, "case.yaml")
     kept = {name: each for name, each in contents.files.items() if name not in ("walks", "margins")}
     same(f"tune_{told}", contents._replace(files=kept))
+
+
+def test_gains_that_differ_within_translations_and_rotations_stand_at_their_geometric_means():
+    gains = mc.Gains(1.0, 50.0, np.array([1e3, 2e3, 4e3, 10.0, 20.0, 40.0]))
+    over = grid_of()
+    over = over.assign(objective=over["force_variation"] / 100, feasible=over["detached_limb"] < 0)
+    marks = tune._points_of_map(dataclasses.replace(found_by(), gains=gains), over, metrics_of(10.0))["marks"]
+    control = CASE.control
+    expected = {
+        "tuned, translations": [2e3, 50.0], "tuned, rotations": [20.0, 50.0],
+        "config": [control.stiffness, control.damping],
+    }  # fmt: skip
+    assert {each["name"]: each["at"] for each in marks} == {name: pytest.approx(at) for name, at in expected.items()}
+
+
+def test_gains_stand_axis_by_axis_where_one_differs_from_axis_to_axis():
+    """An integral term stands where some have one, the others where all have them."""
+    six = np.array([1.0, 2.0, 3.0, 40.0, 50.0, 60.0])
+    rows = {
+        "tuned": ({"damping": 7.0, "stiffness": six, "kp": 3.0, "kd": 0.1}, {}), "pd": (None, {}),
+        "config": ({"damping": np.full(6, 8.0), "stiffness": 9.0, "kp": 5.0, "kd": 0.2, "ki": 1.0}, {}),
+    }  # fmt: skip
+    told = comparison.gains_table(rows)
+    axes = zip(("x", "y", "z", "rx", "ry", "rz"), ["N/m"] * 3 + ["N m/rad"] * 3, "1 2 3 40 50 60".split(), strict=True)
+    assert told.columns == ["gain", "unit", "tuned", "config"]
+    assert told.sections == [
+        ("", [[f"stiffness {axis}", unit, value, "9"] for axis, unit, value in axes]),
+        ("", [["damping", "N s/m", "7", "8"]]),
+        ("", [["kp", "N m/rad", "3", "5"], ["kd", "N m s/rad", "0.1", "0.2"], ["ki", "N m/(rad s)", "-", "1"]]),
+    ]
+
+
+def test_a_share_of_no_lost_walks_has_no_per_cent_of_its_own():
+    told = laws.laws_table(table_of(["retuned_pd", "mine", "other"], [], "retuned_pd"))
+    *_, (_, rows) = told.sections
+    assert [row[:4] for row in rows] == [
+        ["share lost", "retuned_pd", "0", ""], ["", "mine", "0.2", "+20.0 [-380.0, 420.0]~"],
+        ["", "other", "0.4", "+40.0 [-360.0, 440.0]~"],
+    ]  # fmt: skip
+
+
+def test_maps_are_drawn_while_pd_is_retuned(monkeypatch):
+    """With the rows that are known then."""
+    grid, told = grid_of(), []
+    rows = {"best": ({"stiffness": 100.0, "damping": 10.0}, metrics_of(20.0)), "pd": (None, metrics_of(10.0))}
+
+    @contextlib.contextmanager
+    def stage(name, **how):
+        told.append((name, how))
+        yield
+
+    def compare(found, stage, *, begun, draw):
+        return found, begun, draw(grid, rows)
+
+    monkeypatch.setattr(sweep.of_sweep, "compare", compare)
+    monkeypatch.setattr(sweep, "render_ahead", lambda figure, kind: told.append((figure, kind)))
+    found, begun, drawn = sweep.compare("found", stage, None, "begun")
+    assert (found, begun) == ("found", "begun") and told == [("maps", {"compiles": False}), (drawn.figure, "png")]
+    assert sweep.sheet(grid, rows, drawn) is drawn.figure and drawn.marked[0] == {"best": (100.0, 10.0)}
 
 
 def test_the_way_of_a_search_that_told_axes_apart():

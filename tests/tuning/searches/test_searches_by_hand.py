@@ -349,6 +349,17 @@ def test_axes_of_no_sweep_are_refused(said):
         sweep.grid_of(Problem(pd), {"damping": [1.0], "stiffness": [1.0]})
 
 
+@pytest.mark.parametrize("starts", [[0.3, 0.1, 0.05], [0.05, 0.1, 0.3]])
+def test_a_path_is_swept_up_to_values_that_a_config_can_have(starts):
+    """Each end with the other values of the scenario: a cargo is not put down before it is taken up."""
+    case = CASE.with_overrides({"disturbance.cargo.start": 0.1, "disturbance.cargo.stop": 0.2})
+    axes = {"disturbance.cargo.start": starts, "contact.damping": [10.0, 20.0, 30.0]}
+    with pytest.raises(mc.ConfigError, match=r"disturbance\.cargo\.stop: expected a time after start = 0\.3 s"):
+        sweep.grid_of(Problem(case), axes)
+    axes["disturbance.cargo.start"] = [0.1]
+    assert sweep.grid_of(Problem(case), {**axes, "contact.damping": [10.0]}).rows == 1
+
+
 @pytest.mark.parametrize(
     ("walks", "steps", "platform", "size"),
     [(5000, 8000, "cpu", 500), (100, 8000, "cpu", 100), (5000, 10**6, "cpu", 64), (5000, 10, "cpu", 1000),

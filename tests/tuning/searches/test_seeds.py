@@ -7,8 +7,10 @@ import pytest
 import xarray as xr
 
 import mjx_climb as mc
+from mjx_climb.control import LoadTransfer
 from tuning.methods.rounds import Progress
 from tuning.problem import spaces
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.results import tuned
@@ -37,6 +39,34 @@ def test_the_best_of_several_seeds_is_taken_and_their_agreement_said():
     )
     assert "break" not in tuned.of_seeds(each[:2]).data.attrs[tuned.AGREEMENT]
     assert tuned.AGREEMENT not in each[1].data.attrs
+
+
+def test_a_result_is_the_points_that_were_evaluated_and_the_best_of_them(tmp_path):
+    """Of a law of one's own, whose gains its file names again; over an ensemble with that."""
+    law, ensemble, settings = LoadTransfer(), Ensemble(members=3), Search(seed=2, method="cmaes")
+    problem = Problem(mc.load_scenario("case_1_2"), spaces.space(mc.load_scenario("case_1_2"), settings, law), law=law)
+    with pytest.raises(ValueError, match="expected a point that was evaluated, got none"):
+        tuned.from_rounds(problem, settings, {}, interrupted=True)
+    arrays = {"value": [0.9, 0.8, 0.7], "penalty": [0.0, 0.0, 1.0], "feasible": [True, True, False]}
+    arrays |= {"env_steps": [10, 20, 30], "force_variation": [9.0, 8.0, 7.0]}
+    arrays = {name: np.array(each) for name, each in arrays.items()}
+    arrays |= {"phase": np.array(["population"] * 3), "theta": np.ones((3, problem.space.size))}
+    for with_them in (None, ensemble):
+        own = dataclasses.replace(problem, ensemble=with_them)
+        found = tuned.from_rounds(own, settings, arrays, interrupted=True)
+        assert type(found) is (tuned.Tuned if with_them is None else tuned.Robust) and found.ensemble is with_them
+        assert (found.value, found.best_at, found.env_steps, found.metrics) == (0.8, 20, 30, {"force_variation": 8.0})
+        assert (found.search, found.problem, found.interrupted) == (settings, own, True)
+        said = "mjx-climb tune mine --ensemble: cmaes, isotropic, 3 members" if with_them else (
+            "mjx-climb tune mine: cmaes, isotropic"
+        )  # fmt: skip
+        assert found.comment("mine") == f"{said}, objective 0.8000 (pd: 1)"
+        assert found.data.attrs["law"] == "LoadTransfer" and type(found.law) is LoadTransfer
+    file = found.save(tmp_path / "search.nc")
+    again = tuned.load(file, law)
+    assert again.gains == found.gains and again.search == settings
+    with pytest.raises(mc.ConfigError, match="law: expected gains of the config's law, got those of LoadTransfer"):
+        tuned.load(file)
 
 
 def test_the_settings_of_several_seeds_are_those_that_repeat_them_all():

@@ -1,13 +1,17 @@
 """A folder belongs to one run's settings, and its result appears whole or not at all."""
 
+import dataclasses
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray as xr
 
@@ -18,11 +22,20 @@ from mjx_climb.files.locks import alone
 from tests.shell import ROOT, environment
 from tuning.command_line.session import Session
 from tuning.methods.parts import Parts
+from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
+from tuning.problem.search import Search
 from tuning.writing import folder as folders
 from tuning.writing import record
 
 OURS, THEIRS = {"command": "run", "a": {"b": 1}}, {"command": "run", "a": {"b": 2}}
+
+
+@dataclasses.dataclass(frozen=True)
+class Walk:
+    """A walk that is known by its scenario."""
+
+    scenario: mc.Scenario
 
 
 def listed(folder):
@@ -149,7 +162,8 @@ def test_each_run_has_a_folder_of_its_own(tmp_path):
     assert ours == base
     record.begin(ours, OURS)  # and is interrupted
     theirs = record.own_folder(base, THEIRS)
-    assert theirs.name.startswith("case_1_2-tune-") and theirs != record.own_folder(base, OURS, varied=True)
+    assert re.fullmatch("case_1_2-tune-[0-9a-f]{6}", theirs.name)
+    assert theirs != record.own_folder(base, OURS, varied=True)
     fill(theirs, "gains.yaml", settings=THEIRS)
     assert record.own_folder(base, OURS) == base
     assert record.own_folder(base, THEIRS) == theirs
@@ -484,6 +498,37 @@ def test_a_result_that_another_user_planted_is_not_taken(tmp_path, monkeypatch, 
     planted.chmod(0o755)
     record.recover(home)
     assert (home / "gains.yaml").read_text() == "theirs" and not planted.exists()
+
+
+def test_a_law_that_nothing_identifies_is_known_by_its_text():
+    """One that holds a lock; another scenario, ensemble or text is another run."""
+    case = mc.load_scenario("case_1_2")
+
+    class Locked(mc.control.PD):
+        def __init__(self, name):
+            super().__init__()
+            object.__setattr__(self, "name", name)
+            object.__setattr__(self, "lock", threading.Lock())
+
+        def __repr__(self):
+            return f"Locked({self.name})"
+
+    law, ensemble = Locked("a"), Ensemble(members=3)
+    problems = [Problem(case, law=law), Problem(case, law=Locked("b")), Problem(case, law=law, engine="mjx"),
+                Problem(case, law=law, ensemble=ensemble), Problem(case)]  # fmt: skip
+    settings = [record.settings_of(problem, "run", gains=np.ones(2), search=Search(seed=3)) for problem in problems]
+    assert settings[0] == record.settings_of(Problem(case, law=Locked("a")), "run", gains=[1, 1], search=Search(seed=3))
+    assert all(one != other for place, one in enumerate(settings) for other in settings[:place])
+    assert settings[0]["law"] == "Locked(a)" and "lock" in settings[0]["unidentified"]
+    assert settings[0]["command"] == "run" and settings[0]["search"]["seed"] == 3 and settings[0]["gains"] == [1, 1]
+    assert not {"versions", "platform", "batch_size"} & settings[4].keys()
+
+
+def test_walks_of_a_folder_name_the_files_of_its_home(tmp_path):
+    place, home, case = tmp_path / "place", tmp_path / "home", mc.load_scenario("case_1_2")
+    scenario = case.with_own(law={"file": str(place / "inputs" / "law.py"), "name": "Mine"})
+    walks = record.walks_at_home({"a": Walk(scenario), "b": Walk(case)}, place, home)
+    assert walks["a"].scenario.own.law.file == str(home / "inputs" / "law.py") and walks["b"].scenario == case
 
 
 def test_data_of_a_folder_names_the_copies_of_its_files_and_keeps_its_own_scenario():

@@ -8,6 +8,7 @@ import types
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 
 import mjx_climb as mc
 import tuning
@@ -18,12 +19,15 @@ from tuning.comparisons import worth as worths
 from tuning.gains import gains_file
 from tuning.kinds import write_found
 from tuning.methods.parts import Parts
-from tuning.pages.contents import Contents, Written, files_of
+from tuning.pages.contents import Contents, Picture, Written, files_of
+from tuning.pages.page import Findings, Origin, Page
+from tuning.pages.section import Section
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.results import tuned
 from tuning.searches import retuned_pd
 from tuning.searches.tune import tune
+from tuning.writing import folder as folders
 from tuning.writing.record import check_own
 
 SHORT = {"duration": 0.3, "disturbance.cargo.start": 0.1}
@@ -147,16 +151,24 @@ def found_in(scenario):
 
 
 def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_path):
+    called = []
+
     def contents(found, compared, name):
-        return Contents(Written(), found.problem, files_of(found, name) | {"more.txt": compared})
+        called.append(name)
+        return Contents(Written(outcome=["said"]), found.problem, files_of(found, name) | {"more.txt": compared})
 
     asked, stage = [], contextlib.nullcontext
     monkeypatch.setattr("tuning.pages.tune.compare", lambda *given: asked.append(given) or "more")
     monkeypatch.setattr("tuning.pages.tune.contents", contents)
     found = found_in(mc.load_scenario("case_1_2"))
     Parts(tmp_path, {"a": 1}).save(0, {"x": np.arange(2)})
-    written = tuning.write(found, tmp_path, stage=stage, begun="begun")
-    assert asked == [(found, stage, tmp_path, "begun")]
+    answers, settings = [], {"command": "tune"}
+    written = tuning.write(found, tmp_path, stage=stage, begun="begun", answer=answers.append, settings=settings)
+    assert asked == [(found, stage, tmp_path, "begun")] and [each.outcome for each in answers] == [["said"]]
+    assert json.loads((tmp_path / "settings.json").read_text())["settings"] == settings
+    tuning.write(found, tmp_path, stage=stage, origin=Origin("mine.yaml", "asked", "again"), settings=settings)
+    assert called == ["from Python", "mine.yaml"]
+    assert "mjx-climb tune mine.yaml: " in (tmp_path / "gains.yaml").read_text()
     names = {*written.files.split(", "), "settings.json"}
     assert names == {file.name for file in tmp_path.iterdir()} > {"more.txt"}
     read = tuned.load(tmp_path / "search.nc")
@@ -168,6 +180,38 @@ def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_p
     assert "objective 0.8000 (pd: 1)" in (tmp_path / "gains.yaml").read_text()
     with pytest.raises(OutputError, match=r"expected a folder without another command's result, got search\.nc in it"):
         check_own(tmp_path, "sweep.nc")
+    with pytest.raises(OutputError, match=r"got search\.nc in it"):
+        tuning.write(types.SimpleNamespace(FILE="sweep.nc"), tmp_path, begun="begun")
+
+
+@pytest.mark.parametrize("again", ["", "mjx-climb again"])
+def test_a_page_knows_the_call_the_files_and_what_repeats_them(again, tmp_path):
+    """Pictures stand on it as PNG whatever the formats; those of a section stand there alone."""
+    asked, problem = [], Problem(mc.load_scenario("case_1_2", {"control.kp": 41.0}))
+
+    def page(origin):
+        asked.append(origin)
+        return Page("", Findings("verdict"), problem.scenario)
+
+    def files(copied, place, call):
+        asked.append((copied.control.kp, (place / "config.yaml").is_file(), call))
+        return {"a.txt": "text", "drawn": Picture("A picture.", Figure)}
+
+    section = Section("Mine", pictures={"mine": Picture("Mine.", Figure)})
+    made = Contents(Written(outcome=["said"]), problem, files, page, again)
+    told = folders.write(made, tmp_path, "tuning.tune(...)", figures=["svg"], sections=[section])
+    copied, origin = asked
+    assert copied == (41.0, True, "tuning.tune(...)") and [*origin.pictures] == ["A picture."]
+    assert (origin.name, origin.asked, origin.again) == (
+        "the scenario",
+        "tuning.tune(...)",
+        again or "tuning.tune(...)",
+    )
+    assert "kp: 41.0" in origin.config and told.outcome == ["said"]
+    assert told.files == "report.html, a.txt, drawn.png, drawn.svg, mine.png, mine.svg, config.yaml"
+    asked.clear()
+    told = folders.write(made._replace(page=None, files={"drawn": Picture("", Figure)}), tmp_path, "", figures=["svg"])
+    assert told.files == "drawn.svg, config.yaml" and not asked
 
 
 def test_an_interrupted_result_keeps_its_parts(tmp_path):
