@@ -48,7 +48,7 @@ class Quantity(NamedTuple):
     def own(self, parameters: mc.Parameters, step: float) -> float:
         """The value of the scenario's hardware at its time step, or a factor of 1."""
         value = 1.0 if self.factor else float(parameters.at(self.paths[0]))
-        return step if PERIOD in self.paths and not self.factor and not value else value
+        return step if PERIOD in self.paths and not value else value
 
     def on_steps(self, values: np.ndarray, step: float) -> np.ndarray:
         """The nearest values that a walk has: whole time steps for a control period."""

@@ -18,11 +18,12 @@ from tuning.pages import judge as judge_page
 from tuning.pages.contents import at_own_step
 from tuning.problem.ensemble import Ensemble, Worst
 from tuning.problem.evaluation import Problem
-from tuning.problem.objectives import Objective, Term
+from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Search
 from tuning.problem.spaces import space
 from tuning.results.judged import Judged
 from tuning.results.scheduled import Scheduled
+from tuning.searches.retuned_pd import ON_A_GRID
 
 RETUNED = "pd with its own kp and kd searched (retuned_pd, kp 16.95, kd 0.996)"
 JOINT = {"kp": 16.95, "kd": 0.996}
@@ -50,6 +51,7 @@ OURS = Walked(0.7607)
         ({"pd": Walked(0.7607 / 0.99949)},
          "0.1 % less than the best rival that walked, pd as the config has it: 0.7611"),
         ({"pd": Walked(0.0)}, "beside the best rival that walked, pd as the config has it: 0"),
+        ({"pd": Walked(-0.5)}, "beside the best rival that walked, pd as the config has it: -0.5"),
     ],
 )  # fmt: skip
 def test_the_verdict_names_the_best_rival_with_numbers(rivals, said):
@@ -81,24 +83,57 @@ def test_the_per_cent_is_that_of_the_numbers_beside_it_and_the_change_at_one_tim
     assert at_own_step(None, "the best", "force variation") == []
 
 
+def scheduled(force, limb, strays=None):
+    """A schedule of three points, by the walks' force variation and the limbs that let go; `strays` breaks a limit."""
+    dims, names = ("walk", "gravity", "cargo"), ("force_variation", "base_deviation", "detached_limb", "detached_at")
+    table = mc.MetricTable([mc.METRICS[name] for name in (*names, "diverged")])
+    limbs = [limb.get(name, [-1] * 3) for name in force]
+    columns = {
+        "force_variation": [*force.values()],
+        "detached_limb": limbs,
+        "diverged": np.zeros((len(force), 3), bool),
+    }
+    columns["detached_at"] = np.where(np.array(limbs) < 0, np.nan, 0.1)
+    columns["base_deviation"] = [(strays or {}).get(name, [0.0] * 3) for name in force]
+    data = {name: (dims, np.reshape(each, (len(force), 3, 1))) for name, each in columns.items()}
+    of_points = {name: np.reshape(force[walk], (3, 1)) / 100 for name, walk in
+                 (("value", "tuned"), ("retuned_value", "retuned_pd"))}  # fmt: skip
+    term = Term("force_variation", 1.0, (100.0, 100.0, 100.0), (100.0, 100.0, 100.0))
+    goal = Objective((term,), (Limit("base_deviation", 0.1, 0.1, 0.02, "as asked"),))
+    problem = Problem(mc.load_scenario("case_1_2"), metrics=table, objective=goal)
+    data |= {name: (dims[1:], each) for name, each in of_points.items()}
+    return Scheduled(xr.Dataset(data, {"walk": [*force]}), problem)
+
+
 def test_gains_tuned_for_each_point_stand_beside_the_best_rival_of_all_points():
     """Where the tuned gains fail nothing is compared; a rival that fails elsewhere is none."""
     force = {"tuned": [40.0, 60.0, 1.0], "config": [90.0, 30.0, 1.0], "retuned_pd": [50.0, 70.0, 1.0]}
     force |= {"pd": [100.0] * 3}
-    limb = {"tuned": [-1, -1, 2], "config": [-1, 0, -1], "retuned_pd": [-1] * 3, "pd": [-1] * 3}
-    dims, metric = ("walk", "gravity", "cargo"), mc.METRICS["force_variation"]
-    table = mc.MetricTable([metric, mc.METRICS["detached_limb"], mc.METRICS["detached_at"], mc.METRICS["diverged"]])
-    columns = {"force_variation": [*force.values()], "detached_limb": [*limb.values()]}
-    columns["detached_at"] = np.where(np.array([*limb.values()]) < 0, np.nan, 0.1)
-    columns["diverged"] = np.zeros((4, 3), bool)
-    data = {name: (dims, np.reshape(each, (4, 3, 1))) for name, each in columns.items()}
-    of_points = {name: (dims[1:], np.ones((3, 1))) for name in ("value", "retuned_value")}
-    term = Term("force_variation", 1.0, (100.0, 100.0, 100.0), (100.0, 100.0, 100.0))
-    problem = Problem(mc.load_scenario("case_1_2"), metrics=table, objective=Objective((term,), ()))
-    found = Scheduled(xr.Dataset(data | of_points, {"walk": [*force]}), problem)
+    found = scheduled(force, {"tuned": [-1, -1, 2], "config": [-1, 0, -1]}, {"retuned_pd": [0.0, 0.0, 0.2]})
     assert of_schedule.compare(found).verdict == (
         "gains tuned for each point, which break a limit at 1: mean objective at 2 of 3 operating points 0.5, "
         "16.7 % less than the best rival that walked, pd with its own kp and kd searched (retuned_pd): 0.6"
+    )
+
+    lost = scheduled(force, {"tuned": [0, 1, 2], "config": [-1, 0, -1]})
+    assert of_schedule.compare(lost).verdict == (
+        "gains tuned for each point, which break a limit at 3: the walk failed; the best rival that walked is pd with "
+        "its own kp and kd searched (retuned_pd): mean objective at 3 of 3 operating points 0.4033"
+    )
+
+
+def test_a_plan_is_a_rival_of_a_schedule_at_the_points_where_it_keeps_the_limits():
+    force = {"tuned": [50.0, 60.0, 90.0], "retuned_pd": [60.0, 70.0, 80.0], "planned_unsearched": [40.0, 50.0, 85.0]}
+    force |= {"pd": [100.0] * 3}
+    worth, verdict = of_schedule.compare(scheduled(force, {}, {"planned_unsearched": [0.2, 0.0, 0.0]}))
+    assert worth == (
+        f"no verdict on the force sensor, since pd was searched {ON_A_GRID}: less objective at 1 of 3 operating "
+        "points, 0.833 to 1.200 times the least of pd with kp and kd for each and of load transfer by plan on these "
+        "(planned_unsearched)"
+    )
+    assert verdict == (
+        "gains tuned for each point: mean objective at 3 operating points 0.6667, 4.8 % less than the best rival that "
+        "walked, pd with its own kp and kd searched (retuned_pd): 0.7"
     )
 
 

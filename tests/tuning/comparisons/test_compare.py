@@ -104,6 +104,26 @@ def test_a_rival_without_a_sensor_walks_where_a_law_reads_one(scenario):
     assert list(compare.contestants(scenario, ["base_admittance"], grid)) == ["base_admittance", "retuned_pd"]
 
 
+def test_laws_of_the_config_keep_its_reading_where_they_have_one_and_pd_is_the_last(scenario):
+    """The general method has one reading alone; a law of one's own takes nothing from the section `own`."""
+    own = scenario.with_overrides({"control.reading": "measured_pose"}).with_own(law={"name": "LoadTransfer"})
+    found = compare.named(own, ["pd", "end_effector_admittance", "base_admittance", "LoadTransfer"])
+    assert [*found] == ["end_effector_admittance", "base_admittance", "LoadTransfer", "retuned_pd"]
+    readings = {name: place.control.reading for name, (place, _) in found.items()}
+    assert readings["end_effector_admittance"] == "virtual_model" and readings["base_admittance"] == "measured_pose"
+    assert {place.own for place, _ in found.values()} == {None}
+    for name in compare.HARDWARE:  # under which pd walks besides
+        with pytest.raises(ConfigError, match=f"laws: expected laws of different names, got {name} twice"):
+            compare.named(own, {name: "base_admittance"})
+
+
+@pytest.mark.parametrize(("law", "name"), [
+    ("base_admittance", "base_admittance"), ("a b/c", "a_b_c"), ("Mine.v2@1+x-y", "Mine.v2@1+x-y"), ("k=3;*", "k_3__"),
+])  # fmt: skip
+def test_files_of_a_law_have_its_name_without_what_no_file_has(law, name):
+    assert compare.file_name(law) == name
+
+
 @pytest.mark.parametrize(
     ("laws", "changes", "expected"),
     [
@@ -138,6 +158,9 @@ def test_a_method_that_nobody_chose_is_one_that_searches_all_laws_alike():
     assert compare.alike(Search(), None, {}).method == "cmaes"
     with pytest.raises(ConfigError, match="got gradient"):
         compare.alike(Search(method="gradient"), Search(method="gradient"))
+    chosen = compare.alike(Search(method="optuna", starts=5), None, {}, {"method": "optuna"})
+    assert (chosen.method, chosen.starts, chosen.joint_gains) == ("optuna", 5, True)
+    assert chosen.iterations in (compare.FEW[1], compare.MANY[1]) and settings(iterations=3).iterations == 3
     grid = settings(method="grid")  # points per gain are its own, and all its searches would be the same
     assert grid.starts is None and compare.seeds_for(grid, 5) == 1 and compare.seeds_for(settings(), 5) == 5
 

@@ -120,7 +120,8 @@ def test_without_pd_retuned_the_best_is_beside_the_others_that_hold():
 @pytest.mark.parametrize(
     ("changes", "name"),
     [({}, "paper"), ({"control.stiffness": 3e4}, "config"), ({"control.damping": 1e4}, "config"),
-     ({"control.inertia": 2.0}, "config"), ({"control.stiffness": 4e5, "control.damping": 1e4}, "paper")],
+     ({"control.inertia": 2.0}, "config"), ({"control.stiffness": 4e5, "control.damping": 1e4}, "paper"),
+     ({"control.stiffness": 2e4}, "paper"), ({"control.stiffness": 4e5}, "config")],
 )  # fmt: skip
 def test_the_scenarios_own_gains_are_the_papers_where_all_three_are(changes, name):
     assert of_sweep.own_name(Problem(CASE.with_overrides(changes))) == name
@@ -219,9 +220,38 @@ def test_of_a_search_a_plan_that_was_not_searched_is_a_rival_on_the_joint_gains_
     assert rows.get("planned_unsearched", ({}, 0))[0] == (JOINT if planned < 40.0 else {})
     assert worth.changes["objective"] == pytest.approx(30 / min(planned, 40.0) - 1)
     assert f"less force variation than {than} with kp 17, kd 1" in worth.in_words
+    # on the joint gains of pd it has the time step of pd, so that ours are beside it there
+    _, _, worth, _, apart = of_search.conclusions(searched(), walked, (PD, None), (5e-4, walk(42.0)))
+    assert apart.change == pytest.approx(42 / min(planned, 40.0) - 1) and "turns it round" in worth.in_words
     walked["planned_unsearched"] = None, walk(planned, peak_pull_force=12.5)  # it breaks a limit
     rows, _, worth, _, _ = of_search.conclusions(searched(), walked, (PD, None), None)
     assert "than pd with" in worth.in_words and "planned_unsearched" not in rows
+
+
+def test_the_joint_gains_of_pd_retuned_are_those_of_its_walk_where_that_tells_them():
+    """The plan on them has a searched gait too."""
+    own = {"kp": 18.0, "gait.duty": 0.8}
+    walked = {"tuned": (OURS, walk(30.0)), "retuned_pd": (own, walk(40.0)), "planned_unsearched": ({}, walk(35.0))}
+    rows, *_ = of_search.conclusions(searched(), walked, (PD, None), None)
+    assert rows["retuned_pd"][0] == rows["planned_unsearched"][0] == {"kp": 18.0, "kd": 1.0, "gait.duty": 0.8}
+
+
+@pytest.mark.parametrize(("ki", "also"), [(0.0, ()), (2.0, ()), (0.0, ("gait.duty",)), (2.0, ("gait.duty",))])
+def test_the_gains_of_a_walk_are_those_of_its_law_its_joints_and_a_gait_that_was_searched(ki, also):
+    """pd has none of its own: its joint gains are told where the gait is."""
+    case = CASE.with_overrides({"control.ki": ki, "control.kp": 40.0, "gait.duty": 0.8})
+    problem = Problem(case, spaces.space(case, Search(also=also)), GOAL)
+    joint = {"kp": 40.0, "kd": case.control.kd} | ({"ki": ki} if ki else {})
+    keys = ("stride", "step_height", "cycle", "duty", "settling", "height", "sway", "landing_speed")
+    gait = {f"gait.{key}": getattr(case.gait, key) for key in keys if also}
+    mine, laws = {"mine": 1.0}, {"mine": 1.0, **joint, **gait}
+    own = {name: getattr(case.control, name) for name in mc.Gains.AXES} | joint | gait
+    pd = case.with_overrides({"control.controller": "pd"})
+    for scenario, law, gains, expected in (
+        (case, None, None, own), (case, PlannedTransfer(), mine, laws), (pd, None, None, gait and joint | gait),
+    ):  # fmt: skip
+        told = of_search.with_joint_gains(types.SimpleNamespace(scenario=scenario, law=law, gains=gains), problem)
+        assert told == (expected or None)
 
 
 @pytest.mark.parametrize(
@@ -308,14 +338,17 @@ def test_over_an_ensemble_a_plan_that_was_not_searched_is_a_rival_too(level, tha
 
 
 def test_over_an_ensemble_rivals_that_break_a_limit_in_more_walks_come_last():
+    """Of several limits that which is broken in the most walks."""
     names = ["robust", "retuned_pd", "config", "pd"]
-    walks = draw([30, 40, 60, 100], names=names)
+    walks, result = draw([30, 40, 60, 100], names=names), robust()
+    goal = dataclasses.replace(result.problem.objective, limits=(Limit("base_deviation", 2.0, 2.0, 0.1, "as"), PULL))
+    result = dataclasses.replace(result, problem=dataclasses.replace(result.problem, objective=goal))
     walks["peak_pull_force"][1, :20] = 13.0
-    found = of_ensemble.conclusions(robust(), walks, walks.isel(gains=[0]), (PD, None), None)
+    found = of_ensemble.conclusions(result, walks, walks.isel(gains=[0]), (PD, None), None)
     assert "the config's gains" in found.verdict
-    np.testing.assert_allclose(found.summed["broken"].sel(gains="retuned_pd"), [0.1])
+    np.testing.assert_allclose(found.summed["broken"].sel(gains="retuned_pd"), [0.0, 0.1])
     walks["peak_pull_force"][0, :20] = 13.0
-    found = of_ensemble.conclusions(robust(), walks, walks.isel(gains=[0]), (PD, None), None)
+    found = of_ensemble.conclusions(result, walks, walks.isel(gains=[0]), (PD, None), None)
     assert "retuned_pd" in found.verdict
 
 
@@ -372,6 +405,18 @@ def test_a_sensor_is_worth_what_the_best_law_with_one_has_over_the_best_without(
     found = of_laws.compare(laws(values, reading, outside))
     assert found.reading == reading
     assert all(text in found.verdict.in_words for text in said), found.verdict.in_words
+
+
+def test_the_worth_of_a_sensor_is_of_the_laws_whose_searches_end_at_the_least_mean():
+    """Not of that with the best single search; forces may come from the efforts of joints."""
+    found = laws({"a": 0.3, "b": 0.4, "c": 0.35}, ["a", "c"])
+    ends = found.data["search_value"].copy()
+    ends.loc[{"gains": "c"}] = [0.1, 0.5, 0.5, 0.5]
+    case = CASE.with_overrides({"hardware.force_sensor.source": "joint_effort"})
+    problem = dataclasses.replace(found.problem, scenario=case)
+    found = dataclasses.replace(found, data=found.data.assign(search_value=ends), problem=problem)
+    said = of_laws.compare(found).verdict.in_words
+    assert "reading joint efforts is worth" in said and "a beside b, the best law that reads no forces" in said
 
 
 def test_laws_results_are_by_their_searches():

@@ -56,6 +56,10 @@ def test_members_walk_with_their_own_parameters_and_gains_with_their_law(asked):
     np.testing.assert_allclose(found["cost_of_transport"][0], [0.0, 0.0, 0.8, 0.0, 0.0])
     mass = np.ravel(work.problem.parameters.at("disturbance.cargo.mass"))
     np.testing.assert_allclose(found["peak_foot_force"], np.tile(mass[[2, 0], None], (1, 5)))
+    # what is kept of it is known by all of its gains, and by laws other than that of all
+    known = work.identity()["gains"]
+    assert {name: "law" in each for name, each in known.items()} == {"mine": False, "own": True, "gait": False}
+    assert set(np.ravel(known["mine"]["damping"])) == {300.0} and known["gait"]["gait.duty"] == 0.8
     walked = [(scenario.control.controller, type(law).__name__) for scenario, law, _ in asked]
     assert walked[1] == (CASE.control.controller, "LoadTransfer") and walked[3:] == [("pd", "NoneType")] * 2
     assert all(how["smooth"] and how["unsteady"] and how["dtype"] == np.float32 for *_, how in asked)
@@ -89,6 +93,7 @@ def test_what_was_drawn_stands_beside_the_walks(asked):
     largest = np.max([np.linalg.norm(np.reshape(each, (-1, 3)), axis=1) for each in pushes], axis=0)
     np.testing.assert_allclose(data["largest_push"], largest)
     assert (largest > 0).any() and data["largest_push"].attrs["units"] == "N"
+    assert not [name for name in data.data_vars if str(name).startswith("disturbance.pushes.")]
     np.testing.assert_allclose(data["gravity"], np.linalg.norm(CASE.gravity))
     np.testing.assert_allclose(
         data["peak_foot_force"].sel(gains="pd"), np.ravel(parameters.at("disturbance.cargo.mass"))
@@ -105,6 +110,19 @@ def test_a_result_keeps_the_ensemble_that_was_asked_for(asked):
     assert found.ensemble == DRAW.model_copy(update={"members": 2}) and found.problem is work.problem
     assert found.data["gains"].values.tolist() == ["mine", "config", "pd"] and found.data.sizes["member"] == 2
     assert found.problem.ensemble.seed != DRAW.seed and found.problem.members == 2
+    assert Ensemble.parse(found.data.attrs["ensemble"], "ensemble") == found.problem.ensemble
+
+
+def test_a_law_of_ones_own_walks_as_the_configs_gains():
+    law = LoadTransfer()
+    work = judge.draw_of(Problem(CASE, law=law), {"mine": {"leak": 1.0}}, DRAW, 2)
+    assert work.gains["config"] is law and [*work.gains] == ["mine", "config"] and not work.pd
+
+
+def test_members_of_a_long_walk_walk_in_parts_of_four_million_time_steps():
+    long = CASE.with_overrides({"duration": 8.0})
+    work = through(Problem(long), {}, DRAW.model_copy(update={"members": 3000}))
+    assert (work.rows, work.size, long.steps) == (3000, 500, 8000)
 
 
 def test_sensors_that_were_lost_are_named_by_limb():

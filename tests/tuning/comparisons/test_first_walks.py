@@ -96,6 +96,19 @@ def test_a_walk_on_a_ceiling_holds_strays_or_lets_go(metrics, holds, said, monke
     assert found == holds and said in how
 
 
+def test_of_a_contact_without_one_limit_the_use_of_the_grips_is_told(monkeypatch):
+    """Above a ceiling and at every cycle."""
+
+    def metrics(kp, kd, how):
+        return {"peak_pull_force": 3.21, "peak_utilization": 1.6} | ({} if how["smooth"] else {"detached_limb": 2.0})
+
+    walking(monkeypatch, metrics)
+    scenario = short(**{"contact": {"kind": "polyhedron"}})
+    pull = "a grip that held would pull 3.21 N, 1.6 times its limit"
+    assert on_ceiling(scenario) == (False, f"limb RH lets go there; {pull}")
+    assert slow_enough(scenario).how.endswith(f"limb RH lets go; {pull}")
+
+
 @pytest.mark.parametrize(
     ("pull", "needed"), [(32.1, "33"), (0.321, "0.33"), (3.31, "3.4"), (99.4, "100"), (120.1, "130")]
 )

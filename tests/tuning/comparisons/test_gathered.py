@@ -13,7 +13,21 @@ import mjx_climb as mc
 from mjx_climb.control import PD, PlannedTransfer, VirtualModelAdmittance, law_of
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from tuning.background import ignore
-from tuning.comparisons import compare, judge, of_ensemble, of_front, of_sweep, stability_limit, worth
+from tuning.comparisons import (
+    compare,
+    degraded,
+    judge,
+    margins,
+    merge,
+    of_ensemble,
+    of_front,
+    of_search,
+    of_sweep,
+    stability_limit,
+    verification,
+    worth,
+)
+from tuning.gains.gains_file import Whole
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.search import Search
@@ -21,6 +35,7 @@ from tuning.results.swept import HISTORIES, Swept
 from tuning.searches import retuned_pd
 from tuning.searches import sweep as sweeps
 from tuning.searches.retuned_pd import Rival
+from tuning.searches.shards import Kept, Shard
 
 COARSE = mc.load_scenario("case_1_2", {"time_step": 1e-3, "duration": 0.3})  # at which kp and kd of pd retuned shake
 FINE = mc.load_scenario("case_1_2", {"time_step": 2.5e-4, "duration": 0.3})
@@ -382,6 +397,166 @@ def test_laws_are_searched_from_each_seed_and_judged_on_the_same_unseen_walks(me
     assert len(searches) == 8
 
 
+LAW, TABLE = PlannedTransfer(), mc.MetricTable([mc.METRICS["travel"], mc.METRICS["force_variation"]])
+
+
+@pytest.fixture
+def works(monkeypatch):
+    """Have works handed on, not walked: their arguments and where they are kept."""
+
+    class Handed:
+        def __init__(self, work, out):
+            self.asked = work, out
+
+        def walk(self, progress):
+            return *self.asked, progress
+
+    for module in (judge, degraded):
+        monkeypatch.setattr(module, "Rows", Handed)
+        monkeypatch.setattr(
+            module, "draw_of", lambda *given: types.SimpleNamespace(given=given, result=lambda arrays: arrays)
+        )
+    monkeypatch.setattr(judge, "walk_shard", lambda work, *more: (work, *more))
+
+
+def test_what_evaluate_and_degrade_are_asked_for_is_what_walks(works):
+    gains, ensemble, told = {"mine": {"leak": 1.0}}, Ensemble(members=3), [].append
+    problem = Problem(FINE, law=LAW, metrics=TABLE, engine=OTHER)
+    more, how = {"members": 7, "out": "folder", "progress": told}, {"law": LAW, "engine": OTHER}
+    work, *rest = judge.evaluate(FINE, gains, ensemble, **more, **how, metrics=iter(TABLE))
+    assert work.given == (problem, gains, ensemble, 7) and rest == ["folder", told]
+    work, *rest = degraded.degrade(FINE, gains, ensemble, ["delay=x2"], **more, **how, metrics=iter(TABLE))
+    assert work.given == (problem, gains, ensemble, ["delay=x2"], 7) and rest == ["folder", told]
+    work, *rest = judge.evaluate_shard(FINE, gains, ensemble, (2, 3), **more, **how, metrics=iter(TABLE))
+    assert work.given == (problem, gains, ensemble, 7) and rest == [(2, 3), "folder", told]
+    for work, *_ in (judge.evaluate(FINE, gains, ensemble), judge.evaluate_shard(FINE, gains, ensemble, (1, 1), out=0)):
+        assert work.given == (Problem(FINE), gains, ensemble, judge.MEMBERS)
+    work, *rest = degraded.degrade(FINE, gains, ensemble, [])
+    assert work.given == (Problem(FINE), gains, ensemble, [], judge.MEMBERS) and rest == [None, None]
+
+
+def test_laws_are_compared_by_what_is_asked_for(monkeypatch):
+    """The settings that none of the laws would share are refused before pd walks for the objective."""
+    asked = []
+
+    def problem_of(scenario, search, **how):
+        asked.append((scenario, search, how))
+        return "problem"
+
+    monkeypatch.setattr(compare.tune, "problem_of", problem_of)
+    monkeypatch.setattr(compare, "run", lambda *given, **how: asked.append((given, how)) or "compared")
+    ensemble, search, stage = Ensemble(members=3), Search(method="cmaes", starts=6, seed=5), contextlib.nullcontext
+    how = {"metrics": iter(TABLE), "engine": OTHER, "out": "folder", "stage": stage, "members": 7, "iterations": 4}
+    assert compare.compare(FINE, ["FootOffsets"], ensemble, search, seeds=2, **how) == "compared"
+    (scenario, of_pd, walks), ((laws, base, wanted, members, seeds), kept) = asked
+    assert scenario == FINE and of_pd == laws["retuned_pd"].search and base == "problem"
+    assert walks == {"ensemble": ensemble, "metrics": TABLE, "engine": OTHER, "own_method": None}
+    assert (wanted.starts, wanted.iterations, wanted.seed, wanted.joint_gains) == (6, 4, 5, True)
+    assert [*laws] == ["FootOffsets", "retuned_pd"] and (members, seeds) == (7, 2)
+    assert kept == {"out": "folder", "stage": stage}
+    compare.compare(FINE, ["FootOffsets"], ensemble)
+    (_, _, wanted, members, seeds), kept = asked[-1]
+    assert (wanted.method, members, kept["out"]) == ("cmaes", judge.MEMBERS, None)
+    assert (wanted.starts, wanted.iterations) in (compare.FEW, compare.MANY)
+    assert seeds in (compare.SEEDS, compare.SEEDS_OF_MANY)
+
+
+@pytest.mark.parametrize("kind", ["sweep", "evaluate"])
+def test_shards_are_put_together_by_the_config_and_the_law_beside_them(kind, monkeypatch, tmp_path):
+    asked, own = [], FINE.with_own(law={"name": "PlannedTransfer"})
+    (tmp_path / "config.yaml").write_text(own.to_yaml())
+    kept = [Kept(tmp_path, Shard(1, 2), {"kind": kind}, {}), Kept(tmp_path / "other", Shard(2, 2), {"kind": kind}, {})]
+
+    def read(*given):
+        asked.append(given)
+        return types.SimpleNamespace(result=lambda arrays: arrays)
+
+    monkeypatch.setattr(merge, "KINDS", dict.fromkeys(merge.KINDS, None) | {kind: read})
+    monkeypatch.setattr(merge, "find", lambda folders: asked.append(folders) or kept)
+    monkeypatch.setattr(merge, "joined", lambda work, found: found)
+    assert merge.merge([str(tmp_path)], metrics=iter(TABLE)) is kept
+    folders, (first, scenario, law, metrics) = asked
+    assert folders == [tmp_path] and first is kept[0] and metrics == TABLE
+    assert scenario == FINE and type(law) is PlannedTransfer
+    given = VirtualModelAdmittance()
+    merge.merge([tmp_path], law=given)
+    assert asked[-1][2:] == (given, mc.METRICS)
+    monkeypatch.undo()
+    assert merge.KINDS == {"sweep": sweeps.read_asked, "evaluate": judge.read_asked}
+
+
+@pytest.mark.parametrize("plans", [True, False])
+@pytest.mark.parametrize(("scenario", "needs"), [(FINE, None), (COARSE, 5e-4)])
+def test_a_search_stands_beside_pd_retuned_and_the_plan_and_on_worse_hardware(
+    plans, scenario, needs, walks, monkeypatch
+):
+    """Walks begun before the search are not begun again; a plan that is no row has no walk."""
+    asked, stages, plan = {}, [], types.SimpleNamespace(walked=Problem(scenario, law=PlannedTransfer(load=1.5)))
+    rival = types.SimpleNamespace(gains=JOINT)
+    for name, value in {"tests": "tested", "map_of": "map", "verify": "checked"}.items():
+        monkeypatch.setattr(
+            verification, name, lambda *given, key=name, told=value, **how: asked.update({key: (given, how)}) or told
+        )
+    monkeypatch.setattr(margins, "find", lambda *given, **how: asked.update(margins=(given, how)) or "margins")
+    monkeypatch.setattr(retuned_pd, "joint_of", lambda found: found.gains)
+
+    def conclusions(*given):
+        asked["conclusions"] = given
+        return {name: 0 for name in given[1] if name != "planned_unsearched"}, "broken", "worth", "said", "apart"
+
+    monkeypatch.setattr(of_search, "conclusions", conclusions)
+    monkeypatch.setattr(of_search, "with_joint_gains", lambda walk, problem: walk.scenario.control.kp)
+
+    @contextlib.contextmanager
+    def stage(name, **_):
+        stages.append(name)
+        yield ignore
+
+    problem = Problem(scenario, engine=OTHER)
+    found = types.SimpleNamespace(scenario=scenario, problem=problem, walked=problem, law=None, gains="gains", seeds=2)
+    there = {name: lambda _: Walked(scenario, None, None, "begun") for name in ("pd", "config")}
+    begun = of_search.Begun(
+        lambda _: rival, (lambda _: plan) if plans else None, there, None, {"pd": lambda _: "pd", "config": lambda _: 1}
+    )
+    told = of_search.compare(found, stage, begun=begun)
+    names = ["pd", "config", "tuned", *(["planned_transfer"] if plans else []), "retuned_pd"]
+    every = names if plans else [*names, "planned_unsearched"]
+    searches = ["retuned pd", "load transfer by plan"][: 1 + plans]
+    assert stages == [*searches, *every, "map", "margins", "verification"]
+    assert [*told.walks] == names and [*asked["conclusions"][1]] == every
+    assert (told.over, told.hardware, told.checked) == ("map", "margins", "checked")
+    assert (told.broken, told.worth, told.verdict, told.level) == ("broken", "worth", "said", "apart")
+    given, (walked, others, at_step) = asked["conclusions"][0], asked["conclusions"][1:]
+    assert given is found and others == (rival, plan if plans else None)
+    step = scenario.time_step if needs is None else needs
+    own = number_of(scenario)
+    variations = {name: metrics["force_variation"] for name, (_, metrics) in walked.items()}
+    retuned = under_pd(scenario).with_overrides(
+        {"control.kp": 17.0, "control.kd": 1.0, "control.safe_kp": 50.0, "time_step": step}
+    )
+    expected = {"pd": own, "config": own, "tuned": own, "retuned_pd": number_of(retuned)}
+    if plans:
+        expected["planned_transfer"] = number_of(scenario, PlannedTransfer())
+    else:
+        expected["planned_unsearched"] = number_of(retuned, PlannedTransfer())
+    assert variations == pytest.approx(expected) and walked["retuned_pd"][0] == 17.0
+    if needs is None:
+        assert at_step is None
+    else:
+        there = scenario.with_overrides({"time_step": needs})
+        assert at_step[0] == needs and at_step[1]["force_variation"] == pytest.approx(number_of(there))
+    (own, gains), how = asked["margins"]
+    assert (own, gains, how["law"], how["engine"], how["retuned_step"]) == (scenario, "gains", None, OTHER, needs)
+    assert how["walked"] == {"pd": "pd", "config": 1}
+    others = {"config": Whole(None, {})} | ({} if needs else {margins.RETUNED: Whole(PD(), JOINT)})
+    assert {name: (type(each.law), each.gains) for name, each in how["others"].items()} == {
+        name: (type(each.law), each.gains) for name, each in others.items()
+    }
+    (checked,), how = asked["verify"]
+    assert checked is found and (how["walks"], how["hardware"], how["tested"]) == ("map", "margins", "tested")
+    assert how["metrics"]["force_variation"] == pytest.approx(number_of(scenario))
+
+
 @pytest.mark.parametrize("ours", [0.2, 0.4])
 @pytest.mark.parametrize(("better", "larger"), [("min_tsm", True), ("force_variation", False)])
 def test_the_worth_at_the_knee_of_a_front_knows_which_way_a_metric_is_better(better, larger, ours):
@@ -390,3 +565,5 @@ def test_the_worth_at_the_knee_of_a_front_knows_which_way_a_metric_is_better(bet
     data = xr.Dataset({better: ("front", [9.0, ours])})
     found = types.SimpleNamespace(problem=Problem(FINE), rival=xr.Dataset(without), asked=asked, data=data, knee=1)
     assert ("does not pay" in worth.of_front(found)) is ((ours < 0.3) == larger)
+    found.rival = None
+    assert worth.of_front(found) == "pd has more cost of transport than the knee with any kp and kd of its grid"

@@ -27,6 +27,18 @@ HELD = {"diverged": False, "detached_limb": None, "detached_at": None}
         (39.18, 0.4, [], ["peak pull force 39.18, limit 40 (holding limit of the grippers)"]),
         (30.0, 0.002, [], ["joint limit margin 0.002, limit 0 (joint limits)"]),
         (30.0, 0.4, [], []),
+        # a limit holds from 1.25 of 2 % of its scale on, and is kept where it is met
+        (39.01, 0.4, [], ["peak pull force 39.01, limit 40 (holding limit of the grippers)"]),
+        (38.99, 0.4, [], []),
+        (
+            40.0,
+            0.0,
+            [],
+            [
+                "peak pull force 40, limit 40 (holding limit of the grippers)",
+                "joint limit margin 0, limit 0 (joint limits)",
+            ],
+        ),
         (41.0, -0.01, ["peak pull force 41, limit 40", "joint limit margin -0.01, limit 0"], []),
         (None, 0.4, [], []),
     ],
@@ -42,6 +54,8 @@ def test_a_torn_gripper_and_a_walk_that_diverged_are_named():
     torn = {"diverged": False, "detached_limb": "LF", "detached_at": 1.5, "peak_pull_force": 1, "joint_limit_margin": 1}
     assert broken_limits(TARGET, torn) == ["limb LF let go at 1.500 s"]
     assert broken_limits(TARGET, torn | {"diverged": True}) == ["the walk diverged"]
+    near = torn | {"peak_pull_force": 39.9}
+    assert binding_limits(TARGET, near | {"diverged": True}) == [] != binding_limits(TARGET, near)
 
 
 def test_a_cliff_is_named_by_what_breaks_off():
@@ -101,6 +115,8 @@ def test_each_doubt_about_a_result_is_a_warning_of_its_own():
         f"{names[2]}: no metric responds to it here (less than 0.1% for 20%)",
         "a coarse grid found better: 0.4500 at stiffness 2",
     ]
+    # by rounding alone a grid finds nothing better
+    assert "coarse grid" not in " ".join(checked(value=0.45005).warnings)
     broken = checked(around._replace(feasible=feasible))
     assert broken.more[names[1]] is None and broken.shape[names[1]] == "cliff" and broken.less[names[1]] is not None
     beyond = checked(around._replace(value=np.where(np.arange(1 + 2 * n) == 7, 0.61, value)))
@@ -110,12 +126,53 @@ def test_each_doubt_about_a_result_is_a_warning_of_its_own():
             "radius": 1.001
         },
         "alone in float64 the objective is 0.5200, in the search 0.5000": {"force": 1.04},
+        "alone in float64 the objective is 0.4800, in the search 0.5000": {"force": 0.96},
         "no point of the search keeps every limit: these gains are the nearest to it": {"feasible": False},
     }
     for line, changes in more.items():
         assert {*checked(**changes).warnings} - {*first.warnings} == {line}
     # what pd's value is not 1 of is relative to it
     assert set(checked(of_pd=100.0).shape.values()) == {"plateau"}
+
+
+def test_times_of_a_gait_have_no_slope_and_limbs_in_turn_cannot_stand_less():
+    """A duty on its bound is no reason to widen that, another value of the gait is."""
+    settings = Search(space="isotropic", also=("gait.cycle", "gait.duty", "gait.height"))
+    space, goal = spaces.space(mc.Scenario(), settings), Objective((Term("force_variation", 1.0, 2.0, 2.0),), ())
+    count = 1 + 2 * len(space.parts)
+    value, none = np.full(count, 0.5), np.zeros((count, 0))
+    around = Evaluation(value, value, 0 * value, np.ones(count, bool), none, none,
+                        {"force_variation": np.arange(1.0, count + 1)})  # fmt: skip
+    problem = Problem(mc.Scenario(), space, goal, metrics=mc.MetricTable([mc.METRICS["force_variation"]]))
+    found = types.SimpleNamespace(feasible=True, theta=space.lower, value=0.5, of_pd=1.0, problem=problem)
+    tested = verification.Tests(around, np.ones(len(space.parts)), 0.9)
+    checked = verify(found, metrics={**HELD, "force_variation": 1.0}, tested=tested)
+    assert [*checked.shape] == [*space.parts] == ["damping", "stiffness", "gait.cycle", "gait.duty", "gait.height"]
+    assert [*checked.slopes] == ["damping", "stiffness", "gait.height"]
+    wider = {name: "" if name == "gait.duty" else f": widen bounds.{name}" for name in space.parts}
+    assert checked.warnings == [f"{name} lies on a bound{more}" for name, more in wider.items()]
+
+
+def test_the_cells_of_a_map_have_the_scores_of_a_search(monkeypatch):
+    """Of a walk that was lost there is none; one that let go keeps no limit, however its numbers are."""
+    dims, shape = ("damping", "stiffness"), (2, 2)
+    data = {name: (dims, np.zeros(shape)) for name in mc.METRICS.names}
+    data["force_variation"] = (dims, [[1.0, 3.0], [np.nan, 1.5]])
+    data["peak_pull_force"] = (dims, [[30.0, 41.0], [np.nan, 30.0]])
+    data["diverged"] = (dims, [[False, False], [True, False]])
+    data["detached_at"] = (dims, [[np.nan, np.nan], [np.nan, 0.2]])
+    data["line"] = (("extreme", *dims), np.zeros((2, *shape)))
+    walks = xr.Dataset(data, {"damping": [5.0, 7.0], "stiffness": [1e3, 2e3]}).transpose("extreme", ...)
+    goal, asked = Objective((Term("force_variation", 1.0, 2.0, 2.0),), (PULL,)), []
+    problem = Problem(mc.Scenario(), None, goal)
+    monkeypatch.setattr(maps, "problem_of", lambda *given, **how: asked.append((given, how)) or problem)
+    search = Search(seed=3)
+    found = maps.with_objective(walks, mc.Scenario(), search, law="law")
+    assert asked == [((mc.Scenario(), search), {"law": "law"})]
+    np.testing.assert_allclose(found["objective"], [[0.5, 1.5], [np.nan, 0.75]])
+    assert found["feasible"].values.tolist() == [[True, False], [False, False]]
+    assert maps.best_cell(found)["stiffness"] == 1e3
+    assert maps.best_cell(found.assign(feasible=found["feasible"] & False)) is None
 
 
 def test_a_walk_without_a_metric_that_counts_keeps_no_limit():

@@ -10,7 +10,8 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.control import PD
 from mjx_climb.inputs.from_scenario import own_parameters
-from tuning.comparisons import linear_margins, margins, stability_limit
+from tuning.background import silent
+from tuning.comparisons import deployment, linear_margins, margins, stability_limit
 from tuning.gains import gains_file
 from tuning.gains.gains_file import Whole, by_name
 from tuning.problem.evaluation import RIGID
@@ -204,6 +205,7 @@ def test_any_path_has_a_margin(monkeypatch, case):
         ),
         ("contact.damping=-1", "contact.damping: expected finite numbers of 0 or more, got -1"),
         ("gravity=3", "gravity: expected a factor, as x0.1, as the value is an array, got 3"),
+        ("contact.damping=x0.5 contact.damping=x0.2", "each path once, got 'contact.damping=x0.2'"),
         ("mass_scale=1", "mass_scale: expected another value than the scenario's own, 1, got 1"),
         (
             "hardware.command_delay=x2",
@@ -213,7 +215,7 @@ def test_any_path_has_a_margin(monkeypatch, case):
 )
 def test_a_quantity_that_cannot_get_worse_is_refused_in_one_line(case, text, said):
     with pytest.raises(mc.ConfigError, match=re.escape(said)) as refused:
-        margins.quantities(case("case_1_2", "virtual_model"), [text])
+        margins.quantities(case("case_1_2", "virtual_model"), text.split())
     assert "\n" not in str(refused.value)
 
 
@@ -349,6 +351,42 @@ def test_the_command_prints_writes_and_warns(walks, monkeypatch, tmp_path, call)
     assert "warning: force delay" in told and {file.name for file in out.iterdir()} == {
         "config.yaml", "margins.json", "margins.nc", "margins.png", "settings.json"
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(("walking", "standing", "holds", "said"), [
+    (1.0, 1.0, True, ["a warning"]), (1 + 0.9e-9, 0.9, True, ["a warning"]),
+    (1.001, 0.9, True, "a disturbance about a stance of the gait that grows by 1.001000 a time step"),
+    (1.0, 1.0025, True, "a disturbance of a robot that stands on all feet that grows by 1.002500 a time step"),
+    (1.0, 1.0, False, "a walk that loses a gripper or diverges"),
+])  # fmt: skip
+def test_gains_may_go_to_the_robot_where_they_are_stable_and_hold(walking, standing, holds, said, monkeypatch, case):
+    """It stands on all feet in a gait whose swings take two time steps."""
+    scenario, law, asked, stages = case("case_1_2", "virtual_model"), PD(), [], []
+
+    def radius(walked, gains, *, law, engine):
+        asked.append((walked.gait.duty, gains, law, engine))
+        return np.array([0.5, walking if walked == scenario else standing])
+
+    def find(walked, gains, *, law, engine, progress):
+        asked.append((walked, gains, law, engine))
+        return margins.Found({}, holds, True, None)
+
+    monkeypatch.setattr(stability_limit, "spectral_radius", radius)
+    monkeypatch.setattr(margins, "find", find)
+    monkeypatch.setattr(margins, "warnings", lambda found: ["a warning"])
+    how = {"law": law, "engine": "mjx", "stage": lambda name: stages.append(name) or silent()}
+    if isinstance(said, list):
+        assert deployment.check(scenario, GAINS, "mine.yaml", **how) == said
+    else:
+        stable = "gains that hold" if "walk" in said else "gains that are stable"
+        with pytest.raises(mc.ConfigError) as refused:
+            deployment.check(scenario, GAINS, "mine.yaml", **how)
+        assert str(refused.value) == f"mine.yaml: expected {stable} on the config's hardware, got {said}"
+    duties = [scenario.gait.duty, 1 - 2 * scenario.time_step / scenario.gait.cycle]
+    every = [*((duty, GAINS, law, "mjx") for duty in duties), (scenario, GAINS, law, "mjx")]
+    assert asked == every[: 1 if walking > 1.0001 else 2 if standing > 1 else 3]
+    words = ["disturbances about a stance of the gait", "disturbances of a robot that stands on all feet"]
+    assert stages == [*words, "walks on worse hardware"][: len(asked)]
 
 
 def test_gains_without_those_of_the_joint_loop_keep_all_others():

@@ -207,6 +207,7 @@ def test_pushes_are_bisected_as_one_by_one(seed, monkeypatch, case):
     start = tried[0][1].start
     assert (start >= 0.25).all() and (start <= scenario.duration - 0.3 - 0.5).all()
     np.testing.assert_allclose(1e3 * start, np.round(1e3 * start), atol=1e-9)
+    assert np.any(np.round(1e3 * start) % 10)
 
 
 def drawn(survived, lost):

@@ -152,6 +152,8 @@ def test_of_a_lead_over_pd_a_sensor_is_worth_what_the_plan_leaves():
         "the force sensor pays: 25.0 % less force variation than PlannedTransfer with kp 17, kd 1, which needs none; "
         "40.0 % less force variation than pd with kp 17, kd 1, of which the force sensor is worth 20.0 %"
     )
+    more = worth_of({"min_tsm": 3.0}, {"min_tsm": 2.5}, plan, larger=True, pd=BesidePd(2.0, RIVAL)).in_words
+    assert more.endswith("50.0 % more min tsm than pd with kp 17, kd 1, of which the force sensor is worth 25.0 %")
 
 
 def test_a_verdict_only_where_pd_was_searched_as_well():
@@ -171,6 +173,11 @@ def test_a_verdict_only_where_pd_was_searched_as_well():
     assert two.in_words.startswith("the force sensor pays: 25.0 % less objective and 25.0 % less force variation than")
     mixed = worth({"objective": 0.6} | THEIRS, {"objective": 0.8} | OURS, RIVAL).in_words
     assert mixed.startswith("the force sensor pays: 25.0 % less objective, though 33.3 % more force variation than pd")
+    both = worth({"objective": 0.8} | THEIRS, {"objective": 0.6} | OURS, RIVAL._replace(feasible=False)).in_words
+    assert both == (
+        "the force sensor does not pay: 33.3 % more objective and 33.3 % more force variation than pd with kp 17, "
+        "kd 1, which needs none (and breaks a limit)"
+    )
     behind = worth(THEIRS, OURS, RIVAL._replace(lacks="on a grid alone"), place=" on this grid").in_words
     assert behind.startswith("the force sensor does not pay on this grid: 33.3 % more force variation")
     over = OverWalks(64, -0.3, -0.2, 20.0)
@@ -201,6 +208,7 @@ UNKNOWN = "it cannot be told what the force sensor is worth, since"
         ([30.0], [40.0], f"{UNKNOWN} one search of each tells no law from another (from 4 seeds on): 25.0 % less"),
         ([30.0] * 3, [40.0] * 3, f"{UNKNOWN} 3 searches of each tell no law from another (from 4 seeds on): 25.0 %"),
         ([30.0, 31.0, 30.0, 39.0], [40.0] * 4, "the force sensor pays: 25.0 % less"),
+        ([30.0, 31.0, 30.0, 40.0], [40.0] * 4, f"{UNKNOWN} the 4 searches of each do not all agree: 25.0 %"),
         ([30.0, 31.0, 30.0, 41.0], [40.0] * 4, f"{UNKNOWN} the 4 searches of each do not all agree: 25.0 %"),
         ([30.0, 31.0, 30.0, np.inf], [40.0] * 4, f"{UNKNOWN} the 4 searches of each do not all agree: 25.0 %"),
     ],
@@ -282,6 +290,7 @@ def test_load_transfer_by_plan_walks_beside_pd_on_its_joint_gains_where_forces_a
     [
         (40.0, 35.0, "PlannedTransfer", "pd on these: 40"),
         (40.0, 50.0, "pd", "load transfer by plan on these, not searched: 50"),
+        (40.0, 40.0, "pd", "load transfer by plan on these, not searched: 40"),
         (40.0, np.nan, "pd", "load transfer by plan on these, not searched: the walk failed"),
         (np.nan, 50.0, "PlannedTransfer", "pd on these: the walk failed"),
     ],
@@ -327,6 +336,7 @@ def test_of_a_law_that_reads_no_forces_pd_is_the_one_rival():
     [
         (-0.22, "the force sensor pays: 25.0 % less force variation than pd"),
         (0.1, "no verdict on the force sensor, since a time step of 0.0005 s turns it round: 25.0 % less"),
+        (0.0, "no verdict on the force sensor, since a time step of 0.0005 s turns it round: 25.0 % less"),
         (np.nan, "no verdict on the force sensor, since a time step of 0.0005 s turns it round: 25.0 % less"),
     ],
 )

@@ -111,6 +111,73 @@ def test_the_worst_stance_is_the_limit_of_walks_and_all_feet_count_where_the_gai
     assert (stability_limit.spectral_radius(pauses, gains, late) > 1).tolist() == [False, True, True, True, True]
 
 
+@pytest.fixture
+def asked(monkeypatch):
+    """Have radii counted, not computed; return what they are asked for."""
+    kept = []
+
+    def radii_of(walk, robots, axes, delays, periods, first):
+        kept.append((walk, *robots, delays, periods, first))
+        return np.arange(float(len(periods)))
+
+    monkeypatch.setattr(stability_limit, "radii_of", radii_of)
+    return kept
+
+
+SOFT = mc.Gains(1.0, 100.0, np.array([[1e3] * 6, [2e3] * 6]))
+BEGIN, MIDDLE, END = [4, 1004, 2004, 3004], [500, 1500, 2500, 3500], [992, 1992, 2992, 3992]  # of a period of 4 ms
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "hold"])
+def test_a_loop_is_looked_at_in_each_stance_without_cargo_and_with_it(interpolation, asked):
+    """Without weight and pushes, and without what is not linear: its cargo is there all the time, its law unbounded."""
+    changes = {
+        "hardware.force_sensor.delay": 0.0025, "hardware.control_period": 0.004, "hardware.force_sensor.noise": 0.1,
+        "hardware.interpolation": interpolation, "control.deadband": 0.3, "control.max_offset": 0.01,
+        "control.max_velocity": 0.1, "contact.capture_distance": 0.005, "disturbance.cargo.start": 1.0,
+        "disturbance.cargo.stop": 2.0, "disturbance.cargo.mass": 1.5, "control.kp": 40.0,
+        "disturbance.pushes": [{"force": [1, 0, 0], "start": 0.5, "stop": 0.6}],
+    }  # fmt: skip
+    scenario = mc.load_scenario("case_1_2", changes)
+    found = stability_limit.by_stance(scenario, SOFT)
+    np.testing.assert_array_equal(found, np.arange(48.0).reshape(2, 24))
+    stability_limit.by_stance(scenario, SOFT, only=13)
+    for (walk, law, parameters, delays, periods, first), rows in zip(asked, (slice(None), [13, 37]), strict=True):
+        np.testing.assert_array_equal(first, np.tile([*BEGIN, *MIDDLE, *END], 4)[rows])
+        np.testing.assert_array_equal(
+            parameters.at("disturbance.cargo.mass"), np.tile(np.repeat([0, 1.5], 12), 2)[rows]
+        )
+        np.testing.assert_array_equal(law.stiffness[:, 0], np.repeat([1e3, 2e3], 24)[rows])
+        assert law.damping.shape == (len(first), 6) and (periods == 4).all() and len(periods) == len(first)
+        assert [*delays] == ["force"] and delays["force"] == pytest.approx(np.full(len(first), 2.5))
+        assert parameters.at("hardware.force_sensor.delay") == pytest.approx(np.full(len(first), 1e-3))
+        assert not np.any(parameters.gravity) and len(parameters.disturbances) == 1
+        cargo = [float(parameters.at(f"disturbance.cargo.{name}")) for name in ("start", "stop")]
+        assert [*cargo, float(parameters.at("contact.capture_distance"))] == [0.0, np.inf, np.inf]
+        assert set(np.ravel(parameters.at("control.kp"))) == {40.0}
+        motion, stages = law.motion, walk.stages
+        assert (motion.deadband, motion.max_offset, motion.max_velocity) == ((0, 0), (np.inf,) * 2, (np.inf,) * 2)
+        assert stages.linear is (interpolation == "linear") and stages.control_period and not stages.force_noise
+        assert (stages.force_delay, stages.base_delay, stages.command_delay) == (2, 0, 0)
+
+
+def test_a_loop_has_the_stages_of_hardware_that_is_varied_besides(asked):
+    """None of these late, and a period of one time step; without cargo half as many stances."""
+    scenario = mc.load_scenario("case_1_2", {"disturbance.cargo.mass": 0.0})
+    radius = stability_limit.spectral_radius(scenario, SOFT)
+    assert radius.tolist() == [11.0, 23.0] and stability_limit.by_stance(scenario, SOFT, only=2).shape == (2, 1)
+    stability_limit.by_stance(scenario, SOFT, hardware=stability_limit.HARDWARE)
+    plain, one, every = ((walk.stages, delays, periods, first) for walk, _, _, delays, periods, first in asked)
+    for stages, delays, periods, _ in (plain, one):
+        late = (stages.force_delay, stages.base_delay, stages.command_delay)
+        assert late == (0, 0, 0) and not stages.control_period and not delays and (periods == 1).all()
+    assert one[3].tolist() == [2002, 2002]
+    stages, delays, periods, first = every
+    assert (stages.force_delay, stages.base_delay, stages.command_delay, stages.control_period) == (2, 2, 2, True)
+    assert [*delays] == ["base", "command", "force"] and not np.any([*delays.values()])
+    assert not stages.linear and (periods == 1).all() and first.tolist() == plain[3].tolist()
+
+
 def test_the_radius_is_that_of_one_step_whatever_the_period():
     """Of turns that shrink what they turn, the first step of a period more than the others, beside a state alone."""
     turn = np.zeros((3, 3))
