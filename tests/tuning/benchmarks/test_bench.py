@@ -3,6 +3,7 @@
 No absolute times: the machine may be busy.
 """
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -189,6 +190,39 @@ def test_mujoco_warp_falls_as_mujoco_does(of_ones_own):
     other.run()
     other.pool.close()
     np.testing.assert_allclose(peer.data.qpos.numpy(), other.states[:, -1, 1:20], atol=1e-6)
+
+
+@pytest.mark.parametrize("cuda", [False, True])
+def test_mujoco_warp_steps_so_many_robots_and_is_waited_for(monkeypatch, cuda):
+    """By a stand-in for the package: on a GPU a step is captured after one that compiles, then launched."""
+    told, capture = [], types.SimpleNamespace(graph="graph")
+
+    def put_data(model, start, **how):
+        told.append(("data", model, start.qpos.tolist(), start.qacc_smooth.any(), how))
+        return "data"
+
+    warp = types.SimpleNamespace(
+        config=types.SimpleNamespace(), LOG_WARNING=30, get_device=lambda: types.SimpleNamespace(is_cuda=cuda),
+        ScopedCapture=lambda: contextlib.nullcontext(capture), capture_launch=told.append,
+        synchronize=lambda: told.append("waited"),
+    )  # fmt: skip
+    library = types.SimpleNamespace(
+        put_model=lambda model: model, put_data=put_data, step=lambda model, data: told.append(("step", model, data))
+    )
+    monkeypatch.setitem(sys.modules, "warp", warp)
+    monkeypatch.setitem(sys.modules, "mujoco_warp", library)
+    case = self_check.SCENARIO
+    peer = peers.Warp(case, 7)
+    model = peer.model
+    disabled = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    assert (model.opt.disableflags & disabled, model.opt.timestep) == (disabled, case.time_step)
+    assert model.opt.gravity.tolist() == [*case.gravity] and warp.config.log_level == 30
+    step, rest = ("step", model, "data"), model.key_qpos[0].tolist()
+    # forces have been worked out at the start
+    assert told == [("data", model, rest, True, {"nworld": 7, "nconmax": 0, "njmax": 1}), *[step] * (1 + cuda)]
+    told.clear()
+    peer.run(3)
+    assert told == ["graph" if cuda else step] * 3 + ["waited"]
 
 
 @pytest.mark.nightly
