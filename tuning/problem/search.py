@@ -56,7 +56,7 @@ def numbers_of(text: Any) -> Any:
     from fractions import Fraction
 
     try:
-        return [float(Fraction(part.strip())) for part in text.split(",")] if isinstance(text, str) else text
+        return [float(Fraction(part)) for part in text.split(",")] if isinstance(text, str) else text
     except (ValueError, ZeroDivisionError, OverflowError):
         raise ValueError(f"expected numbers with commas between them, got {text!r}") from None
 

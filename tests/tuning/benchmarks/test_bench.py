@@ -5,17 +5,24 @@ No absolute times: the machine may be busy.
 
 import contextlib
 import json
+import platform
+import signal
 import subprocess
 import sys
 import types
+from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.robot_import.load import load_model
+from mjx_climb.gait import schedule
+from mjx_climb.inputs.from_scenario import own_parameters
+from mjx_climb.robot_import.load import load_model, load_robot
 from tests.robot.test_robot_file import keys, urdf
 from tuning.benchmarks import commands, measure, operations, peers, self_check, walks
 from tuning.command_line import machine
@@ -100,6 +107,34 @@ def test_a_peers_joint_angles_put_the_feet_where_they_are(of_ones_own):
     np.testing.assert_allclose(peers._turned_back(turn, turned), feet, atol=1e-12)
 
 
+def test_a_peers_feet_and_base_are_led_as_the_gait_leads_them():
+    """Read back from its torques while grips are slack: two cycles, swings of 89.6 steps with a wait at their ends."""
+    case, own = self_check.SCENARIO, gains([(self_check.DAMPING, self_check.STIFFNESS)])
+    case = case.with_overrides({"gait.cycle": 0.4, "gait.duty": 0.776, "gait.settling": 0.3})
+    walker, model = peers.Loop(case, own).walker, load_model(case.robot)
+    feet, steps, gaits = walker.footholds, np.arange(0, 800, 23), tuple(case.gait.lift_off.items())
+
+    def led(n):
+        standing = jnp.asarray(feet.T)
+        plan = schedule.plan(load_robot(case.robot), standing, own_parameters(case), gaits, case.time_step)
+        now = schedule.schedule(plan, n)
+        target = jnp.where(now.closed[:, None], standing, schedule.foot_targets(plan, now, standing))
+        return target, schedule.base_reference(plan, now, schedule.planned_start(plan, now.cycle))
+
+    with jax.enable_x64(True):
+        targets, bases = map(np.asarray, jax.jit(jax.vmap(led))(jnp.asarray(steps)))
+    data, still = mujoco.MjData(model), np.zeros((3, 4, 1))
+    for n, target, base in zip(steps, targets, bases, strict=True):
+        walker(int(n), walker.base[:, None], feet[:, :, None], still, still, still)
+        joints = walker.torque[..., 0] / case.control.kp
+        data.qpos[:7] = [*base, 1, 0, 0, 0]
+        for limb, foot in enumerate(peers.FEET):
+            begin = model.jnt_qposadr[model.body_jntadr[model.site(foot).bodyid[0]] - 2]
+            data.qpos[begin : begin + 3] = joints[:, limb]
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose([data.site(foot).xpos for foot in peers.FEET], target, atol=1e-9)
+
+
 def test_a_peers_gripper_lets_go_above_the_largest_pull_of_the_stored_walk():
     case, own = self_check.SCENARIO, gains([(self_check.DAMPING, self_check.STIFFNESS)])
     pull = self_check.load()["walk"]["peak_pull_force"]
@@ -142,6 +177,25 @@ def test_accelerations_of_one_state_are_those_that_are_stored(monkeypatch):
         np.testing.assert_array_equal(values[name], np.full(6, value))
         assert name not in along or (along[name] == value).all()
     assert along.keys() == {"damping", "stiffness"}
+
+
+def test_the_value_that_is_furthest_off_is_named_relative_to_the_stored_one():
+    stored = {"walk": {"small": 1e-6, "large": 1e3, "limb": "LH", "none": None}, "acceleration": {"base x": -4.0}}
+    near = {"small": 1e-6 * (1 + 2e-7), "large": 1e3 * (1 - 1e-7), "limb": "LH", "none": None, "new": 7.0}
+    found = self_check.deviations({"walk": near, "mjx": {"base x": -4.0 - 4e-8}}, stored)
+    assert found == {
+        "walk": (pytest.approx(2e-7), "small", near["small"], 1e-6),
+        "mjx": (pytest.approx(1e-8), "base x", -4.0 - 4e-8, -4.0),
+    }
+    for name, other in (("limb", "RF"), ("limb", None), ("none", 0.0), ("large", float("nan")), ("small", True)):
+        worst = self_check.deviations({"walk": near | {name: other}}, stored)["walk"]
+        assert worst[:2] == (float("inf"), name) and worst.stored == stored["walk"][name]
+
+
+def test_a_gain_that_is_off_by_a_millionth_is_far_above_the_tolerance_and_rounding_far_below():
+    stored = self_check.load()
+    moved = [abs(slope / stored["walk"][name]) for name, slope in stored["gradient"].items() if stored["walk"][name]]
+    assert 100 * 3e-14 < self_check.TOLERANCE < 1e-6 * max(moved) / 100
 
 
 @pytest.mark.slow
@@ -237,9 +291,17 @@ def test_peers_lose_a_gripper_in_the_same_step():
     np.testing.assert_allclose(ours["detached_at"], lost.any(1).argmax(0) * scenario.time_step, atol=1e-9)
 
 
-def test_peers_refuse_another_law():
-    scenario = mc.load_scenario(CASE, ["control.controller=pd"])
-    with pytest.raises(ValueError, match="base admittance"):
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"control.controller": "pd"}, {"control.reading": "measured_pose"}, {"gait.base_reference": "actual"},
+        {"gait.heading": 0.1}, {"gait.swing": "low_reaction"},
+    ],
+)  # fmt: skip
+def test_peers_refuse_a_law_and_a_gait_that_they_do_not_know(changes):
+    scenario = mc.load_scenario(CASE, changes)
+    known = "base admittance with its virtual model" if "gait" not in next(iter(changes)) else "walk along x"
+    with pytest.raises(ValueError, match=f"the NumPy peers (know )?{known}.* alone"):
         peers.Loop(scenario, gains(SETS[:1]))
 
 
@@ -286,6 +348,78 @@ def test_a_command_is_timed_twice_with_a_cache_of_its_own(monkeypatch):
     seconds = commands.measure(["wait"], told.append)["wait"]
     assert told == ["wait, cold", "wait, warm"]
     assert seconds.cold_cpu > 1 > seconds.warm_cpu and seconds.cold > 1
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock of `commands` that stands still, and goes on by what is added to `now`."""
+    clock = types.SimpleNamespace(now=100.0)
+    clock.time, clock.perf_counter = (lambda: 1e6 + clock.now), (lambda: clock.now)
+    monkeypatch.setattr(commands, "time", clock)
+    return clock
+
+
+def test_a_fresh_process_says_what_its_walk_or_its_gradient_took(monkeypatch, capsys, clock):
+    """The first result with what is compiled for it, the same again, and when the first one was there."""
+    asked, kept = [], signal.getsignal(signal.SIGINT)
+
+    def waiting(name, took):
+        def made(*given):
+            asked.append((name, *given))
+            clock.now += 5.0
+            return lambda: setattr(clock, "now", clock.now + took.pop(0))
+
+        return made
+
+    monkeypatch.setattr(walks, "walk", waiting("walk", [3.0, 0.25]))
+    monkeypatch.setattr(walks, "gradient", waiting("gradient", [7.0, 0.5]))
+    found = []
+    try:
+        for what in ("value", "gradient"):
+            clock.now = 100.0
+            commands._time_a_walk(what, 5, 40, "mjx")
+            found.append(json.loads(capsys.readouterr().out))
+    finally:
+        signal.signal(signal.SIGINT, kept)
+    assert asked == [("walk", 5, 40, "mjx"), ("gradient", 2, 5, 40, "mjx")]
+    assert found == [
+        {"first": 8.0, "again": 0.25, "done": 1e6 + 108.0}, {"first": 12.0, "again": 0.5, "done": 1e6 + 112.0},
+    ]  # fmt: skip
+
+
+def test_times_of_a_fresh_process_count_from_before_it_starts(monkeypatch, clock):
+    calls = []
+
+    def run(command, *, env, **how):
+        calls.append((command[1:], env["MJX_CLIMB_CACHE"], "JAX_COMPILATION_CACHE_DIR" in env))
+        told = {"first": 3.0, "again": 1.0, "done": clock.time() + 5}
+        clock.now += 20
+        return types.SimpleNamespace(stdout=f"a line before\n{json.dumps(told)}\n")
+
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
+    monkeypatch.setattr(commands.subprocess, "run", run)
+    found = commands.compiled("gradient", 5, 40, "mjx", "cache")
+    assert found == {"from_start": 5.0, "first": 3.0, "again": 1.0}
+    assert calls == [(["-m", "tuning.benchmarks.commands", "gradient", "5", "40", "mjx"], "cache", False)]
+
+
+def test_a_plan_has_batches_and_lengths_about_its_own_and_a_quick_one_has_none():
+    """Medians are of one round: there is an odd number of them."""
+    full, quick = measure.Plan.full(64), measure.Plan.quick(64)
+    assert np.divide(full.batches, 64).tolist() == [0.25, 0.5, 1, 2, 4]
+    assert np.divide(full.lengths, full.steps).tolist() == [0.25, 0.5, 1, 2]
+    assert (quick.batches, quick.lengths, quick.adjoint, full.adjoint) == ((), (), False, True)
+    assert [quick.tangents, full.tangents] == [(2,), (2, 12)]
+    assert full.rounds % 2 and quick.rounds % 2 and 1 < quick.rounds < full.rounds
+    assert (quick.steps, quick.peer_steps) == (full.steps / 2, full.peer_steps / 2)
+
+
+def test_a_bench_says_on_which_processor_it_ran():
+    model = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+    machine = measure._machine()
+    assert machine["processor"] == (model[0].split(": ", 1)[1].strip() if model else platform.processor())
+    assert machine["versions"]["python"] == platform.python_version()
+    assert machine["versions"]["numpy"] == np.__version__ and machine["versions"]["jax"] == jax.__version__
 
 
 def test_ratios_are_how_many_times_faster_this_program_is(monkeypatch):

@@ -118,7 +118,60 @@ def test_a_step_with_tangents_costs_as_many_more_and_the_reverse_mode_no_more_th
     assert problem.env_steps(5, 1000) == 5 * 4 * steps * (1 + evaluation.REVERSE_ABOVE)
 
 
+@pytest.mark.parametrize(("more", "first"), [(0, "rollout_jvp"), (1, "rollout_metrics")])
+def test_all_gains_with_axes_are_searched_by_tangents(more, first, monkeypatch):
+    """Those of the paper's law on every axis, with its inertia and the joint loop's; reverse mode walks first."""
+
+    class AskedError(Exception):
+        """What is asked for is known: nothing needs to be compiled."""
+
+    def asked(name):
+        def raised(*_, **__):
+            raise AskedError(name)
+
+        return raised
+
+    for name in ("rollout_metrics", "rollout_jvp"):
+        monkeypatch.setattr(mc, name, asked(name))
+    every = space(CASE, Search(space="diagonal", inertia=True, joint_gains=True, also=("ki",)))
+    assert every.size == 3 * 6 + 3 <= evaluation.REVERSE_ABOVE
+    with pytest.raises(AskedError, match=first):
+        Problem(CASE, every, GOAL).evaluate(every.lower[None], np.ones((evaluation.REVERSE_ABOVE + more, every.size)))
+
+
 def test_pd_in_place_of_a_law_keeps_all_else():
     own = under_pd(CASE)
     assert own.control.controller == "pd" and own.control.kp == CASE.control.kp
     assert own == CASE.with_overrides({"control.controller": "pd"})
+    # a reading is of a law that reads; the user's own law, metrics and objective are none of pd's
+    named = {"name": "Mine", "file": "mine.py", "digest": "0"}
+    mine = CASE.with_overrides({"control.reading": "measured_pose"})
+    mine = mine.with_own(law=named, metrics=[named], objective=named)
+    assert mine.own is not None and under_pd(mine) == own
+
+
+def test_pd_is_walked_as_a_search_walks_it_and_alone_in_double_precision(monkeypatch):
+    """With smooth companions both; among many also those that the time step is too long for."""
+    asked, parameters = [], mc.parameters(CASE)
+    monkeypatch.setattr(mc, "rollout_metrics", lambda *given, **how: asked.append((given, how)) or {"travel": 1})
+    evaluation.pd_of(CASE, parameters, engine="mjx", metrics=mc.METRICS)
+    assert evaluation.baseline(CASE, "mjx") == {"travel": 1.0}
+    ((case, gains, own), many), ((alone,), how) = asked
+    assert case == alone == under_pd(CASE) and own is parameters
+    assert [np.shape(each) for each in (gains.inertia, gains.damping, gains.stiffness)] == [(6,)] * 3
+    common = {"engine": "mjx", "metrics": mc.METRICS, "smooth": True}
+    assert many == common | {"dtype": np.float32, "unsteady": True} and how == common | {"dtype": np.float64}
+
+
+def test_pd_is_walked_again_where_a_file_that_it_reads_has_changed(monkeypatch):
+    walks = iter([1.0, 2.0])
+    contents = {"stiffness": 1.0}
+    monkeypatch.setattr(mc, "rollout_metrics", lambda *_, **__: {"travel": next(walks)})
+    own = evaluation.own_parameters(CASE)
+    monkeypatch.setattr(
+        evaluation, "own_parameters", lambda _: own.replace({"contact.stiffness": contents["stiffness"]})
+    )
+    case = CASE.with_overrides({"duration": 0.299})
+    assert [evaluation.baseline(case)["travel"] for _ in range(2)] == [1.0, 1.0]
+    contents["stiffness"] = 2.0
+    assert evaluation.baseline(case)["travel"] == 2.0

@@ -260,6 +260,27 @@ def test_histories_are_the_largest_force_and_how_far_the_base_is_off(monkeypatch
     assert asked[1:] == [("VirtualModelAdmittance", [], ()), ("PD", [np.dtype(float)], (3,))]
 
 
+@pytest.mark.parametrize(
+    ("dtype", "every", "planning", "device", "path", "by_knots"),
+    [
+        (np.float32, 5, False, None, "kernel", True), (np.float64, 5, False, None, "kernel", False),
+        (np.float32, 6, False, None, "kernel", False), (np.float32, 5, True, None, "kernel", False),
+        (np.float32, 5, False, "cpu", "kernel", False), (np.float32, 5, False, None, "plain", False),
+    ],
+)  # fmt: skip
+def test_a_kernel_derives_plans_that_it_can(dtype, every, planning, device, path, by_knots, monkeypatch):
+    """In single precision, with whole steps between knots, of a gait without decisions, where a GPU is as quick."""
+    asked = []
+    monkeypatch.setattr(plans.paths, "device_for", lambda *given, kernel: asked.append((*given, kernel)) or device)
+    monkeypatch.setattr(plans.paths, "path_for", lambda on, kernel: asked.append((on, kernel)) or path)
+    shape = types.SimpleNamespace(planning=planning)
+    walks = plans.Walks(plans.Asked(shape, (), ()), None, dtype)
+    ends = np.zeros((4, 3))
+    freedom = Freedom(np.zeros((3, 2, 20, 4, 3)), Knots(20, every), True, None, ends, ends)
+    assert walks._derived(freedom) == (walks._by_knots if by_knots else walks._reverse)
+    assert not by_knots or asked == [(6, plans.paths.AN_ADJOINT, True), (None, True)]
+
+
 TERMS = (Term("travel", 2.0, 0.5, 0.4, True), Term("force_variation", 1.0, 10.0, 8.0))
 LIMITS = (Limit("base_deviation", 0.02, 0.01, 0.1, ""), Limit("min_gia_margin", 3.0, 2.0, 0.05, "", True))
 WALK = {
@@ -289,16 +310,21 @@ def test_what_a_search_descends_is_a_share_of_the_true_score_and_of_that_with_sm
     assert float(along) == pytest.approx(wanted) and found["travel"] is metrics["travel"]
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize(("count", "calls"), [(3, 2), (9, 16), (40, 16)])
-def test_plans_walk_in_whole_calls_and_get_their_scores_in_order(count, calls, monkeypatch):
-    """Slopes by steps come back to the variables; a walk that diverged has no finite merit."""
+def test_plans_walk_in_whole_calls_and_get_their_scores_in_order(count, calls, dtype, monkeypatch):
+    """Slopes by steps come back to the variables; a walk that diverged has no finite merit.
+
+    In single precision a GPU's kernel may judge them, which keeps no histories.
+    """
     monkeypatch.setattr(plans.devices, "usable_cores", lambda: 1)
     scenario, asked = mc.load_scenario("case_1_2"), []
     parameters = rows(scenario, PD(), None, mc.parameters(scenario), count)
     parameters = parameters.replace({"control.kp": np.arange(1.0, count + 1)})
-    walks = walks_of(scenario, Objective(TERMS, LIMITS), parameters, metrics=mc.METRICS, dtype=np.float64)
+    walks = walks_of(scenario, Objective(TERMS, LIMITS), parameters, metrics=mc.METRICS, dtype=dtype)
 
     def run(function, shape, robots, *, batch_size, over_time):
+        assert {each.dtype for each in jax.tree.leaves(robots.arguments)} == {np.dtype(dtype)}
         targets, numbers, _, own = robots.arguments
         asked.append((function, batch_size, over_time, float(numbers.sharp), robots.axes[0]))
         merit = np.where(own.at("control.kp") == 2.0, np.nan, own.at("control.kp"))
@@ -311,7 +337,7 @@ def test_plans_walk_in_whole_calls_and_get_their_scores_in_order(count, calls, m
     np.testing.assert_array_equal(found.metrics["travel"], np.arange(float(count)))
     np.testing.assert_array_equal(found.merit, [1.0, np.inf, *np.arange(3.0, count + 1)])
     np.testing.assert_array_equal(found.value[2:], np.arange(3.0, count + 1) / 2)
-    assert set(found.metrics) == {"travel"} and asked == [(plans.judged, calls, True, 1.0, 3)]
+    assert set(found.metrics) == {"travel"} and asked == [(plans.judged, calls, dtype is np.float64, 1.0, 3)]
     ends = np.full((4, 3), -1e3), np.full((4, 3), 1e3)
     freedom = Freedom(targets[None], Knots(20, 5), True, None, *ends)
     found, slopes = walks.evaluate(freedom, freedom.none, parameters, sharp=0.25)

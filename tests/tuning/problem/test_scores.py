@@ -91,6 +91,11 @@ ASKED = {  # settings, and the limits by hand: value, scale, margin
                   "limits": {"travel": 0.5}}, [
         ("joint_limit_margin", 0.0, 0.1, 0.02), ("peak_utilization", 1.0, 1.0, 0.02),
         ("base_deviation", 0.12, 0.12, 0.02), ("travel", 0.5, 0.5, 0.02), ("force_variation", 2.0, 2.0, 0.005)]),
+    # a metric with a scale of its own: a limit beyond it has that of the limit
+    "wide": ({"weights": {"force_variation": 1.0}, "no_worse_than_pd": False, "deviation_factor": 2.0,
+              "limits": {"joint_limit_margin": -0.4, "peak_utilization": 0.0}}, [
+        ("base_deviation", 0.08, 0.08, 0.02), ("joint_limit_margin", -0.4, 0.4, 0.02),
+        ("peak_utilization", 0.0, 1.0, 0.02)]),
 }  # fmt: skip
 
 
@@ -110,7 +115,9 @@ def test_limits_are_those_of_the_scenario_the_settings_and_pd(name):
     over = objective(Search.make(settings), many, worst=Worst(share=0.5, weight=0.5))
     assert over.margin == (0.005 if settings.get("no_worse_than_pd") else None)
     assert over.terms[0].baseline == 1.5 and over.terms[0].worst == 2.0
-    assert {limit.metric: limit.value for limit in over.limits}["base_deviation"] == wanted[2][1]
+    assert {limit.metric: limit.value for limit in over.limits}["base_deviation"] == {n: v for n, v, *_ in wanted}[
+        "base_deviation"
+    ]
 
 
 def test_a_search_is_settled_relative_to_its_best():

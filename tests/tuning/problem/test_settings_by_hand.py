@@ -11,11 +11,11 @@ import mjx_climb as mc
 from mjx_climb.control import VirtualModelAdmittance
 from tuning.problem import known, spaces
 from tuning.problem.ceiling import Ceiling
-from tuning.problem.ensemble import Ensemble, Posterior, Worst
+from tuning.problem.ensemble import Ensemble, Posterior, Pushes, Worst
 from tuning.problem.evaluation import Evaluation, Problem
 from tuning.problem.objectives import Limit, Objective, Term, in_words, lost, objective, penalty_of, violation
-from tuning.problem.search import Judge, Pareto, Schedule, Search, check_metrics, numbers_of
-from tuning.problem.settings import Settings, setting
+from tuning.problem.search import METHODS, WEIGHTS, Judge, Pareto, Schedule, Search, check_metrics, numbers_of
+from tuning.problem.settings import Settings, Shell, setting
 
 CASE = mc.load_scenario("case_1_2")
 
@@ -31,7 +31,8 @@ KEPT = [
     (Schedule, {"gravity": [0.5], "cargo": [0.0]}), (Ceiling, {"points": 2}), (Ceiling, {"iterations": 2}),
     (Ceiling, {"knots": [0.3, 0.1, 0.05]}), (Ceiling, {"random": 0}), (Ceiling, {"test_members": 0}),
     (Ensemble, {"members": 1}), (Worst, {"share": 1.0}), (Worst, {"weight": 1e-9}),
-    (Posterior, ONE),
+    (Posterior, ONE), (Pushes, {"count": 0}), (Pushes, {"count": 20}), (Ensemble, {"seed": 2**31 - 1}),
+    (Search, {"method": "optuna:tpe"}), (Search, {"method": "a folder/mine.py:Mine"}),
 ]  # fmt: skip
 LEFT = [
     (Search, {"starts": 0}, "starts: expected 1 or more, got 0"),
@@ -75,6 +76,16 @@ LEFT = [
     (Posterior, ONE | {"keys": ["ab"]}, "posterior.keys: expected keys of a scenario, got 'ab'"),
     (Posterior, ONE | {"covariance": [[1.0, 0.0]]}, "posterior.covariance: expected one for each of 1 keys"),
     (Posterior, ONE | {"log": [True, False]}, "posterior.log: expected one for each of 1 keys"),
+    (Pushes, {"count": -1}, "count: expected 0 or more, got -1"),
+    (Pushes, {"count": 21}, "count: expected 20 at most, got 21"),
+    (Ensemble, {"seed": 2**31}, "seed: expected a number below 2.14748e+09, got 2147483648"),
+    (Ensemble, {"cargo": {"mass": [2.0, 1.0]}}, "cargo.mass: expected low <= high, got 2, 1"),
+    (Ceiling, {"knots": [0.21, 0.1]}, "knots: expected each spacing to divide the one before it, got 0.21, 0.1"),
+    (Search, {"bounds": {"kp": [1.0, 2.0, 3.0]}}, "bounds.kp: expected 2 values, got "),
+    (Search, {"limits": {"travel": np.inf}}, "limits.travel: expected a finite number, got Infinity"),
+    (Schedule, {"gravity": []}, "gravity: tuple should have at least 1 item"),
+    *((Search, {"method": name}, f"method: expected {', '.join(METHODS)}, optuna:SAMPLER or FILE.py:NAME, got {name!r}")
+      for name in ("optuna:tpe 2", "mine.py:Mine()", "mine.py")),
 ]  # fmt: skip
 
 
@@ -107,6 +118,7 @@ def test_settings_are_parsed_changed_and_named(tmp_path):
         (lambda: Own.parse("", "x.yaml"), "x.yaml: name: expected a value here"),
         (lambda: Own.make({"name": "a", "other": 1}), "own: other: expected a known key, got an unknown one"),
         (lambda: own.changed({"count": 1.5}, "here"), "here: count: expected a whole number, got 1.5"),
+        (lambda: Own.load(tmp_path / "own.yaml", count=1.5), f"{tmp_path}/own.yaml: count: expected a whole number"),
     ]:  # fmt: skip
         with pytest.raises(mc.ConfigError) as refused:
             call()
@@ -126,6 +138,20 @@ def test_numbers_of_a_text_are_fractions():
             numbers_of(text)
 
 
+def test_defaults_in_words_are_the_defaults():
+    """Of lists of numbers, which help shows as they are typed; weights are shown by name."""
+    shown = 0
+    for kind in (Schedule, Ceiling, Search):
+        for field in kind.model_fields.values():
+            (shell,) = (each for each in field.metadata if isinstance(each, Shell))
+            if shell.metavar and shell.metavar.endswith(",..."):
+                assert tuple(numbers_of(shell.default_in_words)) == field.default
+                shown += 1
+            elif field.default == WEIGHTS:
+                assert shell.default_in_words.split(", ") == [*WEIGHTS]
+    assert shown == 4
+
+
 def test_weights_and_limits_are_of_known_metrics():
     """The share of lost walks over an ensemble alone, and never as a limit; not those that tell how a walk failed."""
     fine = Search(weights={"travel": 1.0}, limits={"min_tsm": 0.1})
@@ -140,6 +166,8 @@ def test_weights_and_limits_are_of_known_metrics():
             check_metrics(search, mc.METRICS, "mine", **how)
         assert str(refused.value).startswith("mine: ")
         assert ("did you mean travel?" in str(refused.value)) == ("travl" in search.weights)
+    with pytest.raises(mc.ConfigError, match=r"'peak_joint_force' .*\(did you mean peak_\w+ or peak_\w+ or peak_\w+\?\)"):
+        check_metrics(Search(limits={"peak_joint_force": 1.0}), mc.METRICS)
 
 
 # --- gains that are known
@@ -247,7 +275,7 @@ def test_an_objective_weighs_what_the_settings_weigh_relative_to_pd():
     ("changes", "said"),
     [({"travel": 0.0}, "0 under pd"), ({"travel": np.nan}, "nan under pd"),
      ({"diverged": True}, "a walk that diverges under pd"),
-     ({"smooth_force_variation": np.inf}, "2 under pd")],
+     ({"smooth_force_variation": np.inf}, "2 under pd"), ({"smooth_force_variation": 0.0}, "2 under pd")],
 )  # fmt: skip
 def test_a_metric_that_pd_does_not_have_is_not_weighed(changes, said):
     with pytest.raises(mc.ConfigError, match=rf"expected a metric that pd has here, got {said}$"):

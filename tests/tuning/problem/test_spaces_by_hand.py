@@ -115,6 +115,9 @@ REFUSED = [
     ({"frozen": ["kp"], "joint_gains": True}, "frozen.kp: expected one of"),
     ({"also": ["wrong"]}, "also: expected gains of the law"),
     ({"pins": {"damping": 1.0}, "frozen": ["stiffness"]}, "pins: expected a gain left to search, got none"),
+    # a gain that is not searched may be pinned alone
+    ({"bounds": {"inertia": (1.0, 2.0)}}, "bounds.inertia: expected one of damping, stiffness"),
+    ({"space": "split", "bounds": {"damping.rotation": (0.0, 1.0)}}, "bounds.damping.rotation: expected a low end"),
 ]
 
 
@@ -175,6 +178,47 @@ def test_a_gain_of_either_sign_is_a_coordinate_of_its_own_in_sevenths_of_its_bou
     assert gains["tilt"] == 2.0 and gains["share"] == 0.0
     np.testing.assert_allclose(gains["weights"], [[0.5, 0.0], [-0.2, 1.5]])
     np.testing.assert_allclose(gains["damping"], np.full(3, 30.0))
+
+
+def test_a_gain_that_is_not_searched_is_held_or_pinned():
+    """Inertia: the law's own on each axis, or the value that it is pinned to on all; ki too goes with paper's gains."""
+    law = VirtualModelAdmittance(inertia=np.arange(1.0, 7.0))
+    for pins, wanted in (({}, np.arange(1.0, 7.0)), ({"inertia": 9.0}, np.full(6, 9.0))):
+        settings = Search.make({"joint_gains": False, "also": ["ki"], "pins": pins})
+        found = spaces.space(CASE, settings, law)
+        gains = found.to_gains(found.lower)
+        assert isinstance(gains, mc.Gains) and found.names == ("damping", "stiffness", "ki")
+        np.testing.assert_array_equal(gains.inertia, wanted)
+    with pytest.raises(mc.ConfigError) as refused:
+        spaces.space(CASE, Search.make({"frozen": ["none"]}), Signed())
+    # numbers of an array are too many to name
+    assert str(refused.value) == "frozen.none: expected one of damping, share, tilt, weights"
+
+
+@pytest.mark.parametrize(
+    ("hardware", "settings", "searched"),
+    [
+        ({}, {}, []), ({"force_sensor.delay": 0.01}, {}, ["kp", "kd"]), ({}, {"joint_gains": True}, ["kp", "kd"]),
+        ({"force_sensor.delay": 0.01}, {"joint_gains": False}, []), ({}, {"also": ["ki"]}, ["ki"]),
+        ({"force_sensor.delay": 0.01, "ki": 2.0}, {}, ["kp", "kd", "ki"]),
+        ({"ki": 2.0}, {}, ["kp", "kd", "ki"]), ({"ki": 2.0}, {"joint_gains": False}, []),
+    ],
+)  # fmt: skip
+def test_joint_gains_are_searched_where_there_is_hardware_or_where_asked_for(hardware, settings, searched):
+    """ki with them, where the scenario has one, which asks for them as hardware does."""
+    case = CASE.with_overrides({f"{'control' if n == 'ki' else 'hardware'}.{n}": v for n, v in hardware.items()})
+    assert spaces.space(case, Search.make(settings)).names[2:] == tuple(searched)
+
+
+def test_a_duty_is_searched_above_its_own_least_where_that_is_high():
+    """Of nine limbs and more one swing at a time leaves less than the longest stance that is looked at otherwise."""
+    for limbs, phases, span in (
+        (4, None, (0.75, 0.95)), (12, None, (11 / 12, 23 / 24)), (40, None, (39 / 40, 79 / 80)),
+        (40, {}, (CASE.gait.duty, 0.95)),
+    ):  # fmt: skip
+        gait = CASE.gait.model_copy(update={"sequence": tuple(map(str, range(limbs))), "phases": phases})
+        spans = spaces._gait_bounds(CASE.model_copy(update={"gait": gait}))
+        assert spans["gait.duty"] == pytest.approx(span)
 
 
 def test_own_gains_of_a_law_of_translations_have_the_scenarios_rotations():
@@ -357,7 +401,10 @@ def test_changes_that_no_walk_can_have_are_refused():
     delay = "hardware.force_sensor.delay"
     variations.checked(CASE, parameters, {delay: [0.0, 500 * step]}, "draw.{}")
     for changes, said in [
-        ({delay: [0.0, 500.1 * step]}, f"draw.{delay}: expected at most 500 time steps"),
+        (
+            {delay: [0.0, 500.1 * step, 1.0 * step]},
+            f"draw.{delay}: expected at most 500 time steps, {500 * step:g} s, got {500.1 * step:g}",
+        ),
         ({delay: -1e-9}, f"draw.{delay}: "),
         (
             {"contact.nothing": 1.0},
@@ -465,6 +512,17 @@ def test_draws_of_other_uses_and_of_other_searches_have_seeds_of_their_own():
     how = Ensemble(seed=7)
     assert [ensemble.fresh(how, use).seed for use in ensemble.Use] == [7 + n * 1_000_003 for n in (1, 2, 3)]
     assert ensemble.fresh(how).seed == 1_000_010 and [ensemble.of_search(how, n).seed for n in range(3)] == [7, 8, 9]
+
+
+def test_cargo_of_members_is_drawn_from_its_ranges_and_factors_from_the_scenarios_own():
+    """Not from what another section has drawn already."""
+    how = Ensemble(members=16, pushes=None, cargo=ensemble.Cargo(mass=(2.0, 3.0), start=(0.5, 0.9)))
+    found = ensemble.draw(CASE, how)
+    assert strata(found.at("disturbance.cargo.mass"), 2, 3) and strata(found.at("disturbance.cargo.start"), 0.5, 0.9)
+    bias = "hardware.force_sensor.bias"
+    again = how.model_copy(update={"hardware": Hardware(force_bias=(1.0, 2.0)), "draw": {bias: Drawn(factor=(2, 3))}})
+    with pytest.raises(mc.ConfigError, match="a value other than 0 in the scenario to scale, got 0"):
+        ensemble.draw(CASE, again)
 
 
 def draw_with(**section):
