@@ -164,6 +164,11 @@ def test_levels_are_compared_without_detachment():
     verdict = claims.judge("force_oscillation", baseline, Walk(rippling(0.5)), CASES["1.1"])
     assert verdict.holds is True
     assert verdict.sentence.endswith("(grippers that never let go).")
+    # also where the proposed controller alone lost one
+    verdict = claims.judge("force_oscillation", Walk(rippling(1.0)), Walk(torn(2, 0.5), rippling(0.5)), CASES["1.1"])
+    assert verdict.holds is True and verdict.sentence.endswith("(grippers that never let go).")
+    verdict = claims.judge("force_oscillation", Walk(rippling(1.0)), Walk(rippling(0.5)), CASES["1.1"])
+    assert "never let go" not in verdict.sentence
     assert claims.judge("detachment", baseline, Walk(walk()), CASES["1.1"]).holds is True
 
 
@@ -250,6 +255,29 @@ def test_claims_and_their_report_are_those_that_were_read(monkeypatch):
     (shown,) = page.explorers.values()
     lines += [f"shown: {', '.join(walk['name'] for walk in shown['walks'] if walk['shown'])}"]
     approved.check(Path(__file__).parent / "approved_claims.txt", "\n".join([*lines, ""]))
+
+
+def test_a_run_says_its_reading_its_reference_and_the_gains_that_it_has():
+    """Eq. 3 alone is read two ways; pd has no gains of an admittance."""
+    scenario, walks = mc.Scenario(), {}
+    for name, method in claims.METHODS.items():
+        walks[name] = Walk(types.SimpleNamespace(scenario=scenario.with_overrides(method.changes)))
+    metrics = {name: {"travel": number} for number, name in enumerate(walks)}
+    found = results.as_json({"1.1": results.Reproduction(CASES["1.1"], walks, metrics, {})})["cases"]["1.1"]
+    control = scenario.control
+    gains = {"inertia": control.inertia, "damping": control.damping, "stiffness": control.stiffness}
+    expected = {
+        "pd": ("pd", None, "nominal", None), "pd_actual": ("pd", None, "actual", None),
+        "virtual_model": ("base_admittance", "virtual_model", "nominal", gains),
+        "measured_pose": ("base_admittance", "measured_pose", "nominal", gains),
+        "end_effector": ("end_effector_admittance", None, "nominal", gains),
+    }  # fmt: skip
+    keys = ("controller", "reading", "base_reference", "gains", "metrics", "metrics_without_detachment")
+    assert found["runs"] == {
+        name: dict(zip(keys, (*told, metrics[name], None), strict=True)) for name, told in expected.items()
+    }
+    assert found["paper"]["cost_of_transport"] == {"baseline": None, "proposed": 1.31}
+    assert found["paper"]["baseline_detaches"] is True and found["title"] == "Earth gravity, 1 kg of cargo"
 
 
 def test_the_verdict_on_the_paper_counts_claims():
