@@ -26,6 +26,7 @@ from tuning.comparisons import deployment, margins, stability_limit
 from tuning.gains import admittance_control, gains_file, gains_tables, own_section, ros2_control
 
 SIX = [1.0, 2.0, 0.5, 0.1, 0.3, 0.02]
+AXES = ("x", "y", "z", "rx", "ry", "rz")
 GAINS = mc.Gains(np.array(SIX), np.array([90.0, 120, 33, 2, 5, 1.5]), np.array([3e3, 2e3, 1e3, 7.5, 30, 11]))
 PAPER = mc.Gains(1.0, 1e4, 4e5)
 STAGE = re.compile(r"(disturbances (about|of) .*|walks on worse hardware): [\d.]+ s")  # how long it took
@@ -170,6 +171,126 @@ def test_bad_input_ends_with_2_and_one_line(export, gains, arguments, expected):
     assert expected in err
 
 
+def in_two_digits(least):
+    """The least number of two digits that is no less."""
+    found = (digits * 10.0**power for power in range(-9, 9) for digits in range(10, 100))
+    return next(each for each in found if each >= least * (1 - 1e-12))
+
+
+@pytest.mark.parametrize(
+    ("inertia", "damping", "stiffness", "rate", "faster", "heavier", "axes"),
+    [
+        # of x alone, of three axes with an inertia of their own each, of all
+        ([1.0, 9, 9, 9, 9, 9], 3e3, 10.0, 1000, True, True, " (x)"),
+        ([9.0, 9, 9, 1, 1, 0.5], 3e3, 1e4, 1000, True, True, " (rx, ry, rz)"),
+        ([1.0] * 6, 1e4, 4e5, 1000, True, True, ""),
+        # beyond the fastest rate, beyond the largest inertia, beyond both
+        ([1e-3] * 6, 1e4, 1.0, 1000, False, True, ""),
+        ([9e5] * 6, 3e8, 1.0, 100, True, False, ""),
+        ([1e-4] * 6, 1e9, 1.0, 100, False, False, ""),
+    ],
+)
+def test_gains_that_grow_are_refused_with_what_would_do(inertia, damping, stiffness, rate, faster, heavier, axes):
+    """Five per cent inside the limit, up to two digits; of rates a quarter of D / M + sqrt(D^2 / M^2 + 4 K / M)."""
+    gains, mass = mc.Gains(np.array(inertia), damping, stiffness), np.array(inertia)
+    with pytest.raises(mc.ConfigError) as refused:
+        ros2_control.check(gains, rate, "mine")
+    limit = max(damping / mass + np.sqrt((damping / mass) ** 2 + 4 * stiffness / mass)) / 4
+    lightest = (stiffness / rate + 2 * damping) / (4 * rate)
+    grows = [(stiffness / rate + 2 * damping) / (rate * each) >= 4 for each in inertia]
+    cures = [f"--update-rate {in_two_digits(1.05 * limit):.0f}"] if faster else []
+    cures += [f"a virtual inertia of {in_two_digits(1.05 * lightest):g}{axes}"] if heavier else []
+    assert (1.05 * limit < 1e6) == faster and (1.05 * lightest < 1e6) == heavier
+    assert axes == ("" if all(grows) else f" ({', '.join(np.array(AXES)[grows])})")
+    poles = np.abs(ros2_control.poles(gains, rate)).max(1)
+    worst = f"a discrete pole of magnitude {poles.max():.4g} ({AXES[int(poles.argmax())]})"
+    cure = " or ".join(cures) or "no update rate or virtual inertia within bounds"
+    expected = (
+        f"mine: expected gains that are stable in admittance_controller at {rate:g} Hz, got {worst}: {cure} would do"
+    )
+    assert str(refused.value) == expected
+
+
+def test_the_edges_of_what_controllers_take_are_taken():
+    for value, name, fits in (
+        (1e-4, "inertia", True), (0.99e-4, "inertia", False), (1e6, "inertia", True), (1.01e6, "inertia", False),
+        (1e8, "stiffness", True), (1.01e8, "stiffness", False),
+    ):  # fmt: skip
+        gains = {"inertia": np.full(6, 1e3), "damping": 1e-3, "stiffness": np.full(6, 1e-3)}
+        gains[name] = np.array([*gains[name][:4], value, gains[name][5]])
+        refused = pytest.raises(
+            mc.ConfigError, match=rf"^mine: {name}: expected .*, got {re.escape(f'{value:g}')} \(ry\)$"
+        )
+        with contextlib.nullcontext() if fits else refused:
+            ros2_control.check(mc.Gains(**gains), 1000, "mine")
+    soft = mc.Gains(np.repeat([9.0, 3.0], 3), 1.0, 1.0)
+    for period, fits in ((0.02, True), (0.0201, False)):
+        refused = pytest.raises(mc.ConfigError, match=r"^mine: expected a period of at most 0\.02 s, .*, got 0\.0201$")
+        with contextlib.nullcontext() if fits else refused:
+            admittance_control.check(soft, period, "mine")
+
+
+def test_the_library_divides_a_period_into_as_few_substeps_of_two_milliseconds_as_there_fit():
+    """Of whole milliseconds, and of whole rates: rounding makes no further substep."""
+    for period in [*(1e-3 * n for n in range(1, 21)), *(1 / rate for rate in range(50, 1001))]:
+        count = -(-round(period * 1e9) // 2_000_000)
+        assert admittance_control.substep_of(period) == pytest.approx(period / count, rel=1e-6)
+
+
+def test_the_library_is_told_the_inertia_that_would_do_for_all_axes():
+    light = mc.Gains(np.repeat([1.0, 0.1], 3), np.repeat([9e3, 50.0], 3), np.repeat([4e5, 300.0], 3))
+    least = max((k * 1e-3 + 2 * d) / 4e3 for d, k in ((9e3, 4e5), (50.0, 300.0)))
+    with pytest.raises(mc.ConfigError, match=f"substeps of 0.001 s .* inertia of {1.05 * least:.3g} would do$"):
+        admittance_control.check(light, 1e-3, "mine")
+
+
+def test_the_head_of_a_controllers_parameters_says_rate_pole_and_joint_loop():
+    gains = mc.Gains(np.full(6, 2.0), np.array([900.0, 700, 700, 700, 700, 700]), 5e3, kp=41.0, kd=0.3, ki=12.0)
+    text = ros2_control.write(gains, 400, registers="registers of mine")
+    lowest = (450 + math.sqrt(450**2 + 4 * 2500)) / 4
+    pole = np.abs(ros2_control.poles(gains, 400)).max()
+    assert f"stable at update rates of {math.ceil(lowest)} Hz and above; the largest discrete pole at 400 Hz is" in text
+    assert f"# {pole:.6g}. How late" in text and "filter_coefficient 1 filters nothing. It reads" in text
+    assert "# The joint loop is the hardware's: kp 41, kd 0.3, ki 12\n# In registers of mine\n" in text
+    assert "joint loop" not in ros2_control.write(dataclasses.replace(gains, kp=None, kd=None, ki=None), 400)
+
+
+def test_gains_are_labelled_by_their_axes():
+    """Three or six of a law's, dimensions of its own of an array; the long name is that of the field, or its name."""
+
+    class Own(mc.Law):
+        """A law with gains of every shape."""
+
+        damping: object = mc.gain("N s/m", length=3, bounds=(1.0, 1e3), default=10.0)
+        deep_net: object = mc.gain("1", shape=(3, 2), bounds=(-1.0, 1.0), default=0.0)
+        seven: object = mc.gain("m", shape=(7,), bounds=(-1.0, 1.0), default=0.0, long_name="lucky number")
+
+        def init(self, start):
+            return ()
+
+        def step(self, state, measured, reference):
+            return state, reference
+
+    shapes = {"damping": (3,), "stiffness": (6,), "deep_net": (3, 2), "seven": (7,), "kp": (), "gait.duty": ()}
+    values = {name: np.zeros((2, *shape)) for name, shape in shapes.items()}
+    found = gains_tables.labelled(values, ("point",), Own())
+    assert {name: dimensions for name, (dimensions, *_) in found.items()} == {
+        "damping": ("point", "three"), "stiffness": ("point", "six"), "deep_net": ("point", "deep_net_0", "deep_net_1"),
+        "seven": ("point", "seven_0"), "kp": ("point",), "gait.duty": ("point",),
+    }  # fmt: skip
+    told = {name: (about["units"], about["long_name"]) for name, (*_, about) in found.items()}
+    assert told["deep_net"] == ("1", "deep net") and told["seven"] == ("m", "lucky number")
+    assert told["damping"][0] == "N s/m" and told["stiffness"][0] == "N/m, N m/rad" and told["kp"][0] == "N m/rad"
+    assert gains_tables.axes_of(found) == {"three": ["x", "y", "z"], "six": ["x", "y", "z", "rx", "ry", "rz"]}
+    assert gains_tables.axes_of({"kp": found["kp"], "damping": found["damping"]}) == {"three": ["x", "y", "z"]}
+
+
+def test_a_value_of_the_gait_that_is_zero_stands_in_a_table_too():
+    gait = {"gait.settling": 0.0, "gait.duty": 0.8}
+    rows = list(csv.reader(gains_tables.write_csv(GAINS, gait=gait).splitlines()))[-2:]
+    assert rows == [["gait.settling", "gait", "0.0", "1"], ["gait.duty", "gait", "0.8", "1"]]
+
+
 SPLIT = mc.Gains(*(np.repeat(pair, 3) for pair in ([1.0, 0.5], [150.0, 20.0], [3e3, 300.0])))
 
 
@@ -261,6 +382,10 @@ def test_gains_of_the_joint_loop_are_written_as_registers(export, judged):
     _, text, _ = export(dataclasses.replace(gains, kd=30.0), config=config)
     assert f"D Gain 16383 (kd {16383 * 4e-5 * 8:.3g} in place of 30)" in text
     assert "registers" not in "".join(export(gains, config=mc.load_scenario("case_1_2"))[1:])
+    # half of a unit is said where it is more than two per cent of the gain: of 12.5 units, not of 62.5
+    for kp, said in ((0.5, " (kp 0.48 in place of 0.5)"), (2.5, "")):
+        text = gains_file.registers_in_words(config, dataclasses.replace(SPLIT, kp=kp, kd=0.032, ki=1.6))
+        assert text == f"registers of the servo: Position P Gain {int(kp / 0.04)}, I Gain 10, D Gain 100{said}"
 
 
 @pytest.mark.parametrize(

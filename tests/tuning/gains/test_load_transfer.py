@@ -167,13 +167,25 @@ def test_without_a_folder_the_parameters_are_printed(export):
 
 
 @pytest.mark.parametrize(
-    ("given", "walked", "safe_kp"), [({"safe_kp": SAFE_KP}, None, SAFE_KP), ({}, None, 50.0), ({}, 70.0, 70.0)]
+    ("given", "walked", "safe_kp"),
+    [({"safe_kp": SAFE_KP}, None, SAFE_KP), ({}, None, 50.0), ({}, 70.0, 70.0), ({"safe_kp": SAFE_KP}, 70.0, 70.0)],
 )
 def test_the_joint_gain_without_a_sensor_is_given_or_of_the_config_that_was_walked(given, walked, safe_kp):
     scenario = walked and mc.load_scenario("case_1_2", {"control.safe_kp": walked})
     found = load_transfer.texts(LAW, PERIOD, scenario, given)
     assert yaml.safe_load(found["load_transfer.yaml"])["load_transfer"]["safe_kp"] == safe_kp
     assert f"gains.safe_kp = {safe_kp!r};" in found["load_transfer_gains.hpp"]
+
+
+def test_each_parameter_has_its_unit_and_what_is_given_stands_below():
+    files = load_transfer.texts(LAW, PERIOD, given={"kp": 40.0})
+    units = {"period": "s", "max_offset": "m", "max_rate": "m/s", "torque_limit": "N m", "safe_kp": "N m/rad"}
+    units |= {name: field.unit for name, field in LAW.GAINS.items()}
+    text = files["load_transfer.yaml"]
+    assert dict(re.findall(r"^  (\w+): \S+  # ([^,]+), ", text, re.MULTILINE)) == units
+    assert dict(re.findall(r"  gains\.(\w+) = .*;  // (.*)", files["load_transfer_gains.hpp"])) == units
+    assert yaml.safe_load(text)["given"] == {"kp": 40.0} and f"every {PERIOD:g} s" in text
+    assert "given" not in yaml.safe_load(load_transfer.texts(LAW, PERIOD)["load_transfer.yaml"])
 
 
 def test_the_gait_of_the_file_is_walked_and_written(export):

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import mjx_climb as mc
-from mjx_climb.control import PD, law_of
+from mjx_climb.control import PD, SHIPPED, law_of
 from mjx_climb.inputs.file_contents import digest
 from mjx_climb.scenario.messages import ConfigError
 from tuning.command_line import options
@@ -231,6 +231,56 @@ def test_what_is_no_metric_is_refused_in_one_line(file, name, said):
     with pytest.raises(ConfigError, match=re.escape(f"{file}: {said}")) as refused:
         own_section.load_metrics([f"{file}:{name}"])
     assert "\n" not in str(refused.value)
+
+
+def test_metrics_of_ones_own_come_behind_the_shipped_and_each_other(file):
+    file.write_text(TEXT + "back = total('back', 'm', 'way back', lambda sample, _: -sample.base_linear_velocity[0])\n")
+    table = own_section.load_metrics([f"{file}:back", f"{file}:way"])
+    assert table.names == (*mc.METRICS.names, "back", "way")
+    write_config(mc.Scenario(), file.parent / "out", metrics=table)
+    folder = file.parent / "out"
+    assert asked(folder / "config.yaml")[2].names == table.names
+    (folder / "inputs" / "metrics" / "mine.py").unlink()
+    with pytest.raises(ConfigError, match=r"mine\.py"):
+        asked(folder / "config.yaml")
+
+
+def test_numbers_of_a_law_that_are_no_gains_are_its_limits_and_truth_values_are_none():
+    class Own(PD):
+        """With one of each."""
+
+        most: float = 0.5
+        count: int = 3
+        strict: bool = True
+        name: str = "a"
+
+    law = Own()
+    assert own_section.limits_of(law) == {"most": 0.5, "count": 3.0}
+    for most in (0.4, 0.6):
+        assert own_section.limits_of(own_section.with_limits(law, {"most": most})) == {"most": most, "count": 3.0}
+    assert own_section.with_limits(law, {"most": 0.5}) is law
+
+
+def test_a_law_by_a_name_that_is_none_is_refused_with_those_that_there_are():
+    with pytest.raises(ConfigError) as refused:
+        own_section.load_law("Load")
+    assert str(refused.value) == f"law: expected FILE.py:NAME, or one of {', '.join(SHIPPED)}, got 'Load'"
+
+
+def test_what_was_stored_for_another_law_says_both():
+    law, own = Holder.Inner(), f"{Path(__file__).name}:Holder.Inner"
+    own_section.check_reference(law, own, "file")
+    own_section.check_reference(None, None, "file")
+    for given, stored, said in [
+        (law, "PD", f"expected gains of {own}, got those of PD"),
+        (law, None, f"expected gains of {own}, got those of the config's law"),
+        (None, "Mine", "expected gains of the config's law, got those of Mine"),
+        (None, "pd", "expected no such key in gains of the config's own controller, got pd"),
+        (law, "pd", f"expected gains of {own}, got those of pd"),
+    ]:
+        with pytest.raises(ConfigError) as refused:
+            own_section.check_reference(given, stored, "file")
+        assert str(refused.value) == f"file: law: {said}"
 
 
 class Holder:
