@@ -240,9 +240,14 @@ def test_metrics_of_ones_own_come_behind_the_shipped_and_each_other(file):
     write_config(mc.Scenario(), file.parent / "out", metrics=table)
     folder = file.parent / "out"
     assert asked(folder / "config.yaml")[2].names == table.names
-    (folder / "inputs" / "metrics" / "mine.py").unlink()
-    with pytest.raises(ConfigError, match=r"mine\.py"):
+    named = mc.load_scenario(folder / "config.yaml").own.metrics
+    assert [each.name for each in named] == ["back", "way"]
+    for copy in folder.rglob("mine.py"):
+        copy.unlink()
+    with pytest.raises(ConfigError, match=r"inputs/metrics\.0/mine\.py: expected a readable file, got no such"):
         asked(folder / "config.yaml")
+    with pytest.raises(ConfigError, match=r"own\.metrics\.0\.file: expected a file of Python, got none, as gone was"):
+        taken(mc.Scenario().with_overrides({"own": {"metrics": [{"name": "gone"}]}}))
 
 
 def test_numbers_of_a_law_that_are_no_gains_are_its_limits_and_truth_values_are_none():
