@@ -23,7 +23,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.scenario.load import load_hardware
 from mjx_climb.scenario.shipped import config_path
 from tuning.comparisons import deployment, margins, stability_limit
-from tuning.gains import admittance_control, gains_file, gains_tables, own_section, ros2_control
+from tuning.gains import admittance_control, gains_file, gains_tables, interfaces, own_section, ros2_control
 
 SIX = [1.0, 2.0, 0.5, 0.1, 0.3, 0.02]
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -283,6 +283,15 @@ def test_gains_are_labelled_by_their_axes():
     assert told["damping"][0] == "N s/m" and told["stiffness"][0] == "N/m, N m/rad" and told["kp"][0] == "N m/rad"
     assert gains_tables.axes_of(found) == {"three": ["x", "y", "z"], "six": ["x", "y", "z", "rx", "ry", "rz"]}
     assert gains_tables.axes_of({"kp": found["kp"], "damping": found["damping"]}) == {"three": ["x", "y", "z"]}
+
+
+def test_rotations_that_a_law_does_not_have_are_like_its_translations():
+    kept = {mc.control.EndEffectorAdmittance: [0, 1, 2, 0, 1, 2], mc.control.VirtualModelAdmittance: [*range(6)]}
+    for law, axes in kept.items():
+        found = interfaces.of_law(dataclasses.replace(GAINS, kp=7.0), law)
+        for name in mc.Gains.AXES:
+            np.testing.assert_array_equal(getattr(found, name), getattr(GAINS, name)[axes])
+        assert found.kp == 7.0
 
 
 def test_a_value_of_the_gait_that_is_zero_stands_in_a_table_too():
