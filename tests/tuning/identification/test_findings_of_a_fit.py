@@ -195,7 +195,7 @@ PLAIN = ((KP, DELAY), [0.01, 0.001], [math.log(50.0), 0.004])
 
 DOUBTS = {
     "pauses": [(2.0, 2.5), (4.0, 4.25)], "unknown": [(1.0, 1.5), (6.0, 7.0)], "constant": ("a", "b", "c"),
-    "clock": 0.00123, "ended": "out of iterations", "costs": (10.0, 10.2, 10.05), "unsettled": 0.07,
+    "clock": 0.00123, "ended": "out of iterations", "costs": (10.2, 10.0, 10.05), "unsettled": 0.07,
     "sigma": [0.5, 0.9, 1.4, 1.9, 2.5],
 }  # fmt: skip
 LINES = [
@@ -245,6 +245,8 @@ SHARE = np.array([1.0, 1.0, 0.5])
         (0 * SHARE, [0, 0, 0], [0, 1, 2], PLAIN, "the torque is off all the while in the log, which tells"),
         (0.5 * SHARE, [1, 1, 1], [0, 1, 2], PLAIN, f"control.kp stands for what the log calls {KP.nominal:g} N m"),
         (0.5 * SHARE, [1, 1, 1], [0, 1, 2], ((DELAY,), [0.001], [0.004]), None),
+        (0 * SHARE, [1, 1, 0], [0, 1, 2], PLAIN, "control.kp is 0 all the while in the log, which tells nothing of"),
+        (SHARE, [1, 0, 0], [0, 5, 10.5], PLAIN, None),
         (SHARE, [1, 1, 0], [0, 1, 9.9], PLAIN, None),
         (SHARE, [1, 1, 0], [0, 1, 10.0], PLAIN, "the torque is off in what is held out alone, and tells nothing"),
     ],
@@ -288,6 +290,11 @@ def test_tables_have_the_numbers_of_estimates_and_residuals():
     chosen = (KP, ARMATURE, LATE, BEND)
     x = [math.log(55.0), 0.01, 0.008, math.log(0.02)]
     found = result(chosen, [0.01, 1.0, 0.0002, 0.01], x, held=("hardware.servo.armature",), memory=0.5)
+    page = report.page_of(found)
+    assert page.title == "Identified from log.csv" and page.scenario is SCENARIO
+    assert page.facts == {"search": "converged", "iterations": 7, "windows": WINDOWS}
+    said = [found.sentence, *(f"warning: {line}" for line in found.warnings), *found.combined]
+    assert page.findings.verdict == found.sentence and sorted(page.findings.lines) == sorted(said)
     table = report.table(found)
     assert table.columns == ("parameter", "unit", "before", "after", "95 % interval", "remark")
     rows = {row[0]: row for _, section in table.sections for row in section}

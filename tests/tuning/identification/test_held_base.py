@@ -119,21 +119,43 @@ def test_a_heavy_joint_alone_is_braked_by_its_bristle_as_by_hand(rate, change, b
 
 
 @pytest.mark.parametrize(("rate", "bristle"), [(0.5, 0.6), (-0.5, -0.6)])
-@pytest.mark.parametrize("scale", [1.0, 1.3])
-def test_gears_rub_by_what_they_carry_of_motor_and_load(rate, bristle, scale):
-    """The load, gravity and the motion, by MuJoCo; each joint slips, and its armature is far above all inertias."""
+@pytest.mark.parametrize(("scale", "change", "kd"), [(1.0, 0.0, 0.0), (1.3, 0.0, 0.0), (1.0, 0.4, 3.0)])
+def test_gears_rub_by_what_they_carry_of_motor_and_load(rate, bristle, scale, change, kd):
+    """The load, gravity and the motion, by MuJoCo; each joint slips, and its armature is far above all inertias.
+
+    The motor brakes by the rate where the angles are, half a change further, and the joint by that half a step before.
+    """
     heavy, off = 1e5, np.linspace(-0.03, 0.03, 12).reshape(4, 3)
     servo = {"coulomb_friction": 0.1, "presliding": 0.001, "armature": heavy}
     servo |= {"load_friction": 0.3, "external_load_friction": 0.5}
-    own = rubbed(servo, gravity=[1.0, -2.0, -9.0]).replace({"mass_scale": np.array(scale)})
-    after, _ = one_step(own, rate, 0.0, bristle, off)
+    own = rubbed(servo, gravity=[1.0, -2.0, -9.0])
+    own = own.replace({"mass_scale": np.array(scale), "control.kd": np.array(kd)})
+    after, _ = one_step(own, rate, change, bristle, off)
     data = mujoco.MjData(model := welded("hubrobo_v3_2", dataclasses.replace(TRUTH, gravity=(1.0, -2.0, -9.0))))
-    data.qpos[:], data.qvel[:] = ROBOT.stance_joints.ravel(), rate
-    mujoco.mj_forward(model, data)
-    load, torque = -scale * data.qfrc_bias.reshape(4, 3), 50.0 * off
+    data.qpos[:], loads = ROBOT.stance_joints.ravel(), []
+    for own_rate in (rate, rate + change / 2):
+        data.qvel[:] = own_rate
+        mujoco.mj_forward(model, data)
+        loads.append(-scale * data.qfrc_bias.reshape(4, 3))
+    (load, acting), torque = loads, 50.0 * off
     np.testing.assert_allclose(after.servo.load, load, rtol=1e-9, atol=1e-9)
-    most = 0.1 + np.abs(0.5 * load - 0.3 * torque)
-    np.testing.assert_allclose(after.change, 1e-3 * (torque + load - np.sign(rate) * most) / heavy, rtol=1e-5)
+    most = 0.1 + np.abs(0.5 * load - 0.3 * (torque - kd * (rate + change / 2)))
+    moved = torque - kd * rate + acting - np.sign(rate) * most
+    np.testing.assert_allclose(after.change, 1e-3 * moved / heavy, rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.parametrize(("share", "on"), [(0.5, 1.0), (0.0, 0.0), (0.25, 0.5)])
+def test_gains_have_their_share_and_torques_are_none_where_they_are_off(share, on):
+    own = rubbed({"torque_limit": 4.0}, gravity=[0.0, 0.0, 0.0]).replace(
+        {"control.kd": np.array(0.3), "control.ki": np.array(2.0)}
+    )
+    stand = stands.Stand(ROBOT, hardware_of(own, stages_of(own, 1e-3, ROBOT), 1e-3, ROBOT))
+    found = stands.with_gains(stand, stands.Sent(np.zeros((4, 3)), share, on)).hardware.parameters
+    each = {name: float(np.max(found.at(f"control.{name}"))) for name in ("kp", "kd", "ki")}
+    assert each == pytest.approx({"kp": 50.0 * share, "kd": 0.3 * on, "ki": 2.0 * on})
+    assert float(np.max(found.at("hardware.servo.torque_limit"))) == pytest.approx(4.0 * on)
+    for sent in (stands.Sent(np.zeros((4, 3))), stands.Sent(np.zeros((4, 3)), share)):
+        assert stands.with_gains(stand, sent) is stand
 
 
 def rubbed(servo, gravity):

@@ -72,6 +72,35 @@ def test_windows_begin_once_commands_have_passed_both_delays(fit, late, monkeypa
     assert cut_at.call_args.kwargs["late"] == pytest.approx(late or variable.upper + 0.01)
 
 
+@pytest.mark.parametrize(
+    ("more", "base", "way"),
+    [("LF.coxa.velocity", None, "cut"), ("LF.force.x", None, "cut_gripped"), ("base.position.x", None, "cut_gripped"),
+     ("base.position.x", "held", "cut"), ("LF.coxa.velocity", "free", "cut_gripped")],
+)  # fmt: skip
+def test_a_log_with_forces_or_the_base_is_of_a_gripped_robot_unless_it_is_said(more, base, way, monkeypatch):
+    columns = recorded(duration=1.0)
+    time = columns.pop("time")
+    signals = {name: Signal(time, value) for name, value in columns.items()}
+    log = Log(signals | {more: Signal(time, np.sin(time))}, "log.csv")
+    ways = {name: Mock(side_effect=InterruptedError) for name in ("cut", "cut_gripped")}
+    for name, mock in ways.items():
+        monkeypatch.setattr(fits, name, mock)
+    with pytest.raises(InterruptedError):
+        tuning.identify(SCENARIO, log, ["control.kp"], base=base, held_out=0.3)
+    assert [name for name, mock in ways.items() if mock.called] == [way]
+    assert ways[way].call_args.args == (log, load_robot(SCENARIO.robot), SCENARIO.time_step, 0.3)
+
+
+def test_a_mass_on_the_feet_is_one_of_the_model(monkeypatch):
+    columns = recorded(duration=3.0)
+    time = columns.pop("time")
+    log = Log({name: Signal(time, value) for name, value in columns.items()}, "log.csv")
+    monkeypatch.setattr(fits, "model_of", model := Mock(side_effect=InterruptedError))
+    with pytest.raises(InterruptedError):
+        tuning.identify(SCENARIO, log, ["control.kp"], mass=0.1)
+    assert model.call_args.args[0] is SCENARIO and model.call_args.args[3] == 0.1
+
+
 def problem(fit, duration=2.0, kinds=("position", "velocity", "effort")):
     log = log_of(TRUE, duration, kinds=kinds)
     windows = cut(log, ROBOT, SCENARIO.time_step, 0.0)

@@ -18,6 +18,7 @@ from mjx_climb.physics.kinematics import limb_frames
 from tests.tuning.identification.recorded import ROBOT, recorded
 from tuning.identification.model import predicted
 from tuning.identification.model import variables as priors
+from tuning.identification.model.commanded import swaying
 from tuning.identification.model.force_sensors import logged_force
 from tuning.identification.model.gripped import (
     check_parts,
@@ -344,3 +345,15 @@ def test_a_sensor_of_a_foot_has_a_gain_and_each_axis_an_offset_and_shares_of_the
         ends = (2.0, -np.inf, np.inf) if "zero" in each.key else (0.05, -1.0, 1.0)
         assert (each.nominal, each.mean, each.sd, each.lower, each.upper) == (0.0, 0.0, *ends)
         assert each.limb == gain.limb == 2 and not each.log
+
+
+def test_a_robot_sways_under_pd_without_loads_for_ten_times_its_log_before_it_would_step():
+    push = {"force": [1.0, 0.0, 0.0], "start": 0.1, "stop": 0.2}
+    changes = {"disturbance.pushes": [push], "control.reading": "measured_pose"}
+    own = mc.load_scenario("configs/case_1_2.yaml", changes)
+    found = swaying(own, 3.0005)
+    assert 30.005 <= found.gait.cycle < 30.0065 and (found.gait.stride, found.gait.duty) == (0.0, 0.95)
+    assert found.gait.phases.model_dump() == pytest.approx({"LF": 0.2, "LH": 0.28, "RH": 0.36, "RF": 0.44})
+    assert found.disturbance.cargo.mass == 0 and not found.disturbance.pushes
+    assert (found.control.controller, found.control.reading) == ("pd", "virtual_model")
+    assert (found.control.kp, found.duration, found.gravity) == (own.control.kp, own.duration, own.gravity)

@@ -24,6 +24,7 @@ from tuning.identification.readers.signals import Signals
 from tuning.identification.readers.table import Recording, Table
 
 EPOCH = 1_764_000_000 * 10**9  # ns
+TWELVE = ",".join(f"x{n}" for n in range(1, 12))  # beside their times
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +52,8 @@ def test_csv_keeps_every_number_and_each_signal_has_its_own_times(tmp_path):
     ("time,LF.coxa.position\n0,1\n1,x\n2,3\n", r"log.csv: LF.coxa.position, line 3: expected a number or .*, got 'x'"),
     ("time,LF.coxa.position\n", r"log.csv: expected a line of names and two samples or more, got 1 lines"),
     ("when,LF.coxa.position\n0,1\n1,2\n", r"log.csv: time: expected a column of times in .*, got no time with"),
+    (f"time,{TWELVE}\n0{',1' * 11}\n1{',2' * 11}\n", rf"log.csv: .*, got time, {TWELVE.replace(',', ', ')}$"),
+    (f"time,{TWELVE},x12,x13\n0{',1' * 13}\n1{',2' * 13}\n", rf", got time, {TWELVE.replace(',', ', ')} and 2 more$"),
     ("time,colour\n0,1\n1,2\n", r"log.csv: expected signals such as LF.coxa.command, .*, got time, colour"),
 ])  # fmt: skip
 def test_a_broken_table_is_told_in_one_line(tmp_path, text, expected):
@@ -207,6 +210,10 @@ def test_units_signs_and_counts_become_si(tmp_path):
     ("LF.coxa.position: {column: b}", r"LF.coxa.position.column: expected a column of numbers in .*log.csv, got b"),
     ("LF.coxa.position: {topic: /a}", r"LF.coxa.position.topic: expected a topic of .*log.csv, got /a"),
     ("LF.coxa.position: {column: a, unit: N}", r"LF.coxa.position.unit: expected one of rad, deg, counts, got N"),
+    ("LF.coxa.position: {column: a, unit: m}", r"LF.coxa.position.unit: expected one of rad, deg, counts, got m"),
+    ("LF.coxa.effort: {column: a, unit: N}", r"LF.coxa.effort.unit: expected one of N m, mN m, kgf cm, A, mA, got N"),
+    ("LF.coxa.position: {column: a, time: when}",
+     r"LF.coxa.position: time: expected a column of times in .*log.csv \(time: NAME in signals.yaml\), got no when"),
     ("LF.coxa.position: {column: a, unit: counts}", r"LF.coxa.position: expected counts_per_turn with the unit counts"),
     ("LF.coxa.position: {column: a, sign: 2}", r"LF.coxa.position.sign: expected 1 or -1, got 2"),
     ("LF.coxa.position: {}", r"LF.coxa.position: expected a topic or a column, one of the two"),
@@ -463,3 +470,31 @@ def test_entries_of_a_list_have_the_names_beside_them_where_each_has_one(names, 
     entries = [entry for entry in rosbag._numbers(message, "p", {}) if ".name" not in entry[0]]
     named = "0" not in found[0]
     assert entries == [(found[0], 1.0, named), (found[1], 2.0, named), ("p.count", 3.0, True)]
+
+
+def test_names_that_seem_misspelt_are_not_read_and_said(tmp_path):
+    """Those of one or two dots that end as a signal does; others are no signals of a robot."""
+    seem = ("LX.support", "coxa.velocity", "base.force.q", "LF.forces.x", "LF.cxa.position", "base.positions.x")
+    columns = recorded(duration=2.0)
+    path = write_csv(tmp_path / "log.csv", columns | dict.fromkeys(
+        (*seem, "position", "a.b.c.position", "other.x", "LF.colour"), columns["LF.coxa.position"]
+    ))  # fmt: skip
+    log = read_log(path, ROBOT)
+    lines = [line.removeprefix(f"{path}: ") for line in log.warnings]
+    said = [line.partition(": not read, the robot has no such signal")[0] for line in lines]
+    assert said == ["LF.cxa.position", "LX.support", "base.force.q", "coxa.velocity"]
+    assert {*log.signals} == columns.keys() - {"time"}
+
+
+@pytest.mark.parametrize("frame", ["world", "", "LF_foot"])
+def test_forces_of_another_frame_than_the_worlds_are_doubted(frame):
+    time = {"log": np.arange(5.0)}
+    tables = {
+        f"/{limb}/wrench": Table(f"/{limb}/wrench", time, {f"wrench.force.{a}": np.ones(5) for a in "xyz"}, own)
+        for limb, own in (("LF", "world"), ("RH", frame))
+    }
+    signals, notes = guess(Recording(tables, "bag"), ROBOT)
+    assert {*signals.signals} == {f"{limb}.force.{axis}" for limb in ("LF", "RH") for axis in "xyz"}
+    told = [line for line in notes if line.startswith("forces: taken as along world axes")]
+    named = ", ".join(sorted({"'world'", repr(frame)}))
+    assert told == [] if frame == "world" else f"their frame is {named}; turn them before" in told[0]
