@@ -1,5 +1,6 @@
 """The program: what it prints, writes and returns, and how it refuses."""
 
+import contextlib
 import json
 import re
 import shlex
@@ -24,7 +25,7 @@ from mjx_climb.walk.metrics import FAILURES
 from mjx_climb.walks import LINES
 from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning import numbers
-from tuning.command_line import evaluate, logs, machine, main, options, results, run, session, sweep, tune
+from tuning.command_line import evaluate, logs, machine, main, options, processes, results, run, session, sweep, tune
 from tuning.command_line.from_models import made
 from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
 from tuning.comparisons import of_sweep
@@ -58,6 +59,8 @@ def files(tmp_path_factory):
         (folder / f"{name}.yaml").write_text(text)
     (folder / "pd.yaml").write_text(held)
     (folder / "kp.yaml").write_text("law: PD\nkp: 50.0\n")
+    (folder / "stiff.yaml").write_text(f"{held}\nkp: 1e7")
+    (folder / "weighs.yaml").write_text("weights: {nothing: 1.0}")
     (folder / "file").write_text("")
     law = "from mjx_climb.control import VirtualModelAdmittance\nclass Mine(VirtualModelAdmittance): pass"
     (folder / "law.py").write_text(law)
@@ -191,16 +194,17 @@ def test_an_option_may_be_said_twice_alike_and_a_list_has_several(capsys, option
     assert "error: nowhere: expected a file" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("where", ["mine", "called"])
+@pytest.mark.parametrize("where", ["mine", "called", "inner"])
 def test_an_error_of_a_users_own_file_is_one_line_with_its_place(tmp_path, where):
     """Also one of a library, or of ours, that it called; the rest of a traceback is no help."""
-    body = "    raise RuntimeError('first\\nsecond')" if where == "mine" else "    return np.stack([])"
-    (tmp_path / "own.py").write_text(f"import numpy as np\n\n\ndef mine():\n{body}\n")
+    failing = "    raise RuntimeError('first\\nsecond')"
+    body = {"mine": failing, "called": "    return np.stack([])", "inner": "    inner()"}[where]
+    (tmp_path / "own.py").write_text(f"import numpy as np\n\n\ndef mine():\n{body}\ndef inner():\n{failing}\n")
     mine, *_ = load(f"{tmp_path / 'own.py'}:mine", "function")
     with pytest.raises((RuntimeError, ValueError)) as caught:
         mine()
-    said = {"mine": "RuntimeError: first", "called": "ValueError: need at least one array to stack"}[where]
-    assert user_error(caught.value) == f"{tmp_path / 'own.py'}:5: {said}"
+    said = "ValueError: need at least one array to stack" if where == "called" else "RuntimeError: first"
+    assert user_error(caught.value) == f"{tmp_path / 'own.py'}:{7 if where == 'inner' else 5}: {said}"
     assert user_error(ZeroDivisionError("ours")) is None
 
 
@@ -673,3 +677,111 @@ def test_only_a_held_base_is_moved_limb_by_limb_dropped_and_weighed():
         made(Excitation, {name: value})
         with pytest.raises(InputError, match=f"--{name.replace('_', '-')}: expected none with base free"):
             made(Excitation, {name: value, "base": "free"})
+
+
+@pytest.mark.parametrize("value", ["1", "True", "YES", "on"])
+def test_no_walk_is_begun_without_the_compiler_but_help_is_given(value, call, monkeypatch):
+    monkeypatch.setenv("JAX_DISABLE_JIT", value)
+    code, _, err = call("run", "nowhere")
+    assert (code, "JAX_DISABLE_JIT: expected 0" in err, repr(value) in err) == (2, True, True)
+    assert call("run", "--help")[0] == 0
+    monkeypatch.setenv("JAX_DISABLE_JIT", "off")
+    assert "nowhere: expected a file" in call("run", "nowhere")[2]
+
+
+def test_a_length_of_time_is_said_as_a_person_does():
+    said = {0.04: "0.0 s", 1.25: "1.2 s", 9.94: "9.9 s", 10.4: "10 s", 119.4: "119 s", 120.0: "2 min",
+            7140.0: "119 min", 7169.0: "119 min", 7171.0: "2 h 0 min", 9000.0: "2 h 30 min"}  # fmt: skip
+    assert {seconds: session.duration(seconds) for seconds in said} == said
+
+
+def test_the_compiler_is_told_of_where_it_took_a_tenth_of_a_second():
+    watched = session.Compilation()
+    watched.seconds = {"tracing": 0.09, "compiling": 0.11}
+    assert str(watched) == "0.1 s compiling"
+
+
+def test_the_time_of_a_sweep_is_that_of_the_walks_that_are_not_there(monkeypatch):
+    monkeypatch.setattr(devices, "usable_cores", lambda: 2)
+    monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices(backend="cpu"))
+    grid = made(sweep.Grid, {"stiffness": "1:9:1000", "damping": "1:9:1000"})
+    work = grid.work(options.Walk(config=Path(CONFIG)))
+    assert [len(grid.said(work, 10**6, there)) for there in (0, 10**6 - 5)] == [2, 1]
+
+
+def test_operating_points_have_the_strength_of_a_gravity_that_leans():
+    scenario = mc.Scenario().with_overrides({"gravity": [3.0, 0.0, -4.0], "disturbance.cargo.mass": 0.5})
+    assert tune.Over(over=("cargo=1,2",)).points(scenario).gravity == pytest.approx((5 / 9.80665,), rel=1e-3)
+    assert tune.Over(over=("gravity=1,2",)).points(scenario).cargo == (0.5,)
+
+
+def test_up_to_twelve_snapshots_are_taken_from_the_first_to_the_last_instant(monkeypatch):
+    monkeypatch.setattr("mjx_climb.viz.rendering.backend.find", lambda: "egl")
+    scenario = mc.load_scenario(CONFIG)
+    run.Pictures(at=",".join(["0", *["8"] * 11]), snapshots=True).check(scenario)
+    with pytest.raises(InputError, match="--at: expected --snapshots beside it"):
+        run.Pictures(at="1").check(scenario)
+
+
+def test_gains_must_hold_in_the_config_that_is_given_or_the_one_beside_them(tmp_path):
+    gains_file.save(mc.Gains(1.0, 100.0, 1000.0), gains := tmp_path / "gains.yaml")
+    (tmp_path / "config.yaml").write_text(mc.load_scenario(CONFIG, {"duration": 0.7}).to_yaml())
+    beside = results.Export(gains=gains).scenario(None)
+    assert beside.duration == 0.7 and beside.control.integration == "exact"
+    other = results.Export(gains=gains, config=Path(CONFIG), form="admittance_control").scenario(None)
+    assert other.duration == 8.0 and other.control.integration == "semi_implicit"
+    periods = [results.Export(gains=gains, rate=rate).scenario(None).hardware.control_period for rate in (1000, 500)]
+    assert periods == [0.0, 0.002]
+    (tmp_path / "config.yaml").write_text(mc.load_scenario(CONFIG, {"control.reading": "measured_pose"}).to_yaml())
+    assert results.Export(gains=gains, form="json").scenario(None).control.reading == "measured_pose"
+    for form in results.ROBOTS_OWN:
+        with pytest.raises(mc.ConfigError, match=r"control.reading: expected virtual_model"):
+            results.Export(gains=gains, form=form).scenario(None)
+
+
+def test_gains_of_the_other_reading_go_into_tables_alone(call, tmp_path):
+    text = "law: MeasuredPoseAdmittance\ninertia: 1\ndamping: 100\nstiffness: 1e3\n"
+    (tmp_path / "gains.yaml").write_text(text)
+    for form in ("json", "csv", *results.ROBOTS_OWN):
+        code, _, err = call("export", tmp_path / "gains.yaml", "--format", form)
+        assert (code, "law: expected VirtualModelAdmittance" in err) == (
+            (2, True) if form in results.ROBOTS_OWN else (0, False)
+        )
+
+
+def test_a_folder_is_named_after_law_and_hardware_and_has_a_digest_where_more_differs():
+    walk = options.Walk(config=Path("case_1_2"))
+    assert (walk.words, walk.varied) == ((), False)
+    named = walk.model_copy(update={"controller": "pd", "law": "a/my-law.py:My Law", "hardware": "mine/servo.yaml"})
+    assert (named.words, named.varied) == (("pd", "My_Law", "servo"), False)
+    for name, value in {
+        "roof": True, "slope": 0.0, "changes": ("a=1",), "gains": Path("a"), "contact": "a", "drive": "a",
+        "disturbances": ("a",),
+    }.items():  # fmt: skip
+        other = walk.model_copy(update={name: value})
+        assert (other.words, other.varied) == ((), True), name
+
+
+def test_joint_gains_may_be_set_beside_a_law_of_ones_own(files):
+    mine = options.Walk(config=Path(CONFIG), law=f"{files}/law.py:Mine", changes=("control.kp=60",)).load()
+    assert mine.scenario.control.kp == 60.0 and type(mine.law).__name__ == "Mine"
+    other = options.Walk(config=Path(CONFIG), law=f"{files}/law.py:Mine", changes=("control.damping=70",)).load()
+    assert np.ravel(other.law.damping)[0] == 70.0
+
+
+def test_programs_are_loaded_ahead_that_the_command_needed_for_this_config(monkeypatch):
+    asked, begun = [], []
+
+    @contextlib.contextmanager
+    def loading_ahead(name):
+        asked.append(name)
+        yield
+
+    monkeypatch.setattr("mjx_climb.execution.cache.loading_ahead", loading_ahead)
+    monkeypatch.setattr("mjx_climb.execution.devices.begin", lambda: begun.append(1))
+    token = ARGUMENTS.set(("run", "case_2", "--json"))
+    try:
+        with processes.devices_begun():
+            assert (asked, begun) == (["run case_2"], [1])
+    finally:
+        ARGUMENTS.reset(token)

@@ -84,7 +84,7 @@ def test_shells_complete_options_and_their_values(shell):
     [
         ("mjx-climb ", list(COMMANDS)),
         ("mjx-climb sw", ["sweep"]),
-        ("mjx-climb run ", [*shipped.names(), "mine.yaml"]),
+        ("mjx-climb run ", [*shipped.names(), "mine.yaml", "other.yml"]),
         ("mjx-climb run m", ["mine.yaml"]),
         ("mjx-climb run case_2 --engine ", list(get_args(EngineName))),
         ("mjx-climb run case_2 --controller base", ["base_admittance"]),
@@ -94,7 +94,8 @@ def test_shells_complete_options_and_their_values(shell):
     ],
 )
 def test_names_complete(line, expected, tmp_path):
-    (tmp_path / "mine.yaml").write_text("")
+    for name in ("mine.yaml", "other.yml", "mine.csv"):
+        (tmp_path / name).write_text("")
     assert complete(line, folder=tmp_path) == expected
 
 

@@ -181,6 +181,22 @@ def test_the_rounds_of_all_searches_of_a_command_are_kept(rounds, said, tmp_path
         raise KeyboardInterrupt
 
 
+def test_of_walks_that_are_one_of_many_the_count_is_said(tmp_path):
+    shell = Session(sys.stdout)
+    with pytest.raises(interruption.Interrupted, match=r"^1 of 6 walks are kept in "):
+        with shell.keeping("of 6 walks", tmp_path, done=1):
+            raise KeyboardInterrupt
+
+
+def test_what_an_interrupted_command_kept_cannot_control_the_terminal(call, monkeypatch, tmp_path):
+    def stop(*_, **__):
+        raise interruption.Interrupted("3 rounds are kept in \x1b[31m")
+
+    monkeypatch.setattr(mc, "rollout", stop)
+    code, _, err = call(*RUN, "--out", tmp_path)
+    assert code == 130 and err.splitlines()[-1] == r"mjx-climb: interrupted: 3 rounds are kept in \x1b[31m"
+
+
 def test_a_command_that_came_to_its_end_says_so(monkeypatch, call, tmp_path):
     monkeypatch.setattr(dataset, "write_text_atomically", lambda *_: signal.raise_signal(signal.SIGINT))
     code, _, err = call("doctor", "--schema", "--out", tmp_path / "schema.json")

@@ -8,6 +8,7 @@ import io
 import re
 import shutil
 from collections import defaultdict
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -16,6 +17,7 @@ import pytest
 import typer
 
 import mjx_climb as mc
+from mjx_climb.viz.rendering import RenderingError
 from tests import approved
 from tests.shell import ROOT
 from tuning.command_line.options import SearchFile
@@ -278,6 +280,12 @@ def folder(tmp_path_factory):
         "def calm(metrics): return metrics['travel']\n"
         'highest = largest("highest_base", "m", "highest base", lambda s, _: s.base_position[2])\n'
     )
+    sensor = {"hardware.force_sensor.filter": 30.0}
+    for name, by in (("filtered", "sensor"), ("by_law", "law")):
+        scenario = mc.load_scenario(CONFIG, sensor | {"hardware.force_sensor.filtered_by": by})
+        (folder / f"{name}.yaml").write_text(scenario.to_yaml())
+    law = mc.control.LoadTransfer()
+    gains_file.save({name: getattr(law, name) for name in law.GAINS}, folder / "transfer.yaml", law=law)
     law = own_section.load_law(f"{folder}/mine.py:Mine")
     gains_file.save(mc.Gains(1.0, 100.0, 1000.0), folder / "mine.yaml", law=law)
     return folder
@@ -318,7 +326,7 @@ def traced(monkeypatch, tmp_path, folder):
     log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.force.x": ()}, source="log.csv")
     returned = {
         "mjx_climb.metrics": MEASURED,
-        "mjx_climb.inputs.time_step.largest_time_step": 0.001,
+        "mjx_climb.inputs.time_step.largest_time_step": 0.0005,
         "mjx_climb.viz.rendering.save_image": "picture",
         "mjx_climb.viz.recording.save_mcap": SimpleNamespace(name="walk.mcap"),
         "mjx_climb.viz.rerun_recording.save_rrd": SimpleNamespace(name="walk.rrd"),
@@ -342,7 +350,14 @@ def traced(monkeypatch, tmp_path, folder):
         "tuning.numbers.number": "1",
         "tuning.numbers.to_json": "{}",
         "tuning.reproduce.results.as_markdown": "",
-        "tuning.searches.shards.find": [SimpleNamespace(about={}, identity={"kind": "sweep"})],
+        "tuning.searches.shards.find": [
+            SimpleNamespace(about={"repeat": "as before", "name": "mine", "settings": "{}"}, identity={"kind": "sweep"})
+        ],
+        "tuning.pages.runs.write": "runs.html",
+        "mjx_climb.files.dataset.write_text_atomically": "the file",
+        "tuning.pages.runs.below": [
+            SimpleNamespace(when=datetime(2026, 1, 2, 15, 4, 5), name="a", differs="b", said="c", plain={"d": 1})
+        ],
         "tuning.searches.shards.home": tmp_path / "home",
         "tuning.searches.shards.Rows": SimpleNamespace(
             rows=(), there=0, folder=None, shard=None, walk=lambda _: None
@@ -393,12 +408,16 @@ def traced(monkeypatch, tmp_path, folder):
 
 ASKED = (
     "run {config} --compare pd --video --snapshots --at 0.1 --mcap",
+    "run {config} --set control.reading=measured_pose --compare end_effector_admittance --video --snapshots --at "
+    "0.1,0.2 --size 640x480 --view --rerun --figures svg,pdf",
     "sweep {config} --stiffness 1:2:2 --damping 1:3:2 --gains {folder}/held.yaml",
     "sweep {config} --stiffness 1:2:2 --damping 1:3:2 --shard 2/3", "sweep --merge folder",
+    "sweep --merge folder --merge other --out elsewhere", "runs folder --out elsewhere --json",
     "tune {config}", "tune {config} --seeds 2 --starts 3 --with-joint-gains --metric {folder}/mine.py:highest",
     "tune {config} --ensemble {folder}/ensemble.yaml --test-members 8",
     "tune {config} --law pd --law base_admittance --also inertia --members 3",
-    "tune {config} --against base_deviation --better peak_foot_force",
+    "tune {config} --law pd --law base_admittance --weight travel=2 --test-members 5 --seeds 2 --hardware mx_64",
+    "tune {config} --against base_deviation --better peak_foot_force --points 3",
     "tune {config} --over gravity,cargo --space split",
     "evaluate {config} --gains {folder}/held.yaml --retuned-pd {folder}/gains.yaml --members 4",
     "evaluate {config} --gains {folder}/held.yaml --ensemble {folder}/ensemble.yaml --shard 1/2",
@@ -423,6 +442,14 @@ ASKED = (
     "--held-out 0.3 --starts 2 --out elsewhere",
     "replay {config} --log log.csv --signals signals.yaml --base held --mass 0.1",
     "robot robot.xml --gravity 1.62 --slope 30 --base trunk --limbs a,b", "robot robot.xml --write dog.yaml --roof",
+    "robot robot.xml --gravity 0", "robot robot.xml --stand --base trunk --slope 90",
+    "export {folder}/held.yaml --format ros2_control --update-rate 500 --name mine",
+    "export {folder}/held.yaml --format admittance_control --update-rate 500 --out elsewhere",
+    "export {folder}/gait.yaml --format csv", "export {folder}/gait.yaml --format json --config {config} --engine mjx",
+    "export {folder}/held.yaml --config {folder}/filtered.yaml", "export {folder}/transfer.yaml --update-rate 250",
+    "export {folder}/held.yaml --config {folder}/filtered.yaml --format admittance_control --update-rate 200",
+    "export {folder}/held.yaml --config {folder}/by_law.yaml",
+    "export {folder}/transfer.yaml --config {folder}/by_law.yaml",
 )  # fmt: skip
 LONG = re.compile(
     r"\b(Scenario|Robot|Parameters|Structure|MetricTable|Ensemble|Search|Ceiling|Space|array|Objective)\("
@@ -435,6 +462,7 @@ def shortened(text):
     known = defaultdict(list)
     text = OF_MOCKS.sub("", text).replace(repr(MEASURED), "METRICS")
     whole = mc.load_scenario(CONFIG).to_yaml()
+    text = re.sub(r"\nwalked:\n(?:  .*\n)+", "\nwalked: ...\n", text)
     text = text.replace(whole, "SCENARIO\n").replace(repr(whole), "SCENARIO")
     text = re.sub(r"<MagicMock name='mock\.([^']*)' >", r"\1", text).replace("\ncall.", "\n")
     while found := LONG.search(text):
@@ -525,12 +553,37 @@ def test_what_a_command_asks_for_is_what_was_approved(line, traced, folder, tmp_
 @pytest.mark.parametrize("walks", [True, False])
 def test_a_robot_that_walks_at_no_gait_is_proposed_all_the_same_and_ends_with_1(walks, write, traced, monkeypatch):
     slow_enough = (mc.load_scenario(CONFIG), walks, "as it is", 0.5, {})
-    monkeypatch.setattr("tuning.comparisons.first_walks.slow_enough", lambda *_: slow_enough)
+    first_walks = "tuning.comparisons.first_walks"
+    monkeypatch.setattr(f"{first_walks}.slow_enough", lambda *_: slow_enough)
+    monkeypatch.setattr(f"{first_walks}.on_ceiling", lambda *_: (bool(write), "of 30 N"))
+    monkeypatch.setattr(f"{first_walks}.heavy_load", lambda *how: f"{how[1]:g} of the limit")
     text = traced(f"robot robot.xml{write}")
     assert traced.code == (0 if walks else 1)
-    assert f"{'taken ' if walks else 'failed'}   walk" in text
+    assert f"{'taken ' if walks else 'failed'}   walk" in text and re.search("warning +load +0.5 of the limit", text)
     assert ("mjx-climb run dog.yaml" if write else "time_step: 0.001") in text
-    assert ("on_ceiling(" in text) is walks
+    assert bool(re.search(rf"{'taken' if write else 'warning'} +ceiling +of 30 N", text)) is walks
+
+
+def test_a_robot_that_cannot_be_drawn_is_written_and_the_reason_said(traced, monkeypatch):
+    def fail(*_):
+        raise RenderingError("no OpenGL")
+
+    monkeypatch.setattr("mjx_climb.viz.rendering.save_image", fail)
+    assert "no picture: no OpenGL" in traced("robot robot.xml --write dog.yaml") and traced.code == 0
+
+
+def test_a_shard_that_is_not_the_last_says_who_merges(traced, monkeypatch):
+    shard = SimpleNamespace(number=2, count=3)
+    rows = SimpleNamespace(rows=range(5), there=2, folder=Path("part"), shard=shard, walk=lambda _: None)
+
+    def joined(*_):
+        raise mc.ConfigError("out", "", "all shards", "one")
+
+    monkeypatch.setattr("tuning.searches.shards.Rows", lambda *_: rows)
+    monkeypatch.setattr("tuning.searches.shards.joined", joined)
+    text = traced("sweep {config} --stiffness 1:2:2 --damping 1:3:2 --shard 2/3 --json")
+    assert "part is whole; the last of 3 shards writes the result, and so does mjx-climb sweep --merge " in text
+    assert '{"shard": 2, "of": 3, "walks": 5}' in text and "shard 2/3; 2 are there already" in text
 
 
 @pytest.mark.parametrize(

@@ -233,3 +233,36 @@ def test_a_log_is_walked_under_the_law_with_its_pushes_and_both_walks_are_shown(
     assert ["travel", "1", "0", "m"] in table.sections[0][1] and len(table.sections[0][1]) == len(HELD)
     assert verdicts[0].startswith("law: every grip held, but 2 missed the ground")
     assert verdicts[1] == "logged commands: held all the way"
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_film_is_told_of_frame_by_frame_at_a_terminal_and_every_fiftieth_in_a_file(terminal, monkeypatch, tmp_path):
+    told, saved = [], []
+
+    def save_video(file, *walks, progress, **how):
+        saved.append((file, walks, how))
+        for done in range(1, 121):
+            progress(done, 120)
+
+    monkeypatch.setattr("mjx_climb.viz.rendering.save_video", save_video)
+    monkeypatch.setattr("sys.stderr", types.SimpleNamespace(isatty=lambda: terminal))
+
+    @contextlib.contextmanager
+    def stage(name, **how):
+        assert (name, how) == ("video", {"compiles": False, "unit": "frames"})
+        yield lambda *now: told.append(now)
+
+    names = run.Pictures(video=True).write({"a": 1, "b": 2}, tmp_path, stage)
+    assert (names, saved) == (
+        ["walk.mp4"],
+        [(tmp_path / "walk.mp4", (1, 2), {"size": (960, 720), "labels": ["a", "b"]})],
+    )
+    frames = range(1, 121) if terminal else (50, 100, 120)
+    assert told == [(0, 1), *((frame, 120) for frame in frames)]
+    run.Pictures(video=True).write({"a": 1}, tmp_path, stage)
+    assert saved[1][1:] == ((1,), {"size": (1280, 720), "labels": None})
+
+
+def test_a_robot_that_stands_has_stood_since_its_first_limb_found_no_grip():
+    own = walk("pd", standing={"LF": 0.3, "RH": 0.2})
+    assert run.verdict(own, HELD) == "stands from 0.200 s, as LF and RH found no grip"
