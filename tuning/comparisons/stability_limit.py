@@ -23,6 +23,7 @@ first stance alone, and a few in the others, with two more that check it.
 """
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -382,11 +383,10 @@ def _radii(steps: Sequence[np.ndarray], periods: np.ndarray) -> np.ndarray:
     for period in np.unique(periods[finite]):
         rows = periods[finite] == period
         kinds = min(int(period), len(matrices))
-        whole, single = np.eye(int(core.sum())), np.ones(alone.shape[-1])
-        for k in range(kinds):
-            times = int(period) - k if k == len(matrices) - 1 else 1
-            whole = whole @ np.linalg.matrix_power(matrices[k, rows], times)
-            single = single * alone[k, rows] ** times
+        times = [int(period) - k if k == len(matrices) - 1 else 1 for k in range(kinds)]
+        powers = [np.linalg.matrix_power(matrices[k, rows], count) for k, count in enumerate(times)]
+        whole = functools.reduce(np.matmul, powers)
+        single = np.prod([alone[k, rows] ** count for k, count in enumerate(times)], axis=0)
         sizes = np.abs(np.concatenate([np.linalg.eigvals(whole), single], axis=-1))
         values[rows] = sizes.max(-1) ** (1 / period)
     radius[finite] = values
