@@ -5,10 +5,10 @@ From its source, https://github.com/robomechanics/climb-sdk, `climb_control/src/
 Extreme Terrain Exploration*, ICRA 2024. Twenty times a second:
 
     min (c / 2) sum |F*|^2 - margin,   sum G F* = sum G F,   margin <= F*_z of each foot that stands
-    x += k_F (1 - R) (F - F*) + k_b (dp + dtheta x r)
+    x += k_F (F - F*) + k_b (dp + dtheta x r)
 
-F is measured, F* wanted, R takes the rigid part, dp and dtheta are the base's error. The wrench is that of the measured
-forces, as in the source: no mass is known to the law.
+F is measured, F* wanted, dp and dtheta are the base's error. The wrench is that of the measured forces, as in the
+source: no mass is known to the law. (The source takes the rigid part of F - F* away: without a wrench it is nothing.)
 
 Parts that need the robot's kinematics or another gripper are left out: limits of joint torque and the body's own search
 for a place (here the gait says where it goes), limits along the ground (these grippers hold in any direction), pushes
@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from mjx_climb.control.foot_offsets import Offsets, base_error, feet_shifted, released, standing_forces
-from mjx_climb.control.force_distribution import Sharing, moved_rigidly, net_wrench, pushed_up, rigid_part, sharing
+from mjx_climb.control.force_distribution import Sharing, moved_rigidly, net_wrench, pushed_up, sharing
 from mjx_climb.control.law import Command, Law, Measurement, Reference, Start, scalar
 from mjx_climb.control.virtual_mass import bounded
 from mjx_climb.physics.spatial import quaternion_to_matrix
@@ -60,7 +60,6 @@ class ClimbSDK(Law):
         offsets, force, weight = state.offsets, standing_forces(measured, rotation), jnp.where(support, 1.0, 0.0)
         wanted = of_largest_margin(sharing(net_wrench(lever, force), lever, weight), support, self.force_cost)
         pushed = jnp.where(measured.forces_known, force - wanted, 0.0)
-        pushed = pushed - rigid_part(lever, pushed, jnp.where(support, 1.0, 0.0))
         change = self.force_gain * pushed + self.body_gain * moved_rigidly(
             lever, base_error(measured, reference, rotation)
         )

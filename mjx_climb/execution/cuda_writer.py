@@ -174,8 +174,6 @@ def expression(name: str, parameters: Parameters, operands: Sequence[Number], na
         return f"!{names[0]}"
     if name not in table or (name in _ONE_WORD and dtype.itemsize != 4):
         raise Unsupported(f"the operation {name} on {dtype}")
-    if name == "pow" and operands[1].dtype.kind != "f":
-        names = [names[0], f"(float){names[1]}"]
     return table[name].format(*names)
 
 

@@ -156,8 +156,6 @@ def _chosen_in_walk(
 ) -> Elements:
     """Return the result of an operation at places that are known only in the walk, chosen among all there may be."""
     name, parameters, shape = equation.primitive.name, equation.params, aval_of(equation.outvars[0]).shape
-    if name not in ("gather", "dynamic_slice", "dynamic_update_slice"):
-        raise Unsupported(f"the operation {name} at places that are known only in the walk")
     if name == "gather":
         [rows], numbers = places, parameters["dimension_numbers"]
         axes, sizes = numbers.start_index_map, parameters["slice_sizes"]

@@ -115,11 +115,10 @@ def gradients_over_robots(
         program, tree = _of_one(function, arguments, batched)
         moving, along = jax.tree.flatten(arguments[0])
         names = jax.tree.unflatten(tree, range(tree.num_leaves))
-        order = sorted(weights, key=lambda name: int(names[name]))
         weighed = tuple(place in {names[name] for name in weights} for place in range(tree.num_leaves))
         moves = tuple(place < len(moving) for place in range(len(program.in_avals)))
         both = with_gradients(program, moves, weighed, values=True)
-        given = [*jax.tree.leaves(arguments), *(weights[name] for name in order)]
+        given = [*jax.tree.leaves(arguments), *(weights[name] for name in sorted(weights))]
         found = by_kernel(body_of(both), given, [*batched, *[2] * len(weights)])
         results: dict[str, Array] = jax.tree.unflatten(tree, [array[:, 0] for array in found[: tree.num_leaves]])
         return results, jax.tree.unflatten(along, found[tree.num_leaves :])

@@ -89,7 +89,7 @@ def gradients_over_robots(
         names = jax.tree.unflatten(tree, range(tree.num_leaves))
         weighed = tuple(place in {names[name] for name in weights} for place in range(tree.num_leaves))
         both = with_gradients(program, moves, weighed, values=True)
-        given = [*values, *(weights[name] for name in sorted(weights, key=lambda name: int(names[name])))]
+        given = [*values, *(weights[name] for name in sorted(weights))]
         made = _program.bind(*given, program=both, batch=(), varies=((),) * len(given), regions=regions)
         found: dict[str, Array] = jax.tree.unflatten(tree, made[: tree.num_leaves])
         return found, jax.tree.unflatten(along, made[tree.num_leaves :])

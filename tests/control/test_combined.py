@@ -11,7 +11,16 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
-from mjx_climb.control import PD, EndEffectorAdmittance, MeasuredPoseAdmittance, Start, VirtualModelAdmittance, begin
+from mjx_climb.control import (
+    PD,
+    EndEffectorAdmittance,
+    LoadTransfer,
+    MeasuredPoseAdmittance,
+    Start,
+    VirtualModelAdmittance,
+    begin,
+    phased,
+)
 from mjx_climb.control.combined import combined, either
 from tests.control.test_laws import STEP, measured_of, reference_of
 from tuning.gains import gains_file, own_section
@@ -105,6 +114,11 @@ def test_gains_of_both_have_names_that_tell_whose_they_are():
     assert type(law) is type(combined(VirtualModelAdmittance(), EndEffectorAdmittance()))
     assert {*combined(BASE, PD()).GAINS} == {"inertia", "damping", "stiffness"}
     assert "second_damping" in combined(BASE, VirtualModelAdmittance()).GAINS
+    assert {*combined(FEET, LoadTransfer()).GAINS} == {*FEET.GAINS, *LoadTransfer.GAINS}  # none of a name in common
+    assert combined(BASE, FEET).LIMBWISE == {f"end_effector_{name}" for name in FEET.LIMBWISE}
+    by_phase = combined(phased(FEET, ["damping"]), FEET)
+    assert {"first_damping_standing", "first_stiffness", "second_stiffness"} <= {*by_phase.GAINS}
+    assert by_phase.LIMBWISE == {"first_inertia", "first_stiffness", *(f"second_{name}" for name in FEET.LIMBWISE)}
     bounds = combined(MeasuredPoseAdmittance(), FEET).search_bounds(STEP)
     assert bounds["measured_pose_stiffness"] == (1e4, 1e6)
     assert bounds["end_effector_stiffness"] == (1e2, 1e6)

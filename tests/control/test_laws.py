@@ -1,6 +1,7 @@
 """Control laws as functions of one robot: one step against other code than ours, under jit, vmap and jvp."""
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +21,11 @@ from mjx_climb.control import (
     Start,
     VirtualModelAdmittance,
     begin,
+    law_of,
 )
-from mjx_climb.control.law import beginning, constants
+from mjx_climb.control.combined import product
+from mjx_climb.control.law import SENSORS, beginning, constants
+from mjx_climb.control.virtual_mass import Motion
 from mjx_climb.execution.jax_internals import scan_sizes
 
 STEP = 1e-3
@@ -145,7 +149,7 @@ def test_gains_that_nobody_gives_are_those_of_the_papers_case_1_2():
 
 
 def test_searches_of_the_measured_pose_look_in_proportion_to_the_step():
-    law = MeasuredPoseAdmittance(*(value * np.ones(6) for value in (2.0, 1.0, 1.0)))
+    law = MeasuredPoseAdmittance(np.array([1.0, 4.0] * 3), np.ones(6), np.ones(6))  # 2 in the mean of logarithms
     bounds = law.search_bounds(0.004)
     assert bounds["damping"] == pytest.approx((2 / 0.004, 100 * 2 / 0.004))
     assert bounds["stiffness"] == pytest.approx((0.01 * 2 / 0.004**2, 2 / 0.004**2))
@@ -289,6 +293,7 @@ class Remembering(PD):
 
     def init(self, start):
         made = {"handed": self.damping, "times_one": self.damping, "chosen": self.damping}
+        made |= {"unknown": self.damping * jnp.nan}
         of_time = {"clock": -self.damping, "of_clock": self.damping, "decays": self.damping, "holds": self.damping}
         of_force = {"of_force": self.damping, "of_that": self.damping, "at_the_end": self.damping}
         partly = {"partly": jnp.stack([self.damping, self.damping])}
@@ -300,6 +305,7 @@ class Remembering(PD):
         after = {
             "handed": state["handed"],
             "times_one": state["times_one"] * 1,
+            "unknown": state["unknown"] * 1,
             "chosen": jnp.where(state["handed"] > 1, state["chosen"], state["handed"]),
             "clock": state["clock"] + 1,
             "of_clock": jnp.where(state["clock"] > 9, state["decays"], state["of_clock"]),
@@ -328,7 +334,7 @@ def test_what_stays_as_it_began_is_known_by_what_it_depends_on():
         assert found[names.index("handed")] is True and found[names.index("force")] is False
         return dict(zip(names, found, strict=True))
 
-    assert {name for name, found in stays(law).items() if found} == {"handed", "times_one", "chosen"}
+    assert {name for name, found in stays(law).items() if found} == {"handed", "times_one", "unknown", "chosen"}
 
 
 def test_what_a_step_looks_at_to_no_effect_is_not_read():
@@ -336,3 +342,40 @@ def test_what_a_step_looks_at_to_no_effect_is_not_read():
     found = beginning(Remembering(damping=jnp.asarray(7.0)), Start(STEP, reference_of()))
     assert (found.reads_forces, found.reads_servos) == (True, False)
     assert not beginning(PD(), Start(STEP, reference_of())).reads_forces
+
+
+@pytest.mark.parametrize(
+    ("field", "sensor"), [(field, sensor) for sensor, fields in SENSORS.items() for field in fields]
+)
+def test_a_law_that_looks_at_a_reading_reads_that_sensor(field, sensor):
+    """Of the servos are the joints' angles and their efforts."""
+
+    class Looks(PD):
+        def step(self, state, measured, reference):
+            command = super().step(state, measured, reference)[1]
+            seen = jnp.sum(jnp.asarray(getattr(measured, field), float))
+            return state, command._replace(base_position=command.base_position + seen)
+
+    found = beginning(Looks(), Start(STEP, reference_of()))
+    assert (set(found.reads), found.reads_forces) == ({sensor}, sensor == "forces")
+    assert found.reads_servos == (sensor in ("joint angles", "joint efforts")) and found.joint_gains is None
+
+
+def test_a_law_of_translations_has_the_translations_gains_and_each_law_its_limits():
+    gains = {"inertia": [1.0, 2, 3, 4, 5, 6], "damping": [7.0, 8, 9, 1, 2, 3], "stiffness": 500.0}
+    limits = {"integration": "semi_implicit", "deadband": 0.5, "max_offset": [0.01, 0.2], "max_velocity": None}
+    motion = Motion(True, (0.5, 0.5), (0.01, 0.2), (math.inf, math.inf))
+    for controller, size in (("base_admittance", 6), ("end_effector_admittance", 3)):
+        control = {"controller": controller, "reading": "virtual_model", **gains, **limits}
+        law = law_of(mc.Scenario().with_overrides({"control": control}))
+        assert (*law.inertia,) == (*gains["inertia"][:size],) and (*law.damping,) == (*gains["damping"][:size],)
+        assert (law.stiffness, law.motion) == (500.0, motion)
+
+
+def test_factors_of_joint_gains_are_those_that_are_given():
+    given = {"kp": jnp.ones(4), "kd": None, "ki": 2 * jnp.ones(4)}
+    assert [*mc.control.JointGains(**given).moved] == ["kp", "ki"]
+    one, other = mc.control.JointGains(**given), mc.control.JointGains(3 * jnp.ones(4), 5 * jnp.ones(4))
+    assert [float(each[0]) for each in product(one, other)] == [3.0, 5.0, 2.0]
+    assert [float(each[0]) for each in product(product(one, other), product(other, one))] == [9.0, 25.0, 4.0]
+    assert product(None, other) is other and product(one, None) is one and product(None, None) is None

@@ -224,6 +224,12 @@ def test_gains_have_the_names_and_bounds_of_their_phases():
     law = phased(VirtualModelAdmittance(damping=7.0), ["damping"], phase_time=0.3)
     assert [law.damping_in_swing, law.damping_standing, law.phase_time] == [7.0, 7.0, 0.3]
     assert "damping" not in law.GAINS and law.GAINS["damping_in_swing"].unit == "N s/m, N m s/rad"
+    words = {name: phased(law, ["stiffness", "kp"]).GAINS[name].long_name for name in ("stiffness_in_swing",
+             "stiffness_before_lift_off", "kp_after_touchdown", "phase_ramp")}  # fmt: skip
+    assert [*words.values()] == ["virtual stiffness K, in swing", "virtual stiffness K, before lift off",
+                                 "factor of kp, after touchdown", "time from phase to phase"]  # fmt: skip
+    with pytest.raises(ValueError, match=r"^gains by phase: expected some of inertia, .*, kp, kd, ki, .*, got none$"):
+        phased(VirtualModelAdmittance(), [])
     bounds = law.search_bounds(STEP)
     assert bounds["damping_standing.rotation"] == (1e-1, 1e4) and bounds["phase_ramp"] == (5e-3, 0.5)
     both = combined(phased(EndEffectorAdmittance(), ["damping"]), law)

@@ -135,6 +135,7 @@ def pushed(motion, force, period=STEP, steps=1, gains=SOFT, displacement=(0.0, 0
     [
         (dead, ([0.3, 0.0, 0.39], 0.5), [0.0, 0.0, 0.0]),  # a deadband counts the whole vector
         (dead, ([0.3, 0.0, 0.41], 0.5), [0.3, 0.0, 0.41]),
+        (dead, ([3.0, 0.0, 4.0], 5.0), [3.0, 0.0, 4.0]),
         (bounded, ([3.0, 0.0, 4.0], 2.0), [1.2, 0.0, 1.6]),  # keeps its direction
         (bounded, ([0.3, 0.0, 0.4], 2.0), [0.3, 0.0, 0.4]),
         (bounded, ([0.0, 0.0, 0.0], 2.0), [0.0, 0.0, 0.0]),
@@ -167,7 +168,8 @@ def test_one_step_is_semi_implicit_euler():
 
 
 @pytest.mark.parametrize(
-    ("period", "substeps", "length"), [(2e-3, 1, 2e-3), (5e-3, 3, 5e-3), (0.02, 10, 0.02), (0.1, 10, 0.02)]
+    ("period", "substeps", "length"),
+    [(2e-3, 1, 2e-3), (5e-3, 3, 5e-3), (14e-3, 7, 14e-3), (0.02, 10, 0.02), (0.1, 10, 0.02)],
 )
 def test_substeps_are_of_2_ms_at_most_and_the_period_is_cut(period, substeps, length):
     once = pushed(ROBOT, [1.0, 2.0, 3.0], period=period)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mjx_climb.disturbances.disturbance import Body, External, sum_of
+from mjx_climb.disturbances.disturbance import Body, Disturbance, External, sum_of
 from mjx_climb.disturbances.link_wrench import LinkWrench
 from mjx_climb.disturbances.on_base import Cargo, Push
+from mjx_climb.hardware.actuator import Actuator, Drive
+from mjx_climb.physics.contact.contact import Contact
 from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.physics.state import State
 from tests.physics.test_kinematics_by_hand import forward, made
@@ -81,6 +83,46 @@ def test_a_wrench_on_a_link_works_as_it_does_on_a_point_that_the_joints_move(lim
         expected[limb, joint] = force @ speed + moment @ spin
     np.testing.assert_allclose(found.joint_torque, expected, atol=1e-7)
     np.testing.assert_allclose(found.base_wrench, [*force, *(moment + np.cross(point, force))], atol=1e-9)
+
+
+class Nothing(Disturbance):
+    """A disturbance of one's own, that says no more than it has to."""
+
+    def act(self, time, body):
+        return body.untouched()
+
+
+class Held(Contact):
+    """A contact of one's own, likewise."""
+
+    def init(self, grip_point, rotation):
+        return ()
+
+    def step(self, memory, feet, turning, closed, ground):
+        raise AssertionError
+
+
+class Driven(Actuator):
+    """An actuator of one's own, likewise."""
+
+    def init(self, angles):
+        return ()
+
+    def step(self, memory, targets, gains, joints, period):
+        return memory, Drive(targets, targets)
+
+
+def test_a_component_of_ones_own_need_not_say_what_it_does_not_have():
+    """It begins at no known instant, never breaks, holds by no known spring and feels no load."""
+    nothing, held, driven = Nothing(), Held(), Driven()
+    assert nothing.begins() is None and (Nothing.GROUP, Nothing.LISTED) == ("others", True)
+    loads = nothing.act(0.0, BODY)
+    assert [np.shape(each) for each in loads] == [(6,), ANGLES.shape, ()] and not any(np.any(each) for each in loads)
+    assert held.set_up(1e-3) is held and held.unbreakable() is held and held.springs() is None
+    assert (held.transmits_moments, held.may_fail, held.holding_force()) == (False, False, 0.0)
+    with pytest.raises(NotImplementedError, match=r"^Held.tear_off$"):
+        held.tear_off((), None, None)
+    assert driven.feels_load is False and driven.spring(1e-3) is None
 
 
 def test_loads_add_up_where_there_are_some():

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import Array, lax
+from jax.extend import core
 from jaxtyping import Float
 
 from mjx_climb.execution import of_limbs, over_robots
@@ -71,6 +72,31 @@ def test_gradients_in_regions_are_jaxs(steps, reverse):
     found, expected = (jax.jit(jax.grad(total(one), (0, 1, 2)))(*given) for one in each)
     for mine, jaxs in zip(found, expected, strict=True):
         np.testing.assert_allclose(mine, jaxs, rtol=1e-9, atol=1e-12)
+
+
+def test_a_long_loop_is_walked_back_stretch_by_stretch():
+    """With a rest, backwards: as a loop in NumPy, by what it multiplies, begins with and reads, of end and records."""
+    rng, steps = np.random.default_rng(0), 307
+    read, of_records, gain, start, of_end = *rng.normal(size=(2, steps)), 0.9, 0.3, 0.7
+
+    def walk(gain, start, read):
+        return lax.scan(lambda x, r: (jnp.sin(x) * gain + r, x * r), start, read, reverse=True)
+
+    program = jax.make_jaxpr(walk)(gain, start, read)
+    back = with_gradients(program, (True,) * 3, (True,) * 2, values=True)
+    end, records, *found = jax.jit(core.jaxpr_as_fun(back))(gain, start, read, of_end, of_records)
+    x = [start]
+    for r in read[::-1]:
+        x.append(np.sin(x[-1]) * gain + r)
+    np.testing.assert_allclose(end, x[-1], rtol=1e-9)
+    np.testing.assert_allclose(records[::-1], np.array(x[:-1]) * read[::-1], rtol=1e-9, atol=1e-12)
+    by_gain, slope, by_read = 0.0, of_end, np.zeros(steps)
+    for n, before in enumerate(x[-2::-1]):
+        by_read[n] = slope + of_records[n] * before
+        by_gain += slope * np.sin(before)
+        slope = slope * np.cos(before) * gain + of_records[n] * read[n]
+    for mine, expected in zip(found, (by_gain, slope, by_read), strict=True):
+        np.testing.assert_allclose(mine, expected, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -55,6 +55,7 @@ def test_robots_of_a_batch_are_carried_out_one_by_one_and_shared_values_once():
     assert alone["force"].shape == (6,)
     of_one = over_batch(one, (law(1), jnp.ones(()), gravity), axes, (1,))
     assert of_one["force"].shape == (1, 6)
+    assert seen[1:] == [((6,), (), (3,), 1)] * 2
 
 
 def test_a_tree_is_traced_where_any_value_is():

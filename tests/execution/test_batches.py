@@ -1,13 +1,15 @@
 """Batches of a small function: values, tangents and gradients as a loop over the robots has them."""
 
 import itertools
+import threading
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mjx_climb.execution import batches
+from mjx_climb.control import PD
+from mjx_climb.execution import batches, paths
 from mjx_climb.execution.batches import Robots, flattened, run, run_one, shapes_of
 
 K = 2
@@ -92,19 +94,6 @@ def test_a_batch_keeps_the_precision_of_its_arrays_and_tells_of_its_shares(dtype
         run(small, 0.5, robots, batch_size=0)
 
 
-@pytest.mark.parametrize("filled", [3, 1])
-def test_a_robot_that_fills_up_a_batch_walks_once(filled):
-    """The calls are of two robots each, of a batch of seven; of robots that are all equal each walks."""
-    robots, _ = drawn((7,), (7,), (), np.float64)
-    rows, seen = np.minimum(np.arange(7), filled - 1), []
-    alike = jax.tree.map(lambda value: value[rows] if value.ndim else value, robots.arguments)
-    found = run(small, 0.5, robots._replace(arguments=alike), batch_size=2, progress=lambda *now: seen.append(now))
-    assert seen == ([(2, 3), (3, 3)] if filled == 3 else [(2, 7), (4, 7), (6, 7), (7, 7)])
-    each = run(small, 0.5, robots)
-    for name, values in found.items():
-        np.testing.assert_array_equal(values, each[name][rows], err_msg=name)
-
-
 def test_shapes_are_those_of_one_robot():
     leaf = lambda *shape, dtype=float: jax.ShapeDtypeStruct(shape, dtype)  # noqa: E731
     found = shapes_of(small, 1.0, {"gain": leaf(3)}, {"weight": leaf(), "steps": leaf(dtype=np.int32)})
@@ -140,3 +129,49 @@ def test_no_more_gradients_at_once_than_find_room(monkeypatch):
     weights, along = {"sum": np.ones((4, K))}, {"gain": np.ones((4, K, 3))}
     assert [calls(most, weights=weights) for most in (K - 1, K, 2 * K, 100)] == [4, 4, 2, 2]
     assert calls(K, directions=along) == 2
+
+
+@pytest.mark.parametrize(
+    ("derivatives", "dtype", "over_time", "expected"),
+    [("", np.float32, False, (0, True)), ("tangents", np.float32, False, (K, True)),
+     ("gradients", np.float32, False, (K * paths.AN_ADJOINT, True)), ("", np.float64, False, (0, False)),
+     ("", np.float32, True, (0, False))],
+)  # fmt: skip
+def test_where_a_batch_walks_depends_on_its_derivatives_and_precision(
+    monkeypatch, derivatives, dtype, over_time, expected
+):
+    """A gradient counts as many tangents; no kernel works in double precision, or returns something of each step."""
+
+    class AskedError(Exception):
+        """What is asked for is known: nothing needs to be compiled."""
+
+    def asked(robots, tangents, *, kernel):
+        raise AskedError(robots, tangents, kernel)
+
+    monkeypatch.setattr(paths, "device_for", asked)
+    robots, _ = drawn((2, 3), (2, 1), (3,), dtype)
+    weights, along = {"sum": np.ones((2, 3, K), dtype)}, {"gain": np.ones((2, 3, K, 3), dtype)}
+    more = {"": {}, "tangents": {"directions": along}, "gradients": {"weights": weights}}[derivatives]
+    with pytest.raises(AskedError) as found:
+        run(small, 2.0, robots._replace(**more), over_time=over_time)
+    assert found.value.args == (6, *expected)
+    mixed = jax.tree.map(lambda value: value.astype(np.float64) if value.dtype == "f4" and not value.ndim else value,
+                         drawn((), (), (), np.float32)[0].arguments)  # fmt: skip
+    with pytest.raises(AskedError) as found:
+        run(small, 2.0, Robots(mixed, ({"gain": 1}, {"weight": 0, "steps": 0}), ()))
+    assert found.value.args == (1, 0, False)
+
+
+def test_an_executable_is_found_by_all_that_its_program_depends_on():
+    """Function, structure, which arguments are batched, path, derivatives, and the classes in any of the trees."""
+    call = batches._Call(small, 2.0, (True, False), "regions", "tangent of ")
+    changes = {"function": by_hand, "structure": 3.0, "batched": (True, True), "path": "plain", "derivatives": ""}
+    others = [call._replace(**{name: value}) for name, value in changes.items()]
+    found = [batches._identity(each, {"gain": 1.0}, {"weight": 2.0}) for each in (call, *others)]
+    found += [
+        batches._identity(call, {"gain": 1.0}, Robots((), (), ())),
+        batches._identity(call, PD(), {"weight": 2.0}),
+    ]
+    assert None not in found and len({*found}) == len(found)
+    assert batches._identity(call, {"gain": 7.0}, {"weight": 5.0}) == found[0]
+    assert batches._identity(call._replace(structure=threading.Lock()), {}) is None

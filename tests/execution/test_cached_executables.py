@@ -1,6 +1,7 @@
 """Executables on disk: found by the next process, the same bits; never a wrong one, never a broken one."""
 
 import collections
+import contextlib
 import os
 import runpy
 import shutil
@@ -130,6 +131,106 @@ def test_a_file_that_is_not_what_was_written_is_not_executed(run, tmp_path, dama
     assert run() == (1, values)
 
 
+FILES = {
+    "as written": (lambda file: None, b"content"),
+    "moved": (lambda file: file.with_name("another").rename(file), None),
+    "cut off": (lambda file: file.write_bytes(file.read_bytes()[:-1]), None),
+    "longer": (lambda file: file.write_bytes(file.read_bytes() + b"\n"), None),
+    "one line": (lambda file: file.write_bytes(b"content"), None),
+    "not there": (lambda file: file.unlink(), None),
+    "a folder": (lambda file: file.unlink() or file.mkdir(), None),
+    "written by its group": (lambda file: file.chmod(0o620), None),
+    "written by others": (lambda file: file.chmod(0o602), None),
+    "read by others": (lambda file: file.chmod(0o644), b"content"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_read_whole_under_its_own_name_or_not_at_all(tmp_path, name):
+    change, expected = FILES[name]
+    for file in ("file", "another"):
+        cache.store_whole(tmp_path / "folder" / file, b"content" if file == "file" else b"others")
+    change(tmp_path / "folder" / "file")
+    assert cache.read_whole(tmp_path / "folder" / "file") == expected
+
+
+class Placed:
+    """An array that lies on a device."""
+
+    def __init__(self, device):
+        self.device = device
+
+    def devices(self):
+        return {self.device}
+
+
+@pytest.mark.parametrize(
+    ("arrays", "default", "expected"),
+    [([], None, 0), ([], "cpu", 0), ([2], None, 2), ([2, 2], "cpu", 2), ([], "given", 1), ([2], "given", 2)],
+)
+def test_an_executable_is_loaded_where_its_arguments_are(tmp_path, monkeypatch, arrays, default, expected):
+    """Or else on the device that JAX takes where none is said; what is loaded ahead is taken there alone."""
+    [device], others = jax.devices(), {2: object()}
+    monkeypatch.setattr(jax, "Array", Placed)
+    monkeypatch.setattr(cache, "executable_of", lambda *given: given)
+    monkeypatch.setattr(cache, "settings", lambda: {"jax_default_device": device if default == "given" else default})
+    cache.store_whole(tmp_path / "one", b"content")
+    trees = {"placed": [Placed(others[place]) for place in arrays]}, np.zeros(2)
+    there = others.get(expected, device)
+    assert cache.loaded(tmp_path / "one", trees) == (b"content", there)
+    ahead = {place: cache.Future() for place in (there, object())}
+    for future in ahead.values():
+        future.set_result("ahead")
+    monkeypatch.setattr(cache, "ahead_of_use", {(tmp_path / "one", place): each for place, each in ahead.items()})
+    assert [cache.loaded(tmp_path / "one", trees) for _ in range(2)] == ["ahead", (b"content", there)]
+    assert len(cache.ahead_of_use) == 1
+    assert cache.loaded(tmp_path / "none", trees) is None
+
+
+def test_another_function_identity_argument_or_option_has_another_file(tmp_path, monkeypatch):
+    """Whatever the order of the options; none where there is no folder, or several processes compute together."""
+    real = runpy.run_path(cache.__file__)["executable_file"]  # the tests' own stores none
+    monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
+    given = _repeated, "known", ("tree", (3,)), {"level": 1, "width": 2}
+    others = [(_summed, *given[1:]), (given[0], "other", *given[2:]), (*given[:2], ("tree", (4,)), given[3]),
+              (*given[:3], {"level": 2, "width": 2}), (*given[:3], {"level": 1})]  # fmt: skip
+    files = [real(*each) for each in (given, (*given[:3], {"width": 2, "level": 1}), *others)]
+    assert files[0] == files[1] and len({*files}) == 1 + len(others)
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    assert real(*given) is None
+    monkeypatch.setattr(jax, "process_count", lambda: 1)
+    monkeypatch.setenv("MJX_CLIMB_CACHE", "off")
+    assert real(*given) is None
+
+
+def test_a_digest_of_sources_is_of_code_and_models_under_their_names(tmp_path):
+    def digest():
+        cache.source_digest.cache_clear()
+        return cache.source_digest(tmp_path)
+
+    (tmp_path / "inner").mkdir()
+    found = [digest()]
+    for name, text in (("a.py", "1"), ("inner/b.xml", "1"), ("inner/b.xml", "2"), ("a.py", "2")):
+        (tmp_path / name).write_text(text)
+        found.append(digest())
+    (tmp_path / "a.py").rename(tmp_path / "c.py")
+    found.append(digest())
+    assert len({*found}) == len(found)
+    (tmp_path / "notes.txt").write_text("of no effect")
+    assert digest() == found[-1]
+
+
+@pytest.mark.parametrize("name", ["jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "python", "machine", "processor"])
+def test_a_machine_is_known_by_its_versions(monkeypatch, name):
+    before, version = cache.machine.__wrapped__(), cache.importlib.metadata.version
+    platform = {"python": "python_version", "machine": "machine", "processor": "processor"}
+    if name in platform:
+        monkeypatch.setattr(cache.platform, platform[name], lambda: "another")
+    else:
+        monkeypatch.setattr(cache.importlib.metadata, "version", lambda of: "0" if of == name else version(of))
+    assert cache.machine.__wrapped__() != before
+
+
 def test_executables_of_the_last_occasion_are_loaded_before_they_are_asked_for(tmp_path, monkeypatch):
     """By another thread; what another occasion asked for is not."""
     loaders, executable = [], cache.executable_of
@@ -188,6 +289,36 @@ def test_a_cache_that_the_user_chose_in_jax_stays_and_executables_are_kept_besid
         assert real(_repeated, "known", (), {}).parent == tmp_path / "ours" / "programs"
 
 
+def test_the_cache_of_jax_is_set_where_nobody_else_has_set_one(tmp_path, monkeypatch):
+    """What compiles in less than half a second is not kept there."""
+    done = []
+    monkeypatch.setattr(jax.config, "update", lambda *given: done.append(given))
+    for wish, there, expected in (
+        ("off", None, []), (str(tmp_path), "/of/the/user", []),
+        (str(tmp_path), None, [("jax_compilation_cache_dir", str(tmp_path)),
+                               ("jax_persistent_cache_min_compile_time_secs", 0.5)]),
+    ):  # fmt: skip
+        done.clear()
+        monkeypatch.setenv("MJX_CLIMB_CACHE", wish)
+        monkeypatch.setattr(cache, "settings", lambda there=there: {"jax_compilation_cache_dir": there})
+        cache.enable_cache()
+        assert done == expected
+        assert cache.cache_in_use() == (there if there or wish == "off" else str(tmp_path))
+
+
+def test_without_a_cache_nothing_is_loaded_ahead(monkeypatch):
+    monkeypatch.setenv("MJX_CLIMB_CACHE", "off")
+    with cache.loading_ahead("an occasion"):
+        assert not cache.ahead_of_use
+
+
+def test_within_another_program_no_executable_is_asked_for(monkeypatch):
+    """It is traced with the other one."""
+    monkeypatch.setattr(cache, "executable_file", lambda *_: {}["nothing"])
+    program = cache.cached_jit(lambda structure, values: values * structure, lambda *_: "a", {})
+    assert jax.jit(lambda x: program(3.0, x) + 1)(2.0) == 7.0
+
+
 @pytest.fixture
 def one(tmp_path, monkeypatch):
     """Give the file of every executable."""
@@ -232,9 +363,15 @@ def test_a_program_that_each_process_makes_again_is_told(one, monkeypatch):
     with pytest.warns(UserWarning, match="a compiled program cannot be loaded .*: every start waits for it"):
         assert walked().tolist() == [1.0, 1.0]
     one.unlink()
-    monkeypatch.setattr(cache.serialize_executable, "serialize", lambda _: {}["callbacks"])
-    with pytest.warns(UserWarning, match=r"a compiled program cannot be kept \(KeyError: 'callbacks'\)"):
-        assert walked().tolist() == [1.0, 1.0]
+    for error, said in ((KeyError("callbacks"), "KeyError: 'callbacks'"), (ValueError(), "ValueError: "),
+                        (ValueError(300 * "x" + "\nand more"), "ValueError: " + 200 * "x")):  # fmt: skip
+
+        def fails(_, error=error):
+            raise error
+
+        monkeypatch.setattr(cache.serialize_executable, "serialize", fails)
+        with pytest.warns(UserWarning, match=rf"a compiled program cannot be kept \({said}\): every start waits"):
+            assert walked().tolist() == [1.0, 1.0]
 
 
 @pytest.fixture
@@ -271,8 +408,12 @@ def test_a_folder_in_which_another_user_may_have_put_a_file_is_not_used(folder, 
 
 def test_where_nobody_else_comes_in_it_does_not_matter_who_may_write(folder):
     (folder / "programs").chmod(0o777)
+    for mode, trusted in ((0o700, True), (0o710, False), (0o701, False), (0o500, True)):
+        folder.chmod(mode)
+        cache.doubt.cache_clear()
+        with contextlib.nullcontext() if trusted else pytest.warns(UserWarning, match="cache is off"):
+            assert (cache.doubt(folder) is None) == trusted
     folder.chmod(0o700)
-    assert cache.doubt(folder) is None
 
 
 @pytest.mark.nightly

@@ -1,8 +1,10 @@
 """What tells users' functions and objects apart: contents, not names."""
 
+import collections
 import dataclasses
 import functools
 import importlib
+import json
 import subprocess
 import sys
 import threading
@@ -71,6 +73,43 @@ class OwnList(list):
     """A list by another name."""
 
 
+class Marked(dict):
+    """A mapping by another name."""
+
+
+def marked(weight):
+    def function(metrics):
+        return metrics["travel"]
+
+    function.weight = weight
+    return function
+
+
+def guarded(*caught):
+    """Return two functions that differ in what their `try` holds alone."""
+
+    def inside(metrics):
+        try:
+            metrics = metrics["travel"]
+        except caught:
+            pass
+        return metrics
+
+    table = inside.__code__.co_exceptiontable
+    other = inside.__code__.replace(co_exceptiontable=bytes([*table[:1], table[1] ^ 1, *table[2:]]))
+    return inside, types.FunctionType(other, globals(), closure=inside.__closure__)
+
+
+def posing(module, name):
+    """Return a function that says it is a library's."""
+
+    def function(metrics):
+        return metrics["travel"]
+
+    function.__module__, function.__qualname__ = module, name
+    return function
+
+
 def classes(**bodies):
     """Return two classes of one name, each with one member."""
     return tuple(type("Law", (), {name: member}) for name, members in bodies.items() for member in members)
@@ -114,6 +153,19 @@ DIFFER = {
     "lists of one's own": (OwnList([1.0]), [1.0]),
     "named tuple and tuple": (Pair(1.0, 2), (1.0, 2)),
     "sign of zero": (0.0, -0.0),
+    "counters": (collections.Counter(a=1), collections.Counter(a=2)),
+    "mappings of one's own": (Marked(a=1), Marked(a=2)),
+    "items of a queue": (collections.deque([1.0]), collections.deque([2.0])),
+    "attributes of functions": (marked(1.0), marked(2.0)),
+    "what a function tries": guarded(KeyError),
+    "setters": classes(weight=[property(len, setter) for setter in STEPS]),
+    "deleters": classes(weight=[property(len, None, deleter) for deleter in STEPS]),
+    "bases": (type("Law", (Weighted,), {}), type("Law", (Slotted,), {})),
+    "names of classes": (type("Law", (), {}), type("Rule", (), {})),
+    "a library's name": (posing("json", "loads"), json.loads),
+    "text and bytes": ("a", b"a"),
+    "order of a list": ([1.0, 2.0], [2.0, 1.0]),
+    "values of a read-only mapping": (types.MappingProxyType({"a": 1}), types.MappingProxyType({"a": 2})),
     "dtype": (np.zeros(2, np.float32), np.zeros(2, np.int32)),
     "shape": (np.zeros((2, 3)), np.zeros((3, 2))),
 }
@@ -167,12 +219,21 @@ def imports_a_neighbour(metrics):
     return weight * metrics["travel"]
 
 
+def imports_its_package(metrics):
+    from . import neighbour
+
+    return neighbour.weight * metrics["travel"]
+
+
 REFUSED = {
     "lock": (closed_over(threading.Lock()), r" \(weight\).* got a _thread"),
     "generator": (closed_over(number for number in range(3)), r" \(weight\).* got a builtins.generator "),
     "eval": (lambda m: eval("m"), ".* a call of eval in <lambda> "),
     "import": (imports_a_neighbour, ".* an import of neighbour inside imports_a_neighbour "),
-}
+    "import of the package": (imports_its_package, ".* an import of a neighbour inside imports_its_package "),
+    **{name: (types.FunctionType(compile(f"{name}(m)", "", "eval"), globals()), f".* a call of {name} in <module> ")
+       for name in ("exec", "compile", "globals", "locals", "open", "input", "__import__")},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("value, seen", REFUSED.values(), ids=REFUSED.keys())

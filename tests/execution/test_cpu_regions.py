@@ -13,10 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import Array
+from jax.extend import core
 from jaxtyping import Float
 
 import mjx_climb as mc
 from mjx_climb.execution import of_limbs, over_robots
+from mjx_climb.execution.flat import flat
 
 HERE = Path(__file__).parent
 CHECK = """
@@ -213,6 +215,30 @@ def test_what_regions_cannot_do_goes_by_xlas_own_way():
         jax.vmap(over_robots(often, regions=True))(rows)
 
 
+def test_what_a_law_prints_is_kept():
+    """Though no result needs it; what has no effect is left out."""
+    shown = lambda x: (jax.debug.print("{}", x), jnp.sin(x), 2 * x)[2]  # noqa: E731
+    for function in (shown, jax.jit(shown), lambda x: jax.lax.fori_loop(0, 2, lambda _, y: shown(y), x)):
+        equations = flat(jax.make_jaxpr(function)(1.0)).jaxpr.eqns
+        inner = [each for equation in equations for program in core.jaxprs_in_params(equation.params)
+                 for each in program.eqns]  # fmt: skip
+        names = {equation.primitive.name for equation in inner or equations}
+        assert "debug_print" in names and "mul" in names and "sin" not in names
+
+
+def test_what_a_region_turns_out_not_to_write_stands_beside_it():
+    """An operation that it knows, with a parameter that it does not."""
+
+    def often(row: Array) -> Array:
+        return jnp.sin(jax.lax.exp(2 * row, accuracy=jax.lax.AccuracyMode.DEFAULT) + 1) * row
+
+    rows = np.linspace(-1, 1, 6).reshape(2, 3)
+    text = jax.jit(jax.vmap(over_robots(often, regions=True))).lower(rows).as_text()
+    assert "stablehlo.exponential" in text and text.count("xla_cpu_small_call") == 2
+    found = jax.vmap(over_robots(often, regions=True))(rows)
+    np.testing.assert_allclose(found, np.sin(np.exp(2 * rows) + 1) * rows, rtol=1e-12)
+
+
 def test_limbs_that_are_marked_on_the_way_are_worked_out_together():
     """One operation for all of them, where they were a row of numbers before."""
 
@@ -224,7 +250,7 @@ def test_limbs_that_are_marked_on_the_way_are_worked_out_together():
     def motion(row: Array, marked: bool) -> Array:
         limbs = Limbs(row.reshape(4, 3))
         angle = (of_limbs(limbs) if marked else limbs).angle
-        return jnp.cos(angle) * jnp.sin(angle) / (2 + jnp.exp(angle))
+        return jnp.cos(angle) * jnp.sin(angle[::-1]) / (2 + jnp.exp(angle)) + angle[1:2] + angle.sum(0)
 
     rows = np.linspace(-1, 1, 24).reshape(2, 12)
     written = []

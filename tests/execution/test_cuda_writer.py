@@ -3,6 +3,7 @@
 import ctypes
 import dataclasses
 import functools
+import itertools
 import math
 import re
 import shutil
@@ -14,12 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 from jaxtyping import Float
 
 from mjx_climb.control import law_of
 from mjx_climb.execution import of_limbs
 from mjx_climb.execution.adjoint import with_gradients
-from mjx_climb.execution.cuda_writer import FUNCTIONS, READ, literal
+from mjx_climb.execution.cuda_writer import FUNCTIONS, READ, expression, literal, typed
 from mjx_climb.execution.elements import Unsupported
 from mjx_climb.execution.flat import tangents_of
 from mjx_climb.execution.gpu_kernel import body_of, side_by_side, written
@@ -156,21 +158,124 @@ def test_a_number_is_written_with_all_its_bits():
     for value in np.random.default_rng(0).normal(size=20).astype(np.float32):
         (text,) = re.fullmatch(r"\((\S+)f\)", literal(value)).groups()
         assert np.float32(text) == value
-    whole = np.int32(-7), np.uint32(7), np.bool_(True), np.bool_(False)
-    assert [*map(literal, whole)] == ["((int)-7)", "((unsigned)7u)", "true", "false"]
+    whole = np.int32(-7), np.uint32(7), np.bool_(True), np.bool_(False), np.int64(-(2**40)), np.uint64(7)
+    texts = ["((int)-7)", "((unsigned)7u)", "true", "false", f"((long long)-{2**40}ll)", "((unsigned long long)7ull)"]
+    assert [*map(literal, whole)] == texts
 
 
-def test_an_extreme_keeps_a_nan_on_either_side(tmp_path):
-    """Also on its left, where no comparison holds: else a walk that diverged would have finite metrics."""
-    lines = (line for line in FUNCTIONS.splitlines() if re.search(r" (larger|smaller)\(float a, float b\) \{", line))
-    (tmp_path / "two.cpp").write_text("\n".join(f'extern "C" {line}' for line in lines))
-    command = ["c++", "-D__device__=", "-D__forceinline__=", "-shared", "-fPIC", "-o", "two.so", "two.cpp"]
+# Functions of C and of the device that the texts of operations call, and the exchange of bits.
+OF_C = (
+    'extern "C" { float ' + ", ".join(f"{name}f(float)" for name in (
+        "acos acosh asin asinh atanh cbrt ceil cosh exp exp2 expm1 fabs floor log log1p log2 rint round sinh sqrt tanh"
+    ).split()) + ", nextafterf(float, float), powf(float, float), fmodf(float, float), fminf(float, float), "
+    "fmaxf(float, float), copysignf(float, float), fmaf(float, float, float); }\n"
+    "#define __device__\n#define __forceinline__ inline\n"
+    "static int __float_as_int(float v) { int w; __builtin_memcpy(&w, &v, 4); return w; }\n"
+    "static float rsqrtf(float v) { return 1.0f / sqrtf(v); }\n"
+)  # fmt: skip
+NEAR = [0.0, -0.0, 1.0, -1.0, 0.4, -0.6, 2.5, -2.5, 3.7, 13.3, 3e38, np.inf, -np.inf, np.nan]
+REALS = np.array([*itertools.product(NEAR, NEAR)], np.float32).T
+WHOLES = np.array([*itertools.product([0, 1, -1, 2, -2, 7, -9, 31, 32, 2**31 - 1], [0, 1, 2, -3, 5, 31, 32, 40])]).T
+WHOLES = WHOLES.astype(np.int32)
+TURNS = np.array([[0.3, 0.8, 1.5, 2.4, 3.1, -4.0, 7.0, -50.3, 900.1, np.inf, np.nan]], np.float32)
+
+
+def cut(low, x, high):
+    """Return numbers within bounds; one that is none stays so."""
+    return np.minimum(np.maximum(x, low), high)
+
+
+def in_total_order(x, y):
+    """Return the places of real numbers in IEEE 754's order of all, in which -0 is before 0 and a NaN at the end."""
+    words = (each.view(np.int32).astype(np.int64) for each in (x, y))
+    return [np.where(word < 0, -(word & 0x7FFFFFFF) - 1, word) for word in words]
+
+
+def whole(function):
+    """Return what a function of Python's whole numbers gives for each pair, in 32 bits."""
+
+    def of(x, y):
+        found = [function(int(a), int(b)) & 0xFFFFFFFF for a, b in zip(x, y, strict=True)]
+        return np.array(found, np.uint32).view(np.int32)
+
+    return of
+
+
+def times(x, power):
+    return functools.reduce(np.multiply, [x] * abs(power), np.ones_like(x))
+
+
+# by the operation: the same in NumPy
+OF_REALS = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "rem": np.fmod, "pow": np.power,
+    "atan2": np.arctan2, "max": np.maximum, "min": np.minimum, "nextafter": np.nextafter,
+    "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
+    "lt_to": lambda x, y: np.less(*in_total_order(x, y)), "le_to": lambda x, y: np.less_equal(*in_total_order(x, y)),
+}  # fmt: skip
+OF_A_REAL = {
+    "abs": np.abs, "neg": np.negative, "square": np.square, "sign": np.sign, "sqrt": np.sqrt, "cbrt": np.cbrt,
+    "rsqrt": lambda x: 1 / np.sqrt(x), "exp": np.exp, "exp2": np.exp2, "expm1": np.expm1, "log": np.log,
+    "log1p": np.log1p, "log2": np.log2, "logistic": lambda x: 1 / (1 + np.exp(-x)), "ceil": np.ceil,
+    "floor": np.floor, "acos": np.arccos, "acosh": np.arccosh, "asin": np.arcsin, "asinh": np.arcsinh,
+    "atan": np.arctan, "atanh": np.arctanh, "cosh": np.cosh, "sinh": np.sinh, "tanh": np.tanh,
+    "is_finite": np.isfinite, "one_minus_square": lambda x: 1 - x * x, "stop_gradient": np.positive,
+}  # fmt: skip
+OF_AN_ANGLE = {"sin": np.sin, "cos": np.cos, "tan": np.tan}
+OF_WHOLES = {
+    "add": whole(int.__add__), "sub": whole(int.__sub__), "mul": whole(int.__mul__),
+    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "max": np.maximum, "min": np.minimum,
+    "div": whole(lambda a, b: abs(a) // abs(b) * (1 if a * b > 0 else -1) if b else -1),  # towards 0; XLA's of 0
+    "rem": whole(lambda a, b: abs(a) % abs(b) * (1 if a > 0 else -1) if b else a),
+    "shift_left": whole(lambda a, b: a << b if 0 <= b < 32 else 0),
+    "shift_right_logical": whole(lambda a, b: (a & 0xFFFFFFFF) >> b if 0 <= b < 32 else 0),
+    "shift_right_arithmetic": whole(lambda a, b: a >> (b if 0 <= b < 32 else 31)),
+    "abs": lambda a, _: abs(a), "sign": lambda a, _: np.sign(a), "not": lambda a, _: ~a,
+    "lt_to": lambda a, b: a < b, "le_to": lambda a, b: a <= b,
+}  # fmt: skip
+
+
+def test_each_operation_in_c_gives_what_it_gives_in_numpy(tmp_path):
+    """At infinities, zeros of both signs, beyond the bits of a word; a NaN stays on either side of an extreme."""
+    nearest, away = lax.RoundingMethod.TO_NEAREST_EVEN, lax.RoundingMethod.AWAY_FROM_ZERO
+    third = REALS[0][::-1]
+    cases = [(name, {}, each, REALS[: each.nin if hasattr(each, "nin") else 2]) for name, each in OF_REALS.items()]
+    cases += [(name, {}, each, REALS[:1]) for name, each in OF_A_REAL.items()]
+    cases += [(name, {}, each, TURNS) for name, each in OF_AN_ANGLE.items()]
+    cases += [(name, {}, each, WHOLES) for name, each in OF_WHOLES.items()]
+    cases += [("clamp", {}, cut, (*REALS, third)), ("clamp", {}, cut, (WHOLES[1], WHOLES[0], WHOLES[1] + 9))]
+    cases += [("integer_pow", {"y": y}, lambda x, y=y: 1 / times(x, y) if y < 0 else times(x, y), REALS[:1])
+              for y in (-3, -1, 0, 1, 2, 5)]  # fmt: skip
+    cases += [("pow", {}, lambda x, y: x ** np.float32(y), (REALS[0][:8], np.arange(8, dtype=np.int32)))]
+    cases += [("round", {"rounding_method": nearest}, np.round, REALS[:1])]
+    cases += [("round", {"rounding_method": away}, lambda x: np.copysign(np.floor(abs(x) + 0.5), x), REALS[:1])]
+    cases += [("convert_element_type", {"new_dtype": np.dtype(new)}, lambda x, new=new: x.astype(new), REALS[:1, :140])
+              for new in (np.bool_, np.float32)]  # fmt: skip
+    cases += [("convert_element_type", {"new_dtype": np.dtype(np.float32)}, np.float32, WHOLES[:1])]
+    cases += [("select_n", {}, lambda w, x, y: np.where(w, y, x), (REALS[0] > 0, *REALS)),
+              ("select_n", {}, lambda w, *of: np.choose(np.clip(w, 0, 2), of),
+               (np.arange(196, dtype=np.int32) % 3, *REALS, third)),
+              ("not", {}, np.logical_not, (REALS[0] > 0,))]  # fmt: skip
+    parts, given = [OF_C, FUNCTIONS], []
+    for place, (name, parameters, function, operands) in enumerate(cases):
+        operands = [np.ascontiguousarray(each) for each in operands]
+        with np.errstate(all="ignore"):
+            expected = np.asarray(function(*operands))
+        names = [f"a{n}[i]" for n in range(len(operands))]
+        text = expression(name, parameters, [each[0] for each in operands], names)
+        kinds = [typed(each.dtype) for each in operands]
+        of = "".join(f"const {kind} *a{n}, " for n, kind in enumerate(kinds))
+        result = np.empty(len(expected), bool if expected.dtype == bool else operands[-1].dtype)
+        result = result.astype(parameters.get("new_dtype", result.dtype)) if name != "pow" else result.astype("f4")
+        parts += [f'extern "C" void of_{place}({of}{typed(result.dtype)} *made) '
+                  f"{{ for (int i = 0; i < {len(expected)}; ++i) made[i] = {text}; }}"]  # fmt: skip
+        given.append((f"{name} {text}", [*operands, result], expected))
+    (tmp_path / "all.cpp").write_text("\n".join(parts))
+    command = ["c++", "-w", "-shared", "-fPIC", "-o", "all.so", "all.cpp"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
-    library = ctypes.CDLL(str(tmp_path / "two.so"))
-    for function in (library.larger, library.smaller):
-        function.argtypes, function.restype = [ctypes.c_float] * 2, ctypes.c_float
-        assert math.isnan(function(math.nan, 1.0)) and math.isnan(function(1.0, math.nan))
-    assert (library.larger(1.0, 2.0), library.smaller(1.0, 2.0)) == (2.0, 1.0)
+    library = ctypes.CDLL(str(tmp_path / "all.so"))
+    for place, (name, arrays, expected) in enumerate(given):
+        getattr(library, f"of_{place}")(*(each.ctypes.data_as(ctypes.c_void_p) for each in arrays))
+        np.testing.assert_allclose(arrays[-1], expected, rtol=2e-5, atol=2e-6, err_msg=name)
 
 
 def test_a_sum_over_joints_and_limbs_is_first_of_each_limbs_own():
@@ -216,6 +321,19 @@ def test_words_of_robots_stand_side_by_side():
     found, side = np.asarray(side_by_side(words)).reshape(-1), 32
     for robot, row in ((0, 0), (31, 2), (32, 0), (39, 1)):
         assert found[robot // side * 3 * side + side * row + robot % side] == words[robot, row]
+
+
+@pytest.mark.parametrize(("count", "row"), [(4, "lane"), (3, "(lane < 3 ? lane : 0)")])
+def test_a_lane_reads_rows_of_its_own_and_one_beyond_the_limbs_the_firsts(count, row):
+    def function(start, inner):
+        limbs = of_limbs(Limbs(start)).values
+        return jax.lax.scan(lambda x, _: (jnp.sin(x) + (inner @ x.ravel()).sum(), None), limbs, length=3)[0]
+
+    with jax.enable_x64(False):
+        program = jax.make_jaxpr(function)(np.ones((count, 3), "f4"), np.ones((count, 3 * count), "f4"))
+        text = written(body_of(program), (0, 1)).text
+    reads = re.findall(r"\(&own\[32 \* \d+ \* (.+?)\]\)", text)
+    assert len(reads) == 3 * count and {*reads} == {row}
 
 
 def test_what_nothing_is_made_of_is_not_written():
@@ -276,10 +394,12 @@ def test_four_times_the_steps_are_written_in_a_few_times_the_time():
 
 
 def test_directions_share_what_is_of_their_robot(carried_out):
-    """Values of all, of each robot and of each direction meet in the tangents, in four lanes and two loops."""
-    rng, robots, directions = np.random.default_rng(2), 2, 3
-    limbs, table = rng.normal(size=(robots, 4, 1)).astype("f4"), rng.normal(size=(robots, 5, 1)).astype("f4")
-    along, scale = rng.normal(size=(robots, directions, 4, 1)).astype("f4"), np.float32(0.7)
+    """Values of all, of each robot and of each direction meet in the tangents, in two loops.
+
+    In four lanes, and in three: the fourth does what the first does.
+    """
+    rng, robots, directions, scale = np.random.default_rng(2), 2, 3, np.float32(0.7)
+    table, kernels, expected = rng.normal(size=(robots, 5, 1)).astype("f4"), {}, {}
 
     def function(limbs, table, scale):
         def step(limbs, row):
@@ -287,20 +407,37 @@ def test_directions_share_what_is_of_their_robot(carried_out):
 
         return jax.lax.scan(step, of_limbs(Limbs(limbs)).values, table)[0]
 
+    def by_numpy(limbs, table, rate):
+        for row in table:
+            turned = np.cos(limbs * scale) * scale * rate
+            limbs, rate = (np.sin(limbs * scale) + row * limbs[::-1] + limbs.sum(),
+                           turned + row * rate[::-1] + rate.sum())  # fmt: skip
+        return limbs, rate
+
     with jax.enable_x64(False):
-        program = jax.make_jaxpr(function)(limbs[0], table[0], scale)
-        both, _ = tangents_of(program, [True, False, False])
-        kernel, batch = written(body_of(both), (1, 1, 0, 2)), (robots, directions)
-        columns = [
-            each.reshape(math.prod(each.shape[:count]), -1).T for each, count in ((limbs, 1), (table, 1), (along, 2))
-        ]
-        given = [np.array(batch, np.int32), scale], columns[:2], columns[2:]
-        values, tangents = carried_out({"kernel": (kernel, given, batch, both.out_avals)})["kernel"]
-        one = lambda limbs, table, rate: jax.jvp(lambda v: function(v, table, scale), (limbs,), (rate,))  # noqa: E731
-        expected = jax.vmap(jax.vmap(one, (None, None, 0)))(limbs, table, along)
-    assert kernel.text.count("const int *__restrict__") == 3
-    for mine, xlas in zip((values, tangents), expected, strict=True):
-        np.testing.assert_allclose(mine, xlas, rtol=1e-4, atol=1e-5)
+        for count in (4, 3):
+            limbs = rng.normal(size=(robots, count, 1)).astype("f4")
+            along = rng.normal(size=(robots, directions, count, 1)).astype("f4")
+            both, _ = tangents_of(jax.make_jaxpr(function)(limbs[0], table[0], scale), [True, False, False])
+            kernel, batch = written(body_of(both), (1, 1, 0, 2)), (robots, directions)
+            assert kernel.text.count("const int *__restrict__") == 3
+            columns = [
+                each.reshape(math.prod(each.shape[:of]), -1).T for each, of in ((limbs, 1), (table, 1), (along, 2))
+            ]
+            given = [np.array(batch, np.int32), scale], columns[:2], columns[2:]
+            kernels[f"of_{count}"] = kernel, given, batch, both.out_avals
+            expected[f"of_{count}"] = [
+                [
+                    by_numpy(*(each.astype(float) for each in (limbs[robot], table[robot], rate)))
+                    for rate in along[robot]
+                ]
+                for robot in range(robots)
+            ]
+        found = carried_out(kernels)
+    for name, exact in expected.items():
+        for part, mine in enumerate(found[name]):
+            theirs = np.array([[each[part] for each in row] for row in exact])
+            np.testing.assert_allclose(mine, theirs, rtol=1e-4, atol=1e-4 * abs(theirs).max())
 
 
 @pytest.mark.nightly

@@ -6,12 +6,14 @@ import socket
 import subprocess
 import sys
 import threading
+import warnings
 
 import jax
 import numpy as np
 import pytest
 from jax.errors import JaxRuntimeError
 
+from mjx_climb import execution
 from mjx_climb.execution import devices
 
 # 101 robots: no multiple of any number of devices tried here
@@ -131,3 +133,82 @@ def test_a_batch_that_does_not_fit_is_split():
         with pytest.raises(JaxRuntimeError):
             devices.in_smaller_shares(no_room, 100)
     assert tried[4:] == [100, 50, 25, 13, 7, 4, 2, 1, 100]
+
+
+class Device:
+    """A CPU of some process."""
+
+    platform = "cpu"
+
+    def __init__(self, process):
+        self.process_index = process
+
+
+@pytest.mark.parametrize(
+    ("robots", "share", "owners"), [(7, 2, [0, 1]), (3, 2, [0, 1]), (9, 2, [0, 0, 1]), (1, 4, [1, 0])]
+)
+def test_shares_of_all_processes_come_together_as_they_are(monkeypatch, robots, share, owners):
+    """Each walks its own, at least one; the last robot again where there are too few, and double precision stays."""
+    places = [Device(owner) for owner in owners]
+    monkeypatch.setattr(jax, "devices", lambda backend=None: places)
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    monkeypatch.setattr(devices, "SingleDeviceSharding", lambda device: device)
+    tables, told, walked = {}, [], []
+
+    def walk(rows, place):
+        walked.append((place.process_index, rows.tolist()))
+        return {"third": rows / 3, "pairs": np.stack([rows, -rows], 1).astype(np.int16)}
+
+    def gather(table):
+        tables[process] = table
+        if len(tables) < 2:
+            raise RuntimeError("connection lost\nand more")
+        return np.stack([tables[0], tables[1]])
+
+    monkeypatch.setattr(devices.multihost_utils, "process_allgather", gather)
+    for process in (1, 0):
+        monkeypatch.setattr(jax, "process_index", lambda process=process: process)
+        asked = functools.partial(devices.spread, walk, robots, share, lambda *far: told.append(far))
+        if process:
+            with pytest.raises(
+                devices.LostProcess, match=r"^another process of this computation has ended: connection l"
+            ):
+                asked()
+        else:
+            found = asked()
+    np.testing.assert_array_equal(found["third"], np.arange(robots) / 3)
+    np.testing.assert_array_equal(found["pairs"], np.stack([np.arange(robots), -np.arange(robots)], 1))
+    count = max(-(-robots // share), len(owners))
+    expected = [(owners[n % len(owners)], [min(n * share + k, robots - 1) for k in range(share)]) for n in range(count)]
+    assert sorted(walked) == sorted(expected)
+    of_this = min(share * sum(owner == 0 for owner, _ in expected), robots)
+    assert told[-1] == (of_this, of_this)
+
+
+def test_robots_of_a_gpu_walk_alone(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert devices.walking_with(range(3, 5), 1000, in_regions=False) == range(3, 5)
+
+
+def test_a_process_that_is_forked_after_jax_began_computes_nothing():
+    """It would wait for ever for threads that it does not have."""
+    jax.devices()
+    read, write = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # JAX's own, of the fork
+        child = os.fork()
+    if child == 0:
+        try:
+            execution.check_process()
+        except RuntimeError as error:
+            os.write(write, str(error).encode())
+        finally:
+            os._exit(0)
+    os.close(write)
+    os.waitpid(child, 0)
+    with os.fdopen(read) as said:
+        assert said.read() == (
+            "this process was forked from one in which JAX had begun, and JAX would hang here: start it by "
+            "multiprocessing.get_context('spawn') or 'forkserver'"
+        )
+    execution.check_process()

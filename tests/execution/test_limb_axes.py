@@ -1,6 +1,7 @@
 """Where the limbs are in a program's values: limbs in another order have results in that order along the axis."""
 
 import dataclasses
+import itertools
 from typing import ClassVar
 
 import jax
@@ -12,7 +13,7 @@ from jax.ad_checkpoint import checkpoint_name
 
 from mjx_climb.execution.element_operations import Operations
 from mjx_climb.execution.element_rules import results
-from mjx_climb.execution.flat import flat
+from mjx_climb.execution.flat import flat, reached
 from mjx_climb.execution.limbs import LimbAxes, of_limbs
 from tests.execution.rows import carried_out
 
@@ -111,6 +112,12 @@ OPERATIONS = {
     "loop from zeros": (lambda x: lax.scan(lambda y, _: (y * 2 + x, None), jnp.zeros((LIMBS, 3)), length=2)[0], 0),
     "loop with a constant": (lambda x: lax.scan(lambda y, _: (y + x.sum(0), x.T), jnp.zeros(3), length=2)[1], 2),
     "loop that reads": (lambda x: lax.scan(lambda y, z: (y + z, y.T), x, jnp.stack([x, x]))[1], 2),
+    "long loop that reads": (
+        lambda x: lax.scan(lambda y, z: (0.5 * y + z, y.T), x, x * jnp.arange(70.0)[:, None, None])[1], 2,
+    ),
+    "long loop that reads backwards": (
+        lambda x: lax.scan(lambda y, z: (0.5 * y + z, y.T), x, x * jnp.arange(70.0)[:, None, None], reverse=True)[1], 2,
+    ),
     "loop over limbs of as many": (lambda x: lax.map(jnp.sin, x @ OTHER[:3]), None),
     "loop over limbs": (lambda x: lax.scan(lambda y, z: (y + z, z * 2), jnp.zeros(3), x)[1], None),
     "loop that reads alone": (lambda x: lax.scan(lambda y, z: (y + 1, z * 2), 0.0, jnp.stack([x, x]))[1], 1),
@@ -139,3 +146,53 @@ def test_limbs_in_another_order_have_results_in_that_order(name):
 def test_of_two_results_neither_is_known_to_keep_the_limbs():
     program = jax.make_jaxpr(lambda x: lax.approx_max_k(marked(x), 3))(ALIKE)
     assert [*map(LimbAxes(program).of, program.jaxpr.outvars)] == [None, None]
+
+
+def test_what_a_limbs_class_has_not_is_passed_over():
+    assert of_limbs(Limbs(None)).own is None
+    with pytest.raises(TypeError, match=r"^dict: expected a class with OF_LIMBS, the fields whose first axis is the l"):
+        of_limbs({})
+
+
+def on_and_on(asks, moves):
+    """A loop with a condition: `asks` says whether it goes on and `moves` what it carries next, of (a, b, count)."""
+    return lambda x, y, z: lax.while_loop(lambda c: asks(c, z), lambda c: moves(c, z), (x, y, 0.0))
+
+
+# a function of three numbers, and for each of its results which of them it depends on
+DEPENDENCES = {
+    "nothing": (lambda x, y, z: (x, 1.0, y + z), ["x", "", "yz"]),
+    "a call": (lambda x, y, z: jax.jit(lambda a, b: (jnp.sin(a), b))(x * y, z), ["xy", "z"]),
+    "a loop": (
+        lambda x, y, z: lax.scan(lambda c, _: ((c[0] * 2, c[0] + c[1]), z), (x, y), length=3), ["x", "xy", "z"],
+    ),
+    "a loop that carries on": (
+        lambda x, y, z: lax.scan(lambda c, _: ((c[1], c[2], c[2]), c[0]), (x, y, z), length=3),
+        ["xyz", "yz", "z", "xyz"],
+    ),
+    "a branch": (
+        lambda x, y, z: lax.cond(True, lambda: (x, y), lambda: (x, z)), ["x", "yz"],
+    ),
+    "a choice of branches": (
+        lambda x, y, z: lax.cond(x > 0, lambda: (y, 1.0), lambda: (2.0, z)), ["xy", "xz"],
+    ),
+    "a condition that ends": (on_and_on(lambda c, z: c[2] < 3, lambda c, z: (c[0] * 2, c[1] + z, c[2] + 1)),
+                              ["x", "yz", ""]),
+    "a condition of what is carried": (on_and_on(lambda c, z: c[0] < 3, lambda c, z: (c[0] + 1, c[1] * 2, c[2] + 1)),
+                                       ["x", "xy", "x"]),
+    "a condition of a constant": (on_and_on(lambda c, z: c[2] < z, lambda c, z: (c[0] * 2, c[1] * 2, c[2] + 1)),
+                                  ["xz", "yz", "z"]),
+    "a condition of what moves later": (
+        on_and_on(lambda c, z: c[2] < 9, lambda c, z: (c[0] * 2, c[0] + c[1], c[2] + c[1])), ["xy", "xy", "xy"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DEPENDENCES)
+def test_what_a_result_depends_on_is_followed_through_loops_and_branches(name):
+    function, expected = DEPENDENCES[name]
+    program = jax.make_jaxpr(lambda *given: jax.tree.leaves(function(*given)))(1.0, 2.0, 3.0).jaxpr
+    each = [reached(program, [own == other for own in "xyz"]) for other in "xyz"]
+    found = ["".join(itertools.compress("xyz", own)) for own in zip(*each, strict=True)]
+    assert found == expected
+    assert reached(program, [False] * 3) == [False] * len(found)

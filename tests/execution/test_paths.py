@@ -1,11 +1,18 @@
 """What a trial of a fast path makes of this machine: a verdict that lasts, and the plain path where it is bad."""
 
+import os
+import re
+import types
 import warnings
+from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 from jax.errors import JaxRuntimeError
 
 from mjx_climb.execution import one_robot, paths
+from mjx_climb.execution.elements import Unsupported
 
 
 def forget():
@@ -64,6 +71,7 @@ def test_a_trial_that_was_begun_is_the_one_asked_for(fresh, trial, monkeypatch):
         ("import os, signal; signal.signal(15, signal.SIG_DFL); os.kill(os.getpid(), 15)", "stopped by SIGTERM", False),
         ("print('0.1 off in float32')", "0.1 off in float32", True),
         ("1 / 0", "ZeroDivisionError", True),
+        ("print('the same'); raise SystemExit(3)", "a trial failed: the same", True),
     ],
 )
 def test_a_path_that_does_not_work_is_left_with_a_word(fresh, trial, program, seen, lasts):
@@ -136,3 +144,118 @@ def test_the_trial_of_the_regions_sees_wrong_values(monkeypatch, capsys):
     monkeypatch.setattr(one_robot, "in_regions", off)
     paths.take("regions")
     assert "off in float64" in capsys.readouterr().out
+
+
+ON = {  # the backend, the GPU's compute capability, the fast path and whether the kernel walks thousands as soon
+    "cpu": ("cpu", None, "regions", False), "new": ("gpu", "9.0", "kernel", True),
+    "oldest": ("gpu", "8.0", "kernel", True), "old": ("gpu", "7.5", None, False), "none": ("gpu", None, None, False),
+    "AMD's": ("gpu", "gfx942", None, False), "another": ("tpu", None, None, False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("backend", "capability", "path", "many"), ON.values(), ids=ON)
+def test_a_device_has_the_path_that_is_made_for_it(monkeypatch, backend, capability, path, many):
+    device = types.SimpleNamespace(**({"compute_capability": capability} if capability else {}))
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    monkeypatch.setattr(jax, "devices", lambda: [device])
+    asked = []
+    monkeypatch.setattr(paths, "works", lambda path: asked.append(path) or path == "kernel")
+    assert (paths.fast_path(), paths.fast_path("cpu"), paths.fast_path("tpu")) == (path, "regions", None)
+    assert (paths.many_at_once(np.float32), paths.many_at_once(np.float64)) == (many, False)
+    assert paths.path_for(None, kernel=True) == ("kernel" if path == "kernel" else "plain")
+    assert asked == [path] * (path is not None)
+    assert paths.path_for(None, kernel=False) == "plain"
+    assert asked == [path] * (path is not None) + ["regions"] * (path == "regions")
+
+
+LEVEL, WIDTH = "xla_backend_optimization_level", "xla_cpu_prefer_vector_width"
+
+
+@pytest.mark.parametrize(
+    ("path", "device", "briefly", "flags", "expected"),
+    [
+        ("regions", None, False, "", {LEVEL: 1, WIDTH: 512}),
+        ("regions", "cpu", True, "", {LEVEL: 0, WIDTH: 512}),
+        ("regions", None, False, f"--{LEVEL}=3", {WIDTH: 512}),
+        ("regions", None, True, f"--{LEVEL}=3", {LEVEL: 0, WIDTH: 512}),
+        ("plain", None, False, "", {}),
+        ("plain", None, True, "", {LEVEL: 0}),
+        ("kernel", "gpu", True, "", {}),
+        ("regions", "gpu", True, "", {}),
+    ],
+)
+def test_a_cpu_alone_compiles_by_own_options(monkeypatch, cpu_alone, path, device, briefly, flags, expected):
+    """A level that the user has set holds, but for what is compiled briefly."""
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    assert paths.compiler_options(path, device, briefly=briefly) == expected
+
+
+@pytest.mark.parametrize(
+    ("error", "tried"),
+    [
+        (JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory"), ["kernel"]),
+        (NotImplementedError("RESOURCE_EXHAUSTED"), ["kernel"]),
+        (Unsupported("the operation RESOURCE_EXHAUSTED"), ["kernel", "plain"]),
+        (JaxRuntimeError("INTERNAL: no such instruction\nand more"), ["kernel", "plain"]),
+        (ValueError("of the user's"), ["kernel"]),
+    ],
+)
+def test_what_no_path_avoids_is_raised(error, tried):
+    """As too little memory; what a path alone cannot do goes by the plain one."""
+    taken = []
+
+    def by(path):
+        taken.append(path)
+        if path != "plain":
+            raise error
+
+    if len(tried) == 1:
+        with pytest.raises(type(error)) as raised:
+            paths.first_possible(by, "kernel", str(error))
+        assert raised.value is error
+    else:
+        said = re.escape(f"the GPU kernel cannot do {str(error).splitlines()[0]}: by XLA's own way, slower")
+        with pytest.warns(UserWarning, match=f"^{said}$"):
+            paths.first_possible(by, "kernel", str(error))
+    assert taken == tried
+
+
+@pytest.mark.parametrize(("robots", "limit", "processes", "device"), [
+    (500, "500", 1, "cpu"), (501, "500", 1, None), (1, "0", 1, None), (1, "", 2, None), (1, "500", 2, None),
+    (1, " 7 ", 1, "cpu"),
+])  # fmt: skip
+def test_the_user_says_how_many_robots_go_to_the_cpu(monkeypatch, robots, limit, processes, device):
+    """But for a computation of several processes."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(jax, "process_count", lambda: processes)
+    monkeypatch.setenv(paths.ON_CPU, limit)
+    assert paths.device_for(robots, 0, kernel=True) == device
+
+
+def test_a_verdict_lasts_until_the_code_or_the_machine_is_another(fresh, monkeypatch):
+    tried = []
+    monkeypatch.setattr(paths, "tried", lambda path: (tried.append(path) or paths.Verdict(True, "tried"), True))
+    monkeypatch.setattr(paths, "machine", lambda: machine)
+    monkeypatch.setattr(paths, "source_digest", lambda folder: f"{digest} of {folder.name}")
+    for path, digest, machine, times in (  # noqa: B007
+        ("regions", "a", "m", 1), ("regions", "a", "m", 1), ("kernel", "a", "m", 2), ("regions", "b", "m", 3),
+        ("regions", "b", "n", 4), ("regions", "a", "m", 4),
+    ):  # fmt: skip
+        paths.verdict.cache_clear()
+        assert paths.verdict(path).works and len(tried) == times
+
+
+def test_a_trial_leaves_the_memory_and_the_keys_of_this_process_alone(fresh, monkeypatch):
+    """It compiles all anew, and finds this package where this process has it from."""
+    started = []
+    monkeypatch.setattr(paths.subprocess, "Popen", lambda command, **how: started.append((command, how)))
+    monkeypatch.setenv("PYTHONPATH", "of the user")
+    paths.trial("regions")
+    [(command, how)] = started
+    assert command[1:] == ["-c", "from mjx_climb.execution import paths; paths.take('regions')"]
+    assert how["start_new_session"] and how["text"] and how["stdin"] == paths.subprocess.DEVNULL
+    said = {name: how["env"][name] for name in how["env"] if name.startswith(("XLA_PYTHON", "JAX_ENABLE", "JAX_TRACE"))}
+    assert said == {"XLA_PYTHON_CLIENT_PREALLOCATE": "false", "JAX_ENABLE_COMPILATION_CACHE": "false",
+                    "JAX_TRACEBACK_FILTERING": "off"}  # fmt: skip
+    root = str(Path(paths.__file__).parents[2])
+    assert how["env"]["PYTHONPATH"] == os.pathsep.join([root, "of the user"])

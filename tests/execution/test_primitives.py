@@ -64,6 +64,59 @@ def test_a_shift_by_all_bits_is_written_as_zero(name):
     assert SHORTCUTS[name](number, np.int32(31)) is None
 
 
+OF_TYPE = {
+    np.float64: [0.0, 1.0, -1.0, 2.5, -1e30, 1e-3], np.int32: [0, 1, -1, 2, -7, 31, 32, 2**31 - 1, -(2**31)],
+    np.uint32: [0, 1, 2, 31, 32, 2**32 - 1], np.bool_: [False, True],
+}  # fmt: skip
+BY_NUMPY = {
+    "add": np.add, "add_any": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "min": np.minimum,
+    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "eq": np.equal, "ne": np.not_equal,
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
+    "rem": lambda a, b: np.where(b == 0, a, np.fmod(a, np.where(b == 0, 1, b))).astype(a.dtype),  # as XLA's by nothing
+    "shift_left": lambda a, b: np.where((b >= 0) & (b < 32), np.left_shift(a, b & 31), 0).astype(a.dtype),
+    "shift_right_logical": lambda a, b: np.where(
+        (b >= 0) & (b < 32), np.right_shift(a.view(np.uint32), (b & 31).astype(np.uint32)), 0
+    ).astype(a.dtype),
+}  # fmt: skip
+ARITHMETIC = {"add", "add_any", "sub", "mul"}
+NOT_FOUND = {"rem", "xor", "shift_left", "shift_right_logical"}  # in some cases: of nothing, say
+COMBINING = {"and", "or", "xor", "max", "min"}
+
+
+@pytest.mark.parametrize("dtype", OF_TYPE)
+@pytest.mark.parametrize("name", BY_NUMPY)
+def test_an_operation_that_changes_nothing_is_found_and_no_other(name, dtype):
+    """Of a value with itself and with each number: what NumPy makes of many values of it."""
+    kind = np.dtype(dtype).kind
+    if (kind == "b" and name in {*ARITHMETIC, "rem"}) or (kind == "f" and name in ("and", "or", "xor")) or (
+        name.startswith("shift") and kind not in "iu"
+    ):  # fmt: skip
+        return
+    value, samples = Value(None, np.dtype(dtype)), np.array(OF_TYPE[dtype], dtype)
+    for number in (None, *samples):
+        for turned in (False, True):
+            given = [value, value if number is None else number][:: -1 if turned else 1]
+            if (
+                kind == "b"
+                and number is not None
+                and BY_NUMPY[name](True, True).dtype == bool
+                and name not in COMBINING
+            ):
+                continue  # a comparison with a truth value is that value or its opposite
+            columns = [samples if each is value else np.broadcast_to(number, samples.shape).copy() for each in given]
+            with np.errstate(all="ignore"):
+                expected = BY_NUMPY[name](*columns)
+            found = SHORTCUTS[name](*given)
+            same = [np.array_equal(expected, samples)] * (expected.dtype == samples.dtype)
+            constant = np.ptp(expected.astype(float)) == 0
+            if found is value:
+                assert same == [True], (number, turned)
+            elif found is not None:
+                assert constant and found == expected[0] and found.dtype == expected.dtype, (number, turned)
+            elif name not in NOT_FOUND and kind != "f" and not (name in ARITHMETIC and number is None):
+                assert not (any(same) or constant), (number, turned)
+
+
 NUMBERS = np.array([0.0, -0.0, 1.0, -2.5, 3.7, 1e-3, 1e30, np.inf, -np.inf, np.nan])
 ON_NUMBERS = {
     "elementwise": lambda x, n: (jnp.abs(x), lax.ceil(x), x / x[::-1], lax.floor(x), jnp.sqrt(x), jnp.square(x), n * n),

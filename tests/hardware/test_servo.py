@@ -115,6 +115,38 @@ def test_an_integral_term_takes_the_error_that_a_load_leaves():
     np.testing.assert_allclose(torque[-1], 0.8 * np.cos(0.3), rtol=1e-9)
 
 
+def test_a_loop_goes_through_profile_rate_integral_motor_and_delay():
+    """Evaluated every third step towards a goal on its trapezoid; the motor gives late what it was asked for."""
+    servos = {"profile_velocity": 2.0, "profile_acceleration": 90.0, "rate": 1000 / 3, "delay": 2e-3,
+              "viscous_friction": 0.05, "armature": 0.004}  # fmt: skip
+    own, h = hardware(servos, {"kp": 30.0, "kd": 0.4, "ki": 50.0}), 3 * STEP
+    random, begun = np.random.default_rng(0), np.array([[0.1, -0.2]])
+    step = jax.jit(lambda memory, target, now: servo.joint_loop(memory, target, now, servo.gains_of(own), own))
+    memory, goal, rate, integral = servo.begin(jnp.asarray(begun), own.stages), begun, 0 * begun, 0 * begun
+    asked = []
+    for n in range(14):
+        target, angles, rates = begun + 0.02, begun + random.normal(0, 0.01, (1, 2)), random.normal(size=(1, 2))
+        memory, drive = step(memory, target, Joints(angles, rates, None))
+        if n % 3 == 0:  # `v (v + a h) = 2 a d`
+            way, a = target - goal, 90.0
+            fastest = np.minimum((np.sqrt((a * h) ** 2 + 8 * a * abs(way)) - a * h) / 2, abs(way) / h)
+            rate = rate + np.clip(np.sign(way) * np.minimum(fastest, 2.0) - rate, -a * h, a * h)
+            goal = goal + h * rate
+            integral = integral + h * (goal - angles)
+            asked += [30 * (goal - angles) - 0.4 * rates + 50 * integral] * 3
+        late = asked[n - 2] if n >= 2 else 0 * begun
+        np.testing.assert_allclose(drive.motor_torque, late, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(drive.joint_torque, late - 0.05 * rates, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(drive.armature, 0.004)
+    assert abs(rate).max() > 0.5 and abs(goal - begun).max() > 0.003
+
+
+def test_servos_that_no_walk_has_set_up_are_refused():
+    for asked in (lambda alone: alone.init(jnp.zeros((4, 3))), lambda alone: alone.feels_load):
+        with pytest.raises(ValueError, match=r"^Servos: expected servos that a walk has set up$"):
+            asked(servo.Servos())
+
+
 def test_an_output_on_its_limit_does_not_wind_up():
     """The integral is that of a loop written in NumPy, and less than half of what it would be without a limit."""
     servos, control = {"torque_limit": 1.0}, {"kp": 20.0, "kd": 0.5, "ki": 60.0}

@@ -11,7 +11,7 @@ import pytest
 import mjx_climb as mc
 from mjx_climb.hardware import bus as signals
 from mjx_climb.hardware import sensors, servo
-from mjx_climb.hardware.stages import IDEAL, hardware_of, stages_of
+from mjx_climb.hardware.stages import IDEAL, hardware_of, lacking, stages_of
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.robot_import.load import load_robot
 
@@ -48,6 +48,7 @@ def test_the_longest_delay_of_a_buffer_is_that_of_an_independent_delay_line(long
 def test_a_delay_that_no_buffer_holds_is_refused():
     with pytest.raises(ValueError, match=r"^delay: expected at most 500 time steps of 0.001 s, got 501$"):
         signals.buffer_length(0.501, STEP)
+    assert signals.buffer_length(0.5, STEP) > 500
 
 
 # --- Resolution, control period
@@ -139,17 +140,22 @@ def of_keys(keys):
 
 def test_a_force_sensor_is_late_then_biased_noisy_rounded_and_filtered():
     """In this order, each axis of each foot with a noise of its own; the base's place and speed are noisy too."""
-    sensor = {"delay": 1.5e-3, "bias": 0.3, "noise": 0.05, "resolution": 0.01, "filter": 60.0}
+    sensor = {"delay": 1.5e-3, "bias": 0.3, "noise": 0.05, "resolution": 0.01, "filter": 60.0, "drift": 2.0}
     own = of_keys({"force_sensor": sensor, "base_estimate": {"position_noise": 0.02, "velocity_noise": 0.3}, "seed": 7})
     forces, share = np.random.default_rng(0).normal(size=(6, 4, 3)), 1 - np.exp(-2 * np.pi * 60.0 * STEP)
-    read, filtered = sensors.ForceSensor((jnp.zeros((4, 3)),) * own.stages.force_delay, jnp.zeros((4, 3))), 0.0
+    none, filtered, drift = jnp.zeros((4, 3)), 0.0, 0.0
+    read = sensors.ForceSensor((none,) * own.stages.force_delay, none, none)
     base = sensors.Base(jnp.ones(3), jnp.asarray([0.0, 1, 0, 0]), jnp.arange(3.0), jnp.arange(3.0))
     step = jax.jit(lambda read, force, n: (sensors.measured_force(read, force, n, own), n)[0])
     for n, force in enumerate(forces):
         read, found = step(read, force, n)
         seen = sum(forces[n - age] / 2 for age in (1, 2) if age <= n) + np.zeros((4, 3))
-        noise = sensors.normal(jnp.asarray(7.0), jnp.asarray(n), jnp.arange(12), jnp.float64).reshape(3, 4).T
-        filtered = filtered + share * (np.round((seen + 0.3 + 0.05 * noise) / 0.01) * 0.01 - filtered)
+        noise, steps = (
+            sensors.normal(jnp.asarray(7.0), jnp.asarray(n), first + jnp.arange(12), jnp.float64).reshape(3, 4).T
+            for first in (0, sensors.DRIFT_CHANNELS)
+        )
+        drift = drift + 2.0 * math.sqrt(STEP) * steps
+        filtered = filtered + share * (np.round((seen + 0.3 + drift + 0.05 * noise) / 0.01) * 0.01 - filtered)
         np.testing.assert_allclose(found, filtered, atol=1e-6)
     _, there = sensors.estimated_base((), base, jnp.asarray(3), own)
     noise = sensors.normal(jnp.asarray(7.0), jnp.asarray(3), sensors.BASE_CHANNELS + jnp.arange(6), jnp.float64)
@@ -219,8 +225,11 @@ def test_motors_that_follow_rates_are_commanded_once_a_period_of_their_manager()
         np.testing.assert_allclose(found.armature, np.where(abs(asked) < 4, 5 * STEP, 0), atol=1e-9)
         seen += [abs(rate) == 1.5, abs(asked) > 4]
     assert 0.1 < np.mean(seen[::2]) < 0.9 and 0.05 < np.mean(seen[1::2]) < 0.9
-    spring = drive.spring(STEP)
-    assert [float(each) for each in spring] == pytest.approx([60.0, 5.75, 5e-3])
+    loaded = dataclasses.replace(drive, armature=0.02)
+    *_, found = loaded.step(memory, targets, None, servo.Joints(angles, rates, None), STEP)
+    np.testing.assert_allclose(found.armature, 0.02 + np.where(abs(asked) < 4, 5 * STEP, 0), atol=1e-9)
+    for each, armature in ((drive, 0.0), (loaded, 0.02)):
+        assert [float(value) for value in each.spring(STEP)] == pytest.approx([60.0, 5.75, 5e-3 + armature])
 
 
 LINE = {  # torque asked for, rate, limit and no-load speed, and the torque given
@@ -307,6 +316,110 @@ def test_a_dead_sensor_reads_nothing_from_its_instant_on():
 
 
 # --- Which stages a walk has
+
+
+SENSOR, BASE, MOTORS = "hardware.force_sensor", "hardware.base_estimate", "hardware.servo"
+OF_LOAD = {"dry_friction": True, "load_torque": True}
+# a value of one of two robots, the other's being none, and the stages that it asks for
+ASKED = {
+    f"{SENSOR}.delay": (2.4e-3, {"force_delay": 4}), f"{SENSOR}.drift": (0.1, {"force_drift": True}),
+    f"{SENSOR}.noise": (0.1, {"force_noise": True}), f"{SENSOR}.bias": (0.1, {"force_bias": True}),
+    f"{SENSOR}.resolution": (0.1, {"force_resolution": True}), f"{SENSOR}.filter": (30.0, {"force_filter": True}),
+    f"{SENSOR}.dead": (0.1, {"force_dead": True}), f"{BASE}.delay": (6e-3, {"base_delay": 8}),
+    f"{BASE}.position_noise": (0.1, {"base_noise": True}), f"{BASE}.velocity_noise": (0.1, {"base_noise": True}),
+    "hardware.control_period": (5e-3, {"control_period": True}), "hardware.command_delay": (1e-3, {"command_delay": 4}),
+    f"{MOTORS}.delay": (3e-3, {"servo_delay": 8}), f"{MOTORS}.rate": (500.0, {"servo_rate": True}),
+    f"{MOTORS}.profile_velocity": (1.0, {"profile": True}), f"{MOTORS}.profile_acceleration": (1.0, {}),
+    "control.ki": (1.0, {"integral": True}), f"{MOTORS}.supply_voltage": (12.0, {"supply_voltage": True}),
+    f"{MOTORS}.rated_voltage": (12.0, {}), f"{MOTORS}.supply_resistance": (0.1, {"supply_resistance": True}),
+    f"{MOTORS}.torque_limit": (2.0, {"torque_limit": True}), f"{MOTORS}.current_limit": (2.0, {"current_limit": True}),
+    f"{MOTORS}.no_load_speed": (6.0, {}), f"{MOTORS}.armature": (0.1, {"armature": True}),
+    f"{MOTORS}.coulomb_friction": (0.1, {"dry_friction": True}),
+    f"{MOTORS}.load_friction": (0.1, {"dry_friction": True}),
+    f"{MOTORS}.external_load_friction": (0.1, OF_LOAD),
+    f"{MOTORS}.stribeck_friction": (0.1, {"dry_friction": True, "stribeck": True}),
+    f"{MOTORS}.stribeck_load_friction": (0.1, {"dry_friction": True, "stribeck": True}),
+    f"{MOTORS}.stribeck_external_load_friction": (0.1, OF_LOAD | {"stribeck": True}),
+    f"{MOTORS}.quadratic_load_friction": (0.1, OF_LOAD | {"stribeck": True}),
+    f"{MOTORS}.quadratic_external_load_friction": (0.1, OF_LOAD | {"stribeck": True}),
+    f"{MOTORS}.viscous_friction": (0.1, {"viscous_friction": True}), f"{MOTORS}.backlash": (0.1, {"backlash": True}),
+    "gait.height": (0.9, {"height": True}), "gait.sway": (0.01, {"sway": True}),
+    "gait.landing_speed": (0.1, {"landing_speed": True}),
+}  # fmt: skip
+OF_FORCES = {
+    "force_delay",
+    "force_drift",
+    "force_noise",
+    "force_bias",
+    "force_resolution",
+    "force_filter",
+    "force_dead",
+}
+
+
+@pytest.mark.parametrize("path", ASKED)
+def test_a_value_of_some_robot_asks_for_its_stages_and_no_others(path):
+    """And so does one whose derivative is asked for, whatever its value; of delays the buffers are then shortest."""
+    own, (value, stages) = mc.parameters(mc.Scenario()), ASKED[path]
+    none = np.asarray(own.at(path))
+    both = np.stack([none, np.where(np.ones_like(none, bool), value, none)])
+    found = stages_of(own.replace_alone({path: both}), STEP)
+    assert found == IDEAL._replace(**stages)
+    assert (found.force, found.silent_sensors) == (
+        bool(OF_FORCES & {*stages}),
+        bool({"force_dead", "force_resolution"} & {*stages}),
+    )
+    assert stages_of(own, STEP) == IDEAL
+    moving = {name: 4 if name.endswith("_delay") else asked for name, asked in stages.items()}
+    assert stages_of(own, STEP, moving=(path,)) == IDEAL._replace(**moving)
+    assert lacking(IDEAL, found) == bool(stages) and not lacking(found, IDEAL) and not lacking(found, found)
+
+
+@pytest.mark.parametrize(
+    ("keys", "stages"),
+    [
+        ({"force_sensor": {"source": "joint_effort"}}, {"joint_effort": True}),
+        ({"force_sensor": {"axes": "z"}}, {"force_along_normal": True}),
+        ({"interpolation": "linear"}, {}),
+        ({"interpolation": "linear", "control_period": 5e-3}, {"linear": True, "control_period": True}),
+        ({"servo": {"drive": "voltage", "torque_limit": 4.0, "no_load_speed": 6.0}},
+         {"voltage": True, "torque_limit": True}),
+    ],
+)  # fmt: skip
+def test_a_choice_asks_for_its_stages(keys, stages):
+    own = mc.parameters(mc.Scenario().with_overrides({"hardware": keys}))
+    found = stages_of(own, STEP)
+    assert found == IDEAL._replace(**stages) and found.force == ("force_sensor" in keys)
+    robot = dataclasses.replace(load_robot("hubrobo_v3_2"), torque_limit=np.ones((4, 3)), friction=None, damping=None)
+    of_motors = {"torque_limit": True, "current_limit": found.voltage}
+    assert stages_of(own, STEP, robot) == IDEAL._replace(**stages | of_motors)
+
+
+def test_values_that_are_traced_cannot_decide():
+    own = mc.parameters(mc.Scenario())
+
+    def asked(value):
+        stages_of(own.replace_alone({f"{SENSOR}.noise": value}), STEP)
+
+    with pytest.raises(
+        TypeError, match=r"^parameters.hardware.force_sensor.noise: expected an array, got one that JAX"
+    ):
+        jax.jit(asked)(1.0)
+
+
+def test_a_supply_moves_the_gains_of_a_loop_of_voltages():
+    """Torque at standstill, speed without load and, on a voltage, gains in proportion; where both are known."""
+    motor = {"torque_limit": 8.0, "no_load_speed": 6.0, "rated_voltage": 12.0, "supply_voltage": 15.0}
+    for changes, drive, scale, of_gains in (
+        ({}, "torque", 1.25, 1.0), ({}, "voltage", 1.25, 1.25), ({"supply_voltage": np.inf}, "voltage", 1.0, 1.0),
+        ({"rated_voltage": np.inf}, "voltage", 1.0, 1.0),
+    ):  # fmt: skip
+        own = of_keys({"servo": motor | {"drive": drive}})
+        asked = mc.parameters(mc.Scenario().with_overrides({"hardware.servo": motor | {"drive": drive}}))
+        unknown = asked.replace_alone({f"{MOTORS}.{name}": np.asarray(value) for name, value in changes.items()})
+        own = hardware_of(unknown, own.stages, STEP).parameters  # of a batch in which others have both
+        assert [float(own.drive.torque_limit), float(own.drive.no_load_speed)] == [8.0 * scale, 6.0 * scale]
+        assert [float(own.joint_loop.kp), float(own.joint_loop.kd)] == pytest.approx([50 * of_gains, 0.2 * of_gains])
 
 
 def test_a_filter_is_the_sensors_or_the_laws():

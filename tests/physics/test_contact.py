@@ -66,6 +66,19 @@ def test_an_open_gripper_pushes_along_the_normal_and_does_not_stick():
     assert held.support[0]
 
 
+def test_a_grip_on_its_very_limit_holds():
+    """Of reach and of force; of numbers that are exact in binary."""
+    just, beyond = 2.0**-8, float(np.nextafter(2.0**-8, 1))
+    _, held = gripped(AWAY, feet(just, beyond, 0.0, 0.0), *[True] * 4, capture_distance=just)
+    np.testing.assert_array_equal(held.missed, [False, True, False, False])
+    strong = {"capture_distance": np.inf, "stiffness": 2.0**13, "damping": 0.0, "holding_limit": 8.0}
+    shut, _ = gripped(AWAY, feet(0.0, 0.0, 0.0, 0.0), *[True] * 4, **strong)
+    after, held = gripped(shut, feet(2.0**-10, float(np.nextafter(2.0**-10, 1)), -0.1, 0.0), *[True] * 4, **strong)
+    np.testing.assert_array_equal(held.torn_off, [False, True, False, False])
+    np.testing.assert_array_equal(held.utilization == 1, [True, False, False, False])
+    np.testing.assert_array_equal(after.detached, held.torn_off)
+
+
 def test_without_a_capture_distance_a_gripper_holds_from_anywhere():
     _, held = gripped(AWAY, feet(0.114, 0.1, 0.1, 0.1), True, False, False, False, capture_distance=np.inf)
     assert held.support[0] and not held.missed.any()

@@ -10,9 +10,10 @@ import pytest
 
 from mjx_climb.physics import limb_engine
 from mjx_climb.physics.inverse_dynamics import missing_forces
-from mjx_climb.physics.state import Loads, State
+from mjx_climb.physics.state import Acceleration, Loads, State
 from mjx_climb.robot.constants import robot_from_model
 from mjx_climb.robot_import.load import load_robot
+from tests.physics.mujoco_dynamics import apply, set_state
 from tests.physics.test_shapes import SHAPES, mjcf
 
 BATCH = 5
@@ -81,6 +82,34 @@ def test_tangents_are_those_of_the_equations(name):
     given = drawn(robot)
     both = (tangents(function, robot, given, directions(given)) for function in (by_the_engine, by_the_equations))
     assert_equal(*both)
+
+
+def test_what_is_missing_at_any_accelerations_is_what_mujocos_inverse_dynamics_leave():
+    """Of a robot with armature, a sliding joint and cargo: `tau + J^T F - (H qdd + c)`."""
+    robot, model = read(QUICK), mujoco.MjModel.from_xml_string(mjcf(*ROBOTS[QUICK]))
+    state, torque, foot_force, push, cargo, gravity = jax.tree.map(lambda value: value[0], drawn(robot))
+    rng, joints = np.random.default_rng(3), robot.stance_joints.shape
+    wanted = Acceleration(rng.normal(size=3), rng.normal(size=3), rng.normal(size=joints))
+    loads = Loads(torque, foot_force, push, cargo, gravity)
+    found = jax.jit(missing_forces)(robot, state, jax.tree.map(jnp.asarray, wanted), loads)
+
+    model.opt.gravity[:], model.dof_armature[6:] = gravity, np.ravel(robot.armature)
+    model.body_mass[1] += float(cargo)
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    set_state(data, *(np.asarray(each) for each in vars(state).values()))
+    apply(model, data, np.ravel(torque), np.asarray(foot_force), np.asarray(push))
+    push = np.asarray(push)
+    mujoco.mj_applyFT(model, data, push[:3], push[3:], data.xipos[1], 1, data.qfrc_applied)
+    to_base = data.xmat[1].reshape(3, 3).T
+    data.qacc[:] = [*wanted.base_linear, *(to_base @ wanted.base_angular), *wanted.joints.ravel()]
+    applied = data.qfrc_applied.copy()
+    mujoco.mj_inverse(model, data)
+    left = applied - data.qfrc_inverse
+    force, moment = found.force + found.limb_force.sum(0), found.moment + found.limb_moment.sum(0)
+    np.testing.assert_allclose(force, to_base @ left[:3], atol=1e-9)
+    np.testing.assert_allclose(moment, left[3:6], atol=1e-9)
+    np.testing.assert_allclose(np.ravel(found.joint), left[6:], atol=1e-9)
 
 
 @pytest.mark.slow

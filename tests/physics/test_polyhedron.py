@@ -35,6 +35,38 @@ def test_the_pull_that_margins_count_on_is_the_answer_of_a_linear_program(kind):
     np.testing.assert_allclose(grip.holding_force(), found.x[0], rtol=1e-6)
 
 
+def test_shipped_grips_hold_what_their_words_say():
+    """On each edge and a little beyond it: shear up to friction times the force on the ground, spines by their load."""
+    grip, (pull, friction) = PolyhedralGripper(**magnet(20.0, 0.4, 4)), (20.0, 0.4)
+    corner, side = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4)]), np.cos(np.pi / 4)  # a pyramid within the cone
+    edges = [(grip, [*(friction * (pull + up) * corner), up]) for up in (-19.0, -5.0, 0.0, 30.0)]
+    edges += [(grip, [friction * (pull + up) * side, 0.0, up]) for up in (-19.0, 0.0, 30.0)] + [(grip, [0, 0, -20.0])]
+    spines = PolyhedralGripper(**microspines(0.8, 15.0))
+    edges += [(spines, each) for each in (
+        [0, 0, -0.5], [10.0, 0, -8.5], [15.0, 0, -12.5], [15.0, 0, 0], [0, 15.0, 0], [0, -15.0, 5.0], [-0.5, 0, 0],
+        [-5.5, 0, 10.0],
+    )]  # fmt: skip
+    for grip, force in edges:
+        assert float(grip.utilization(jnp.asarray(force, float))) == pytest.approx(1.0, abs=1e-9), force
+    assert float(spines.utilization(jnp.array([-1.0, 0.0, -1.0]))) > 1 > float(spines.utilization(jnp.zeros(3)))
+    own = PolyhedralGripper(**microspines(1.0, 9.0, friction=0.2, unloaded=3.0))
+    for force in ([4.0, 0, -7.0], [-5.0, 0, 10.0], [9.0, 0, 0]):
+        assert float(own.utilization(jnp.asarray(force))) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_ball_of_facets_holds_little_more_than_the_ball():
+    """Forces that pull, of any direction: by as much as the middle of a facet is off its corners."""
+    rings, sides = 12, 24
+    grip, draw = PolyhedralGripper(**scalar(15.0, rings, sides)), np.random.default_rng(0)
+    force = draw.normal(size=(2000, 3))
+    force *= [1, 1, -1] * np.sign(force[:, 2:]) / np.linalg.norm(force, axis=1, keepdims=True)
+    least = np.cos(np.pi / 4 / (rings - 1)) * np.cos(np.pi / sides)
+    used = np.asarray(grip.utilization(jnp.asarray(15.0 * force)))
+    assert (force[:, 2] < 0).all() and used.max() <= 1 + 1e-12 and used.min() >= least
+    assert float(grip.holding_force()) == pytest.approx(15.0)
+    assert PolyhedralGripper(**scalar(15.0)).normals.shape == (12 * 24, 3)
+
+
 def test_a_force_in_the_axes_of_a_grip():
     """Its x is outwards: a foot on the left is pulled to the left."""
     outward = jnp.array([[0.0, 1.0], [-1.0, 0.0]])

@@ -65,6 +65,11 @@ def test_the_first_grips_bear_the_pull_of_the_test():
     assert (memory.limit >= 15).all() and (memory.limit > 15).any()
 
 
+def test_a_grip_whose_limit_is_the_pull_of_the_test_passes():
+    _, grips = walked(gripper(tested_pull=15.0)[0], [OPEN, SHUT], [0.0, 0.0])
+    assert grips[1].support.all() and not grips[1].missed.any()
+
+
 @pytest.mark.parametrize("tries", [1, 3])
 def test_a_grip_that_never_passes_is_tried_so_often_and_then_missed(tries):
     last = (tries - 1) * int(RETRY + 1) + 1
