@@ -80,7 +80,8 @@ def run(
         robots: their arguments.
         batch_size: at most so many robots in one call of the executable, one call at a time on a GPU and one on each
             core of a CPU.
-        progress: called with the number of robots that are done and the number in all, after each call.
+        progress: called with the number of robots that are done and the number in all, after each call; the last one
+            counts once, however often it is repeated.
         compile_briefly: at a low level of optimisation, for large programs that run once.
         over_time: whether the function returns something of each step, which a GPU's kernel cannot.
 
@@ -102,6 +103,7 @@ def run(
     own_axes = jax.tree.leaves(own)
     flat = [flattened(leaf, size, shape) for leaf, size in zip(leaves, own_axes, strict=True)]
     batched = [leaf.ndim > size for leaf, size in zip(flat, own_axes, strict=True)]
+    walked = _without_fill([leaf for leaf, own in zip(flat, batched, strict=True) if own], count)
     if not any(batched):  # a batch of equal robots: one leaf says how many
         flat[0], batched[0] = np.broadcast_to(flat[0], (count, *flat[0].shape)), True
 
@@ -129,14 +131,29 @@ def run(
                 leaves = [next(by_kind[own]) for own in batched]
                 return program(call._replace(path=path), *jax.tree.unflatten(tree, leaves))
 
-        return devices.in_smaller_shares(lambda share: devices.spread(of_rows, count, share, progress, on), share)
+        return devices.in_smaller_shares(lambda share: devices.spread(of_rows, walked, share, progress, on), share)
 
     found = first_possible(by, paths.path_for(on, kernel=kernel), (call, tree))
+    if walked < count:
+        found = {name: value[np.minimum(np.arange(count), walked - 1)] for name, value in found.items()}
     found = {name: value.reshape((*shape, *value.shape[1:])) for name, value in found.items()}
     if not derivatives:
         return found
     values = {name: value for name, value in found.items() if not name.startswith(derivatives)}
     return values, {n.removeprefix(derivatives): value for n, value in found.items() if n.startswith(derivatives)}
+
+
+def _without_fill(leaves: Sequence[np.ndarray], count: int) -> int:
+    """Return how many robots of a batch there are before the last one is repeated, as where it fills up a batch.
+
+    Of equal robots, with which speed is measured, all.
+    """
+    if count < 2 or any((leaf[-2] != leaf[-1]).any() for leaf in leaves):
+        return count
+    others = np.zeros(count, bool)
+    for leaf in leaves:
+        others |= (leaf != leaf[-1]).reshape(count, -1).any(1)
+    return int(np.flatnonzero(others)[-1]) + 2 if others.any() else count
 
 
 @functools.lru_cache(8)

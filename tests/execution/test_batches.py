@@ -94,6 +94,19 @@ def test_a_batch_keeps_the_precision_of_its_arrays_and_tells_of_its_shares(dtype
         run(small, 0.5, robots, batch_size=0)
 
 
+@pytest.mark.parametrize("filled", [3, 1])
+def test_a_robot_that_fills_up_a_batch_walks_once(filled):
+    """The calls are of two robots each, of a batch of seven; of robots that are all equal each walks."""
+    robots, _ = drawn((7,), (7,), (), np.float64)
+    rows, seen = np.minimum(np.arange(7), filled - 1), []
+    alike = jax.tree.map(lambda value: value[rows] if value.ndim else value, robots.arguments)
+    found = run(small, 0.5, robots._replace(arguments=alike), batch_size=2, progress=lambda *now: seen.append(now))
+    assert seen == ([(2, 3), (3, 3)] if filled == 3 else [(2, 7), (4, 7), (6, 7), (7, 7)])
+    each = run(small, 0.5, robots)
+    for name, values in found.items():
+        np.testing.assert_array_equal(values, each[name][rows], err_msg=name)
+
+
 def test_shapes_are_those_of_one_robot():
     leaf = lambda *shape, dtype=float: jax.ShapeDtypeStruct(shape, dtype)  # noqa: E731
     found = shapes_of(small, 1.0, {"gain": leaf(3)}, {"weight": leaf(), "steps": leaf(dtype=np.int32)})

@@ -16,12 +16,17 @@ larger motions, which slip.
 
 Delays are linear already. So JAX differentiates a loop whose signals are all one time step late, and `_with_delays`
 puts the buffers of any delays around it: one compiled program serves all delays, and it is small.
+
+Over a map of two gains of a law the Jacobians of a stance are weighted sums of a few of them, by the same weights in
+every stance: six of a law that discretises mass, damping and stiffness exactly. So all of them are computed in the
+first stance alone, and a few in the others, with two more that check it.
 """
 
 import dataclasses
+import functools
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -41,6 +46,7 @@ from mjx_climb import execution
 from mjx_climb.component import given
 from mjx_climb.control import Law, law_of
 from mjx_climb.disturbances.on_base import Cargo
+from mjx_climb.execution import devices
 from mjx_climb.execution.jax_types import PyTree
 from mjx_climb.gait import schedule as gait
 from mjx_climb.hardware import bus
@@ -61,6 +67,10 @@ ROUNDING = 1e-9  # a radius above 1 by less is 1
 _ENTRIES = 512 * 50**2  # of the matrices that are made at once, about: 10 MB
 _MOST_MATRICES = 512
 _ROBOTS_OF_A_CALL = 16
+_FEWEST_ROBOTS = 16  # whose Jacobians are looked at for weighted sums
+_CHECKED = 2  # of these sums in each stance, of robots so far apart
+_APART = 7
+_NO_PART = 1e-13  # of the largest Jacobian, what is left of one whose sum is exact but for rounding
 _FEWEST_MATRICES = 9  # with fewer, calls hold fewer robots, by another program; see `execution.devices`
 # Of the matrices that one call makes, 160 kB: XLA:CPU computes arrays of some 256 kB and more by several threads, and
 # makes invalid code of a region that holds one ("Incorrect number of arguments passed to called function", jaxlib 0.10)
@@ -167,7 +177,8 @@ def by_stance(
     each |= {DELAYED[part]: np.full(rows.size, scenario.time_step) for part in late}
     each[_CARGO] = each[_CARGO] * loaded
     robots = law, parameters.replace(each)
-    radii = radii_of(walk, robots, found.axes, delays, periods.ravel()[rows], stances[rows, stance])
+    each_period, first = periods.ravel()[rows], stances[rows, stance]
+    radii = radii_of(walk, robots, found.axes, delays, each_period, first, stances=which.size)
     return np.asarray(radii.reshape(*found.shape, which.size))
 
 
@@ -178,10 +189,13 @@ def radii_of(
     delays: Mapping[str, np.ndarray],
     periods: np.ndarray,
     first: np.ndarray,
+    *,
+    stances: int = 1,
 ) -> np.ndarray:
     """Return the radii (N,) of robots, linearised over their control periods (N,), which begin at a `first` step.
 
-    `axes` are those of one robot's values, `delays` those of signals, in time steps, (N,) each.
+    `axes` are those of one robot's values, `delays` those of signals, in time steps, (N,) each. The rows are those of
+    each robot in so many `stances`.
     """
 
     def one(value: np.ndarray, own: int) -> jax.ShapeDtypeStruct:
@@ -214,26 +228,93 @@ def radii_of(
             found.append(np.concatenate([tangents[name] for name in sizes], axis=-1)[: len(rows)])
         return found
 
-    def with_delays(steps: list[np.ndarray], cores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return which robots have some Jacobians, and their radii."""
-        mine = np.flatnonzero(np.isin(of, cores))
+    def with_delays(
+        cores: np.ndarray, steps: list[np.ndarray], weights: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return which robots have some Jacobians, or weighted sums of these, and their radii."""
+        steps = steps if weights is None else [np.tensordot(weights, step, 1) for step in steps]
+        place = np.full(len(own), -1)
+        place[cores] = np.arange(len(cores))
+        mine = np.flatnonzero(place[of] >= 0)
         radii = np.empty(len(mine))
         for each in np.unique(late[mine], axis=0):
             alike = (late[mine] == each).all(1)
             rows = mine[alike]
             buffers = [_weights(steps_late) for steps_late in each]
-            whole = [_with_delays(step[of[rows] - cores[0]], list(sizes.values()), buffers) for step in steps]
+            whole = [_with_delays(step[place[of[rows]]], list(sizes.values()), buffers) for step in steps]
             radii[alike] = _radii(whole, periods[rows])
         return mine, radii
 
-    radii = np.empty(len(periods))
+    radii, left, table = np.empty(len(periods)), np.arange(len(own)), np.unique(of.reshape(-1, stances), axis=0)
     # eigenvalues of these while the next are made; threads of BLAS would only wait for a core
-    with ThreadPoolExecutor(1) as beside, threadpool_limits(1, "blas"):
-        chunks = [np.arange(start, min(start + most, len(own))) for start in range(0, len(own), most)]
-        for part in [beside.submit(with_delays, jacobians(own[cores]), cores) for cores in chunks]:
-            mine, found = part.result()
-            radii[mine] = found
+    with ThreadPoolExecutor(devices.usable_cores()) as beside, threadpool_limits(1, "blas"):
+        begun = []
+        if stances > 1 and _FEWEST_ROBOTS <= len(table) <= most and np.ptp(periods) == 0:
+            known = jacobians(own[table[:, 0]])
+            begun.append(beside.submit(with_delays, table[:, 0], known))
+            left = np.setdiff1d(left, table[:, 0])
+            if (found := _few_of(np.concatenate([step.reshape(len(step), -1) for step in known], axis=1))) is not None:
+                few, weights = found
+                some = _of_few(table, few, weights, lambda cores: jacobians(own[cores]), periods)
+                begun += [beside.submit(with_delays, *each, weights) for each in some]
+                left = left if not some else left[:0]
+        for cores in (left[start : start + most] for start in range(0, len(left), most)):
+            begun.append(beside.submit(with_delays, cores, jacobians(own[cores])))
+        for part in begun:
+            mine, of_mine = part.result()
+            radii[mine] = of_mine
     return radii
+
+
+def _of_few(
+    table: np.ndarray, few: np.ndarray, weights: np.ndarray, jacobians: Callable[[np.ndarray], list[np.ndarray]],
+    periods: np.ndarray,
+) -> list[tuple[np.ndarray, list[np.ndarray]]]:  # fmt: skip
+    """Return the robots in each stance but the first, and a few Jacobians (F, s, s) there of each step of a period.
+
+    Their weighted sums are the Jacobians of all these robots: none are returned where some, which are computed alone,
+    have other radii.
+
+    Arguments:
+        table: the numbers (C, S) of the robots in each stance.
+        few: (F,) robots, and the weights (C, F), see `_few_of`.
+        jacobians: of robots by number.
+        periods: the control period, one or more times.
+    """
+    stances, others = table.T[1:], np.setdiff1d(np.arange(len(table)), few)
+    checked = others[np.arange(len(stances) * _CHECKED).reshape(-1, _CHECKED) * _APART % len(others)]
+    asked = np.stack([stance[[*few, *alone]] for stance, alone in zip(stances, checked, strict=True)])
+    made = [step.reshape(*asked.shape, *step.shape[1:]) for step in jacobians(asked.ravel())]
+    sums = [np.einsum("scf,sfij->scij", weights[checked], step[:, : len(few)]) for step in made]
+    alone = [step[:, len(few) :] for step in made]
+    periods = np.resize(periods, checked.size)
+    found, expected = (_radii([np.concatenate(step) for step in steps], periods) for steps in (sums, alone))
+    if not np.allclose(found, expected, rtol=0, atol=ROUNDING):
+        return []
+    return [(stance, [step[number, : len(few)] for step in made]) for number, stance in enumerate(stances)]
+
+
+def _few_of(values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return a few rows of values (C, n), and the weights (C, few) by which their sums make up all rows.
+
+    None where it takes more than a quarter of them. The rows are those by which least is left of the others, one after
+    the other: so weights stay small, and rounding too.
+    """
+    if not np.isfinite(values).all():
+        return None
+    left, few, parts = values.copy(), list[int](), list[np.ndarray]()
+    sizes = np.linalg.norm(left, axis=1)
+    least = _NO_PART * sizes.max()
+    while sizes.max() > least:
+        if len(few) == len(values) // 4:
+            return None
+        few.append(int(sizes.argmax()))
+        along = left[few[-1]] / sizes.max()
+        parts.append(left @ along)
+        left -= np.outer(parts[-1], along)
+        sizes = np.linalg.norm(left, axis=1)
+    part = np.stack(parts, axis=1)
+    return np.array(few), np.linalg.solve(part[few].T, part.T).T
 
 
 def _weights(steps: float) -> np.ndarray:
@@ -302,11 +383,10 @@ def _radii(steps: Sequence[np.ndarray], periods: np.ndarray) -> np.ndarray:
     for period in np.unique(periods[finite]):
         rows = periods[finite] == period
         kinds = min(int(period), len(matrices))
-        whole, single = np.eye(int(core.sum())), np.ones(alone.shape[-1])
-        for k in range(kinds):
-            times = int(period) - k if k == len(matrices) - 1 else 1
-            whole = whole @ np.linalg.matrix_power(matrices[k, rows], times)
-            single = single * alone[k, rows] ** times
+        times = [int(period) - k if k == len(matrices) - 1 else 1 for k in range(kinds)]
+        powers = [np.linalg.matrix_power(matrices[k, rows], count) for k, count in enumerate(times)]
+        whole = functools.reduce(np.matmul, powers)
+        single = np.prod([alone[k, rows] ** count for k, count in enumerate(times)], axis=0)
         sizes = np.abs(np.concatenate([np.linalg.eigvals(whole), single], axis=-1))
         values[rows] = sizes.max(-1) ** (1 / period)
     radius[finite] = values

@@ -320,6 +320,54 @@ def test_radii_are_those_of_loops_that_are_stepped_one_by_one(linear, monkeypatc
         assert found[row] == pytest.approx(expected, rel=1e-6), row
 
 
+@pytest.mark.parametrize("alike", [True, False])
+@pytest.mark.parametrize("linear", [False, True])
+def test_radii_of_a_map_are_those_of_robots_one_by_one(alike, linear, monkeypatch):
+    """Of Jacobians that are sums of three by the same weights in every stance, and where one stance is an exception.
+
+    Few are asked for in the first case. Delays are the axis of a map too: robots that differ in them alone.
+    """
+    rng, cells, stances = np.random.default_rng(2), 40, 5
+    parts = 0.4 * rng.normal(size=(stances, 3, 6, 6))
+    parts[:, :, :2, :2] = 0.0
+    gains, asked = np.resize(rng.uniform(size=(20, 2)), (cells, 2)), []
+
+    def core_of(k, m, step):
+        stance, kind = np.divmod(step, 100)
+        weights = np.stack([np.ones_like(k), k + m**2, 1e-5 * k * m], axis=1)
+        if not alike:
+            weights[:, 1] += np.where(stance == 3, k**3, 0.0)
+        return np.einsum("cf,cfij->cij", weights, parts[stance]) * (1 + 0.1 * kind[:, None, None])
+
+    def run(_, walk, robots, *, batch_size, compile_briefly):
+        _, law, parameters, step = robots.arguments
+        asked.append(len(step))
+        after = core_of(law["k"], parameters["m"], step)
+        return None, dict(zip(sizes, np.split(after, [2], axis=-1), strict=True))
+
+    sizes = {"force": (2,), "rest": (4,)}
+    monkeypatch.setattr(stability_limit.execution, "shapes_of", lambda *_: sizes)
+    monkeypatch.setattr(stability_limit.execution, "run", run)
+    k, m = np.repeat(gains, stances, axis=0).T
+    first, delays = (
+        np.tile(100 * np.arange(stances), cells),
+        np.repeat(np.where(np.arange(cells) < 20, 0.4, 2.3), stances),
+    )
+    walk, periods = types.SimpleNamespace(stages=types.SimpleNamespace(linear=linear)), np.full(len(k), 3)
+    found = stability_limit.radii_of(
+        walk, ({"k": k}, {"m": m}), ({"k": 0}, {"m": 0}), {"force": delays}, periods, first, stances=stances
+    )
+    kinds = 3 if linear else 2
+    assert (sum(asked) < kinds * (20 + 4 * 7)) == alike
+    for row in range(0, len(k), 7):
+        weights = stability_limit._weights(delays[row])
+        whole = np.eye(4 + 2 * (len(weights) - 1))
+        for step in range(3):
+            core = core_of(k[[row]], m[[row]], first[[row]] + (step if linear else min(step, 1)))
+            whole = whole @ stability_limit._with_delays(core, (2, 4), [weights])[0]
+        assert found[row] == pytest.approx(np.abs(np.linalg.eigvals(whole)).max() ** (1 / 3), rel=1e-9), row
+
+
 @pytest.mark.parametrize("delays", [(0.0, 2.6), (0.3, 1.0), (0.0, 0.0)])
 def test_delays_are_put_around_a_loop_that_is_one_step_late(delays):
     """Two signals, the first made of the second within the step: as if samples were kept and read one by one."""
@@ -365,7 +413,9 @@ def test_one_program_serves_whatever_part_of_the_hardware_gets_worse(case, monke
 
 @pytest.mark.parametrize("shape", [(), (2,)])
 def test_one_robot_and_a_batch_are_looked_at_over_their_control_period(case, monkeypatch, shape):
-    monkeypatch.setattr(stability_limit, "radii_of", lambda walk, robots, axes, delays, periods, first: 1.0 * periods)
+    monkeypatch.setattr(
+        stability_limit, "radii_of", lambda walk, robots, axes, delays, periods, first, **_: 1.0 * periods
+    )
     scenario = case("case_2", "virtual_model", {"hardware.control_period": 0.004})
     found = stability_limit.spectral_radius(scenario, mc.Gains(np.ones((*shape, 6)), 150.0, 3000.0))
     np.testing.assert_array_equal(found, np.full(shape, 4.0))  # steps
