@@ -81,7 +81,7 @@ def contents_of(
 def files_of(found: Result, name: str) -> dict[str, Any]:
     """Return a result's gains, data and settings as files; `name` is that of its config."""
     scenario, files = found.scenario, dict[str, Any]()
-    if found.gains is not None and found.search is not None:
+    if found.gains is not None:
         gains, law = gains_file.completed(scenario, found.gains), found.problem.law or law_of(scenario)
         files["gains.yaml"] = gains_file.text(gains, found.comment(name), law)
     files[found.FILE] = found.data.assign_attrs(scenario=scenario.to_yaml())

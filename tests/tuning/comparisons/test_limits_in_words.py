@@ -154,12 +154,12 @@ def test_times_of_a_gait_have_no_slope_and_limbs_in_turn_cannot_stand_less():
 
 
 def test_the_cells_of_a_map_have_the_scores_of_a_search(monkeypatch):
-    """Of a walk that was lost there is none; one that let go keeps no limit, however its numbers are."""
+    """There is none beyond all bounds; a walk that let go keeps no limit, however its numbers are."""
     dims, shape = ("damping", "stiffness"), (2, 2)
     data = {name: (dims, np.zeros(shape)) for name in mc.METRICS.names}
-    data["force_variation"] = (dims, [[1.0, 3.0], [np.nan, 1.5]])
-    data["peak_pull_force"] = (dims, [[30.0, 41.0], [np.nan, 30.0]])
-    data["diverged"] = (dims, [[False, False], [True, False]])
+    data["force_variation"] = (dims, [[1.0, 3.0], [np.inf, 1.5]])
+    data["peak_pull_force"] = (dims, [[30.0, 41.0], [np.inf, 30.0]])
+    data["diverged"] = (dims, np.zeros(shape, bool))
     data["detached_at"] = (dims, [[np.nan, np.nan], [np.nan, 0.2]])
     data["line"] = (("extreme", *dims), np.zeros((2, *shape)))
     walks = xr.Dataset(data, {"damping": [5.0, 7.0], "stiffness": [1e3, 2e3]}).transpose("extreme", ...)

@@ -41,6 +41,10 @@ def wrong(found, compared):
     return "text"
 
 
+def empty(found, compared):
+    return ()
+
+
 def same_file(found, compared):
     return Section("Mine", files={"config.yaml": "mine"})
 
@@ -112,6 +116,7 @@ def test_a_section_that_fails_as_it_is_written_leaves_the_folder_as_it_was(writt
         (lambda: load_section(f"{__file__}:nobody"), "expected a section named nobody, got none"),
         (lambda: sections_of([failing], SimpleNamespace(), None), "section failing: AttributeError: "),
         (lambda: sections_of([wrong], None, None), "section wrong: expected a tuning.pages.section.Section or None"),
+        (lambda: sections_of([empty], None, None), "section empty: expected a tuning.pages.section.Section or None"),
     ],
 )
 def test_what_is_no_section_is_refused_in_one_line(made, said):

@@ -1,6 +1,7 @@
 """Folders of made-up results, whole: files, page and pictures against texts that were read and computed by hand."""
 
 import dataclasses
+import json
 import re
 
 import numpy as np
@@ -35,6 +36,19 @@ def test_the_folder_of_evaluate(tmp_path):
     drawn_again("evaluate", same("evaluate", judge.contents(found, compared, "case.yaml")), tmp_path)
     (one,) = (figure for _, figure in redrawn.figures(tmp_path, ["travel"]))
     assert [panel.get_xlabel() for panel in one.axes] == ["travel [mm]"]
+
+
+def test_lost_walks_are_whole_numbers_and_shares_those_of_all_walks():
+    """29 of 100, whose share is a little less as a number; a walk that diverges is below no value."""
+    walks = walks_of(["mine", "config", "pd"], members=100)
+    table, lost = table_of(["mine", "config", "pd"], shown(mc.METRICS), "pd"), [0.29, 0.57, 0.0]
+    summed = judging.summary(walks).assign(failed=("gains", lost))
+    made = judge.contents(Judged(walks, PROBLEM, ensemble=Ensemble()), DrawComparison(summed, table, "", ""), "case")
+    told = json.loads(made.written.summary)["gains"]
+    assert {name: own["failed"] for name, own in told.items()} == {"mine": 29, "config": 57, "pd": 0}
+    walks["force_variation"][0, :20] = np.nan
+    mine, *_, pd = judge.plot_judged(walks, ["force_variation"]).axes[0].get_lines()[::3]
+    assert (mine.get_ydata()[[0, -1]], pd.get_ydata()[-1]) == (pytest.approx([1, 80]), 100)
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -145,7 +159,9 @@ def test_the_files_of_margins(wide):
 def test_pictures_are_those_of_the_files_that_are_there(tmp_path, monkeypatch):
     """The way of a search lies over its map; a law of one's own is not here; metrics are of maps and of draws alone."""
     grid = xr.Dataset({"diverged": (("a", "b"), np.zeros((2, 2), int))}, {"a": [1.0, 2.0], "b": [1.0, 2.0]})
-    walks = xr.Dataset({"travel": (("gains", "seed", "member"), np.ones((2, 2, 3))), "mass": ("member", np.ones(3))})
+    own = ("gains", "seed", "member"), np.ones((2, 2, 3))
+    walks = xr.Dataset({"travel": own, "missed_grips": (own[0], own[1].astype(int)), "diverged": (own[0], own[1] > 2)})
+    walks["mass"] = "member", np.ones(3)
     there = {"map.nc": grid, "search.nc": xr.Dataset(), "compared.nc": walks}
     monkeypatch.setattr(redrawn.dataset, "load_trajectory", lambda file: file.name)
     monkeypatch.setattr(redrawn.dataset, "load", lambda file: there[file.name])
@@ -171,12 +187,14 @@ def test_pictures_are_those_of_the_files_that_are_there(tmp_path, monkeypatch):
         "map": ("sheet", grid, {}), **way, "path": ("plot_path", "search.nc", grid)
     }  # fmt: skip
     assert drawn("compared.nc") == {"compared": ("plot_laws", ("taken", walks))}
-    assert drawn("compared.nc", "search.nc", metrics=["travel"]) == {"judged": ("plot_judged", walks, ["travel"])}
+    for metric in ("travel", "missed_grips"):
+        assert drawn("compared.nc", "search.nc", metrics=[metric]) == {"judged": ("plot_judged", walks, [metric])}
     there["search.nc"].attrs["law"] = "Mine"
     assert drawn("search.nc") == {}
     for files, said in (
         (["search.nc"], "expected a result with maps or an ensemble to draw metrics of, got search.nc"),
-        (["compared.nc"], "--metric: expected one of travel, got 'mass'"), ([], "expected a folder with a result ("),
+        (["compared.nc"], "--metric: expected one of travel, missed_grips, got 'mass'"),
+        ([], "expected a folder with a result ("),
     ):  # fmt: skip
         with pytest.raises(mc.ConfigError, match=re.escape(said)):
             drawn(*files, metrics=["mass"])

@@ -321,11 +321,13 @@ def test_a_share_of_no_lost_walks_has_no_per_cent_of_its_own():
         ["share lost", "retuned_pd", "0", ""], ["", "mine", "0.2", "+20.0 [-380.0, 420.0]~"],
         ["", "other", "0.4", "+40.0 [-360.0, 440.0]~"],
     ]  # fmt: skip
+    *_, (_, rows) = laws.laws_table(table_of(["mine", "retuned_pd"], [], "retuned_pd")).sections
+    assert rows[0][:4] == ["share lost", "mine", "0", "-100.0 [-2100.0, 1900.0]~"]
 
 
 def test_maps_are_drawn_while_pd_is_retuned(monkeypatch):
     """With the rows that are known then."""
-    grid, told = grid_of(), []
+    told, grid = [], grid_of()[["force_variation", "travel", "diverged", "detached_limb", "detached_at", "stands_at"]]
     rows = {"best": ({"stiffness": 100.0, "damping": 10.0}, metrics_of(20.0)), "pd": (None, metrics_of(10.0))}
 
     @contextlib.contextmanager
@@ -341,6 +343,8 @@ def test_maps_are_drawn_while_pd_is_retuned(monkeypatch):
     found, begun, drawn = sweep.compare("found", stage, None, "begun")
     assert (found, begun) == ("found", "begun") and told == [("maps", {"compiles": False}), (drawn.figure, "png")]
     assert sweep.sheet(grid, rows, drawn) is drawn.figure and drawn.marked[0] == {"best": (100.0, 10.0)}
+    known = {name: value for name, value in metrics_of(10.0).items() if name not in (*TORN, "stands_at")}
+    assert drawn.marked[1] == known
 
 
 def test_the_way_of_a_search_that_told_axes_apart():

@@ -30,7 +30,10 @@ def search(seed, value, gains, penalty=0.0):
 def test_the_best_of_several_seeds_is_taken_and_their_agreement_said():
     each = search(0, 0.75, (1e3, 0.8)), search(1, 0.7, (2e3, 0.9)), search(2, 0.6, (9e2, 0.8), penalty=1.0)
     best = tuned.of_seeds(each)
-    assert (best.value, best.seeds, each[0].seeds) == (0.7, 3, 1)
+    assert (best.value, best.seeds, each[0].seeds, best.interrupted) == (0.7, 3, 1, False)
+    # where the user ends a search it is the last, and not always the best
+    ended = dataclasses.replace(each[2], data=each[2].data.assign_attrs(interrupted=1))
+    assert tuned.of_seeds([*each[:2], ended]).interrupted
     # a search that breaks a limit has found nothing
     assert best.ends == [0.75, 0.7, np.inf] and each[0].ends == [0.75]
     assert best.data.attrs[tuned.AGREEMENT] == (

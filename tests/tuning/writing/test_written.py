@@ -25,6 +25,7 @@ from tuning.pages.section import Section
 from tuning.problem.evaluation import Problem
 from tuning.problem.search import Search
 from tuning.results import tuned
+from tuning.results.config_file import write_config
 from tuning.searches import retuned_pd
 from tuning.searches.tune import tune
 from tuning.writing import folder as folders
@@ -182,6 +183,27 @@ def test_a_folder_names_what_it_holds_and_a_result_comes_back(monkeypatch, tmp_p
         check_own(tmp_path, "sweep.nc")
     with pytest.raises(OutputError, match=r"got search\.nc in it"):
         tuning.write(types.SimpleNamespace(FILE="sweep.nc"), tmp_path, begun="begun")
+
+
+def least_force(metrics):
+    """An objective of one's own."""
+    return metrics["peak_foot_force"]
+
+
+def guesses(problem):
+    """A method of one's own."""
+
+
+def test_the_config_of_a_folder_names_each_object_of_ones_own(tmp_path):
+    """The scenario of the walks keeps the method alone, which no walk reads."""
+    case, law = mc.load_scenario("case_1_2"), mc.control.LoadTransfer()
+    returned = write_config(case, tmp_path, law, mc.METRICS, least_force, types.SimpleNamespace(function=guesses))
+    own = mc.load_scenario(tmp_path / "config.yaml").own
+    assert (own.law.name, own.objective.name, own.method.name, own.metrics) == (
+        "LoadTransfer", "least_force", "guesses", ()
+    )  # fmt: skip
+    assert (returned.own.law, returned.own.objective, returned.own.method.name) == (None, None, "guesses")
+    assert write_config(case, tmp_path) == case and mc.load_scenario(tmp_path / "config.yaml").own is None
 
 
 @pytest.mark.parametrize("again", ["", "mjx-climb again"])
