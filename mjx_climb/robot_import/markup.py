@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -185,7 +186,8 @@ def lines_of(file: Path, around: tuple[Path, ...] = ()) -> list[tuple[str, str]]
         for n, part in enumerate(_INCLUDE.split(line)):  # text, file, text, and so on
             if n % 2 == 0:
                 found.append((f"{file}:{number}", _ROOT.sub("", part) if around else part))
-            elif (other := file.parent / part) not in (*around, file):
+            # one path for a file, so that a circle by way of ".." ends
+            elif (other := Path(os.path.normpath(file.parent / part))) not in (*around, file):
                 found += lines_of(other, (*around, file))
     return found
 

@@ -126,6 +126,12 @@ def test_lines_of_files_that_are_included_stand_in_their_places(tmp_path):
     assert places['<body name="leg"/>'] == f"{leg}:3" and places['<site name="foot"/>'] == f"{foot}:1"
     assert places["b"] == f"{main}:2" and lines_of(tmp_path / "none.xml") == []
     assert line_of(str(main), "foot") == f"{foot}:1" and line_of(str(main), "leg") == f"{leg}:3"
+    # a circle, each twice: it ends, and what is wrong is told in its line
+    main.write_text('<mujoco>\n<include file="parts/leg.xml"/>\n<include file="./parts/leg.xml"/></mujoco>')
+    leg.write_text('<mujocoinclude>\n<include file="../robot.xml"/><body name="leg" pos="1e9 0 0"/></mujocoinclude>')
+    assert [place for place, text in lines_of(main) if "leg" in text] == [f"{leg}:2", f"{leg}:2"]
+    with pytest.raises(mc.RobotError, match=rf"^{leg}:2: body 'leg': body pos: expected numbers of up to 10000"):
+        described(str(main))
     main.write_text("<mujoco>\n<a joint='hip'/>\n<b name='hip'/>\n<joint armature='1'\nname = 'hip'/></mujoco>")
     assert line_of(str(main), "hip") == f"{main}:5"  # the element itself
     main.write_text("<mujoco>\n<a joint='hip'/>\n<b name='hip'/></mujoco>")
@@ -148,9 +154,12 @@ def test_numbers_that_no_robot_has_are_refused_where_they_stand(attribute, said,
         return
     with pytest.raises(mc.RobotError, match=f"^{re.escape(str(file))}:2: .*{re.escape(said)}$"):
         check_numbers(str(file))
-    file.write_text("<mujoco>\n<body name='outer'><inertial mass='1e10'/></body></mujoco>")
-    with pytest.raises(mc.RobotError, match=r"robot.xml:2: body 'outer': inertial mass: expected numbers of up to 1e"):
-        check_numbers(str(file))
+    for inside in ("<inertial mass='1e10'/>", "<body name='inner'/><inertial mass='1e10'/>"):
+        file.write_text(f"<mujoco>\n<body name='far'><body name='outer'>{inside}</body></body></mujoco>")
+        with pytest.raises(
+            mc.RobotError, match=r"robot.xml:2: body 'outer': inertial mass: expected numbers of up to 1"
+        ):
+            check_numbers(str(file))
 
 
 # ------------------------------------------------------------------------------------------------------- description
@@ -177,6 +186,9 @@ def test_bodies_that_cannot_exist_are_found_by_their_principal_moments():
         seen.add(expected)
         assert impossible(body) == expected
     assert seen == {True, False}
+    for share in (1 - 3e-6, 1 - 0.3e-6):  # of what a body can have, to rounding
+        body.fullinertia = [0.5, 0.5 * share, 0.5 + 0.5, 0, 0, 0]
+        assert impossible(body) == (share < 1 - 2e-6)
     body.explicitinertial = False
     assert not impossible(body)
 
@@ -186,7 +198,7 @@ def test_parts_without_names_are_called_after_those_that_have_them(tmp_path):
     file.write_text("""<mujoco><worldbody><body name="trunk"><freejoint/><geom size="1"/>
       <body><joint axis="0 0 1"/><geom size="1"/><body><joint type="slide"/><geom size="1"/></body></body>
       <body name="trunk_2_"><joint name="trunk_2"/><geom size="1"/></body>
-      <body><joint type="ball" range="0 0.4" damping="0.1"/>
+      <body><joint type="ball" range="0 0.4" damping="0.1" stiffness="3" armature="0.02" pos="0.1 0 0.2"/>
       <geom size="1"/></body></body></worldbody>
       <actuator><motor joint="trunk_3" gear="2 0 3" ctrlrange="-1 1"/></actuator></mujoco>""")
     with pytest.raises(mc.RobotError, match=r"robot.xml:6: .*actuators of joints in the file, got one of 'trunk_3'"):
@@ -203,6 +215,7 @@ def test_parts_without_names_are_called_after_those_that_have_them(tmp_path):
         np.testing.assert_array_equal(hinge.axis, axis)
         assert hinge.type == mujoco.mjtJoint.mjJNT_HINGE and np.ravel(hinge.damping)[0] == pytest.approx(0.1)
         np.testing.assert_allclose(hinge.range, [-0.4, 0.4])
+        np.testing.assert_allclose([np.ravel(hinge.stiffness)[0], hinge.armature, *hinge.pos], [3, 0.02, 0.1, 0, 0.2])
     drives = {each.target: each for each in spec.actuators}
     assert {*drives} == {"hip_x", "hip_z"} and drives["hip_z"].gear[0] == 3 and drives["hip_x"].gear[0] == 2
     np.testing.assert_allclose(drives["hip_x"].ctrlrange, [-1, 1])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mjx_climb.robot.constants import frame_along
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.model import RobotFile
 
@@ -217,3 +218,17 @@ def base_bodies(model, locked):
         if own <= held and model.body_parentid[body] in found:
             found.add(body)
     return sorted(found)
+
+
+@pytest.mark.parametrize("tilt", [1.2, 1e-3, 2e-6, 5e-7, 0.0])
+def test_a_frame_has_its_x_as_near_to_a_direction_as_its_axis_allows(tilt):
+    """Along the axis there is none: x is then square to the coordinate axis that is squarest to it."""
+    for axis, side in Rotation.random(9, random_state=0).as_matrix()[:, :2]:
+        found = frame_along(axis, math.cos(tilt) * axis + math.sin(tilt) * side)
+        np.testing.assert_allclose(found[:, 2], axis)
+        np.testing.assert_allclose(found.T @ found, np.eye(3), atol=1e-9)
+        assert np.linalg.det(found) > 0
+        if tilt > 1e-6:
+            np.testing.assert_allclose(found[:, 0], side, atol=1e-9)
+        else:
+            assert found[np.abs(axis).argmin(), 0] == pytest.approx(0, abs=1e-9)
