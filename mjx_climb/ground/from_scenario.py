@@ -47,8 +47,8 @@ def holds_of(ground: model.Ground) -> Holds | None:
     # infinite numbers are refused below
     with np.errstate(all="ignore"):
         position, normal, limit = _FOUND[name](source, random, turn)
-    if not ((np.abs(position) <= _FARTHEST).all() and np.isfinite(normal).all()):
-        raise ConfigError(place, key, f"finite positions, {_FARTHEST:g} m at most, and normals", "others")
+    if not (np.abs(position) <= _FARTHEST).all():
+        raise ConfigError(place, key, f"finite positions, {_FARTHEST:g} m at most", "others")
     if section.limit is not None:
         limit = np.where(np.isnan(limit), section.limit, limit)
     limit = limit * np.exp(section.spread * random.standard_normal(limit.size))

@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 import mjx_climb as mc
 from mjx_climb.ground import holds_of, holds_of_seeds, of
+from mjx_climb.ground.readers import table_of
+from mjx_climb.ground.readers.pcd_file import unpacked_lzf
 from tests.gait.footholds_reference import largest_pull
 from tuning.scenario_files import copied
 
@@ -224,6 +226,104 @@ def test_each_format_gives_positions_normals_and_limits(name, write, tmp_path):
     np.testing.assert_allclose(scaled.limit_bound[:, 0], 100 * POINTS[:, 2], rtol=1e-6)
 
 
+# values whose bytes tell the sign, the size and the order of a type, by its letter in Python's `struct`
+TELLING = {"b": -2, "B": 254, "h": -515, "H": 65019, "i": -50462977, "I": 4244504319, "q": -(2**40) - 3}
+TELLING |= {"Q": 2**63 + 2048, "f": -1.5, "d": 1 / 3}
+OF_PLY = {"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"}
+OF_PLY |= {"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f"}
+OF_PLY |= {"float64": "d"}
+
+
+def columns_of(path):
+    return {name: np.asarray(values).tolist() for name, values in table_of(str(path)).columns}
+
+
+@pytest.mark.parametrize(("form", "order"), [("ascii", ""), ("binary_little_endian", "<"), ("binary_big_endian", ">")])
+def test_numbers_of_every_type_in_a_ply_come_back(form, order, tmp_path):
+    """Behind an element of another kind, before faces, of which there are none."""
+    head = ["ply", f"format {form} 1.0", "comment a b", "obj_info by hand", "", "element sensor 2", "property ushort n"]
+    head += ["element vertex 2", *(f"property {kind} {kind}" for kind in OF_PLY)]
+    head += ["element face 0", "property list uchar int vertex_indices", "end_header"]
+    letters = [*OF_PLY.values()]
+    rows = [[TELLING[letter] for letter in letters], [1] * len(letters)]
+    if order:
+        body = struct.pack(f"{order}2H", 7, 8) + b"".join(struct.pack(order + "".join(letters), *row) for row in rows)
+    else:
+        body = ("7\n8\n" + "\n\n".join(" ".join(map(repr, row)) for row in rows) + "\n").encode()
+    (tmp_path / "a.ply").write_bytes("\n".join(head).encode() + b"\n" + body)
+    assert columns_of(tmp_path / "a.ply") == {kind: [TELLING[letter], 1] for kind, letter in OF_PLY.items()}
+
+
+def test_numbers_of_every_type_in_a_pcd_come_back(tmp_path):
+    """Of fields of several numbers the first ones, of one without any none; without the lines that have defaults."""
+    kinds = {"I 1": "b", "U 1": "B", "I 2": "h", "U 2": "H", "I 4": "i", "U 4": "I", "I 8": "q", "U 8": "Q"}
+    kinds |= {"F 4": "f", "F 8": "d"}
+    letters, sizes = zip(*(kind.split() for kind in kinds), strict=True)
+    names = [f"n{number}" for number in range(len(kinds))]
+    head = [f"FIELDS {' '.join(names)} none", f"SIZE {' '.join(sizes)} 4  # in bytes", f"TYPE {' '.join(letters)} F"]
+    head += [f"COUNT {'2 ' * len(kinds)}0", "WIDTH 2", "DATA binary", ""]
+    telling = [TELLING[letter] for letter in kinds.values()]
+    layout = "<" + "".join(2 * letter for letter in kinds.values())
+    rows = [[each for value in row for each in (value, 9)] for row in (telling, [1] * len(kinds))]
+    body = b"".join(struct.pack(layout, *row) for row in rows)
+    (tmp_path / "a.pcd").write_bytes("\n".join(head).encode() + body)
+    expected = {name: [value, 1] for name, value in zip(names, telling, strict=True)}
+    assert columns_of(tmp_path / "a.pcd") == expected
+    assert table_of(str(tmp_path / "a.pcd")).viewpoint is None
+    lines = ["FIELDS x", "SIZE 4", "TYPE F", "POINTS 2", "VIEWPOINT 0 0 -2 1 0 0 0", "DATA ascii", "3", "4"]
+    (tmp_path / "b.pcd").write_text("\n".join(lines))
+    assert columns_of(tmp_path / "b.pcd") == {"x": [3, 4]}
+    assert table_of(str(tmp_path / "b.pcd")).viewpoint.tolist() == [0, 0, -2]
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_numbers_of_every_type_in_a_recording_come_back(big, tmp_path):
+    """In two rows with bytes behind their points, by the numbers of sensor_msgs/PointField."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types, letters = store.types, "bBhHiIfd"
+    order, size = "<>"[big], struct.calcsize(f"={letters}")
+    values = [[TELLING[letter] for letter in letters], [1] * 8, [2] * 8, [3] * 8]
+    packed = [struct.pack(order + letters, *row) for row in values]
+    data = np.frombuffer(packed[0] + packed[1] + b"ab" + packed[2] + packed[3] + b"cd", np.uint8)
+    at = [struct.calcsize(f"={letters[:n]}") for n in range(8)]
+    fields = [types["sensor_msgs/msg/PointField"](f"n{n}", at[n], n + 1, 1) for n in range(8)]
+
+    def written(path, fields):
+        from rosbags.rosbag2 import StoragePlugin, Writer
+
+        header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "map")
+        kind, folder = "sensor_msgs/msg/PointCloud2", path.with_suffix(".folder")
+        cloud = types[kind](header, 2, 2, fields, big, size, 2 * size + 2, data, True)
+        with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            writer.write(writer.add_connection("/a", kind, typestore=store), 0, store.serialize_cdr(cloud, kind))
+        return next(folder.glob("*.mcap")).rename(path)
+
+    found = columns_of(written(tmp_path / "a.mcap", fields))
+    assert found == {f"n{n}": [row[n] for row in values] for n in range(8)}
+    other = [*fields[:7], types["sensor_msgs/msg/PointField"]("n7", at[7], 9, 1)]
+    with pytest.raises(mc.ConfigError, match=r"b.mcap: /a: expected fields with datatype 1 to 8, got 9"):
+        table_of(str(written(tmp_path / "b.mcap", other)))
+
+
+def test_compressed_points_are_copied_from_as_far_as_8192_bytes():
+    """Runs of 32 bytes, then copies from an odd way back: of 3 to 8 bytes, and of as many as 264."""
+    content = np.random.default_rng(0).integers(0, 256, 8192).astype(np.uint8).tobytes()
+    runs = b"".join(b"\x1f" + content[n : n + 32] for n in range(0, 8192, 32))
+    for back in (1, 40, 4096, 5001, 8192):
+        far, near = (back - 1) >> 8, (back - 1) & 255
+        for length in (3, 8, 9, 264):
+            code = [(length - 2) << 5 | far] if length < 9 else [7 << 5 | far, length - 9]
+            copied = content[-back:][:length]
+            expected = content + (copied * length)[:length]
+            packed = runs + bytes([*code, near])
+            assert unpacked_lzf(packed, len(expected)) == expected
+            for size in (len(expected) - 1, len(expected) + 1):
+                with pytest.raises(ValueError, match=f"^{len(expected)} bytes of compressed points for {size}$"):
+                    unpacked_lzf(packed, size)
+
+
 def test_a_mesh_has_the_normals_of_its_surface(tmp_path):
     sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
     sphere.export(tmp_path / "sphere.ply")
@@ -329,6 +429,11 @@ def test_points_at_the_sensor_itself_are_no_ground(tmp_path):
         made = found(cloud={"file": str(tmp_path / "a.csv")})
     np.testing.assert_array_equal(made.position, [[1, 0, 0], [0, 0, 1]])
     np.testing.assert_array_equal(made.limit_bound[:, 0], [3, 4])
+    (tmp_path / "a.csv").write_text("x,y,z\n0,0,0\n0,0,0\n1,0,0\n")
+    with pytest.warns(UserWarning, match="2 of 3 points are at 0, 0, 0"):
+        assert len(found(cloud={"file": str(tmp_path / "a.csv")}).position) == 1
+    (tmp_path / "a.csv").write_text("x,y,z\n0,0,0\n1,0,0\n")
+    assert len(found(cloud={"file": str(tmp_path / "a.csv")}).position) == 2
 
 
 @pytest.mark.parametrize(("names", "limit", "said"), [
@@ -465,6 +570,10 @@ BAD = {
     "nothing.csv": (b"x,y,z\n", "nothing.csv: ground.holds.cloud: expected one point that can be held, got none"),
     "empty.csv": (b"", "empty.csv: x: expected columns x, y and z, got none"),
     "twice.csv": (b"x,y,z,x\n1,2,3,4\n", "twice.csv: x: expected one column of this name, got 2"),
+    "thrice.csv": (b"x,x,z,x,y\n1,2,3,4,5\n", "thrice.csv: x: expected one column of this name, got 3"),
+    "blank.csv": (b"x,y,z\n\n1,2,3\n\n1,2\n", "row 5: expected 3 numbers, got 2"),
+    "alone.csv": (b"x\n", "alone.csv: y: expected columns x, y and z, got x"),
+    "spaces.csv": (b"x y z\n1 2 3\n", "expected names with commas between them in the first line, got x y z"),
     "limits.csv": (b"x,y,z,limit,limit\n1,2,3,4,5\n", "limits.csv: limit: expected one column of this name, got 2"),
     "normals.csv": (b"x,y,z,nx,ny,nz,nx\n1,2,3,0,0,1,1\n", "normals.csv: nx: expected one column of this name, got 2"),
     "inf.csv": (b"x,y,z\n0,inf,0\n", "inf.csv: x, y, z: expected 1e+09 m at most, or nan for a gap, got inf"),
@@ -495,6 +604,10 @@ BAD = {
     "few.ply": (
         PLY % (1, b"float x"),
         "few.ply: element: expected 1 lines for 1 vertices and the other elements, got 2",
+    ),
+    "more.ply": (
+        (PLY % (1, b"float w")).replace(b"end_h", b"element face 0\nproperty list uchar int v\nend_h"),
+        "more.ply: element: expected 1 lines for 1 vertices and the other elements, got 2",
     ),
     "twice.ply": (PLY % (2, b"float z"), "twice.ply: z: expected one column of this name, got 2"),
     "type.ply": (PLY % (2, b"half x"), "type.ply: header: expected format, element and property, got property half x"),
@@ -555,18 +668,25 @@ def test_a_mesh_whose_faces_are_cut_off(tmp_path):
         assert "a.ply: " in refusal(cloud={"file": str(tmp_path / "a.ply")})
 
 
-RULES = {
-    "rock": {"density": 1e12},
-    "wall": {"pitch": 1e-6},
-    "pipe": {"pitch": 1e-308},
-    "handrails": {"pitch": 1e-9},
-    "truss": {"bay": 1e-9},
-}
+RULES = [
+    ("rock", {"density": 1e12}),
+    ("rock", {"size": [100.0, 1.0], "density": 1.1e4}),
+    ("rock", {"size": [1.0, 100.0], "density": 1.1e4}),
+    ("wall", {"pitch": 1e-6}),
+    ("wall", {"size": [50.0, 1.0], "pitch": 0.005}),
+    ("pipe", {"pitch": 1e-308}),
+    ("pipe", {"pitch": 0.04, "around": 20000}),
+    ("handrails", {"pitch": 1e-9}),
+    ("handrails", {"pitch": 0.04, "rails": 20000}),
+    ("truss", {"bay": 1e-9}),
+    ("truss", {"pitch": 1e-6}),
+    ("truss", {"depth": 1e6}),
+]
 
 
-@pytest.mark.parametrize("rule", RULES)
-def test_points_that_are_far_too_many_are_refused_before_they_are_made(rule):
-    words = refusal(**{rule: RULES[rule]})
+@pytest.mark.parametrize(("rule", "values"), RULES)
+def test_points_that_are_far_too_many_are_refused_before_they_are_made(rule, values):
+    words = refusal(**{rule: values})
     assert f"ground.holds.{rule}: expected 1000000 points at most, got some" in words
 
 
