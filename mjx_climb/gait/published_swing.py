@@ -116,13 +116,13 @@ def _recorded(path: Path, frame: str) -> Swing:
             for each in message.transforms:
                 if each.child_frame_id == frame:
                     at = each.transform.translation
-                    times.append(1e-9 * (time - reader.start_time))
+                    times.append(time - reader.start_time)
                     places.append([at.x, at.y, at.z])
     return _trimmed(np.array(times), np.array(places).reshape(-1, 3), frame)
 
 
 def _trimmed(time: np.ndarray, position: np.ndarray, frame: str) -> Swing:
-    """The swing between two rests of a foot (S, 3) m at some times (S,) s."""
+    """The swing between two rests of a foot (S, 3) m at some times (S,), in any unit."""
     if len(time):
         way = np.linalg.norm(position[-1] - position[0])
         begun = np.linalg.norm(position - position[0], axis=1) > _STILL * way

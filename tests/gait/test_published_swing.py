@@ -86,6 +86,55 @@ def test_a_foot_follows_the_published_curve_scaled_to_the_gait(name, write, tmp_
     np.testing.assert_allclose(heights(phase, path)[:, 0], shape[:, 2], atol=0.015)
 
 
+# of the way: where a foot is at rest, and where it has begun to move
+REST, SLOW = 4e-7, 5e-6
+SHARES = [0.0, 0.0, REST, SLOW, 0.05, 0.2, 0.45, 0.6, 0.85, 0.97, 1 - SLOW, 1 - REST, 1.0, 1.0]
+TIMES = [7.0, 7.3, 7.4, 7.5, 7.7, 7.8, 8.0, 8.1, 8.3, 8.4, 8.6, 8.7, 9.5, 9.6]
+
+
+def recording(times):
+    """A swing on a slope, with steps aside; a row of another topic, and the last one cut off."""
+    share = np.array(SHARES)
+    places = np.outer(share, [0.1, 0.2, 0.05]) + np.outer(share * (1 - share), [0.0, 0.01, 0.2])
+    places += np.outer(share**2 * (1 - share), [0.03, 0.0, 0.0])
+    lines = [f"t,{','.join(f'/tf/{FRAME}/translation/{axis}' for axis in 'zxy')},other"]
+    lines += [f"{at},{z!r},{x!r},{y!r},1" for at, (x, y, z) in zip(times, places.tolist(), strict=True)]
+    return places, "\n".join([*lines[:6], "7.75,,,,3", *lines[6:], "9.7,0.3"])
+
+
+def test_a_recorded_swing_is_from_the_last_sample_at_rest_to_the_first(tmp_path):
+    """Fitted by normal equations; columns stand in any order."""
+    places, text = recording(TIMES)
+    (tmp_path / "a.csv").write_text(text)
+    gait = scenario(tmp_path / "a.csv", stride=0.06, step_height=0.02).gait
+    found = published_path(gait.swing_file, gait, 3)
+    phase = (np.array(TIMES[2:12]) - TIMES[2]) / (TIMES[11] - TIMES[2])
+    way = places[2:12] - places[2]
+    ahead = way[-1] / np.linalg.norm(way[-1])
+    left = np.cross([0, 0, 1.0], ahead) / np.linalg.norm(np.cross([0, 0, 1.0], ahead))
+    up = np.cross(ahead, left)
+    smooth, across = lambda p: p * p * (3 - 2 * p), 2 * phase - 1
+    shapes = np.array([(1 - across**2) ** 3 * across**k for k in range(6)])
+    height = np.interp(0.5, phase, way @ up)
+    length = np.linalg.norm(way[-1])
+    for row, shape, rest in (
+        (found[0, 0] * 0.02 / 0.06, shapes, way @ ahead / length - smooth(phase)),
+        (found[0, 2], shapes * across, way @ up / height - smooth(1 - abs(across))),
+    ):
+        np.testing.assert_allclose(shape @ shape.T @ row, shape @ rest, atol=1e-9)
+    level = found[0, 1] * 0.02 / 0.06
+    np.testing.assert_allclose(shapes @ shapes.T @ level, shapes @ (way @ left) / length, atol=1e-9)
+    assert found.shape == (3, 3, 6) and (found == found[0]).all()
+
+
+def test_samples_that_are_not_in_order_are_no_swing(tmp_path):
+    times = [*TIMES]
+    times[6], times[7] = times[7], times[6]
+    (tmp_path / "a.csv").write_text(recording(times)[1])
+    with pytest.raises(mc.ConfigError, match=r"a.csv: gait.swing_file: .*, got 10 samples in order of a swing of plan"):
+        own_parameters(scenario(tmp_path / "a.csv"))
+
+
 def test_the_swing_is_that_of_the_parameters_and_no_gain_of_the_gait_is_searched(tmp_path):
     bezier(tmp_path / "ramp.txt")
     walk = scenario(tmp_path / "ramp.txt")

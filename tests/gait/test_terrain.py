@@ -58,6 +58,14 @@ def test_engines_agree_on_uneven_ground(scenario, walked):
         np.testing.assert_allclose(getattr(other, name), getattr(walked, name), rtol=1e-8, atol=1e-8)
 
 
+def test_the_last_height_of_a_list_goes_on_and_limbs_that_are_not_named_stand_at_zero(scenario):
+    heights = [[0, 0.02, 0.02], [0.01, -0.01, -0.01], [0, 0.015, 0.03], [-0.01] * 3]
+    np.testing.assert_array_equal(foothold_heights(scenario), heights)
+    some = mc.Scenario().with_overrides({"ground.footholds": {"RF": [0.01, 0.02]}})
+    np.testing.assert_array_equal(foothold_heights(some), [[0, 0]] * 3 + [[0.01, 0.02]])
+    assert foothold_heights(mc.Scenario()).shape == (4, 0)
+
+
 # --- maps
 
 
@@ -150,6 +158,37 @@ def test_what_a_limb_cannot_reach_is_refused_before_the_walk(scenario):
     check_reach(mc.Scenario())
     with pytest.raises(mc.ConfigError, match=r"ground.footholds.RH.1: expected footholds within reach"):
         check_reach(scenario.with_overrides({"ground.footholds.RH": [0.0, 0.5]}))
+
+
+@pytest.mark.parametrize(("limb", "heights", "number", "words"), [
+    ("LF", [0.5], 0, "at 0.5 m, +0.375 m from the mean"), ("RH", [0.01, -4.0], 1, "at -4 m, -3 m from the mean"),
+    ("RF", [0.0, 0.01, 4.0], 2, "at 4 m, +3 m from the mean"),
+])  # fmt: skip
+def test_the_foothold_farthest_from_the_mean_of_those_out_of_reach_is_named(limb, heights, number, words):
+    """The base goes with the mean height of the feet: of one that is far off the others are, the other way."""
+    case = mc.Scenario().with_overrides({"ground.footholds": {limb: heights}})
+    with pytest.raises(mc.ConfigError) as refused:
+        check_reach(case, "walk")
+    said = (
+        f"walk: ground.footholds.{limb}.{number}: expected footholds within reach and joint limits, got one of {limb} "
+    )
+    assert str(refused.value).startswith(said + words)
+    level = {name: [0.5] for name in ("LF", "LH", "RH", "RF")}
+    check_reach(mc.Scenario().with_overrides({"ground.footholds": level}))
+
+
+def test_a_map_ends_with_its_last_row_and_column(tmp_path):
+    np.save(tmp_path / "map.npy", np.zeros((2, 3)))
+    whole = {"file": str(tmp_path / "map.npy"), "resolution": 1.0, "origin": [-0.5, -0.5]}
+    assert not foothold_heights(mc.Scenario().with_overrides({"ground.map": whole})).any()
+    for origin, limb, said in (([-0.5, -0.9], "LF", "got x -0.5 to 1.5, y -0.9 to 0.1 m"),
+                               ([-0.5, 0.0], "RH", "got x -0.5 to 1.5, y 0 to 1 m"),
+                               ([-1.9, -0.5], "LF", "got x -1.9 to 0.1, y -0.5 to 0.5 m"),
+                               ([0.0, -0.5], "LH", "got x 0 to 2, y -0.5 to 0.5 m")):  # fmt: skip
+        with pytest.raises(mc.ConfigError) as refused:
+            foothold_heights(mc.Scenario().with_overrides({"ground.map": whole | {"origin": origin}}))
+        assert f"expected a map that covers foothold 0 of {limb} at x " in str(refused.value)
+        assert str(refused.value).endswith(said)
 
 
 def test_a_map_beside_its_config(maps, tmp_path, monkeypatch):
