@@ -34,7 +34,7 @@ def found(path: Path) -> Path:
     Raises:
         ConfigError: it is neither.
     """
-    bare = len(path.parts) == 1 and not path.suffix and path.name.isidentifier()
+    bare = len(path.parts) == 1 and path.name.isidentifier()
     return config_path(f"{path.name}.yaml") if bare and not os.path.exists(path) else path
 
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjx_climb.scenario.load import load_scenario
+from mjx_climb.scenario import shipped
+from mjx_climb.scenario.load import load_hardware, load_scenario, with_hardware
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Cargo, Push, Scenario
 
@@ -109,6 +110,7 @@ BAD_FILES = [
     ("stifness: 3", "did you mean contact.stiffness or control.stiffness?"),
     ("torque_limit: 3", "did you mean hardware.servo.torque_limit?"),
     ("robot: ''", "robot: expected the name of a robot"),
+    ("robot: '  '", "robot: expected the name of a robot"),
     ("gravity: [0, 0]", "gravity: expected a list of three numbers from -10000 to 10000, got [0, 0]"),
     ("gravity: [0, 0, .nan]", "gravity: expected a list of three numbers from -10000 to 10000"),
     ("gravity: -9.81", "gravity: expected a list of three numbers from -10000 to 10000, got -9.81"),
@@ -195,6 +197,41 @@ def test_a_bad_file_is_told_what_is_wrong(write, content, fragment):
     assert fragment in text
 
 
+def test_a_file_may_be_as_long_as_is_said_and_begin_with_a_mark_of_its_encoding(write):
+    text = "robot: hubrobo_v3_2  #"
+    assert load_scenario(write(text + "a" * (1_000_000 - len(text)))) == Scenario()
+    assert "at most 1000000 bytes, got more" in message(load_scenario, write(text + "a" * (1_000_001 - len(text))))
+    assert load_scenario(write(b"\xef\xbb\xbfduration: 4.0")).duration == 4.0
+
+
+def test_a_profile_of_hardware_is_one_section_in_a_file_or_a_bare_name(write, tmp_path, monkeypatch):
+    profile = load_hardware(write("hardware: {command_delay: 0.01}"))
+    assert profile == Scenario().with_overrides({"hardware.command_delay": 0.01}).hardware
+    for text, got in (("duration: 4", '{"duration": 4}'), ("hardware: {}\nduration: 4", '{"hardware": {}, "dur'),
+                      ("[1]", "[1]"), ("", "null")):  # fmt: skip
+        assert f"walk.yaml: expected the one section hardware, got {got}" in message(load_hardware, write(text))
+    wrong = message(load_hardware, write("hardware: {comand_delay: 1}"))
+    assert "walk.yaml: hardware.comand_delay: expected a known key, got an unknown one (did you mean com" in wrong
+    name = shipped.profiles()[0]
+    assert load_hardware(name) == load_hardware(CONFIGS / "hardware" / f"{name}.yaml")
+    assert "expected a readable file, got no such file" in message(load_hardware, f"below/{name}")
+    assert "expected a readable file, got no such file" in message(load_hardware, f"{name}.yml")
+    assert message(load_hardware, "zzz").startswith(f"zzz: expected a file, or a profile of hardware ({name}, ")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text("hardware: {command_delay: 0.02}")
+    assert load_hardware(name).command_delay == 0.02
+    (tmp_path / "case_2").write_text("duration: 4.0")
+    assert load_scenario("case_2").duration == 4.0 and load_scenario("case_1_1").duration == 8.0
+    assert message(load_scenario, "case_9").startswith("case_9: expected a file, or a config that comes with the prog")
+    every = {file.stem for file in CONFIGS.glob("*.yaml")}
+    assert {*shipped.names()} | {*shipped.ensembles()} == every and not {*shipped.names()} & {*shipped.ensembles()}
+    assert all(each.startswith("ensemble") for each in shipped.ensembles()) and len(shipped.ensembles()) > 0
+    slower = with_hardware(Scenario(), profile)
+    assert slower.hardware == profile and slower.gait == Scenario().gait
+    late = profile.model_copy(update={"control_period": 0.0015})
+    assert message(with_hardware, Scenario(), late, "mine").startswith("mine: hardware.control_period: expected a who")
+
+
 def test_paths_that_are_no_readable_file(tmp_path):
     assert "got no such file or directory" in message(load_scenario, tmp_path / "absent.yaml")
     assert "got is a directory" in message(load_scenario, tmp_path)
@@ -208,7 +245,7 @@ BAD_OVERRIDES = [
     (["gait..cycle=3"], "expected an override of the form"),
     ([3], "expected an override of the form"),
     ({3: 3}, "expected an override of the form"),
-    (["gait.cycle=[1"], "gait.cycle: expected valid YAML"),
+    (["gait.cycle=[1"], "gait.cycle: expected valid YAML, got expected ',' or ']', but got '<stream end>'"),
     (["gait.cycle.x=1"], 'gait.cycle: expected no further keys below this one, got "x"'),
     (["gait.cicle=1"], "gait.cicle: expected a known key, got an unknown one (did you mean cycle?)"),
     (["gate.cycle=1"], "gate: expected a known key, got an unknown one (did you mean gait?)"),

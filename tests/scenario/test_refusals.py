@@ -1,6 +1,7 @@
 """Every declared value and every rule between keys from both sides, and copies of scenarios."""
 
 import math
+import pickle
 import sys
 
 import numpy as np
@@ -137,6 +138,7 @@ RULES = [
     (servo(torque_limit=2.0, no_load_speed=5.0), None),
     (servo(torque_limit=2.0), None),
     (servo(no_load_speed=5.0), "hardware.servo.torque_limit: expected a number beside no_load_speed, got null"),
+    (servo(drive="voltage", no_load_speed=5.0), "servo.torque_limit: expected a number beside no_load_speed, got null"),
     (servo(**VOLTAGE), None),
     (servo(drive="voltage", torque_limit=2.0), "hardware.servo.no_load_speed: expected a number with drive: voltage"),
     (servo(drive="voltage"), "hardware.servo.torque_limit: expected a number with drive: voltage, got null"),
@@ -167,6 +169,15 @@ RULES = [
     ({"ground": {"holds": HOLDS | {"rock": {}}}}, "ground.holds.rock: expected one of points, cloud, map, handrails, "),
     ({"ground": {"holds": HOLDS, "footholds": {"LF": [0.0]}}}, "ground.holds: expected footholds or holds, not both"),
     ({"ground": {"holds": {"points": [{"at": [0, 0, 0], "normal": [0, 0, 0]}]}}}, "normal: expected a direction, not"),
+    ({"ground": {"holds": {"points": [{"at": [1, 0, 0], "normal": [0, 0, 0]}]}}},
+     "ground.holds.points.0.normal: expected a direction, not zero, got [0.0, 0.0, 0.0]"),
+    ({"ground": {"holds": {"wall": {"size": [0.0, 1.0]}}}}, "wall.size: expected a list of two numbers above 0, 100"),
+    ({"ground": {"holds": {"wall": {"size": [100.0, 1.0]}, "seed": 2**24 - 1}}}, None),
+    ({"ground": {"holds": {"wall": {"size": [1.0, 100.1]}}}}, "wall.size: expected a list of two numbers above 0, 100"),
+    ({"ground": {"holds": HOLDS | {"seed": 2**24}}}, "holds.seed: expected a whole number from 0 to below 2^24, got"),
+    ({"ground": {"holds": {"wall": {"filled": 0.0}}}}, "wall.filled: expected a number above 0, 1 at most, got 0.0"),
+    ({"ground": {"holds": {"rock": {}, "limit": 0.0, "count": 20_000}}}, None),
+    ({"ground": {"holds": HOLDS | {"count": 20_001}}}, "holds.count: expected a whole number from 1 to 20000, got 20"),
     ({"ground": {"holds": HOLDS | {"polyhedron": {"matrix": [[0, 0, -1]], "bound": [1, 2]}}}},
      "ground.holds.polyhedron.bound: expected 1 numbers, one for each row of matrix"),
     ({"ground": {"holds": HOLDS | {"polyhedron": {"matrix": [[0, 0, -1]], "bound": [1]}}}}, None),
@@ -195,6 +206,8 @@ RULES = [
     ({"disturbance": {"cargo": {"start": 1.0, "stop": 1.001}}}, None),
     ({"disturbance": {"cargo": {"start": 1.0, "stop": 1.0}}}, "cargo.stop: expected a time after start = 1 s, or null"),
     ({"duration": 0.001, "gait": {"cycle": 0.008}}, None),
+    ({"duration": 0.30000000001}, None),
+    ({"duration": 0.300001}, "duration: expected a whole number of time steps of 0.001 s, got 0.300001"),
     ({"duration": 0.0004}, "duration: expected a whole number of time steps of 0.001 s, got 0.0004"),
     ({"duration": 1e4}, None),
     ({"duration": 10_000.001}, "duration: expected at most 10000000 time steps of 0.001 s, got 10000.001"),
@@ -225,7 +238,8 @@ def test_gains_of_registers_take_the_place_of_those_of_the_config():
     """By the formula: stall torque times scale times register; the last of both that is set holds."""
     scenario = made(servo(registers={"p": 400, "d": 30}, register_scale=SCALE, torque_limit=2.0))
     assert (scenario.control.kp, scenario.control.ki, scenario.control.kd) == pytest.approx((0.8, 0.0, 0.12))
-    assert scenario.with_overrides({"control.kp": 3.0}).hardware.servo.registers is None
+    for key in ("control.kp", "control.ki", "control.kd"):
+        assert scenario.with_overrides({key: 3.0}).hardware.servo.registers is None, key
     kept = scenario.with_overrides({"gait.stride": 0.02})
     assert kept.hardware.servo.registers.p == 400 and kept.control.kp == pytest.approx(0.8)
     scale = RegisterScale(p=0.01, i=0.5, d=0.002)
@@ -273,11 +287,31 @@ def test_limbs_of_a_file_come_counter_clockwise_from_straight_ahead():
     ({"limbs": ROBOT["limbs"] | {"back": {"joints": ["a", "b"], "foothold": [0, 0]}}}, "back.foot: expected a value"),
     ({"limbs": ROBOT["limbs"] | {"back": LIMB}}, "limbs.back.foothold: expected a value, as the robot has a height"),
     ({"limbs": ROBOT["limbs"] | {"back": LIMB | {"joints": ["a"], "foothold": [0, 1]}}}, "expected two joints or more"),
+    ({"limbs": ROBOT["limbs"] | {"back": LIMB | {"joints": [*"abcdefgh"], "foothold": [0, 1]}}},
+     "back.joints: expected a list of one to seven joint names, from the base outwards"),
+    ({"limbs": ROBOT["limbs"] | {"back": LIMB | {"joints": ["a", " "], "foothold": [0, 1]}}}, "back.joints"),
     ({"height": None, "limbs": {f"l{n}": {"joints": ["a"]} for n in range(9)}}, "limbs: expected 1 to 8 limbs, got 9"),
 ])  # fmt: skip
 def test_limbs_of_a_file_are_complete(change, said):
     with pytest.raises(ConfigError, match=said):
         made({"robot": ROBOT | change, "gait": {"sequence": list(AROUND)}})
+    seven = LIMB | {"joints": [*"abcdefg"], "foothold": [0, 1]}
+    made({"robot": ROBOT | {"limbs": ROBOT["limbs"] | {"back": seven}}, "gait": {"sequence": list(AROUND)}})
+
+
+@pytest.mark.parametrize(("key", "field"), [pytest.param(key, field, id=key) for key, field in values()])
+def test_what_the_words_of_a_value_allow_is_allowed(key, field):
+    """Each that gives 0 or null a meaning takes it, and null has a meaning wherever it is taken."""
+    alone, (low, high) = Alone(key), field.bounds
+    assert low <= 0 or "0: " not in field.note, key
+    assert (high == INF) == ("null: " in field.note), key
+    default = getattr(alone.model.model_validate({"force": [1, 2, 3]} if "pushes" in key else {}), alone.name)
+    if field.whole:
+        assert type(default) is int, key
+    elif "null: none" in field.note and key != "contact.holding_limit":
+        assert default is None, key
+    elif "0: none" in field.note:
+        assert default == 0, key
 
 
 OWN = {"file": "law.py", "name": "Law"}
@@ -400,6 +434,8 @@ def test_a_message_has_its_parts_and_moves_elsewhere():
     assert str(error) == "file: key: expected this, got that (and 2 more)"
     moved = error.moved(source="", key="other")
     assert str(moved) == "other: expected this, got that (and 2 more)" and moved.more == 2
+    again = pickle.loads(pickle.dumps(error))
+    assert vars(again) == vars(error) and again.args == error.args
     assert str(ConfigError("file", reason="why")) == "file: why" == str(ConfigError("file", reason="why").moved())
     assert str(ConfigError("", "key", "this")) == "key: expected this"
     assert printable("a\x1b\n\u2028é", keep="\n") == "a\\x1b\n\\u2028é"
@@ -425,6 +461,11 @@ def test_keys_are_those_of_all_sections_and_a_misspelt_one_is_told_in_any():
         ({"robot": ROBOT | {"limbs": 3}}, "robot.limbs: expected a mapping from names, got 3"),
         ({"ground": {"holds": {"points": [{"at": [0, 0, 0], "zzz": 1}]}}}, "ground.holds.points.0.zzz: expected one of "
          "at, normal, limit, got an unknown one"),
+        ({"gravitation": 1}, "gravitation: expected a known key, got an unknown one (did you mean gravity?)"),
+        ({"gravel": 1}, "gravel: expected a known key, got an unknown one (did you mean gravity?)"),
+        ({"ground_": 1, "robot": 3}, "robot: expected the name of a robot, got 3 (and 1 more)"),
+        ({"zzz": 1}, "zzz: expected one of robot, gravity, duration, time_step, gait, ground, contact, control, "
+         "disturbance, hardware, own, got an unknown one"),
         ({"gait": {"armature": 1}}, "gait.armature: expected a known key, got an unknown one (did you mean "
          "hardware.servo.armature?)"),
         ({"contact": {"kind": "gripper", "stifness": 1}}, "contact.stifness: expected a known key, got an unknown one "
