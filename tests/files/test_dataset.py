@@ -17,6 +17,8 @@ from mjx_climb.control import law_of
 from mjx_climb.files import dataset as ds
 from mjx_climb.parameter_types import GAIN_UNITS
 from mjx_climb.scenario.messages import section
+from mjx_climb.walk.metrics import GRIPS, SENSORS
+from tests.trajectories import still
 
 SCENARIO = mc.Scenario().with_overrides({
     "duration": 2.0, "gravity": [0.0, 0.0, -1.635], "control.stiffness": [1e3, 2e3, 3e3, 4e1, 5e1, 6e1],
@@ -98,6 +100,45 @@ def test_a_walk_of_an_older_version_lacks_some_quantities(trajectory, tmp_path):
     assert found["min_gia_margin"] is None
 
 
+def test_a_walk_of_an_own_law_under_several_pushes_survives_a_file(tmp_path):
+    pushes = [{"force": [n, 0.0, 1.0], "start": 0.01 * n, "stop": 0.03} for n in range(3)]
+    scenario = mc.Scenario().with_overrides({"duration": 0.05, "gait.cycle": 0.05, "disturbance.pushes": pushes})
+    walk = still(scenario)
+    given = walk.parameters.replace({"disturbance.pushes.2.moment": np.arange(3.0), "contact.stiffness": np.array(7e3)})
+    gains = {"leak": np.array(2.0), "kp": np.array([40.0])}
+    walk = dataclasses.replace(walk, parameters=given, gains=gains, law="Mine")
+    loaded = ds.load_trajectory(ds.save(ds.to_dataset(walk), tmp_path / "walk.nc"))
+    assert (loaded.law, loaded.scenario, [*loaded.gains]) == ("Mine", scenario, ["leak", "kp"])
+    jax.tree.map(np.testing.assert_array_equal, loaded.gains, gains)
+    assert [*loaded.parameters.values] == [*given.values]
+    for path, value in given.values.items():
+        np.testing.assert_array_equal(loaded.parameters.at(path), value, err_msg=path)
+    assert "law" not in ds.to_dataset(still(scenario)).attrs
+    dataset = ds.to_dataset(walk)
+    # the paper's gains of a file that is older than some of the joint loop's
+    older = dataset.assign_attrs(gains=json.dumps(dict.fromkeys(mc.Gains.AXES, [1.0] * 6) | {"kp": 50.0}))
+    gains = ds.load_trajectory(ds.save(older, tmp_path / "gains.nc")).gains
+    assert isinstance(gains, mc.Gains) and (gains.kp, gains.safe_kp) == (50.0, None)
+    dataset.attrs["parameters"] = json.dumps({"contact_stiffness": 1e4})
+    with pytest.raises(
+        mc.ConfigError, match=r"older.nc: expected a walk of release 2, got an older one: walk its conf"
+    ):
+        ds.load_trajectory(ds.save(dataset, tmp_path / "older.nc"))
+
+
+def test_a_variable_that_should_be_large_says_so_or_has_the_name_of_a_metric_that_should():
+    for name, attributes, larger in (
+        ("travel", {}, True), ("peak_foot_force", {}, False), ("mine", {}, False),
+        ("mine", {"larger_is_better": 1}, True), ("travel", {"larger_is_better": 0}, False),
+    ):  # fmt: skip
+        assert ds.larger_is_better(xr.DataArray(0.0, name=name, attrs=attributes)) is larger
+    for metric in mc.METRICS:
+        assert ds.metric_attributes(metric)["larger_is_better"] == metric.larger_is_better
+    # of two walks the one with more way, or more margin, or that fails later is the better one
+    better = {"travel", "min_tsm", "min_gia_margin", "joint_limit_margin", "detached_at", "stands_at", "sensor_lost_at"}
+    assert {metric.name for metric in (*mc.METRICS, *SENSORS, *GRIPS) if metric.larger_is_better} == better
+
+
 @pytest.fixture
 def checkout(tmp_path):
     """Return a folder under git with a package, and with another one that is ignored, as environments are."""
@@ -153,6 +194,9 @@ def test_sweep_rejects_what_does_not_fit():
     ):
         with pytest.raises(ValueError, match=expected):
             ds.sweep_dataset({metric: np.zeros(size)}, {coordinate: [1e2, 1e3]}, SCENARIO)
+    for alone in (xr.DataArray(1.0, attrs={"units": "N"}), xr.DataArray(np.ones((1, 1)), attrs={"units": "N"})):
+        with pytest.raises(ValueError, match=rf"^coordinate a: expected one axis, got {alone.ndim}$"):
+            ds.sweep_dataset({}, {"a": alone}, SCENARIO)
     own = xr.DataArray([1.0, 2.0], dims="slope", attrs={"units": "rad", "long_name": "slope"})
     assert ds.sweep_dataset({"travel": np.zeros(2)}, {"slope": own}, SCENARIO)["slope"].attrs["units"] == "rad"
 
