@@ -8,8 +8,9 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb import execution
-from mjx_climb.control import VirtualModelAdmittance
+from mjx_climb.control import LoadTransfer, VirtualModelAdmittance
 from mjx_climb.walk.metrics import METRICS
+from mjx_climb.walk.sample import Sample, unknown
 
 CASE = mc.load_scenario("case_1_2", {"duration": 0.3})
 SLOPES = {
@@ -156,3 +157,67 @@ def test_a_time_step_that_contacts_cannot_follow_walks_for_searches_alone(asked)
     assert not asked
     simulation.metrics(parameters=stiff, unsteady=True)
     assert len(asked) == 1
+
+
+@pytest.fixture
+def begun(monkeypatch):
+    """Have walks whose samples are zeros, but for a base as far ahead as the number of its part; return the calls."""
+    calls = []
+
+    def run_one(function, structure, law, parameters, time_step, *more):
+        calls.append((function.__name__, structure, law, parameters, time_step, more))
+        if function.__name__ == "begun":
+            return 0
+        made = unknown(structure.steps, {"limb": 4, "joint": 3})
+        made["base_position"] = np.full_like(made["base_position"], more[0])
+        return more[0] + 1, Sample(**made)
+
+    monkeypatch.setattr(execution, "run_one", run_one)
+    return calls
+
+
+def test_a_rollout_says_what_it_walked(begun):
+    """Gains of the paper's laws on six axes; the parameters without the joint gains; the scenario with the gait."""
+    simulation = mc.Simulation(CASE)
+    gains = {"damping": 7.0, "kp": 40.0, "gait.cycle": 2.0, "gait.duty": 0.8}
+    walk = simulation.rollout(gains, mc.parameters(CASE).replace({"contact.stiffness": np.asarray(9e3)}))
+    assert (walk.law, walk.limbs, walk.time.shape) == ("", ("LF", "LH", "RH", "RF"), (300,))
+    assert walk.scenario == CASE.with_overrides({"gait.cycle": 2.0, "gait.duty": 0.8, "gait.stride": 0.025})
+    np.testing.assert_array_equal(walk.gains.damping, np.full(6, 7.0))
+    np.testing.assert_array_equal(walk.gains.stiffness, np.full(6, CASE.control.stiffness))
+    assert (walk.gains.kp, walk.gains.kd) == (40.0, None)
+    own = {"control.kp": CASE.control.kp, "contact.stiffness": 9e3, "gait.cycle": 2.0, "gait.stride": 0.025}
+    for path, value in own.items():
+        assert walk.parameters.at(path) == pytest.approx(value), path
+    walked = begun[-1][3]
+    assert (walked.at("control.kp"), walked.at("contact.stiffness")) == (40.0, 9e3)
+    np.testing.assert_array_equal(begun[-1][2].damping, np.full(6, 7.0))
+    single = simulation.rollout(dtype=np.float32)
+    leaves = [*jax.tree.leaves(begun[-1][3]), *jax.tree.leaves(single.parameters), begun[-1][4]]
+    assert {leaf.dtype for leaf in leaves} == {np.dtype(np.float32)}
+    own = mc.Simulation(CASE, LoadTransfer()).rollout({"leak": 0.5})
+    assert own.law == "LoadTransfer" and {*own.gains} == {*LoadTransfer.GAINS} and own.gains["leak"] == 0.5
+    with pytest.raises(ValueError, match=r"^rollout walks one robot: for a batch of gains or parameters use rollout_m"):
+        simulation.rollout({"kp": np.full(1, 50.0)})
+
+
+def test_a_rollout_is_made_of_parts_under_the_targets_of_each(begun):
+    """The last part goes on with the last targets, and is cut where the walk ends."""
+    case = CASE.with_overrides({"duration": 4.5, "gait.cycle": 4.5})
+    targets = np.arange(4500.0)[:, None, None] + np.zeros((4, 3))
+    walk = mc.Simulation(case).rollout(targets=targets)
+    assert walk.law == "JointTargets" and walk.time.shape == (4500,)
+    assert [(name, structure.steps, structure.time_step) for name, structure, *_ in begun] == [
+        ("begun", 2000, 0.0), *[("next_samples", 2000, 0.0)] * 3
+    ]  # fmt: skip
+    for part, (*_, time_step, (carry, first, under)) in enumerate(begun[1:]):
+        assert (carry, first, time_step) == (part, 2000 * part, 0.001)
+        np.testing.assert_array_equal(under[:, 1, 2], np.minimum(2000 * part + np.arange(2000), 4499))
+    np.testing.assert_array_equal(walk.base_position[:, 0], np.arange(4500) // 2000)
+    with pytest.raises(ValueError, match=r"^targets: expected shape \(4500, 4, 3\), got \(4499, 4, 3\)$"):
+        mc.Simulation(case).rollout(targets=targets[1:])
+    looks = case.with_overrides({"control.recovery.shift": 0.1, "gait.planning_period": 0.9})
+    begun.clear()
+    mc.Simulation(looks).rollout()
+    # as many whole planning periods as fit into a part
+    assert [structure.steps for _, structure, *_ in begun] == [1800] * 4

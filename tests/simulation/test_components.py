@@ -9,7 +9,10 @@ import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD, VirtualModelAdmittance
+from mjx_climb.disturbances.link_wrench import LinkWrench
+from mjx_climb.disturbances.on_base import Cargo
 from mjx_climb.ground.ground import Ground
+from mjx_climb.hardware.servo import Servos
 from mjx_climb.hardware.velocity_commanded import VelocityCommanded
 from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.physics.contact.gripper import Gripper
@@ -66,6 +69,29 @@ def test_the_gait_waits_for_grips_that_may_fail(scenario):
     assert begun(scenario, contact=UncertainGripper()).parameters.waiting is not None
     assert begun(scenario, contact=Gripper()).parameters.waiting is None
     assert begun(goes_on, contact=UncertainGripper()).parameters.waiting is None
+
+
+def test_components_given_in_python_take_the_place_of_the_scenarios_or_act_beside_them(scenario):
+    wrench = LinkWrench(force=np.array([1.0, 0.0, 0.0]))
+    own = begun(scenario, drive=VelocityCommanded(), contact=UncertainGripper(), disturbances=iter([wrench])).parameters
+    assert [type(each) for each in own.disturbances] == [Cargo, LinkWrench]
+    assert (type(own.drive), type(own.contact)) == (VelocityCommanded, UncertainGripper)
+    plain = begun(scenario)
+    assert (type(plain.parameters.drive), type(plain.parameters.contact)) == (Servos, Gripper)
+    assert {leaf.dtype for leaf in jax.tree.leaves(plain.parameters)} == {np.dtype(np.float64)}  # JAX's own setting
+
+
+def test_a_simulation_refuses_what_no_walk_could_have(scenario):
+    for changes, said in (
+        ({"gait.height": 2.5}, r"gait.height: expected at most 1\.\d+, with which all feet are within reach"),
+        ({"gait.sway": 0.9, "gait.height": 1.7}, r"gait.sway: expected at most 0\.\d+, with which all feet"),
+    ):
+        with pytest.raises(
+            ConfigError, match=f"^scenario: {said} and joint limits, got {next(iter(changes.values())):g}$"
+        ):
+            mc.Simulation(scenario.with_overrides(changes))
+    with pytest.raises(ValueError, match=r"^disturbance: expected an instance of a class that inherits from mjx_climb"):
+        mc.Simulation(scenario, disturbances=[Gripper()])
 
 
 def test_gains_go_beyond_the_bounds_of_searches(scenario):

@@ -58,6 +58,10 @@ def test_a_gait_that_was_worked_out_for_its_own_values_is_fixed(tmp_path):
 
 def test_of_a_batch_of_gaits_the_extremes_are_checked():
     with_gait(CASE, own_parameters(CASE), {"gait.duty": np.array([0.8, 0.76, 0.9])})
+    # the shortest swing is of a robot that has neither the longest stance nor the shortest cycle
+    short = {"gait.duty": np.array([0.75, 0.9980, 0.9985]), "gait.cycle": np.array([0.8, 0.9, 4.0])}
+    with pytest.raises(ValueError, match=r"^gains.gait.duty: expected a swing, \(1 - duty\) cycle, of two time steps"):
+        with_gait(CASE, own_parameters(CASE), short)
     for wrong in ([0.8, 0.5, 0.9], [0.8, 0.9, 1.0]):
         with pytest.raises(ValueError, match=r"^gains.gait.duty: expected"):
             with_gait(CASE, own_parameters(CASE), {"gait.duty": np.array(wrong)})
@@ -81,6 +85,8 @@ def test_a_file_of_python_needs_the_modules_and_packages_beside_it_that_it_impor
     assert digest(tmp_path / "law.py") == before
     (tmp_path / "further.py").write_text("import helper  # \n")
     assert digest(tmp_path / "law.py") != before
+    (tmp_path / "same.py").write_bytes((tmp_path / "law.py").read_bytes())
+    assert digest(tmp_path / "same.py") != digest(tmp_path / "law.py")  # by its name
     (tmp_path / "broken.py").write_text("def (")
     assert [path.name for path in needed(tmp_path / "broken.py")] == ["broken.py"]
 
@@ -164,6 +170,11 @@ def test_directions_have_an_axis_before_those_of_the_robots():
             ValueError, match=rf"directions.{name}: expected none, as it is counted in whole time steps"
         ):
             resolved_directions(resolved, gains, {name: np.ones((2, 4))})
+        still = {name: np.zeros((2, 4)), "kp": np.ones((2, 4))}
+        assert {*resolved_directions(resolved, gains, still)} == {"kp"}
+    one = resolve_in(CASE, VirtualModelAdmittance(), {"kp": 50.0}, None, np.float64)
+    with pytest.raises(ValueError, match=r"^directions.kp: expected shape \(1,\), got \(\)$"):
+        resolved_directions(one, {"kp": 50.0}, {"kp": 1.0})
     own, other = mc.Gains(1.0, 2.0, 3.0, kp=50.0), mc.Gains(*(np.ones((1, 6)),) * 3)
     with pytest.raises(ValueError, match=r"directions.kp: expected rates of change, as gains.kp is given, got None"):
         resolved_directions(resolve_in(CASE, VirtualModelAdmittance(), own, None, np.float64), own, other)

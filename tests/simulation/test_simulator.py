@@ -184,6 +184,13 @@ def test_equal_arguments_give_the_same_function(late):
     again = mc.Scenario.model_validate(scenario.model_dump())
     assert again is not scenario
     assert mc.simulator(scenario) is mc.simulator(again) is not mc.simulator(again, smooth=True)
+    stiff, soft = (VirtualModelAdmittance(stiffness=np.full(6, value)) for value in (1e4, 1e3))
+    assert (
+        mc.simulator(scenario, law=stiff) is mc.simulator(scenario, law=stiff) is not mc.simulator(scenario, law=soft)
+    )
+    assert mc.simulator(scenario, engine="mjx") is not mc.simulator(scenario)
+    two = mc.METRICS[:2]
+    assert mc.simulator(scenario, metrics=two) is mc.simulator(scenario, metrics=two) is not mc.simulator(scenario)
 
 
 @pytest.fixture(scope="module")

@@ -191,6 +191,10 @@ def test_times_are_whole_steps_and_of_two_the_larger(array):
         for off, expected in ((0.0, 0), (0.45, 0), (0.5, 1), (0.51, 1), (-0.5, 0), (-0.55, -1), (0.5 - 1e-9, 1)):
             found = np.asarray(whole_steps(array((counts + off) * step), step))
             np.testing.assert_array_equal(found[counts > 0], (counts + expected)[counts > 0])
+    # the rounding of single precision, of a time and of its division, counts for nothing
+    halves = np.arange(1, 40_000, 17)
+    single = array(((halves + 0.5) * 0.001).astype(np.float32))
+    np.testing.assert_array_equal(np.asarray(whole_steps(single, 0.001)), halves + 1)
     duty, cycle = draw.uniform(0.3, 0.99, 300), draw.integers(4, 5000, 300)
     np.testing.assert_array_equal(
         np.asarray(stance_steps(array(duty), array(cycle))), np.ceil(duty * cycle - 1e-7 * duty * cycle)
@@ -233,7 +237,7 @@ GIVEN = {
     "disturbance.pushes": [
         {"force": [1, 2, 3], "start": 0.1}, {"force": [0, 0, 1], "moment": [4, 5, 6], "start": 1.0, "stop": 2.0},
     ],
-    "gait.waiting.waits": True, "hardware.force_sensor.dead": {"RH": 2.5},
+    "gait.waiting.waits": True, "hardware.force_sensor.dead": {"RH": 2.5, "LF": 1.5},
 }  # fmt: skip
 
 
@@ -257,7 +261,7 @@ def test_each_key_of_a_scenario_is_the_parameter_of_its_path():
             value = scenario.value(key)
         np.testing.assert_array_equal(own.at(path), math.inf if value is None else value, err_msg=path)
         assert own.at(path).dtype == float
-    np.testing.assert_array_equal(own.at("hardware.force_sensor.dead"), [math.inf, math.inf, 2.5, math.inf])
+    np.testing.assert_array_equal(own.at("hardware.force_sensor.dead"), [1.5, math.inf, 2.5, math.inf])
     assert own.at("mass_scale") == 1.0 and own.at("control.safe_kp") == scenario.control.kp
     assert own_parameters(SCENARIO.with_overrides({"control.safe_kp": 99.0})).at("control.safe_kp") == 99.0
     np.testing.assert_array_equal(own.at("gravity"), scenario.gravity)
@@ -267,6 +271,7 @@ def test_each_key_of_a_scenario_is_the_parameter_of_its_path():
     meaning = "holding limit of a gripper, which lets go of a stronger pull"
     assert told["contact.holding_limit"] == {**limit, "meaning": meaning}
     assert told["hardware.servo.torque_limit"]["value"] == 3.0 and told["disturbance.cargo.mass"]["unit"] == "kg"
+    assert told["gait.swing_path"]["shape"] == (4, 3, 0) and told["ground.foothold_height"]["shape"] == (4, 0)
     assert told["gravity"]["shape"] == (3,) and own.units["control.kp"][0] == "N m/rad" and {*told} == {*own.paths}
     assert all(np.asarray(v).dtype == np.float32 for v in parameters(scenario, jnp.float32).values.values())
 
@@ -350,6 +355,7 @@ def test_a_law_is_an_instance_of_a_class_of_laws():
     assert checked(law, Law) is law
     for given, kind, said in (
         (PD, Law, r"law: expected an instance of a class that inherits from mjx_climb.Law, got .*; PD\(\) makes one$"),
+        (Part, Law, r"law: expected an instance of a class that inherits from mjx_climb.Law, got <class .*Part'>$"),
         (Part(), Law, r"law: expected an instance of a class that inherits from mjx_climb.Law, got Part\(.*\)$"),
     ):
         with pytest.raises(ValueError, match=f"^{said}"):

@@ -14,7 +14,20 @@ from mjx_climb.control import PD
 from mjx_climb.inputs.resolve import resolve_in
 from mjx_climb.physics.spatial import norm
 from mjx_climb.robot_import.load import load_robot
-from mjx_climb.walk.metrics import FAILURES, Context, Metric, accumulate, finish, largest, peak, smallest, start, total
+from mjx_climb.walk.metrics import (
+    FAILURES,
+    GRIPS,
+    SENSORS,
+    Context,
+    Metric,
+    accumulate,
+    finish,
+    largest,
+    peak,
+    smallest,
+    start,
+    total,
+)
 from mjx_climb.walk.sample import DIMS, Sample, unknown
 from mjx_climb.walk.step import prepare
 from mjx_climb.walk.structure import structure
@@ -209,6 +222,10 @@ def test_a_table_is_immutable_and_known_by_names():
     again = pickle.loads(pickle.dumps(mc.METRICS.with_companions))
     assert all(one is other for one, other in zip(again, mc.METRICS.with_companions, strict=True))
     assert copy.deepcopy(mc.METRICS) == mc.METRICS
+    for table in (SENSORS, GRIPS):
+        assert all(one is other for one, other in zip(pickle.loads(pickle.dumps(table)), table, strict=True))
+    assert mc.METRICS.in_words("min_tsm") == "min TSM" and mc.METRICS.in_words("peak_base_speed") == "peak base speed"
+    assert repr(SENSORS) == "MetricTable(sensor_lost_at, sensor_lost_limb)"
     with pytest.raises(KeyError, match="metric speed: expected one of peak_foot_force, "):
         mc.METRICS["speed"]
 
