@@ -1,6 +1,7 @@
 """Numbers behind pictures of random walks: events, scales of colours, marks in the scene, the camera and the ground."""
 
 import dataclasses
+import itertools
 import math
 
 import av
@@ -10,12 +11,17 @@ import pytest
 import xarray as xr
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm, to_rgb
+from matplotlib.figure import Figure
 
 import mjx_climb as mc
+from mjx_climb.robot_import.description import compiled
+from mjx_climb.robot_import.load import load_robot
+from mjx_climb.scenario.model import RobotFile
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import events, maps
 from mjx_climb.viz.plots.styling import CARGO, LIMB_COLORS, PUSH
 from mjx_climb.viz.rendering import canvas, captions, film, marks, surroundings
+from tests.robot import climbers
 from tests.trajectories import still
 
 PUSHES = [
@@ -788,3 +794,211 @@ def test_the_way_of_the_feet_is_drawn_to_scale(held):
     bars = [line.get_xdata() for line in side.lines if line.get_gid() == "foothold"]
     assert {round(bar[1] - bar[0], 6) for bar in bars} == {24.0}
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [*walk.limbs, "base"]
+
+
+# ------------------------------------------------------------------------------------------- pictures put together
+
+
+class Sheet:
+    """A stand-in for a canvas: pictures of one grey each; it keeps all that it was asked to draw."""
+
+    def __init__(self, model, width, height):
+        self.model, self.size, self.asked = model, (width, height), []
+        Sheet.last = self
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def draw(self, data, view, on_top, inside=None):
+        over, among = scene(), scene()
+        on_top(over)
+        if inside is not None:
+            inside(among)
+        self.asked.append((np.array(data.qpos), view, shapes(over), shapes(among)))
+        return np.full((*self.size[::-1], 3), 20 * len(self.asked), np.uint8)
+
+
+def test_walks_side_by_side_share_camera_and_scales_and_the_last_one_has_the_legend(monkeypatch):
+    monkeypatch.setattr(film, "Canvas", Sheet)
+    far = drawn(1).base_position.copy()
+    far[40:] += 31 * events.size_of(drawn(1))
+    walks = [drawn(), dataclasses.replace(drawn(1, SCENARIO.with_overrides({"control.controller": "pd"})),
+                                          base_position=far, foot_force=4 * drawn(1).foot_force)]  # fmt: skip
+    size, strip = (320, 120), 26  # of the height 0.21, in pairs of pixels
+    instants = [0.0104, 0.05]
+    pictures = [*film.pictures(walks, instants, size=size, trace=0.21)]
+    sheet, model, scale = Sheet.last, Sheet.last.model, marks.scale(walks)
+    assert sheet.size == (320, 94) and len(sheet.asked) == 4
+    camera = canvas.follower(walks, model, 320 / 94)
+    focal = 94 / (2 * math.tan(math.radians(float(model.vis.global_.fovy)) / 2))
+    for n, (qpos, view, over, among) in enumerate(sheet.asked):
+        walk, instant = walks[n % 2], instants[n // 2]
+        row = round(instant / 0.001)
+        posed = min(row, 39) if n % 2 else row  # what flies away is shown as long as it is near
+        np.testing.assert_allclose(qpos[:3], walk.base_position[posed])
+        expected = camera(walk, instant)
+        np.testing.assert_allclose([*view.target, view.distance], [*expected.target, expected.distance])
+        arrows, things = scene(), scene()
+        marks.forces(arrows, walk, posed, scale)
+        marks.around(things, walk, posed)
+        for found, same in ((over, shapes(arrows)), (among, shapes(things))):
+            assert len(found) == len(same)
+            for one, other in zip(found, same, strict=True):
+                for value, expected in zip(one, other, strict=True):
+                    np.testing.assert_array_equal(value, expected)
+        label = ("base admittance", "pd")[n % 2]
+        panel = captions.Caption(walk, label, (320, 94), scale).draw(
+            np.full((94, 320, 3), 20 * (n + 1), np.uint8), row, view, focal / view.distance if n % 2 else None
+        )
+        whole = np.concatenate([panel, captions.ForceTrace(walks, n % 2, (320, strip)).at(instant)])
+        whole[:, : 2 * (n % 2)] = 255  # a line between walks
+        np.testing.assert_array_equal(pictures[n // 2][:, 320 * (n % 2) :][:, :320], whole)
+
+
+def test_a_stance_stands_on_the_mean_of_its_feet_and_fits_into_its_picture(monkeypatch, tmp_path):
+    """The limbs are lines from the middle of the hips over the joints to the feet."""
+    monkeypatch.setattr(film, "Canvas", Sheet)
+    made = []
+    monkeypatch.setattr(film, "compiled", lambda file, spec: made.append(compiled(file, spec)) or made[-1])
+    text = climbers.mjcf(4, 3)
+    (tmp_path / "own.xml").write_text(text)
+    section = climbers.config(tmp_path / "own.xml", 4, 3)["robot"]
+    section["limbs"]["limb1"]["at"] = [0.0, 0.0, 0.04]
+    robot = RobotFile.model_validate(section)
+    film.stance(robot)
+    own, loaded = mujoco.MjModel.from_xml_string(text), load_robot(robot)
+    data = mujoco.MjData(own)
+    for limb, angles in zip(loaded.limbs, loaded.stance_joints, strict=True):
+        for joint, angle in enumerate(angles):
+            data.joint(f"L{limb[-1]}_{joint}").qpos[:] = angle
+    mujoco.mj_kinematics(own, data)
+    numbers = [int(limb[-1]) for limb in loaded.limbs]
+    feet = [data.site(f"foot{n}").xpos + data.site(f"foot{n}").xmat.reshape(3, 3)[:, 2] * 0.04 * (n == 1)
+            for n in numbers]  # fmt: skip
+    joints = [[data.joint(f"L{n}_{joint}").xanchor for joint in range(3)] for n in numbers]
+    (model,), ((_, view, over, _),) = made, Sheet.last.asked
+    assert Sheet.last.size == (800, 600)
+    assert model.geom("ground of the picture").pos[2] == pytest.approx(np.mean(feet, axis=0)[2])
+    places = np.concatenate([feet, *joints])
+    middle = (places.min(0) + places.max(0)) / 2
+    half = max(math.dist(place, middle) for place in places)
+    np.testing.assert_allclose(view.target, middle, atol=1e-9)
+    assert view.distance == pytest.approx(1.12 * half / math.sin(math.radians(22.5)))
+    hip = np.mean([points[0] for points in joints], axis=0)
+    expected = []
+    for n, (points, foot) in enumerate(zip(joints, feet, strict=True)):
+        line = [hip, *points, foot]
+        tone = to_rgb(LIMB_COLORS[n])
+        expected += [((a + b) / 2, 0.015 * half, tone) for a, b in itertools.pairwise(line)]
+        expected.append((foot, 0.03 * half, tone))
+    assert len(over) == len(expected)
+    for (kind, pos, sizes, _, rgba), (place, radius, tone) in zip(over, expected, strict=True):
+        assert kind == CAPSULE and sizes[0] == pytest.approx(radius, rel=1e-5)
+        np.testing.assert_allclose(pos, place, atol=2e-5)
+        np.testing.assert_allclose(rgba[:3], tone, atol=1e-6)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_trace_has_the_walk_in_front_of_those_beside_it(number, monkeypatch):
+    """Up to where the state stops being finite, and no higher than three times the largest force before a failure."""
+    figures = []
+    monkeypatch.setattr(captions, "Figure", lambda **how: figures.append(Figure(**how)) or figures[-1])
+    torn, late = np.zeros((ROWS, 4), bool), drawn(2).foot_force.copy()
+    torn[20, 1], late[21:] = True, 1e3 * late[21:]
+    longer = SCENARIO.with_overrides({"duration": 0.08, "gait.cycle": 0.08})
+    walks = [drawn(), dataclasses.replace(drawn(2), foot_force=late, torn_off=torn), drawn(3, longer)]
+    walks[0].foot_force[50:] = np.nan
+    trace = captions.ForceTrace(walks, number, (400, 60))
+    forces = [np.array([max(math.hypot(*f) for f in row) for row in walk.foot_force]) for walk in walks]
+    rows = [50, 60, 80]
+    limits = [forces[0][:50].max(), 3 * forces[1][:21].max(), forces[2].max()]
+    assert limits[1] < forces[1].max()
+    # its state ends in the middle: at most three times the largest force of the first half of it
+    limits[0] = min(limits[0], 3 * forces[0][:26].max())
+    top = 1.08 * max(limits)
+    [panel] = figures[0].axes
+    assert panel.get_ylim() == pytest.approx((0, top)) and panel.get_xlim() == pytest.approx((0, 0.079))
+    lines = [line for line in panel.lines if len(line.get_xdata()) > 2]
+    order = sorted(range(3), key=lambda n: n == number)
+    assert [line.get_color() for line in lines] == ["#767C84", "#767C84", "#78BEFF"]
+    for line, n in zip(lines, order, strict=True):
+        np.testing.assert_allclose(line.get_xdata(), 0.001 * np.arange(rows[n]), atol=1e-12)
+        np.testing.assert_allclose(line.get_ydata(), np.minimum(forces[n][: rows[n]], top))
+    assert [tick.get_text() for tick in panel.get_yticklabels()] == ["0", f"{max(limits):.2g} N"]
+    assert [text.get_text() for text in figures[0].texts] == ["largest foot force, the other walk's in grey"]
+    shaded = [(span.get_x(), span.get_x() + span.get_width()) for span in panel.patches]
+    np.testing.assert_allclose(shaded, [(a, b) for a, b, *_ in events.disturbances(walks[number])])
+    assert trace.at(0.02).shape == (60, 400, 3)
+    captions.ForceTrace(walks[2:], 0, (400, 60))
+    assert [text.get_text() for text in figures[1].texts] == ["largest foot force"]
+
+
+def test_walks_over_one_another_have_the_longest_ones_axis_and_each_ones_failure():
+    """The baseline's words are dark grey, as its line is light; those of others have their colour, a line below."""
+    torn, longer = np.zeros((ROWS, 4), bool), SCENARIO.with_overrides({"duration": 0.08, "gait.cycle": 0.08})
+    torn[20, 2] = True
+    walks = {"a": drawn(torn_off=torn), "b": drawn(1, longer), "c": drawn(2, torn_off=torn)}
+    figure = plots.plot_comparison(walks)
+    assert figure.axes[0].get_xlim() == (0, pytest.approx(0.08))
+    words = figure.findobj(lambda artist: artist.get_gid() == "failure")
+    tones = ["0.3", plots.SERIES[2][0]]
+    assert [(text.get_color(), text.xyann) for text in words] == [
+        (tone, (4, -3 - 17 * level)) for level, tone in enumerate(tones)
+    ]
+    widths = [(line.get_color(), line.get_linewidth()) for line in figure.legends[0].get_lines()]
+    assert widths == [("0.65", 1.8), (plots.VERMILLION, 1.2), (plots.BLUE, 1.2)]
+    assert figure.get_size_inches() == pytest.approx((3.5, 0.7 + 0.95 * 5))
+
+
+def test_the_way_of_the_feet_ends_a_tenth_of_a_second_after_a_failure(tmp_path):
+    scenario = mc.Scenario().with_overrides({"duration": 0.4, "gait.cycle": 0.4})
+    torn = np.zeros((400, 4), bool)
+    torn[150, 0] = True
+    walk = drawn(scenario=scenario, torn_off=torn, support=np.ones((400, 4), bool))
+    side = plots.plot_feet(walk).axes[0]
+    assert max(len(line.get_xdata()) for line in side.lines) == 250
+
+
+def test_the_last_height_of_a_foothold_goes_on():
+    """A ground of one height for each limb, on which feet step twice."""
+    heights = {"LF": [0.01], "LH": [0.0], "RH": [-0.02], "RF": [0.005]}
+    scenario = mc.Scenario().with_overrides({"duration": 0.06, "gait.cycle": 0.06, "ground.footholds": heights})
+    side = plots.plot_feet(drawn(scenario=scenario)).axes[0]
+    bars = [float(line.get_ydata()[0]) for line in side.lines if line.get_gid() == "foothold"]
+    assert bars == pytest.approx(
+        [height for own in heights.values() for height in own + own for height in [1e3 * height]]
+    )
+
+
+def test_a_map_reaches_to_marks_beside_it_and_says_where_a_baseline_beyond_its_colours_lies():
+    dims, draw = ("stiffness", "damping"), np.random.default_rng(0)
+    data = xr.Dataset({"peak_foot_force": (dims, 10 + draw.random((3, 4)))},
+                      {"stiffness": [1.0, 10.0, 100.0], "damping": [1.0, 10.0, 100.0, 1000.0]})  # fmt: skip
+    edges = (10**-0.5, 10**2.5), (10**-0.5, 10**3.5)
+    marked = {"left": (0.03, 10.0), "below": (10.0, 0.06), "above": (10.0, 9e4)}
+    for baseline, arrow in ((5.0, " \N{DOWNWARDS ARROW}"), (99.0, " \N{UPWARDS ARROW}"), (10.5, "")):
+        figure = plots.plot_map(data, "peak_foot_force", marked, baseline=baseline)
+        panel, bar = figure.axes
+        assert panel.get_xlim() == pytest.approx((0.03 / 1.5, edges[0][1]))
+        assert panel.get_ylim() == pytest.approx((0.06 / 1.5, 9e4 * 1.5))
+        assert [text.get_text() for text in bar.texts] == [f"pd{arrow}"]
+        low, high = panel.collections[0].get_clim()
+        [line] = [line for line in bar.lines if line.get_gid() == "baseline"]
+        assert line.get_ydata()[0] == pytest.approx(min(max(baseline, low), high))
+    bare = plots.plot_map(data, "peak_foot_force").axes[0]
+    assert (bare.get_xlim(), bare.get_ylim()) == (pytest.approx(edges[0]), pytest.approx(edges[1]))
+    first = data.assign(detached_limb=(dims, np.where(np.arange(12).reshape(3, 4) == 5, 0, -1)))
+    assert plots.failed_walks(first, *dims).T.ravel().nonzero()[0].tolist() == [5]
+
+
+@pytest.mark.parametrize(
+    ("names", "columns"), [(["a"], 1), (["a", "b"], 2), (["abcdefgh"] * 9, 4), (["a" * 99] * 3, 1)]
+)
+def test_a_legend_above_has_as_many_columns_as_fit(names, columns):
+    figure = Figure(figsize=(3.5, 3), layout="constrained")
+    plots.legend(figure, [plots.key(name, color="k") for name in names], "a title")
+    [legend] = figure.legends
+    assert legend._ncols == columns and legend.get_title().get_text() == "a title"

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -137,3 +138,39 @@ def test_joints_that_are_held_are_told_and_feet_are_called_as_no_link_is(tmp_pat
     assert not state.velocity[-4:].any() and not state.effort[-4:].any() and state.velocity[:-4].all()
     frames = [each.child_frame_id for each in found["/tf"][0][1].transforms]
     assert frames == ["trunk", *(f"{limb}_foot_contact" for limb in robot.limbs)]
+
+
+def test_the_root_link_of_a_robot_is_where_mujoco_has_it(tmp_path):
+    """Its base is two bodies with a joint between them that is held, and limbs have names that ROS does not take."""
+    text = climbers.mjcf(4, 3).replace('<body name="trunk">', '<body name="trunk" pos="0.1 0.2 0.3" euler="10 20 30">')
+    chest = '<body name="chest" pos="0 0 0.05"><joint name="neck" axis="0 1 0"/>'
+    chest += '<inertial pos="0 0 0" mass="1" diaginertia="1e-3 1e-3 1e-3"/></body>'
+    text = text.replace('<body name="L3_0"', f'{chest}<body name="L3_0"')
+    (tmp_path / "own.xml").write_text(text)
+    data = climbers.config(tmp_path / "own.xml", 4, 3)
+    limbs = {f"limb {n}-a": limb for n, limb in enumerate(data["robot"]["limbs"].values())}
+    data["robot"] |= {"locked": {"neck": 0.4}, "limbs": limbs}
+    data["gait"]["sequence"] = [*limbs]
+    scenario = mc.Scenario.model_validate(data).with_overrides({"duration": 0.01, "gait.cycle": 0.01})
+    robot = load_robot(scenario.robot)
+    walk = dataclasses.replace(drawn(scenario), limbs=robot.limbs)
+    _, found = messages(save_mcap(walk, tmp_path / "walk.mcap"))
+    assert {f"/limb_{n}_a/force" for n in range(4)} <= {*found}
+    model = mujoco.MjModel.from_xml_string(text)
+    state = mujoco.MjData(model)
+    state.joint("neck").qpos[:] = 0.4
+    trunk = [model.body("trunk").id, model.body("chest").id]
+    mass = model.body_mass[trunk]
+    mujoco.mj_kinematics(model, state)
+    for name, place in robot.places_in_file().items():
+        state.joint(name).qpos[:] = walk.joint_angles[0][place]
+    # the base of the walk is the centre of mass of trunk and chest, along the axes of the trunk
+    state.qpos[3:7] = walk.base_orientation[0]
+    mujoco.mj_kinematics(model, state)
+    centre = mass @ state.xipos[trunk] / mass.sum()
+    root = found["/tf"][0][1].transforms[0]
+    assert root.child_frame_id == "trunk"
+    place = walk.base_position[0] + state.xpos[trunk[0]] - centre
+    np.testing.assert_allclose(numbers(root.transform.translation), place, atol=1e-9)
+    turned = np.array(numbers(root.transform.rotation))
+    assert abs(turned @ walk.base_orientation[0]) == pytest.approx(1, abs=1e-9)

@@ -346,6 +346,10 @@ INSTALL = "tried egl, osmesa); on Debian and Ubuntu install libegl1 and libgl1, 
         ("--video", NO_DISPLAY | {"MUJOCO_GL": "glfw"}, None, "(tried glfw); MUJOCO_GL=egl needs no display"),
         ("--view", NO_DISPLAY, None, "neither DISPLAY nor WAYLAND_DISPLAY"),
         ("--view", {"WAYLAND_DISPLAY": None, "DISPLAY": ":nowhere"}, None, "got :nowhere, which does not"),
+        ("--view", {"WAYLAND_DISPLAY": "nowhere", "DISPLAY": None}, None, "got nowhere, which does not"),
+        ("--video", {"MUJOCO_GL": "on", "WAYLAND_DISPLAY": "x"}, False, "tried egl, osmesa, glfw); on Debian"),
+        ("--video", {"MUJOCO_GL": "GLX", "DISPLAY": None}, False, "tried egl, osmesa); on Debian"),
+        ("--video", {"MUJOCO_GL": "OSMesa"}, False, "(tried osmesa); on Debian and Ubuntu install libosmesa6"),
         *(
             (f"--snapshots --at={at}", {}, True, "--at: expected up to 12 times from 0 to 8 s")
             for at in ("-1", "0.1,9", "nan")
