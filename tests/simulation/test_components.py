@@ -82,13 +82,12 @@ def test_components_given_in_python_take_the_place_of_the_scenarios_or_act_besid
 
 
 def test_a_simulation_refuses_what_no_walk_could_have(scenario):
+    reach = "with which all feet are within reach and joint limits"
     for changes, said in (
-        ({"gait.height": 2.5}, r"gait.height: expected at most 1\.\d+, with which all feet are within reach"),
-        ({"gait.sway": 0.9, "gait.height": 1.7}, r"gait.sway: expected at most 0\.\d+, with which all feet"),
+        ({"gait.height": 2.5}, rf"gait.height: expected at most 1\.\d+, {reach}, got 2.5"),
+        ({"gait.sway": 0.9, "gait.height": 1.7}, rf"gait.sway: expected at most 0\.\d+, {reach}, got 0.9"),
     ):
-        with pytest.raises(
-            ConfigError, match=f"^scenario: {said} and joint limits, got {next(iter(changes.values())):g}$"
-        ):
+        with pytest.raises(ConfigError, match=f"^scenario: {said}$"):
             mc.Simulation(scenario.with_overrides(changes))
     with pytest.raises(ValueError, match=r"^disturbance: expected an instance of a class that inherits from mjx_climb"):
         mc.Simulation(scenario, disturbances=[Gripper()])
