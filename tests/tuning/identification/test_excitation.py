@@ -264,15 +264,18 @@ def test_a_deviation_is_relative_to_the_value_or_to_the_prior_of_one_that_is_zer
     friction = Variable("hardware.servo.viscous_friction", "N m s/rad", 0.5, mean=0.5, sd=2.0, lower=0.0, upper=9.0)
     told = information((delay.key, friction.key), np.eye(2), np.array([1 / 7, 1 / 3]))
     of = SimpleNamespace(information=told, motion=SimpleNamespace(name="own", segments=(), bound=()))
+    none = SimpleNamespace(information=information((delay.key, friction.key), 1e-6 * np.eye(2), np.ones(2)))
     found = SimpleNamespace(
-        chosen=[delay, friction], best=of, plain=of, gain=1.0, period=0.01, asked=Excitation(), scenario=scenario(),
+        chosen=[delay, friction], best=of, plain=none, gain=1.0, period=0.01, asked=Excitation(), scenario=scenario(),
         robot=ROBOT,
     )  # fmt: skip
     relative = np.array([50, 10]) ** -0.5
     each = [summary(found)["parameters"][variable.key] for variable in found.chosen]
     np.testing.assert_allclose([one["relative"] for one in each], relative)
     np.testing.assert_allclose([one["deviation"] for one in each], relative * [0.02, 0.5])
+    assert all(one["seen"] and one["plain_chirp"] == pytest.approx(1.0) for one in each)
     ((_, rows),) = table(found).sections
+    assert all(row[5].startswith("not seen") for row in rows)
     assert [row[3] for row in rows] == [f"{value:.2g}" for value in relative * [0.02, 0.5]]
     assert [" of 0.02" in row[4] for row in rows] == [True, False]
 

@@ -12,7 +12,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from tests.tuning.identification.recorded import ROBOT
 from tuning.identification.fit import inference, report
 from tuning.identification.fit.conclusions import identified
-from tuning.identification.fit.output import _result, ensemble_of
+from tuning.identification.fit.output import _result, contents, ensemble_of
 from tuning.identification.fit.problem import Fitted, Problem
 from tuning.identification.model.schedule import Schedule
 from tuning.identification.model.variables import Place, Variable
@@ -397,7 +397,45 @@ def test_the_worst_signal_is_drawn_before_and_after_where_it_misses_most():
     assert above.get_ylabel() == "RH.femur.effort [N m]" and below.get_ylabel() == "log - model [noise]"
 
 
+def test_lines_of_a_picture_break_in_the_holes_of_the_log():
+    found, problem, tests = fit(*PLAIN)
+    rows, scaled = problem.rows, found.scaled.copy()
+    scaled[rows.signal == 2] *= 3
+    late = (rows.signal == 2) & (rows.window == 6) & (rows.step >= 48)
+    scaled[np.flatnonzero(late)[0]] = 90.0
+    moved = rows._replace(step=np.where(late, 80 + (rows.step - 48) // 4, rows.step))  # a hole of 0.36 s for 0.04 s
+    windows = dataclasses.replace(problem.model.windows, rows=moved)
+    vars(problem)["model"] = dataclasses.replace(problem.model, windows=windows)
+    log = Log({"a": Signal(np.arange(3.0), np.arange(3.0))}, "log.csv")
+    made = identified(
+        SCENARIO, log, [KP, DELAY], (found._replace(scaled=scaled, residuals=scaled), problem, tests), (), ""
+    )
+    above, _ = report.plot_prediction(made).axes
+    assert [int(np.isnan(line.get_xdata()).sum()) for line in above.lines] == [1, 1, 0]
+
+
 # ------------------------------------------------------------------------------------- what other commands read
+
+
+@pytest.mark.parametrize("held", [(), (KP.key, DELAY.key)])
+def test_the_folder_of_a_fit_has_its_files_and_a_posterior_where_anything_is_told(held, tmp_path):
+    found = result(*PLAIN, held=held)
+    files = contents(found).files(SCENARIO, tmp_path, "asked")
+    names = [
+        "identified.yaml",
+        "hardware.yaml",
+        "posterior.yaml",
+        "result.json",
+        "residuals",
+        "autocorrelation",
+        "prediction",
+    ]
+    assert list(files) == [name for name in names if not (held and name == "posterior.yaml")]
+    (tmp_path / "identified.yaml").write_text(files["identified.yaml"])
+    read = mc.load_scenario(tmp_path / "identified.yaml")
+    assert read.hardware.command_delay == pytest.approx(0.0 if held else 0.004)
+    assert f"command_delay: {read.hardware.command_delay}" in files["hardware.yaml"]
+    assert json.loads(files["result.json"])["command"] == "asked"
 
 
 def test_the_posterior_as_an_ensemble_has_the_keys_of_the_scenario():

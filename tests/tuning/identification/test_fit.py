@@ -414,6 +414,8 @@ def test_a_result_says_what_it_tells_and_changes_what_it_knows(line):
     np.testing.assert_allclose(changes["gravity"], gravity)
     unseen = dataclasses.replace(own, beside={PRESLIDING: dataclasses.replace(bend, seen=False)})
     assert PRESLIDING not in unseen.overrides()
+    level = dataclasses.replace(own, estimates={"gravity.tilt_y": dataclasses.replace(tilt, seen=False)})
+    assert "gravity" not in level.overrides()
 
 
 def test_tables_of_a_fit_have_its_values_and_each_signal(line):
@@ -644,3 +646,17 @@ def test_a_fit_is_another_with_another_log_share_number_of_starts_mass_prior_or_
         (scenario(), log, model, 0.2, 4),
     ):  # fmt: skip
         assert identity_of_fit(*changed) != own
+
+
+def test_evaluations_are_counted_over_all_searches_and_the_least_cost_of_each_is_shown():
+    told = []
+    searched(problem_of(), 2, Searches(Parts(None, dict), lambda *now: told.append(now)))
+    assert [done for done, *_ in told] == list(range(1, len(told) + 1))
+    assert all(most >= done for done, most, _ in told) and told[0][1] == 100
+    each = {}
+    for _, _, text in told:
+        name, _, cost = text.partition(": cost ")
+        each.setdefault(name, []).append(float(cost))
+    assert {"start 1 of 2", "start 2 of 2", "pass 1"} <= each.keys()
+    assert all(later <= before for name in each if name.startswith("start")
+               for before, later in zip(each[name], each[name][1:], strict=False))  # fmt: skip

@@ -154,7 +154,11 @@ def test_gains_have_their_share_and_torques_are_none_where_they_are_off(share, o
     each = {name: float(np.max(found.at(f"control.{name}"))) for name in ("kp", "kd", "ki")}
     assert each == pytest.approx({"kp": 50.0 * share, "kd": 0.3 * on, "ki": 2.0 * on})
     assert float(np.max(found.at("hardware.servo.torque_limit"))) == pytest.approx(4.0 * on)
-    for sent in (stands.Sent(np.zeros((4, 3))), stands.Sent(np.zeros((4, 3)), share)):
+    for sent in (
+        stands.Sent(np.zeros((4, 3))),
+        stands.Sent(np.zeros((4, 3)), share),
+        stands.Sent(np.zeros((4, 3)), None, on),
+    ):
         assert stands.with_gains(stand, sent) is stand
 
 

@@ -6,6 +6,7 @@ import html
 import json
 import re
 import shlex
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import jax
@@ -99,6 +100,36 @@ def test_a_mass_on_the_feet_is_one_of_the_model(monkeypatch):
     with pytest.raises(InterruptedError):
         tuning.identify(SCENARIO, log, ["control.kp"], mass=0.1)
     assert model.call_args.args[0] is SCENARIO and model.call_args.args[3] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("base", "more", "share", "hint"),
+    [(None, "LF.coxa.velocity", 0.11, "try this"), (None, "LF.coxa.velocity", 0.1, ""),
+     (None, "LF.force.x", 0.11, ""), ("free", "LF.force.x", 0.11, "")],
+)  # fmt: skip
+def test_doubts_of_the_log_a_guessed_base_and_the_hint_reach_the_findings(base, more, share, hint, monkeypatch):
+    """Other profiles are tried where a tenth of a signal's residuals is the model's, and the base was held."""
+    columns = recorded(duration=3.0)
+    time = columns.pop("time")
+    signals = {name: Signal(time, value) for name, value in columns.items()}
+    log = Log(signals | {more: Signal(time, np.sin(time))}, "log.csv", ("a doubt",))
+    windows, chosen = cut(log, ROBOT, SCENARIO.time_step, 0.3), variables(SCENARIO, ["control.kp"], held=True)
+    model, tests = model_of(SCENARIO, windows, chosen), [SimpleNamespace(share=0.0), SimpleNamespace(share=share)]
+    monkeypatch.setattr(fits, "cut_gripped", lambda *_: windows)
+    monkeypatch.setattr(fits, "gripped_model", lambda *_: model)
+    monkeypatch.setattr(fits, "searched", searched := Mock(side_effect=lambda problem, *_: ("found", problem)))
+    monkeypatch.setattr(fits.inference, "whiteness", lambda *_: tests)
+    monkeypatch.setattr(fits, "tried", tried := Mock())
+    monkeypatch.setattr(fits, "in_words", lambda some: "try this" if some is tried.return_value else "")
+    monkeypatch.setattr(fits, "identified", identified := Mock())
+    assert tuning.identify(SCENARIO, log, ["control.kp"], base=base, starts=3) is identified.return_value
+    scenario, of_log, keys, (found, made, own), warnings, told = identified.call_args.args
+    assert (scenario, of_log, [v.key for v in keys], found, own) == (SCENARIO, log, ["control.kp"], "found", tests)
+    assert made is searched.call_args.args[0] and searched.call_args.args[1] == 3
+    guessed = more == "LF.force.x" and base is None
+    assert warnings[0] == "a doubt" and len(warnings) == 1 + guessed
+    assert not guessed or warnings[1].startswith("the log has base or foot forces: base free, all grippers shut")
+    assert told == hint and tried.called is bool(hint)
 
 
 def problem(fit, duration=2.0, kinds=("position", "velocity", "effort")):

@@ -357,3 +357,12 @@ def test_a_robot_sways_under_pd_without_loads_for_ten_times_its_log_before_it_wo
     assert found.disturbance.cargo.mass == 0 and not found.disturbance.pushes
     assert (found.control.controller, found.control.reading) == ("pd", "virtual_model")
     assert (found.control.kp, found.duration, found.gravity) == (own.control.kp, own.duration, own.gravity)
+
+
+def test_what_is_recorded_late_has_no_tangent_of_its_own_and_commands_no_stage_of_their_own():
+    late = type("Late", (predicted.Fit,), {"LATE": {"b": ("force",)}})
+    own = [priors.Variable(key, "s", 0.0, 0.0, 1.0, -1.0, 1.0) for key in ("a", "b", "log.velocity.delay")]
+    assert late(None, tuple(own), None, None).lanes == [[0], [2]]
+    changes = {"hardware.command_delay": 0.01, "hardware.control_period": 0.01, "hardware.interpolation": "linear"}
+    stages = predicted.stages_for(mc.Scenario().with_overrides(changes), [])
+    assert (stages.command_delay, stages.control_period, stages.linear) == (0, False, False)

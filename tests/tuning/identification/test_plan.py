@@ -435,3 +435,23 @@ def test_the_amplitude_of_a_sine_is_that_of_the_limit_that_binds():
     axes = Axes(np.array([0.1, 1.0, 1.0]), np.array([9.0, 2.0, 9.0]), np.array([900.0, 900.0, 3.0]))
     turning = 2 * np.pi * 2.0
     np.testing.assert_allclose(axes.amplitude(np.full(3, 2.0)), [0.1, 2 / turning, 3 / turning**2])
+
+
+@pytest.mark.parametrize(("last", "named"), [(0.17, "abc"), (0.1, "ab")])
+def test_a_direction_names_what_has_a_third_of_its_largest_effect(last, named):
+    vector = np.array([0.9, 0.0, last])
+    vector[1] = np.sqrt(1 - vector @ vector)
+    root = 10 * (np.eye(3) - np.outer(vector, vector)) + 0.1 * np.outer(vector, vector)
+    ((sd, parts),) = Information(("a", "b", "c"), root).weak()
+    assert sd == pytest.approx(10.0) and "".join(parts) == named
+    assert parts["a"] == pytest.approx(0.9) and parts["b"] == pytest.approx(vector[1])
+
+
+def test_the_motion_that_is_carried_out_is_the_one_that_is_chosen(rig, monkeypatch):
+    told = [Information(rig.asked.fit[:1], size * np.eye(1)) for size in (1.0, 3.0, 2.0)]
+    monkeypatch.setattr(excitation, "informations", lambda *_: told)
+    found = excitation.chosen(rig)
+    assert found.best is found.candidates[1] and found.best.information is told[1]
+    missed = [np.abs(found.carried.angles - each.motion.targets).mean() for each in found.candidates]
+    assert missed[1] < missed[0] / 3 and missed[1] < missed[2] / 3
+    assert found.gain == pytest.approx(np.sqrt(3.0))

@@ -498,3 +498,9 @@ def test_forces_of_another_frame_than_the_worlds_are_doubted(frame):
     told = [line for line in notes if line.startswith("forces: taken as along world axes")]
     named = ", ".join(sorted({"'world'", repr(frame)}))
     assert told == [] if frame == "world" else f"their frame is {named}; turn them before" in told[0]
+
+
+def test_two_samples_are_a_log(tmp_path):
+    log = read_log(write_csv(tmp_path / "log.csv", {"time": [1.0, 1.01], "LF.coxa.position": [0.1, 0.2]}), ROBOT)
+    np.testing.assert_allclose(log.signals["LF.coxa.position"].time, [0.0, 0.01])
+    np.testing.assert_allclose(log.signals["LF.coxa.position"].value, [0.1, 0.2])

@@ -168,3 +168,20 @@ def test_noise_has_changed_by_its_largest_logarithm_or_that_of_the_clock():
     assert change(before, Noise(np.array([1.1, 1.9]), 0.0)) == pytest.approx(math.log(1.1))
     assert change(before._replace(clock=0.004), Noise(before.signals, 0.003)) == pytest.approx(0.25)
     assert change(before, Noise(np.array([1.0, 1.0]), 0.003)) == pytest.approx(1.0)
+
+
+def test_an_inertia_has_its_prior_by_the_triangle_of_its_second_moments():
+    """Upper triangular, as its product with its transpose, from the last axis on."""
+    chosen = variables(SCENARIO, ["robot.LF.tibia.inertia"], held=False)
+    inertia, mass = ROBOT.link_inertia[0, 2], ROBOT.link_mass[0, 2]
+    moment = (np.trace(inertia) / 2 * np.eye(3) - inertia) / mass
+    c = math.sqrt(moment[2, 2])
+    e, f = moment[1, 2] / c, moment[0, 2] / c
+    b = math.sqrt(moment[1, 1] - e * e)
+    d = (moment[0, 1] - e * f) / b
+    a = math.sqrt(moment[0, 0] - d * d - f * f)
+    means = dict(xx=math.log(a), yy=math.log(b), zz=math.log(c), xy=d, xz=f, yz=e)
+    sds = dict(xx=0.3, yy=0.3, zz=0.3, xy=0.3 * a, xz=0.3 * a, yz=0.3 * b)
+    found = {v.key.rpartition(".")[2]: v for v in chosen}
+    assert {name: v.mean for name, v in found.items()} == pytest.approx(means, rel=1e-5, abs=1e-7)
+    assert {name: v.sd for name, v in found.items()} == pytest.approx(sds, rel=1e-5)
