@@ -27,7 +27,7 @@ from tests.shell import PROGRAM, ROOT, environment, finish
 from tuning import numbers
 from tuning.command_line import evaluate, logs, machine, main, options, processes, results, run, session, sweep, tune
 from tuning.command_line.from_models import made
-from tuning.command_line.program import ARGUMENTS, InputError, repeated, typed_but, user_error
+from tuning.command_line.program import ARGUMENTS, InputError, origin, repeated, typed_but, user_error
 from tuning.comparisons import of_sweep
 from tuning.gains import gains_file
 from tuning.identification.plan.settings import Excitation
@@ -785,3 +785,28 @@ def test_programs_are_loaded_ahead_that_the_command_needed_for_this_config(monke
             assert (asked, begun) == (["run case_2"], [1])
     finally:
         ARGUMENTS.reset(token)
+
+
+def test_walkers_without_recovery_walk_beside_those_that_recover():
+    recovering = options.Walk(config=Path(CONFIG), changes=("control.recovery.shift=0.02",)).load()
+    walkers = evaluate.Pushes().walkers(recovering)
+    assert {name: each.parameters.recovery is None for name, each in walkers.items()} == {
+        "config": False, "config, no recovery": True, "pd": False, "pd, no recovery": True
+    }  # fmt: skip
+    assert list(evaluate.Pushes().walkers(options.Walk(config=Path(CONFIG)).load())) == ["config", "pd"]
+
+
+def test_formats_are_named_in_any_case_and_each_is_drawn_once():
+    assert made(options.Output, {"figures": "PNG, svg,png"}).figures == ("png", "svg")
+
+
+def test_a_report_names_files_without_the_folders_of_one_machine():
+    token = ARGUMENTS.set(
+        ("run", "~/a/b.yaml", "--gains=/x/y.yaml", r"C:\c\d.csv", "e/f.yaml", "/g/h/", "--set", "a=b/c")
+    )
+    try:
+        found = origin("mine", "again")
+    finally:
+        ARGUMENTS.reset(token)
+    assert found.asked == "mjx-climb run b.yaml --gains=y.yaml d.csv e/f.yaml h --set a=b/c"
+    assert (found.name, found.again) == ("mine", "again")

@@ -172,12 +172,14 @@ def test_a_mujoco_that_cannot_be_imported_is_one_line(tmp_path):
 
 def test_the_cache_is_counted(doctor, monkeypatch, tmp_path):
     monkeypatch.setenv("MJX_CLIMB_CACHE", str(tmp_path))
-    (tmp_path / "jit_walk-1-cache").write_bytes(bytes(1000))
+    (tmp_path / "jit_walk-1-cache").write_bytes(bytes(2_600_000))
     (tmp_path / "programs").mkdir()
     (tmp_path / "programs" / "0d21").write_bytes(bytes(500))
     code, found = doctor()
     assert code == 0
-    cache = {"on": True, "folder": str(tmp_path), "programs": 2, "bytes": 1500, "writable": True, "findings": []}
+    cache = {"on": True, "folder": str(tmp_path), "programs": 2, "bytes": 2_600_500, "writable": True, "findings": []}
+    (part,) = machine.cache()
+    assert part.text == f"{tmp_path}, 2 programs, 3 MB"
     assert found["parts"]["cache"] == cache
 
 
@@ -222,3 +224,24 @@ def test_this_code_computes_what_is_stored(tmp_path):
     sound = done.returncode == 0 and verdict.startswith("All is well")
     assert sound or verdict.startswith("Something is wrong with renderer."), done.stdout  # a machine without OpenGL
     assert list(tmp_path.glob("*-cache"))
+
+
+@pytest.mark.parametrize("missing", machine.PACKAGES)
+def test_a_package_that_is_not_installed_is_seen(missing, doctor, monkeypatch):
+    def version(name, version=importlib.metadata.version):
+        if name == missing:
+            raise importlib.metadata.PackageNotFoundError
+        return version(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    code, found = doctor()
+    assert (code, wrong(found)["versions"]) == (1, [f"{missing} is not installed: python -m pip install mjx-climb"])
+
+
+def test_a_gpu_that_is_used_needs_no_plugin(doctor, monkeypatch):
+    monkeypatch.setattr(machine, "NVIDIA", ROOT)
+    monkeypatch.setattr(importlib.metadata, "version", without_plugins)
+    monkeypatch.setenv("JAX_PLATFORMS", "")
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    (part,) = machine.devices()
+    assert part.findings == []

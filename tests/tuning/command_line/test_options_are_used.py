@@ -323,7 +323,7 @@ def traced(monkeypatch, tmp_path, folder):
         return written
 
     scenario, found = mc.load_scenario(CONFIG), Found()
-    log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.force.x": ()}, source="log.csv")
+    log = SimpleNamespace(guessed=None, digest="", warnings=(), signals={"base.moment.z": ()}, source="log.csv")
     returned = {
         "mjx_climb.metrics": MEASURED,
         "mjx_climb.inputs.time_step.largest_time_step": 0.0005,
@@ -360,7 +360,7 @@ def traced(monkeypatch, tmp_path, folder):
         ],
         "tuning.searches.shards.home": tmp_path / "home",
         "tuning.searches.shards.Rows": SimpleNamespace(
-            rows=(), there=0, folder=None, shard=None, walk=lambda _: None
+            rows=range(6), there=2, folder=None, shard=None, walk=lambda _: None
         ),
     }  # fmt: skip
     returned |= dict.fromkeys(
