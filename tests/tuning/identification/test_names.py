@@ -259,3 +259,11 @@ def somewhere(scenario):
         "base_orientation": turned / np.linalg.norm(turned, axis=1, keepdims=True),
     }
     return dataclasses.replace(walk, **base, foot_position=replay._feet(robot, *base.values(), angles))
+
+
+def test_of_limbs_whose_names_begin_alike_the_longest_is_meant():
+    names = ("arm", "arm_left", "left_arm_left", "leg")
+    in_file = tuple((limb, tuple(f"axis{n}{j}" for j in "abc")) for n, limb in enumerate(names))
+    robot = dataclasses.replace(ROBOT, limbs=names, joints_in_file=in_file)
+    where, _ = found([f"position_{limb}_coxa" for limb in names], robot)
+    assert where == {f"{limb}.coxa.position": f"position_{limb}_coxa" for limb in names}

@@ -92,7 +92,8 @@ def noise_of(residuals: np.ndarray, rate: np.ndarray, samples: Samples, before: 
         quiet = _of_signals(left, samples, quieter)
         if abs(clock - latest) <= 1e-3 * clock and np.abs(np.log(quiet / quieter)).max() < 1e-3:
             break
-    if clock and _goes_on(now):
+    # errors are none where the clock is 0
+    if _goes_on(now):
         return Noise(_of_signals(residuals, samples, before.signals), 0.0)
     return Noise(quiet, clock)
 
