@@ -162,8 +162,8 @@ def named(scenario: mc.Scenario, laws: Laws) -> dict[str, Place]:
                 raise ConfigError("", "laws", f"pd, {', '.join(CONTROLLERS)} or a law: {error}") from None
     if not found.keys() - {NAME}:
         raise ConfigError("", "laws", "a law to compare with pd", "none")
-    found.pop(NAME, None)
-    return found | {NAME: (under_pd(scenario), None)}
+    last = found.pop(NAME, (under_pd(scenario), None))
+    return found | {NAME: last}
 
 
 def _with_plan(laws: dict[str, Place], search: Search) -> dict[str, Place]:

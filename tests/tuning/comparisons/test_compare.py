@@ -20,7 +20,7 @@ from tuning.background import silent
 from tuning.comparisons import compare
 from tuning.gains import gains_file
 from tuning.problem.ensemble import Ensemble, draw
-from tuning.problem.evaluation import Problem
+from tuning.problem.evaluation import Problem, under_pd
 from tuning.problem.readings import reads_forces
 from tuning.problem.search import Search
 from tuning.searches import tune
@@ -112,6 +112,8 @@ def test_laws_of_the_config_keep_its_reading_where_they_have_one_and_pd_is_the_l
     readings = {name: place.control.reading for name, (place, _) in found.items()}
     assert readings["end_effector_admittance"] == "virtual_model" and readings["base_admittance"] == "measured_pose"
     assert {place.own for place, _ in found.values()} == {None}
+    for laws in (["pd", "LoadTransfer"], ["LoadTransfer"]):
+        assert compare.named(own, laws)["retuned_pd"] == (under_pd(own), None)
     for name in compare.HARDWARE:  # under which pd walks besides
         with pytest.raises(ConfigError, match=f"laws: expected laws of different names, got {name} twice"):
             compare.named(own, {name: "base_admittance"})
@@ -141,6 +143,7 @@ def test_files_of_a_law_have_its_name_without_what_no_file_has(law, name):
         (["base_admittance"], {"pins": {"share": 1.0}}, "pins.share: expected a gain that one of the laws has"),
         (["base_admittance"], {"pins": {"kp": 50.0, "kd": 0.5}}, "pins: expected a gain left to search, got none"),
         (["base_admittance"], {"method": "gradient"}, "method: expected cmaes, optuna or grid"),
+        (["FootOffsets"], {"pins": {"kp": 50.0}}, "optuna or grid where retuned_pd has one gain to search, got cmaes"),
         (["base_admittance"], {"joint_gains": False}, "joint_gains: expected true"),
         (
             ["base_admittance"],
@@ -161,6 +164,7 @@ def test_a_method_that_nobody_chose_is_one_that_searches_all_laws_alike():
     chosen = compare.alike(Search(method="optuna", starts=5), None, {}, {"method": "optuna"})
     assert (chosen.method, chosen.starts, chosen.joint_gains) == ("optuna", 5, True)
     assert chosen.iterations in (compare.FEW[1], compare.MANY[1]) and settings(iterations=3).iterations == 3
+    assert compare.alike(Search(method="own"), {"method"}).method == "own"
     grid = settings(method="grid")  # points per gain are its own, and all its searches would be the same
     assert grid.starts is None and compare.seeds_for(grid, 5) == 1 and compare.seeds_for(settings(), 5) == 5
 
