@@ -21,9 +21,11 @@ from mjx_climb.viz import rendering
 from tests.robot import climbers
 from tests.robot.test_robot_file import robot_of, urdf
 from tuning.comparisons import first_walks
+from tuning.proposal import propose as proposing
 from tuning.proposal.limbs import Found, driven_joints
 from tuning.proposal.propose import propose
 from tuning.proposal.stance import Stance, Standing
+from tuning.proposal.stand import on_stand
 
 PLAIN = climbers.mjcf(4, 3).replace("><", ">\n<")
 FEET = re.compile(r'<site name="foot\d" pos="0.15 0 0"/>')
@@ -410,6 +412,7 @@ def test_the_command_leaves_a_config_that_runs(saved, ended):
     [
         ('<frame pos="0.08 0 0"><geom type="capsule" size="0.01 0.07" euler="0 90 0"/></frame>', [0.15, 0, 0]),
         ('<geom type="box" size="0.07 0.01 0.01" pos="0.08 0 0"/>', [0.15, 0, 0]),
+        ('<geom type="box" size="0.01 0.01 0.07" pos="0 0 -0.08"/>', [0, 0, -0.15]),
         ('<body pos="0.1 0 0"><geom type="box" size="0.02 0.03 0.01" pos="0.03 0 0"/></body>', [0.15, 0, 0]),
         ("", [0.15, 0.004, 0]),
     ],
@@ -471,6 +474,73 @@ def test_limbs_have_about_as_many_joints_as_most_of_them(saved, joints, limbs):
     """Of three joints each: a row of up to two more or less is one too."""
     robot = Found(saved(climbers.mjcf(4, 3, on_base=arm(joints))))
     assert len(robot.limbs) == limbs
+
+
+@pytest.mark.parametrize(
+    ("mass", "key", "root"), [("", "", "trunk"), (weight("0 0 0", 1.0, "1 1 1"), "", None), ("", "0 " * 12, None)]
+)
+def test_a_root_of_no_mass_gives_way_to_the_link_that_all_limbs_meet_in(saved, mass, key, root):
+    """Not one that weighs something, nor one that a keyframe places."""
+    text = PLAIN.replace('<body name="trunk">\n<freejoint/>', f'<body name="root">{mass}<body name="trunk">')
+    key = f'<keyframe><key name="home" qpos="{key}"/></keyframe>' if key else ""
+    found = Found(saved(text.replace("</worldbody>", f"</body></worldbody>{key}")))
+    assert found.root == root and found.model.body(found.base).name == (root or "root") and len(found.limbs) == 4
+    assert ("weigh nothing" in found.notes[0].why) == bool(root)
+
+
+def test_legs_that_stand_on_a_robots_back_are_told(saved):
+    straight = dog().replace("0 0.9 -1.8", "0 0.3 -0.9")
+    hanging, standing = (Found(saved(re.sub(r' pos="(\S+) (\S+) -(\S+)"', way, straight))) for way in
+                         (r' pos="\1 \2 -\3"', r' pos="\1 \2 \3"'))  # fmt: skip
+    assert hanging.other_up(hanging.limbs) is None
+    assert "'trunk' with limbs that hang along its +z: fix" in standing.other_up(standing.limbs)
+
+
+@pytest.mark.parametrize(
+    ("names", "taken"), [(("home", "stance"), "stance"), (("home", "stand"), "stand"), (("b", "a"), "b")]
+)
+def test_the_keyframe_of_a_stance_goes_by_its_name_before_its_place(saved, names, taken):
+    keys = "".join(
+        f'<key name="{name}" qpos="0 0 0.27 1 0 0 0 {f"0 {bend} {-2 * bend} " * 4} 0.1"/>'
+        for name, bend in zip(names, (0.9, 0.8), strict=True)
+    )
+    text = re.sub(r"<keyframe>.*</keyframe>", f"<keyframe>{keys}</keyframe>", dog(), flags=re.DOTALL)
+    proposal = propose(saved(text))
+    bend = (0.9, 0.8)[names.index(taken)]
+    assert f"taken stance of keyframe {taken!r}" in told(proposal)
+    assert proposal.sections["robot"]["height"] == pytest.approx(2 * 0.213 * np.cos(bend), abs=3e-3)
+
+
+@pytest.mark.parametrize(("joints", "springs", "firm"), [(6, 0, True), (7, 1, True), (5, 0, False), (6, 1, False)])
+def test_grips_and_joints_are_firm_where_limbs_of_six_driven_joints_keep_their_attitude(joints, springs, firm):
+    """By hand, for a robot of twice HubRobo's mass times reach squared; others walk with short strides."""
+    names = [f"j{n}" for n in range(joints)]
+    section = {"limbs": {"a": {"joints": names}, "b": {"joints": [*names, "more", "yet"]}}}
+    section |= {"springs": dict.fromkeys(names[:springs])} if springs else {}
+    contact, control, gait = {"stiffness": 1e4}, {"kp": 44.0, "kd": 0.21, "stiffness": 5e4}, {"stride": 0.06}
+    robot = Mock()
+    proposing._hold_turns(robot, section, {"contact": contact, "control": control}, gait, 2.0)
+    assert contact == {"stiffness": 1e4, "rotational_stiffness": 600.0 if firm else 60.0,
+                       "rotational_damping": 0.36 if firm else 0.12}  # fmt: skip
+    assert control == {"kp": 440.0 if firm else 44.0, "kd": 0.63 if firm else 0.21, "stiffness": 5e4}
+    assert gait == {"stride": 0.06 if firm else 0.0075}
+    ((kind, what, why), _) = robot.note.call_args
+    assert (kind, what) == ("changed", "grip") and ("firm enough for one foot" in why) == firm
+    assert ("limbs of under 6 joints" in why) != firm
+
+
+def test_a_robot_of_three_feet_has_grips_that_hold_turns(saved):
+    assert propose(saved(climbers.mjcf(3, 3))).sections["contact"]["rotational_stiffness"] > 0
+
+
+def test_rows_of_up_to_seven_joints_stand_on_a_stand(saved):
+    """Each called by its first link; inner links are none of their own."""
+    found = on_stand(saved(climbers.mjcf(2, 7)))
+    assert {name: limb["joints"] for name, limb in found["limbs"].items()} == {
+        "L0_0": [f"L0_{n}" for n in range(7)], "L1_0": [f"L1_{n}" for n in range(7)]
+    }  # fmt: skip
+    with pytest.raises(mc.RobotError, match=r"expected one to 7 joints in a row, got L0_0, .*, L0_7$"):
+        on_stand(saved(climbers.mjcf(2, 8)))
 
 
 def test_of_long_limbs_and_of_many_some_are_held(saved):

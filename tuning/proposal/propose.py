@@ -113,7 +113,7 @@ def _of_keyframe(robot: Found, key: int, section: Section) -> Stance | None:
     feet = np.array([foot_of(robot.model, data, chain.foot, chain.at) for chain in robot.limbs.values()])
     feet = (feet - data.xpos[robot.base]) @ data.xmat[robot.base].reshape(3, 3)
     height, apart = -float(feet[:, 2].mean()), float(np.ptp(feet[:, 2]))
-    level = feet[:, 2].max() < 0 and apart <= _LEVEL * height
+    level = apart < _LEVEL * height
     if level and (stance := checked(section, Stance(height, feet[:, :2]))):
         why = f", but for {apart * 1e3:.2g} mm between their heights" if apart > _SAME else ""
         robot.note("taken", f"stance of {what}", f"the feet stand where it puts them{why}")

@@ -32,8 +32,8 @@ def on_stand(file: str | os.PathLike[str], base: str | None = None) -> Mapping[s
                 raise RobotError(f"{file}: expected rows of joints, got {names} on {model.body(link).name}")
             row, link = [*row, outer[0]], outer[0]
         joints = [model.joint(joint).name for link in row for joint in joints_of(model, link)]
-        if len(joints) > MOST_JOINTS or not all(joints):
-            raise RobotError(f"{file}: expected one to {MOST_JOINTS} named joints in a row, got {', '.join(joints)}")
-        limbs[model.body(first).name or f"limb{len(limbs) + 1}"] = {"joints": joints}
+        if len(joints) > MOST_JOINTS:
+            raise RobotError(f"{file}: expected one to {MOST_JOINTS} joints in a row, got {', '.join(joints)}")
+        limbs[model.body(first).name] = {"joints": joints}
     section: dict[str, Any] = {"file": os.path.abspath(file), "limbs": limbs}
     return section if base is None else {**section, "base": base}

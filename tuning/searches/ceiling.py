@@ -434,10 +434,10 @@ def _knots(scenario: mc.Scenario, spacing: float) -> Knots:
     """Return knots so many s apart.
 
     Raises:
-        ConfigError: less than a time step.
+        ConfigError: no whole time steps.
     """
     every = round(spacing / scenario.time_step)
-    if every < 1 or abs(every * scenario.time_step / spacing - 1) > 1e-6:
+    if abs(every * scenario.time_step / spacing - 1) > 1e-6:
         raise ConfigError("", "knots", f"whole time steps of {scenario.time_step:g} s", f"{spacing:g}")
     return Knots(scenario.steps, every)
 

@@ -27,6 +27,8 @@ from tests.robot.test_robot_file import keys, urdf
 from tuning.benchmarks import commands, measure, operations, peers, self_check, walks
 from tuning.command_line import machine
 from tuning.problem.evaluation import REVERSE_ABOVE
+from tuning.problem.search import Search
+from tuning.problem.spaces import space
 
 CASE = "configs/case_1_2.yaml"
 SETS = [(5e3, 5e4), (1e2, 3e3), (1e4, 4e5)]  # damping, stiffness; inertia 1
@@ -357,6 +359,34 @@ def clock(monkeypatch):
     clock.time, clock.perf_counter = (lambda: 1e6 + clock.now), (lambda: clock.now)
     monkeypatch.setattr(commands, "time", clock)
     return clock
+
+
+def test_a_wait_is_on_the_clock_and_of_processors_by_programs_and_for_them(monkeypatch, clock):
+    """Of children alone: 3 s and 1 s of them on the clock, 0.5 s and 0.25 s, and as much again, of processors."""
+    spent, folders = [9.0, 9.0, 0.0, 0.0, 0.0], []
+
+    def run(command, *, env, cwd, **how):
+        first = cwd not in folders
+        folders.append(cwd)
+        clock.now += 3.0 if first else 1.0
+        for n in (2, 3):
+            spent[n] += 0.5 if first else 0.25
+        spent[0] += 7.0
+        assert env["MJX_CLIMB_CACHE"] == f"{cwd}/cache"
+        return types.SimpleNamespace(stdout="")
+
+    monkeypatch.setattr(commands.subprocess, "run", run)
+    monkeypatch.setattr(commands.os, "times", lambda: tuple(spent))
+    found = commands.measure([commands.RUN, commands.HELP], lambda _: None)
+    assert found == dict.fromkeys((commands.RUN, commands.HELP), (3.0, 1.0, 1.0, 0.5))
+    assert folders[0] == folders[1] != folders[2] == folders[3]
+
+
+def test_the_search_that_is_timed_has_the_gains_that_its_name_says():
+    typed = commands.COMMANDS[commands.TUNE]
+    layout = typed[typed.index("--space") + 1]
+    case = mc.load_scenario(typed[typed.index("tune") + 1])
+    assert commands.TUNE.endswith(", twelve gains") and space(case, Search(space=layout)).size == 12
 
 
 def test_a_fresh_process_says_what_its_walk_or_its_gradient_took(monkeypatch, capsys, clock):

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import dataclasses
+import itertools
 import json
 import math
 import re
@@ -184,6 +185,9 @@ def in_two_digits(least):
         ([1.0, 9, 9, 9, 9, 9], 3e3, 10.0, 1000, True, True, " (x)"),
         ([9.0, 9, 9, 1, 1, 0.5], 3e3, 1e4, 1000, True, True, " (rx, ry, rz)"),
         ([1.0] * 6, 1e4, 4e5, 1000, True, True, ""),
+        # of two axes with a damping of their own, and at half of the fastest rate
+        ([1.0] * 6, [3e3, 4e3, 1, 1, 1, 1], 10.0, 1000, True, True, " (x, y)"),
+        ([1e-2] * 6, 1e4, 1.0, 1000, True, True, ""),
         # beyond the fastest rate, beyond the largest inertia, beyond both
         ([1e-3] * 6, 1e4, 1.0, 1000, False, True, ""),
         ([9e5] * 6, 3e8, 1.0, 100, True, False, ""),
@@ -192,12 +196,13 @@ def in_two_digits(least):
 )
 def test_gains_that_grow_are_refused_with_what_would_do(inertia, damping, stiffness, rate, faster, heavier, axes):
     """Five per cent inside the limit, up to two digits; of rates a quarter of D / M + sqrt(D^2 / M^2 + 4 K / M)."""
-    gains, mass = mc.Gains(np.array(inertia), damping, stiffness), np.array(inertia)
+    mass, damping = np.array(inertia), np.broadcast_to(damping, 6)
+    gains = mc.Gains(mass, damping, stiffness)
     with pytest.raises(mc.ConfigError) as refused:
         ros2_control.check(gains, rate, "mine")
     limit = max(damping / mass + np.sqrt((damping / mass) ** 2 + 4 * stiffness / mass)) / 4
-    lightest = (stiffness / rate + 2 * damping) / (4 * rate)
-    grows = [(stiffness / rate + 2 * damping) / (rate * each) >= 4 for each in inertia]
+    grows = (stiffness / rate + 2 * damping) / (rate * mass) >= 4
+    lightest = max((stiffness / rate + 2 * damping[grows]) / (4 * rate))
     cures = [f"--update-rate {in_two_digits(1.05 * limit):.0f}"] if faster else []
     cures += [f"a virtual inertia of {in_two_digits(1.05 * lightest):g}{axes}"] if heavier else []
     assert (1.05 * limit < 1e6) == faster and (1.05 * lightest < 1e6) == heavier
@@ -231,8 +236,9 @@ def test_the_edges_of_what_controllers_take_are_taken():
 
 
 def test_the_library_divides_a_period_into_as_few_substeps_of_two_milliseconds_as_there_fit():
-    """Of whole milliseconds, and of whole rates: rounding makes no further substep."""
-    for period in [*(1e-3 * n for n in range(1, 21)), *(1 / rate for rate in range(50, 1001))]:
+    """Of whole milliseconds, also where they were added up, and of whole rates: rounding makes no further substep."""
+    summed = itertools.accumulate([1e-3] * 20)
+    for period in [*(1e-3 * n for n in range(1, 21)), *summed, *(1 / rate for rate in range(50, 1001))]:
         count = -(-round(period * 1e9) // 2_000_000)
         assert admittance_control.substep_of(period) == pytest.approx(period / count, rel=1e-6)
 

@@ -11,7 +11,7 @@ import mjx_climb as mc
 from tuning.methods import gradient, grid, many_variables, rounds
 from tuning.methods.gradient import Leg, Pace, by_adam
 from tuning.methods.many_variables import Evaluated, descend
-from tuning.methods.method import Request, Task
+from tuning.methods.method import Function, Request, Task
 from tuning.problem.evaluation import Evaluation
 from tuning.problem.search import Search
 from tuning.problem.spaces import Space, kind_of
@@ -162,13 +162,17 @@ def descents(leg, space, answer, seed):
     return asked
 
 
-@pytest.mark.parametrize("tied", [False, True])
-def test_descents_of_gains_are_those_of_each_start_alone(tied):
+# numbers of an array move together as far as one gain
+ARRAY = boxed(["w.0", "w.1", "w.2", "w.3", "damping.x", "damping.y"], SIX.lower, SIX.upper)
+
+
+@pytest.mark.parametrize(("space", "tied"), [(SIX, False), (SIX, True), (ARRAY, False)])
+def test_descents_of_gains_are_those_of_each_start_alone(space, tied):
     """Starts on the good side, at the cliffs, beyond them at once, and with scales of their own."""
     rng = np.random.default_rng(1)
     starts = np.concatenate([SIX.draw(rng, 5), [[2.9] * 6, [0.5, 2.9, 0, 0, 2.9, 0], [2.4, 2.5, 1.9, 0, 2.6, 0]]])
     pace = Pace("some", rate=0.9, last=0.2, smooth=0.6, memory=0.9, patience=3)
-    ties = SIX.ties if tied else np.eye(6)
+    ties = space.ties if tied else np.eye(6)
     leg = Leg(starts, ties, 14, pace, np.linspace(0.5, 1.5, len(starts)))
     asked, away = [], 0
 
@@ -181,9 +185,9 @@ def test_descents_of_gains_are_those_of_each_start_alone(tied):
         asked.append(request.theta)
         return found
 
-    points = by_adam(SimpleNamespace(problem=SimpleNamespace(space=SIX)), leg, np.random.default_rng(7))
+    points = by_adam(SimpleNamespace(problem=SimpleNamespace(space=space)), leg, np.random.default_rng(7))
     rounds.follow(points, answer)
-    wanted = descents(leg, SIX, hills, 7)
+    wanted = descents(leg, space, hills, 7)
     np.testing.assert_allclose(asked, wanted, rtol=1e-9, atol=1e-12)
     assert away > 2
 
@@ -280,11 +284,13 @@ def two(theta, directions):
 
 @pytest.mark.parametrize(
     ("size", "starts", "iterations", "known"),
-    [(1, None, None, 1), (2, 5, 3, 0), (2, None, 1, 2), (3, 4, 2, 1), (1, 1, 2, 0)],
+    [(1, None, None, 1), (2, 5, 3, 0), (2, None, 1, 2), (3, 4, 2, 1), (1, 1, 2, 0), (4, None, 1, 0)],
 )
 def test_a_grid_is_refined_about_its_best_cells(size, starts, iterations, known):
     """By loops: every point of the grid, the known ones before; then finer ones within a cell of the three best."""
-    space = boxed(["damping.x", "damping.y", "stiffness"][:size], [-2.0, -1.5, 0.0][:size], [3.0, 2.0, 1.0][:size])
+    space = boxed(
+        ["damping.x", "damping.y", "stiffness", "kp"][:size], [-2.0, -1.5, 0.0, 0.0][:size], [3.0, 2.0, 1.0, 2.0][:size]
+    )
     rng = np.random.default_rng(size)
     task = Task(SimpleNamespace(space=space), Search(starts=starts, iterations=iterations), space.draw(rng, 1)[0],
                 space.draw(rng, known))  # fmt: skip
@@ -293,10 +299,11 @@ def test_a_grid_is_refined_about_its_best_cells(size, starts, iterations, known)
         found = hills(np.column_stack([theta, np.zeros((len(theta), 6 - size))]), None)
         return found._replace(feasible=theta[:, 0] < 0.4, penalty=np.maximum(theta[:, 0] - 0.4, 0.0))
 
+    grid.METHOD.check(space, task.search)
     asked = requests(grid.METHOD, task, answer)
     # rounds at most: of one point some cells are the same
     assert grid.METHOD.rounds(task) == len(asked) or (starts == 1 and grid.METHOD.rounds(task) > len(asked))
-    count, fine = starts or {1: 64, 2: 24, 3: 10}[size], {1: 9, 2: 5, 3: 3}[size]
+    count, fine = starts or {1: 64, 2: 24, 3: 10, 4: 6}[size], {1: 9, 2: 5, 3: 3, 4: 3}[size]
     axes = [[low + (high - low) * n / (count - 1) if count > 1 else low for n in range(count)]
             for low, high in zip(space.lower, space.upper, strict=True)]  # fmt: skip
     points = [task.start, *task.others, *map(np.array, itertools.product(*axes))]
@@ -327,4 +334,6 @@ def test_a_request_counts_its_tangents_and_a_task_knows_its_points():
     start, others = np.array([1.0, 2.0]), np.array([[3.0, 4.0]])
     np.testing.assert_array_equal(Task(None, Search(), start, others).known, [[1, 2], [3, 4]])
     np.testing.assert_array_equal(Task(None, Search(), start).known, [[1, 2]])
+    own = Function(lambda task: iter(()))  # how many rounds it takes is not known where nobody says
+    assert [own.rounds(Task(None, Search(iterations=n), start)) for n in (None, 7)] == [0, 7]
     assert many_variables.SMOOTH == 0.6

@@ -33,6 +33,11 @@ class CmaEsSampler(Sampler):
         raise ImportError("needs cmaes\nand more")
 
 
+class EvolutionSampler(Sampler):
+    def __init__(self, seed=None, popsize=None):
+        super().__init__(seed=seed, popsize=popsize)
+
+
 class BruteForceSampler(Sampler):
     def __init__(self, seed=None):
         super().__init__(seed=seed)
@@ -71,7 +76,7 @@ class Study:
 def library(monkeypatch):
     """Return the studies of a stand-in for Optuna."""
     studies = []
-    kinds = (TPESampler, NSGAIISampler, CmaEsSampler, BruteForceSampler, GridSampler, SeedlessSampler)
+    kinds = (TPESampler, NSGAIISampler, CmaEsSampler, EvolutionSampler, BruteForceSampler, GridSampler, SeedlessSampler)
     samplers = types.SimpleNamespace(__all__=[*(kind.__name__ for kind in kinds), "partial"])
     vars(samplers).update({kind.__name__: kind for kind in kinds}, partial=None)
     made = types.ModuleType("optuna")
@@ -86,7 +91,8 @@ def library(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "starts", "options"),
     [("tpe", 5, {"seed": 3, "multivariate": True, "constant_liar": True}), ("nsgaii", 5, {"population_size": 5}),
-     ("nsgaii", 1, {"population_size": 2}), ("nsgaii", None, {"population_size": 16})],
+     ("nsgaii", 1, {"population_size": 2}), ("nsgaii", None, {"population_size": 16}),
+     ("evolution", 5, {"popsize": 5}), ("evolution", 1, {"popsize": 2})],
 )  # fmt: skip
 def test_a_sampler_is_made_with_the_seed_and_one_round_a_generation(library, name, starts, options):
     found = Optuna(sampler=name).made(Search(seed=3, starts=starts))
@@ -95,7 +101,9 @@ def test_a_sampler_is_made_with_the_seed_and_one_round_a_generation(library, nam
 
 @pytest.mark.parametrize("name", ["bruteforce", "grid", "seedless", "partial", "mine"])
 def test_samplers_of_steps_and_those_that_take_more_than_a_seed_are_not_offered(library, name):
-    with pytest.raises(ConfigError, match=f"method: expected optuna:SAMPLER, one of tpe, nsgaii, cmaes, got '{name}'"):
+    with pytest.raises(
+        ConfigError, match=f"method: expected optuna:SAMPLER, one of tpe, nsgaii, cmaes, evolution, got '{name}'"
+    ):
         Optuna(sampler=name).made(Search())
 
 

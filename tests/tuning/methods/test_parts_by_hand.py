@@ -1,7 +1,9 @@
 """What tells two computations apart, and what is kept of one, by hand."""
 
 import numpy as np
+import pytest
 
+from mjx_climb.files.dataset import OutputError
 from tuning.methods import parts
 
 
@@ -49,3 +51,15 @@ def test_parts_are_loaded_as_they_were_saved_until_they_are_cleared(tmp_path):
     for _ in range(2):  # nothing is there the second time
         parts.clear(tmp_path)
         assert not kept.folder.exists() and parts.identity_in(kept.folder) is None
+
+
+def test_parts_of_another_computation_are_refused_with_what_to_do(tmp_path):
+    """Keys that one of both has alone have no name."""
+    parts.Parts(tmp_path, {"seed": 1, "axes": {"kp": 1}})
+    for other, differs in (({"seed": 2, "axes": {"kp": 3}}, "seed, axes.kp"), ({"seed": 1}, "its keys")):
+        with pytest.raises(OutputError) as refused:
+            parts.Parts(tmp_path, other)
+        assert str(refused.value) == (
+            f"{tmp_path}: expected no unfinished computation but this one, got another that differs in {differs} "
+            f"(repeat its command to finish it, remove {tmp_path}/parts, or choose another --out)"
+        )

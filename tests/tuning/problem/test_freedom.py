@@ -1,12 +1,14 @@
 """The freedom of plans as each walk has it, and the bounds that searches have where nobody names any."""
 
 import dataclasses
+import types
 
 import numpy as np
 import pytest
 
 import mjx_climb as mc
 from mjx_climb.control import PD, LoadTransfer, VirtualModelAdmittance
+from mjx_climb.scenario.model import RobotFile
 from tuning.problem import spaces
 from tuning.problem.plans import Freedom, Knots
 from tuning.problem.search import Search
@@ -86,6 +88,28 @@ def test_bounds_of_a_laws_gains_are_its_own():
     assert {name: default_bounds(CASE, VirtualModelAdmittance())[name] for name in shipped} == shipped
     own = LoadTransfer().search_bounds(CASE.time_step)
     assert {name: default_bounds(CASE, LoadTransfer())[name] for name in own} == own
+
+
+class Own(VirtualModelAdmittance):
+    """A law that makes bounds of its own."""
+
+    def search_bounds(self, time_step):
+        return {"damping": (1.0, 2.0)}
+
+
+def test_bounds_of_the_papers_gains_are_in_proportion_to_the_mass_of_a_robot_from_a_file(monkeypatch):
+    """Both ends; those that a law makes, and the joint loop's, are not."""
+    masses = {"hubrobo_v3_2": 2.0}
+    monkeypatch.setattr(
+        spaces, "load_robot", lambda robot: types.SimpleNamespace(total_mass=masses.get(str(robot), 5.0))
+    )
+    case = CASE.model_copy(update={"robot": RobotFile.model_construct(file="mine.xml")})
+    for law, times in ((VirtualModelAdmittance(), 2.5), (Own(), 1.0)):
+        own, found = default_bounds(CASE, law), default_bounds(case, law)
+        assert own.keys() == found.keys() and {"damping", "kp", "kd"} <= own.keys()
+        for name, (low, high) in own.items():
+            scale = 1.0 if name in spaces.JOINT else times
+            assert found[name] == pytest.approx((low * scale, high * scale)), name
 
 
 @pytest.mark.parametrize(

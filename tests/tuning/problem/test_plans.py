@@ -258,6 +258,9 @@ def test_histories_are_the_largest_force_and_how_far_the_base_is_off(monkeypatch
     plans.over_time(scenario, law_of(scenario), None, parameters, **how)
     plans.over_time(scenario, PD(), None, parameters, np.zeros((2, 3, 4, 3), np.float32), **how)
     assert asked[1:] == [("VirtualModelAdmittance", [], ()), ("PD", [np.dtype(float)], (3,))]
+    stiff = mc.parameters(scenario).replace({"contact.stiffness": np.array([1e4, 1e9])})
+    with pytest.raises(mc.ConfigError, match="time_step"):
+        plans.over_time(scenario, PD(), None, stiff, **how)
 
 
 @pytest.mark.parametrize(

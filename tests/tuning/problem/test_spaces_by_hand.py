@@ -525,6 +525,15 @@ def test_cargo_of_members_is_drawn_from_its_ranges_and_factors_from_the_scenario
         ensemble.draw(CASE, again)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_the_ends_of_the_ranges_are_refused_wherever_members_fall(seed):
+    """So that another draw of the same ranges is not refused halfway."""
+    fine, wide = (Ensemble(members=1, seed=seed, grip_stiffness=(1.0, most)) for most in (1.5, 1e4))
+    ensemble.draw(CASE, fine)
+    with pytest.raises(mc.ConfigError, match=r"^ensemble: "):
+        ensemble.draw(CASE, wide)
+
+
 def draw_with(**section):
     return ensemble.draw(CASE, Ensemble(hardware=Hardware(**section)))
 

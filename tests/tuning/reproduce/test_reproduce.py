@@ -129,6 +129,9 @@ def test_margins_count_up_to_the_first_loss():
     assert verdict.measured["gia_margin_variation"]["baseline"] == pytest.approx(40, rel=0.01)
     at_once = dataclasses.replace(rough, torn_off=torn(0, 0.0).torn_off)
     assert judged("margin_fluctuation", at_once, calm, "1.1").holds is None
+    for row, said in ((1, None), (2, True)):  # one instant has no variation
+        soon = dataclasses.replace(rough, torn_off=torn(0, 1e-3 * row).torn_off)
+        assert judged("margin_fluctuation", soon, calm, "1.1").holds is said
     weightless = [dataclasses.replace(each, tsm=np.full(STEPS, np.nan)) for each in (rough, calm)]
     verdict = judged("margin_fluctuation", *weightless)
     assert verdict.holds is True and "no TSM is defined" in verdict.sentence

@@ -123,8 +123,9 @@ def test_settings_that_make_no_sense_are_refused(changes, said):
 
 
 def test_knots_are_whole_time_steps():
-    with pytest.raises(ConfigError, match=r"knots: expected whole time steps of 0.001 s, got 0.0005"):
-        search._knots(mc.Scenario(), 0.0005)
+    for spacing in (1e-9, 0.0004, 0.0005, 0.0015, 0.05001):
+        with pytest.raises(ConfigError, match=rf"knots: expected whole time steps of 0.001 s, got {spacing:g}$"):
+            search._knots(mc.Scenario(), spacing)
     assert search._knots(mc.Scenario(), 0.05).every == 50
 
 
@@ -169,6 +170,10 @@ def test_limits_of_plans_are_pd_s_and_as_wide_as_the_contestants_need():
     asked = Ceiling.make({"deviation_factor": 2.0, "limits": {"peak_joint_torque": 3.0}})
     pd = {name: np.array([1.0, 3.0]) for name in table.names} | {"diverged": np.zeros(2)}
     goal = search._objective(asked, pd, table)
+    reasons = {"joint_limit_margin": "joint limits", "peak_utilization": "limit of the grips"}
+    reasons |= dict.fromkeys(("base_deviation", SWING.name, RATE.name), "2 times pd's")
+    assert {limit.metric: limit.reason for limit in goal.limits} == reasons | {"peak_joint_torque": "set by the user"}
+    assert {limit.margin for limit in goal.limits} == {0.02}
     value = {limit.metric: limit.value for limit in goal.limits}
     assert value["base_deviation"] == 6.0 and value[SWING.name] == value[RATE.name] == 6.0
     assert value["peak_joint_torque"] == 3.0 and {term.baseline for term in goal.terms} == {2.0}
@@ -204,12 +209,13 @@ class Springs:
     """Walks whose merit is the squared distance of their targets from each member's aim, and a price of the start."""
 
     def __init__(self, aim, steps):
-        self.aim, self.steps, self.seen = aim, steps, []
+        self.aim, self.steps, self.seen, self.bases = aim, steps, [], []
 
     def evaluate(self, freedom, x, parameters, *, sharp):
         off = freedom.targets(x) - self.aim[:, None, None, None]
         merit = (off**2).mean((2, 3, 4)) + parameters.price.reshape(off.shape[:2])
         self.seen.append((freedom.knots.every, sharp, bool(parameters.disturbances)))
+        self.bases.append(freedom.base)
         return Scored(merit.ravel(), merit.ravel(), merit.ravel() < 9, {}), freedom.slopes(x, 2 * off / self.steps)
 
 
@@ -271,6 +277,9 @@ def test_a_causal_plan_is_shared_until_the_disturbance_is_felt_and_the_clairvoya
     assert not hidden and all(flag for *_, flag in contest.walks.seen)
     names = [each.plan.name for each in ended]
     assert names == ["blind, first", "blind", "causal 10.1 ms", "causal 5 ms", "clairvoyant"]
+    # a plan for all members begins in the middle of those that each would have
+    middle = np.broadcast_to(starts[0].targets.mean(0), starts[0].targets.shape)
+    np.testing.assert_allclose(contest.walks.bases[0][0], middle, atol=1e-15)
     of = {each.plan.name: each.plan.targets[:, :, *FREE] for each in ended}
     for name, since in (("causal 10.1 ms", 31), ("causal 5 ms", 25)):
         np.testing.assert_array_equal(of[name][0, :since], of[name][1, :since])

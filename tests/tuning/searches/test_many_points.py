@@ -73,6 +73,48 @@ def test_a_generation_is_what_the_package_draws_one_by_one(start):
             optimizer.tell([(point, float(((point - 0.3) ** 2).sum())) for point in one_by_one])
 
 
+@pytest.mark.parametrize(("seed", "known"), [(3, 0), (4, 2), (5, 40)])
+def test_generations_are_the_packages_from_the_best_of_the_first_points_on(seed, known):
+    """The known ones, as many as there is room for, and others spread about the start over a fifth of the box."""
+    rng, count, low, width = np.random.default_rng(seed + 9), 12, np.linspace(-2, 0, SIZE), np.linspace(1.0, 4.0, SIZE)
+    own = task(Search(starts=count, iterations=4, seed=seed))
+    own.problem.space.lower, own.problem.space.upper = low, low + width
+    own = own._replace(start=low + 0.3 * width, others=low + width * rng.uniform(size=(known, SIZE)))
+    asked = []
+
+    def evaluate(request):
+        asked.append((request.theta - low) / width)
+        assert request.directions is None
+        return types.SimpleNamespace(merit=((asked[-1] - BOTTOM) ** 2).sum(1))
+
+    follow(cmaes.METHOD.run(own), evaluate)
+    first = np.clip(0.3 + 0.2 * np.random.default_rng(seed).standard_normal((count, SIZE)), 0, 1)
+    first[: 1 + known] = ((own.known - low) / width)[:count]
+    mean = min(first, key=lambda point: ((point - BOTTOM) ** 2).sum())
+    theirs = CMA(mean, 0.2, np.tile([0.0, 1.0], (SIZE, 1)), seed=seed, population_size=count)
+    wanted = [first]
+    for _ in range(3):
+        wanted.append(cmaes.drawn(theirs))
+        theirs.tell([(point, float(((point - BOTTOM) ** 2).sum())) for point in wanted[-1]])
+    np.testing.assert_allclose(asked, wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize(("apart", "ends"), [(0.9e-4, True), (1.1e-4, False)])
+def test_generations_whose_best_hardly_differ_are_the_last_where_a_kernel_walks(kernel, apart, ends):
+    """The best of ten, whatever the others are worth."""
+    generations = 0
+
+    def evaluate(request):
+        nonlocal generations
+        generations += 1
+        merit = np.random.default_rng(generations).uniform(2, 9, len(request.theta))
+        merit[0] = 1 + apart * (generations % 2)
+        return types.SimpleNamespace(merit=merit)
+
+    follow(cmaes.METHOD.run(task(Search(iterations=30))), evaluate)
+    assert generations == (1 + 10 if ends else 30)
+
+
 def test_points_that_no_draw_puts_between_the_bounds_are_taken_there(monkeypatch):
     monkeypatch.setattr(cmaes, "TRIES", 1)
     optimizer = CMA(np.full(SIZE, 0.01), 1.0, np.tile([0.0, 1.0], (SIZE, 1)), seed=3, population_size=40)

@@ -246,6 +246,8 @@ def test_rows_of_a_front_have_limits_of_their_own_and_start_from_the_best_within
     np.testing.assert_allclose(np.array(own.value) * sign, wanted)
     np.testing.assert_allclose(own.scale, np.abs(wanted))
     assert own.metric == against and own.larger_is_better == (sign < 0)
+    # a penalty begins so near that limits side by side stay apart
+    assert own.margin == 0.002
     assert [each.metric for each in rest[0][2].limits] == ["peak_foot_force", against]
     for stage in range(pareto.STAGES):
         requests = rest[stage * pareto.ITERATIONS : (stage + 1) * pareto.ITERATIONS]
