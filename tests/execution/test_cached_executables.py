@@ -334,7 +334,7 @@ def test_a_program_that_a_fast_path_refused_is_not_traced_by_the_next_process(on
         raise Unsupported("sorts by length")
 
     for _ in range(2):
-        with pytest.raises(NotImplementedError, match="sorts by length"):
+        with pytest.raises(NotImplementedError, match=r"^sorts by length"):
             cache.cached_jit(refuses, lambda *_: "a", {})(1.0, np.zeros(2))
     assert len(traced) == 1
 
@@ -502,6 +502,17 @@ def test_a_full_disk_leaves_no_litter(tmp_path, monkeypatch):
     assert paths.verdict.__wrapped__("regions").works
     for folder in ("programs", "probes"):  # XLA writes its own beside
         assert list((tmp_path / folder).iterdir()) == []
+
+
+def test_the_cache_is_in_the_users_folder_or_where_the_environment_says(monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(cache.platformdirs, "user_cache_dir", lambda *of, **how: asked.append((of, how)) or "/of/user")
+    for wish, expected in (("", Path("/of/user/xla")), (str(tmp_path), tmp_path)):
+        monkeypatch.setenv(cache.VARIABLE, wish)
+        assert cache.asked_folder() == expected
+    monkeypatch.delenv(cache.VARIABLE)
+    assert cache.asked_folder() == Path("/of/user/xla")
+    assert asked == [(("mjx_climb",), {"appauthor": False})] * 2
 
 
 @pytest.mark.parametrize("word", ["off", "OFF", "0", "No", "False", "none"])

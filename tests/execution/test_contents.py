@@ -213,6 +213,23 @@ def test_members_of_the_users_own_modules_count(monkeypatch):
     assert identity(made["score"]) != before[0] and identity(made["late"]) != before[1]
 
 
+def test_what_an_installed_package_closes_over_is_known_by_its_version(monkeypatch):
+    """And by nothing that its names stand for."""
+    module = types.ModuleType("of_t_versions")
+    module.__file__, module.__version__ = "/site-packages/of_t_versions.py", "1.0"
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    space = {"__name__": module.__name__, "SCALE": 1.0}
+    function = types.FunctionType(compile("lambda m: SCALE * m", "", "eval").co_consts[0], space)
+    function.__module__ = module.__name__
+    in_library.cache_clear()
+    before = identity(function)
+    space["SCALE"] = 2.0
+    assert identity(function) == before
+    module.__version__ = "1.1"
+    assert identity(function) != before
+    in_library.cache_clear()
+
+
 def imports_a_neighbour(metrics):
     from .neighbour import weight
 

@@ -259,3 +259,30 @@ def test_a_trial_leaves_the_memory_and_the_keys_of_this_process_alone(fresh, mon
                     "JAX_TRACEBACK_FILTERING": "off"}  # fmt: skip
     root = str(Path(paths.__file__).parents[2])
     assert how["env"]["PYTHONPATH"] == os.pathsep.join([root, "of the user"])
+
+
+def test_where_there_is_a_gpu_all_paths_are_tried_side_by_side(fresh, monkeypatch):
+    """Those that nothing is known of; on a device that no path is for, none, and one that cannot start is no error."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    begun, asked = [], []
+    monkeypatch.setattr(paths.subprocess, "Popen", lambda command, **_: begun.append(command[-1].split("'")[1]))
+    monkeypatch.setattr(paths, "tried", lambda path: (asked.append(path) or paths.Verdict(True, "tried"), True))
+    forget()
+    assert paths.works("kernel") and begun == asked == ["regions", "kernel"]
+    forget()
+    paths.begin()  # known from the folder
+    assert len(begun) == 2
+    for file in fresh.iterdir():
+        file.unlink()
+    for backend, expected in (("tpu", []), ("cpu", ["regions"])):
+        forget()
+        monkeypatch.setattr(jax, "default_backend", lambda backend=backend: backend)
+        paths.begin()
+        assert begun[2:] == expected
+
+    def missing(command, **_):
+        raise FileNotFoundError(command[0])
+
+    monkeypatch.setattr(paths.subprocess, "Popen", missing)
+    forget()
+    paths.begin()
