@@ -72,6 +72,18 @@ def by_mujoco(scenario, walked, limb):
     return np.moveaxis(np.array(found), 1, 0)
 
 
+def test_a_swing_that_settles_is_one_of_a_shorter_time():
+    """A fifth of it over the foothold: as in a gait whose feet stand for longer."""
+    path = np.random.default_rng(0).normal(0, 0.01, (4, 3, swing.COUNT))
+    settles, longer, neither = (
+        jax.tree.leaves(swing_reaction(mc.Scenario().with_overrides(LOW | gait), path))
+        for gait in ({"gait.settling": 0.2, "gait.duty": 0.75}, {"gait.duty": 0.8}, {"gait.duty": 0.75})
+    )
+    for one, same in zip(settles, longer, strict=True):
+        np.testing.assert_allclose(one, same, rtol=1e-9, atol=1e-12)
+    assert not all(np.allclose(one, other) for one, other in zip(settles, neither, strict=True))
+
+
 @pytest.mark.parametrize("name", SHAPES)
 def test_the_reaction_is_mujocos(robots, name):
     """Forces and moments of every limb's swing agree with inverse dynamics of the same joint path to 1e-8."""
