@@ -566,6 +566,21 @@ def test_threads_wait_for_each_other_where_all_of_a_block_are():
         ]
     assert all("noinline" in text for text in texts)
     assert [text.count("__syncthreads") for text in texts] == [1, 0]
+    assert all("__launch_bounds__(128, 2)" in text for text in texts)
+
+
+def test_each_number_that_a_loop_writes_has_a_row_of_its_own_at_each_step():
+    """Where it is read behind the loop; a kernel without functions leaves registers to its threads."""
+    step = lambda x, _: (jnp.sin(x), (2 * x, jnp.cos(x), 3 * x))  # noqa: E731
+    with jax.enable_x64(False):
+        program = jax.make_jaxpr(lambda x: jax.lax.scan(step, x, length=70)[1])(np.float32(1))
+        kernel = written(body_of(program), (1,))
+    places = re.findall(r"__stcg\(&kept\[32 \* \((\d+) \+ (\d+) \* t\d+\)\]", kernel.text)
+    rows = [int(first) + int(each) * time for first, each in places for time in range(70)]
+    assert len(places) == 3 and sorted(rows) == [*range(kernel.kept)] == [*range(210)]
+    results = re.findall(r"__ldcg\(&kept\[32 \* (\d+)\]\)", kernel.text)
+    assert [*map(int, results)] == rows
+    assert "__launch_bounds__(128)" in kernel.text
 
 
 def test_a_loop_of_loops_keeps_what_it_carries():

@@ -190,7 +190,9 @@ def test_launched():
     made = jax.ShapeDtypeStruct((3,), np.int32)
     call = jax.jit(lambda x: jax_internals.launched("PTX", "walk", 2, 128, made, x))
     text = call.trace(jnp.ones(3, jnp.int32)).lower(lowering_platforms=("cuda",)).as_text()
-    assert jax_internals.LAUNCH in text and "grid_x = 2 : i32" in text and 'kernel_data = "PTX"' in text
+    assert jax_internals.LAUNCH in text and 'kernel_data = "PTX"' in text and 'name = "walk"' in text
+    numbers = {"grid_x": 2, "grid_y": 1, "grid_z": 1, "block_x": 128, "block_y": 1, "block_z": 1, "shared_mem_bytes": 0}
+    assert all(f"{name} = {number} : i32" in text for name, number in numbers.items())
 
 
 @pytest.mark.parametrize(("option", "value"), [(jax_internals.LEVEL, 1), (jax_internals.WIDTH, 512)])

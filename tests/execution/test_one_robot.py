@@ -53,3 +53,14 @@ def test_a_transformed_function_is_the_plain_ones(name):
     given = random.normal(size=(BATCH, 2)), random.normal(size=BATCH), random.normal(size=(BATCH, 2))
     mine, plain = (TRANSFORMED[name](function, *given) for function in (over_robots(several), jax.jit(several)))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12), mine, plain)
+
+
+def test_whole_numbers_have_no_tangents():
+    """JAX gives them some without a size."""
+    numbers, counts, rates = np.array([1.0, 2.0, 3.0]), np.arange(3), np.array([0.5, 1.0, -1.0])
+    batch = jax.vmap(over_robots(lambda number, count: {"power": number**2 * count, "next": count + 1}))
+    along = rates, np.zeros(3, jax.dtypes.float0)
+    found, tangents = jax.jvp(batch, (numbers, counts), along)
+    np.testing.assert_allclose(found["power"], numbers**2 * counts)
+    np.testing.assert_allclose(tangents["power"], 2 * numbers * counts * rates)
+    assert tangents["next"].dtype == jax.dtypes.float0
