@@ -9,7 +9,6 @@ import enum
 import functools
 import math
 from collections.abc import Callable, Iterator
-from types import ModuleType
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 import mjx_climb as mc
+from mjx_climb.arrays import namespace
 from mjx_climb.disturbances.disturbance import Disturbance
 from mjx_climb.disturbances.on_base import Cargo as OwnCargo
 from mjx_climb.disturbances.on_base import Push
@@ -361,8 +361,8 @@ def hypercube(rng: np.random.Generator, count: int, lower: np.ndarray, upper: Ar
     return np.asarray(lower + (np.asarray(upper) - lower) * (strata + rng.random((count, lower.size))) / count)
 
 
-def worst_mean(values: Any, share: float, *, larger_is_better: bool = False, numpy: ModuleType = np) -> Any:
+def worst_mean(values: Any, share: float, *, larger_is_better: bool = False) -> Any:
     """Return the mean over the worst members (axis 0), the conditional value at risk: (members, ...) -> (...)."""
     count = max(1, math.ceil(share * values.shape[0] - 1e-9))
-    ordered = numpy.sort(values, axis=0)
+    ordered = namespace(values).sort(values, axis=0)
     return (ordered[:count] if larger_is_better else ordered[-count:]).mean(0)

@@ -6,6 +6,7 @@ extremes, plus the penalty. `feasible` says whether every constraint holds.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -14,6 +15,7 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
+from mjx_climb.arrays import namespace
 from mjx_climb.inputs.own_objects import in_one_line
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import PREFIX
@@ -100,30 +102,33 @@ class Objective:
         """Whether members that lose a gripper count by their number."""
         return any(term.metric == LOST for term in self.terms)
 
+    @np.errstate(all="ignore")  # of walks that diverged
     def score(self, metrics: Metrics) -> Score:
-        """Score points by their metrics; NaN and infeasible where the walk diverged."""
+        """Score points by their metrics, arrays of JAX or NumPy; NaN and infeasible where the walk diverged."""
         if self.weighs_lost:
             metrics = {**metrics, LOST: lost(metrics)}
+        ratios = [self.ratios(metrics[term.metric], term) for term in self.terms]
         if self.function is not None:
             value = smooth = self.function(_with_companions(metrics))
         else:
-            value, smooth = self._weighted(metrics, smooth=False), self._weighted(metrics, smooth=True)
-        penalty, feasible = jnp.zeros_like(value), jnp.isfinite(value)
+            value, smooth = self._weighted(ratios), self._weighted(self._smooth_ratios(metrics, ratios))
+        xp = namespace(value)
+        penalty, feasible = xp.zeros_like(value), xp.isfinite(value)
         if self.margin is not None:
-            for ratio in (ratio for term in self.terms for ratio in self.ratios(metrics[term.metric], term)):
-                penalty += penalty_of(ratio - 1 + self.margin)
-                feasible &= ratio <= 1
+            for ratio in itertools.chain.from_iterable(ratios):
+                penalty = penalty + penalty_of(ratio - 1 + self.margin)
+                feasible = feasible & (ratio <= 1)
         for limit in self.limits:
             slack = violation(limit, metrics[limit.metric])
             if self.weighs_lost:
                 # searches walk on without tearing a gripper off: how such a walk ends says nothing
-                slack = jnp.where(metrics[LOST] > 0, -1.0, slack)
+                slack = xp.where(metrics[LOST] > 0, -1.0, slack)
             over, kept = penalty_of(slack + limit.margin), slack <= 0
-            penalty += over if self.worst is None else worst_mean(over, self.worst.share, numpy=jnp)
-            feasible &= kept if self.worst is None else kept.all(0)
+            penalty = penalty + (over if self.worst is None else worst_mean(over, self.worst.share))
+            feasible = feasible & (kept if self.worst is None else kept.all(0))
         diverged = metrics["diverged"] if self.worst is None else metrics["diverged"].any(0)
-        number = jnp.where(diverged, jnp.nan, jnp.ones_like(value))  # for derivatives too
-        value, descent, penalty = (jnp.asarray(part * number) for part in (value, smooth + penalty, penalty))
+        number = xp.where(diverged, xp.nan, xp.ones_like(value))  # for derivatives too
+        value, descent, penalty = (xp.asarray(part * number) for part in (value, smooth + penalty, penalty))
         return Score(value, descent, penalty, feasible & ~diverged)
 
     def ratios(self, values: Array, term: Term, *, smooth: bool = False) -> tuple[Array, ...]:
@@ -131,19 +136,24 @@ class Objective:
         larger, mean = term.larger_is_better, values if self.worst is None else values.mean(0)
         found = [mean / _by_row(term.smooth_baseline if smooth else term.baseline)]
         if self.worst is not None:
-            worst = worst_mean(values, self.worst.share, larger_is_better=larger, numpy=jnp)
+            worst = worst_mean(values, self.worst.share, larger_is_better=larger)
             found.append(worst / (term.smooth_worst if smooth else term.worst))
         return tuple(2 - ratio if larger else ratio for ratio in found)
 
-    def _weighted(self, metrics: Metrics, *, smooth: bool) -> Array:
-        total: Array | float = 0.0
-        for term in self.terms:
-            soft = smooth and PREFIX + term.metric in metrics
-            ratio, *worst = self.ratios(metrics[PREFIX + term.metric if soft else term.metric], term, smooth=soft)
+    def _smooth_ratios(self, metrics: Metrics, ratios: list[tuple[Array, ...]]) -> list[tuple[Array, ...]]:
+        """Return the ratios of terms with those of smooth companions in place of their own, where there are some."""
+        return [
+            self.ratios(metrics[PREFIX + term.metric], term, smooth=True) if PREFIX + term.metric in metrics else own
+            for term, own in zip(self.terms, ratios, strict=True)
+        ]
+
+    def _weighted(self, ratios: list[tuple[Array, ...]]) -> Array:
+        total: Any = 0.0
+        for term, (ratio, *worst) in zip(self.terms, ratios, strict=True):
             if self.worst is not None:
                 ratio = (1 - self.worst.weight) * ratio + self.worst.weight * worst[0]
-            total += term.weight * ratio
-        return jnp.asarray(total / sum(term.weight for term in self.terms))
+            total = total + term.weight * ratio
+        return namespace(total).asarray(total / sum(term.weight for term in self.terms))
 
 
 NO_OBJECTIVE = Objective((), ())
@@ -161,7 +171,7 @@ def lost(metrics: Any) -> Any:
 
 def penalty_of(over: Array | np.ndarray) -> Array:
     """Return 0 inside, a parabola just outside, a straight line of slope 10 far outside."""
-    over = jnp.maximum(over, 0.0)
+    over = namespace(over).maximum(over, 0.0)
     return _PENALTY * over**2 / (1 + over / _BEND)
 
 

@@ -59,18 +59,29 @@ def test_the_smallest_generations_go_down_without_a_warning(starts):
     assert set(sizes) == {starts} and min(best) < 0.1 * best[0]
 
 
-@pytest.mark.parametrize("start", [0.5, 0.1])  # most points out of the bounds are drawn again
-def test_a_generation_is_what_the_package_draws_one_by_one(start):
+@pytest.mark.parametrize(
+    ("start", "size", "slope"),
+    [(0.5, 40, 1.0), (0.1, 40, 1.0), (0.5, 2, 1.0), (0.5, 3, 1.0), (0.5, 40, 0.0)],
+)  # 0.1: most points out of the bounds are drawn again; without a slope the package stops after some generations
+def test_a_generation_is_what_the_package_draws_and_learns_point_by_point(start, size, slope):
     """Through generations, of the same seed: to rounding."""
-    mine, theirs = (
-        CMA(np.full(SIZE, start), 0.2, np.tile([0.0, 1.0], (SIZE, 1)), seed=3, population_size=40) for _ in range(2)
-    )
-    for _ in range(5):
+    with np.errstate(divide="ignore"):
+        mine, theirs = (
+            CMA(np.full(SIZE, start), 0.2, np.tile([0.0, 1.0], (SIZE, 1)), seed=3, population_size=size)
+            for _ in range(2)
+        )
+    for _ in range(20):
         points = cmaes.drawn(mine)
-        one_by_one = np.array([theirs.ask() for _ in range(40)])
-        np.testing.assert_allclose(points, one_by_one, rtol=0, atol=1e-12)
-        for optimizer in (mine, theirs):
-            optimizer.tell([(point, float(((point - 0.3) ** 2).sum())) for point in one_by_one])
+        one_by_one = np.array([theirs.ask() for _ in range(size)])
+        if size == 40:  # a covariance moved by its path alone has equal eigenvalues, whose axes are anyone's
+            np.testing.assert_allclose(points, one_by_one, rtol=0, atol=1e-10)
+        merits = slope * ((one_by_one - 0.3) ** 2).sum(1).round(2)
+        cmaes.tell(mine, one_by_one, merits)
+        theirs.tell(list(zip(one_by_one, merits.tolist(), strict=True)))
+        for name in ("_mean", "_sigma", "_C", "_pc", "_p_sigma"):
+            np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name), rtol=1e-9, atol=1e-12)
+        assert mine.should_stop() == theirs.should_stop()
+    assert mine.should_stop() == (slope == 0)
 
 
 @pytest.mark.parametrize(("seed", "known"), [(3, 0), (4, 2), (5, 40)])
