@@ -38,10 +38,13 @@ from mjx_climb.inputs.from_scenario import own_parameters, waiting_of
 from mjx_climb.inputs.gait_values import TIMES, gait_of, scenario_with_gait
 from mjx_climb.inputs.resolve import (
     AnyGains,
+    Ready,
     WalkInputs,
     by_name,
     check_robots,
     checked,
+    checked_dtype,
+    ready,
     recorded,
     resolve,
     resolve_in,
@@ -129,6 +132,7 @@ class Simulation:
     contact: Contact | None  # in place of the scenario's, None: the scenario's
     drive: Actuator | None
     disturbances: tuple[Disturbance, ...]  # beside the scenario's
+    parameters: Parameters | None  # in place of the scenario's, None: these
 
     def __init__(
         self,
@@ -140,6 +144,7 @@ class Simulation:
         contact: Contact | None = None,
         drive: Actuator | None = None,
         disturbances: Iterable[Disturbance] = (),
+        parameters: Parameters | None = None,
         smooth: bool = False,
     ) -> None:
         """Prepare a simulation.
@@ -152,6 +157,8 @@ class Simulation:
             contact: holds feet to the ground, in place of the scenario's gripper.
             drive: turns the joints, in place of the scenario's servos.
             disturbances: act beside the scenario's cargo and pushes.
+            parameters: in place of the scenario's wherever a method is given none, with any batch axes: many calls on
+                the same ones check them once.
             smooth: for searches: no gripper is torn off by any force (`peak_pull_force` tells), and the metrics
                 have smooth companions, see `mjx_climb.walk.metrics`.
 
@@ -174,16 +181,41 @@ class Simulation:
             contact=None if contact is None else checked(contact, Contact),
             drive=None if drive is None else checked(drive, Actuator),
             disturbances=tuple(checked(each, Disturbance) for each in disturbances),
+            parameters=parameters,
         )
 
     @functools.cached_property
     def structure(self) -> Structure:
-        """The structure of the scenario's own walk."""
+        """The structure of a walk under the simulation's own parameters."""
         return self._structure(self._given(None), {})
 
+    @functools.cached_property
+    def _own(self) -> dict[np.dtype, tuple[Ready, list[Structure]]]:
+        """The simulation's own parameters by precision, ready for walks, and their structure, once asked for."""
+        return {}
+
+    def _resolved(self, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike) -> WalkInputs:
+        """Return the inputs of walks as arrays of NumPy."""
+        if parameters is not None:
+            return resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
+        if (precision := checked_dtype(dtype)) not in self._own:
+            with jax.enable_x64(True):
+                self._own[precision] = ready(self.scenario, self._given(None), precision), []
+        return resolve_in(self.scenario, self.law, gains, self._own[precision][0], precision)
+
+    def _structure_of_walks(self, resolved: WalkInputs) -> Structure:
+        """Return the structure of walks, made once of those whose gains change no parameter."""
+        own, made = self._own.get(resolved.parameters.gravity.dtype, (None, []))
+        if own is None or resolved.walked is not own.walked:
+            return self._structure(resolved.walked, resolved.called)
+        if not made:
+            made.append(self._structure(resolved.walked, resolved.called))
+        return made[0]
+
     def _given(self, parameters: Parameters | None) -> Parameters:
-        """Return parameters, the scenario's where None, with the simulation's own contact, drive and disturbances."""
-        given = own_parameters(self.scenario) if parameters is None else parameters
+        """Return parameters, the simulation's own where None, with its own contact, drive and disturbances."""
+        given = self.parameters if parameters is None else parameters
+        given = own_parameters(self.scenario) if given is None else given
         contact = given.contact if self.contact is None else self.contact
         drive = given.drive if self.drive is None else self.drive
         waiting = given.waiting
@@ -196,6 +228,12 @@ class Simulation:
     def _real_metrics(self) -> list[str]:
         """The names of the metrics that have derivatives."""
         return real_metrics(self.structure, own_parameters(self.scenario))
+
+    @functools.cached_property
+    def _steady(self) -> bool:
+        """Whether the time step is short enough for the scenario's own contacts and joints, True: else it is refused."""
+        check_time_step(self.scenario)
+        return True
 
     def _structure(self, parameters: Parameters, called: Mapping[str, str]) -> Structure:
         """Return the structure of a walk under these parameters, which decide about the stages of hardware."""
@@ -224,11 +262,11 @@ class Simulation:
             ConfigError: a time step too long for the scenario's contacts and joints.
             ValueError: batched gains or parameters, gains that the law does not have, or targets of another shape.
         """
-        resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), dtype)
+        resolved = self._resolved(gains, parameters, dtype)
         if resolved.shape != ():
             raise ValueError("rollout walks one robot: for a batch of gains or parameters use rollout_metrics")
         check_time_step(self.scenario, parameters=resolved.walked)
-        shape = self._structure(resolved.walked, resolved.called)
+        shape = self._structure_of_walks(resolved)
         robot = shape.robot
         under = () if targets is None else (np.asarray(targets, dtype),)
         if under and under[0].shape != (expected := (shape.steps, len(robot.limbs), robot.joints)):
@@ -366,7 +404,7 @@ class Simulation:
         resolved, run = self._prepared(gains, parameters, over_time=over_time, **how)
         law, own, batch = resolved[:3]
         if directions is None:
-            shape = self._structure(resolved.walked, resolved.called)
+            shape = self._structure_of_walks(resolved)
             return run(function, shape, execution.Robots((law, own), resolved.axes, batch)), {}
         along = resolved_directions(resolved, gains, directions)
         robots, shape = self._moving(resolved, along)
@@ -380,8 +418,11 @@ class Simulation:
 
         Too long a time step is refused, unless `unsteady`.
         """
-        resolved = resolve_in(self.scenario, self.law, gains, self._given(parameters), how.get("dtype", np.float32))
-        check_time_step(self.scenario, parameters=None if how.get("unsteady") else resolved.walked)
+        resolved = self._resolved(gains, parameters, how.get("dtype", np.float32))
+        if how.get("unsteady"):
+            _ = self._steady
+        else:
+            check_time_step(self.scenario, parameters=resolved.walked)
         batch_size, progress = how.get("batch_size"), how.get("progress")
         return resolved, functools.partial(execution.run, over_time=over_time, batch_size=batch_size, progress=progress)
 
@@ -391,7 +432,7 @@ class Simulation:
         values = own.values
         moving = {n: np.asarray(getattr(law, n) if n in law.GAINS else values[path_of_gain(n)]) for n in names}
         of_moving = {name: law.AXES.get(name, 0) for name in moving}
-        shape = self._structure(resolved.walked, resolved.called)
+        shape = self._structure_of_walks(resolved)
         paths = [path_of_gain(name) for name in moving if name not in law.GAINS]
         shape = shape._replace(stages=stages_of(resolved.walked, shape.time_step, shape.robot, paths))
         return execution.Robots((moving, law, own), (of_moving, *resolved.axes), resolved.shape), shape

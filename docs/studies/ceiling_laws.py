@@ -136,7 +136,7 @@ def begun(scenario, own, kind):
 def values(problem, theta):
     """Return objective and metrics of a point in each of the unseen walks, and which are lost."""
     gains = spaces.to_gains64(problem.space, theta)
-    return of_walks(problem, mc.rollout_metrics(problem.scenario, gains, problem.parameters, **problem._how))
+    return of_walks(problem, problem.simulation.metrics(gains, **problem._how))
 
 
 def of_walks(problem, found):
@@ -303,7 +303,7 @@ def longer(scenario, unseen, weights, seconds, changed, law, gains):
     (judges,) = goals_on(scenario, weights, unseen)
     fresh = Problem(changed, objective=judges, parameters=ensembles.draw(changed, unseen), law=law,
                     members=unseen.members, metrics=TABLE)  # fmt: skip
-    found = mc.rollout_metrics(changed, gains, fresh.parameters, **fresh._how)
+    found = fresh.simulation.metrics(gains, **fresh._how)
     return {f"{seconds:g} s": means(of_walks(fresh, found))}
 
 

@@ -6,12 +6,13 @@ no scalar.
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TypeVar, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from mjx_climb.execution.batches import flattened
@@ -58,17 +59,27 @@ def batch_shape(*trees: PyTree, others: Mapping[str, tuple[int, ...]] = MappingP
     Raises:
         ValueError: in one line, which values have shapes that do not broadcast.
     """
-    names: dict[tuple[int, ...], str] = {}  # of the first value of each shape
-    for tree in trees:
-        for (path, value), own in zip(jax.tree.leaves_with_path(tree), jax.tree.leaves(own_axes(tree)), strict=True):
-            names.setdefault(jnp.shape(value)[: max(0, jnp.ndim(value) - own)], _name(path))
-    for name, shape in others.items():
-        names.setdefault(shape, name)
+    shapes = [_lead(value, own) for tree in trees for value, own in _with_own_axes(tree)]
     try:
-        return jnp.broadcast_shapes(*names)
+        return np.broadcast_shapes(*dict.fromkeys((*shapes, *others.values())))
     except ValueError:
+        paths = [_name(path) for tree in trees for path, _ in jax.tree.leaves_with_path(tree)]
+        names: dict[tuple[int, ...], str] = {}  # of the first value of each shape
+        for name, shape in (*zip(paths, shapes, strict=True), *others.items()):
+            names.setdefault(shape, name)
         got = ", ".join(f"{name} {shape}" for shape, name in names.items() if shape)
         raise ValueError(f"batch axes of gains and parameters: expected some that broadcast, got {got}") from None
+
+
+def _with_own_axes(tree: PyTree) -> Iterable[tuple[PyTree, int]]:
+    """Return the values of a tree, each with how many axes one robot's value has."""
+    leaves, structure = jax.tree.flatten(tree)
+    return zip(leaves, jax.tree.leaves(_axes_of(structure)), strict=True)
+
+
+def _lead(value: PyTree, own: int) -> tuple[int, ...]:
+    shape: tuple[int, ...] = np.shape(value)
+    return shape[: max(0, len(shape) - own)]
 
 
 def _name(path: Sequence[PyTree]) -> str:

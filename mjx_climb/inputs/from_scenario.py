@@ -185,13 +185,13 @@ def known_parameters(scenario: Scenario, parameters: Parameters) -> tuple[Parame
     return parameters.replace_alone(found), traced
 
 
-def compiled_for(scenario: Scenario, parameters: Parameters, called: Mapping[str, str] | None = None) -> Parameters:
+def compiled_for(scenario: Scenario, parameters: Parameters) -> Parameters:
     """Return parameters whose components have the options that their values ask of a compiled walk.
 
     Raises:
         ValueError: a value that is traced and decides about an option that is not there.
     """
-    (known, traced), names = known_parameters(scenario, parameters), called or {}
+    known, traced = known_parameters(scenario, parameters)
     components = known.components
 
     def change(place: str, each: Component) -> Component:
@@ -199,9 +199,7 @@ def compiled_for(scenario: Scenario, parameters: Parameters, called: Mapping[str
         for path in traced:
             section, _, name = path.rpartition(".")
             if section == place and _options(components[place].compiled_for((name,))) != _options(found):
-                raise ValueError(
-                    _undecided(names.get(path, f"parameters.{path}"), ", or a scenario that has such a stage")
-                )
+                raise ValueError(_undecided(f"parameters.{path}", ", or a scenario that has such a stage"))
         return _with_options(each, found)
 
     return parameters.with_components(change)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -46,11 +46,43 @@ class WalkInputs(NamedTuple):
         return own_axes(self.law), own_axes(self.parameters)
 
 
+class Ready(NamedTuple):
+    """Parameters that are checked, and ready for walks under any gains."""
+
+    given: Parameters
+    own: Parameters  # each value of its full shape
+    walked: Parameters  # with times that are whole time steps, and the options that values ask of a compiled walk
+    cast: Parameters  # as `walked`, in the precision of the walk
+
+
+def ready(
+    scenario: Scenario, parameters: Parameters, dtype: DTypeLike, xp: ModuleType = np, *, compiled: bool = False
+) -> Ready:
+    """Return parameters as `resolve` needs them; arguments and errors are its own."""
+    array = functools.partial(xp.asarray, dtype=checked_dtype(dtype))
+    check_parameters(parameters, len(scenario.gait.lift_off))
+    return _made_ready(scenario, parameters, array, compiled, {})
+
+
+def _made_ready(
+    scenario: Scenario,
+    given: Parameters,
+    array: Callable[[AnyArray], AnyArray],
+    compiled: bool,
+    called: Mapping[str, str],
+) -> Ready:
+    own = given.with_components(lambda _, each: in_full(each))
+    walked = with_whole_steps(own, scenario.time_step)
+    walked = walked if compiled else compiled_for(scenario, walked)
+    cast = {p: in_precision(called.get(p, f"parameters.{p}"), value, array) for p, value in walked.values.items()}
+    return Ready(given, own, walked, walked.replace(cast))
+
+
 def resolve(
     scenario: Scenario,
     law: Law,
     gains: AnyGains | None,
-    parameters: Parameters | None,
+    parameters: Parameters | Ready | None,
     dtype: DTypeLike,
     xp: ModuleType = jnp,
     *,
@@ -67,12 +99,13 @@ def resolve(
             known.
     """
     array = functools.partial(xp.asarray, dtype=checked_dtype(dtype))
-    own = own_parameters(scenario) if parameters is None else parameters
-    check_parameters(own, len(scenario.gait.lift_off))
-    values = _values_by_name(law, gains)
+    if not isinstance(parameters, Ready):
+        own = own_parameters(scenario) if parameters is None else parameters
+        parameters = ready(scenario, own, dtype, xp, compiled=compiled)
+    values, given = _values_by_name(law, gains), parameters.given
     called = {path_of_gain(name): f"gains.{name}" for name in values if name in (*GAIT, *JOINT_GAINS)}
-    own = with_gait(
-        scenario, own, {key: checked_value(f"gains.{key}", values.pop(key), (), 0.0) for key in GAIT if key in values}
+    moved = with_gait(
+        scenario, given, {key: checked_value(f"gains.{key}", values.pop(key), (), 0.0) for key in GAIT if key in values}
     )
     joint = {
         path_of_gain(name): checked_value(f"gains.{name}", values.pop(name), (), zero=name in _MAY_BE_ZERO)
@@ -80,23 +113,25 @@ def resolve(
         if name in values
     }
     law = with_values(law, {name: value for name, value in values.items() if name in law.GAINS}, array)
-    own = dataclasses.replace(own, recovery=recovery_of(law, own.recovery))
-    own = own.with_components(lambda _, each: in_full(each))
-    walked = with_whole_steps(own, scenario.time_step).replace(joint)
-    walked = walked if compiled else compiled_for(scenario, walked, called)
-    cast = {p: in_precision(called.get(p, f"parameters.{p}"), value, array) for p, value in walked.values.items()}
-    parameters = walked.replace(cast)
+    if (recovery := recovery_of(law, moved.recovery)) is not moved.recovery:
+        moved = dataclasses.replace(moved, recovery=recovery)
+    if moved is not given:
+        parameters = _made_ready(scenario, moved, array, compiled, called)
+    own, walked, cast = parameters[1:]
+    if joint:
+        walked = walked.replace(joint)
+        cast = cast.replace({path: in_precision(called[path], value, array) for path, value in joint.items()})
     # gains of a law without any still say how many robots there are
     others = {name: jnp.shape(value)[:-1] for name, value in values.items() if name not in law.GAINS}
-    shape = batch_shape(law, parameters, others=others)
+    shape = batch_shape(law, cast, others=others)
     check_robots(shape)
-    if others and shape != batch_shape(law, parameters):
-        parameters = dataclasses.replace(parameters, mass_scale=xp.broadcast_to(parameters.mass_scale, shape))
-    return WalkInputs(law, parameters, shape, own, walked, called)
+    if others and shape != batch_shape(law, cast):
+        cast = dataclasses.replace(cast, mass_scale=xp.broadcast_to(cast.mass_scale, shape))
+    return WalkInputs(law, cast, shape, own, walked, called)
 
 
 def resolve_in(
-    scenario: Scenario, law: Law, gains: AnyGains | None, parameters: Parameters | None, dtype: DTypeLike
+    scenario: Scenario, law: Law, gains: AnyGains | None, parameters: Parameters | Ready | None, dtype: DTypeLike
 ) -> WalkInputs:
     """Return the inputs of a walk as `resolve` does, as arrays of NumPy."""
     with jax.enable_x64(True):

@@ -12,7 +12,7 @@ from jax import Array
 from jaxtyping import Float
 
 import mjx_climb as mc
-from mjx_climb.arrays import namespace
+from mjx_climb.arrays import AnyArray, namespace
 from mjx_climb.component import with_values
 from mjx_climb.control import law_of
 from mjx_climb.control.combined import either
@@ -108,16 +108,21 @@ class Problem:
         found: Evaluation = jax.tree.map(np.asarray, Evaluation(gradient=gradient, sharp=sharp, **reported))
         return found
 
+    @functools.cached_property
+    def simulation(self) -> mc.Simulation:
+        """The walks of points."""
+        return mc.Simulation(self.scenario, **self.walks, parameters=self.parameters, smooth=True)
+
     @property
     def _how(self) -> dict[str, Any]:
         """How points walk; those that the time step is too long for too, which results leave out."""
-        return {**self.walks, "dtype": self.dtype, "smooth": True, "unsteady": True}
+        return {"dtype": self.dtype, "unsteady": True}
 
     def _forward(self, theta: np.ndarray, along: np.ndarray) -> tuple[Any, dict[str, Any]]:
         """Return derivatives (2, k, B) of descent and of value plus penalty, and the report."""
         tangents = self.space.to_tangents(theta, along)
         gains = to_gains64(self.space, theta)
-        metrics, tangents = mc.rollout_jvp(self.scenario, gains, tangents, self.parameters, **self._how)
+        metrics, tangents = self.simulation.jvp(gains, tangents, **self._how)
         with jax.enable_x64(np.dtype(self.dtype) == np.float64):
             derivatives, reported = _scored_tangents(self.objective, metrics, tangents)
         return derivatives, reported
@@ -125,7 +130,7 @@ class Problem:
     def _reverse(self, theta: np.ndarray, along: np.ndarray) -> tuple[Any, dict[str, Any]]:
         """Return the result of `_forward`; along no direction, the walks alone."""
         gains = to_gains64(self.space, theta)
-        metrics = mc.rollout_metrics(self.scenario, gains, self.parameters, **self._how)
+        metrics = self.simulation.metrics(gains, **self._how)
         with jax.enable_x64(np.dtype(self.dtype) == np.float64):
             if not len(along):
                 # XLA sorts an ensemble's members ten times as long as NumPy
@@ -133,20 +138,20 @@ class Problem:
                 scored = _scored if own else _compiled_scored
                 return np.zeros((2, 0, len(theta)), self.dtype), scored(self.objective, metrics)[1]
             weights, reported = _scored_weights(self.objective, metrics)
-        found = mc.rollout_vjp(self.scenario, gains, weights, self.parameters, **self._how)
+        found = self.simulation.vjp(gains, weights, **self._how)
         with jax.enable_x64(True):
             _, pull_back = jax.vjp(lambda theta: by_name(self.space.to_gains(theta)), theta)
             gradients = jax.vmap(lambda each: pull_back(each)[0])(jax.tree.map(lambda v: jnp.asarray(v, float), found))
         return (np.asarray(gradients) @ along.T).transpose(0, 2, 1).astype(self.dtype), reported
 
 
-def _scored(objective: Goal, metrics: Mapping[str, Array]) -> tuple[tuple[Array, Array], dict[str, Any]]:
+def _scored(objective: Goal, metrics: Mapping[str, Any]) -> tuple[tuple[AnyArray, AnyArray], dict[str, Any]]:
     """Return descent and value plus penalty, (B,) each, to be differentiated; and the report beside them."""
     score = objective.score(metrics)
     xp = namespace(score.value)
 
     # an objective may have joined the members: its scores have lost their axis then
-    def mean(value: Array | np.ndarray) -> Array:
+    def mean(value: AnyArray) -> AnyArray:
         return xp.asarray(value.mean(0) if value.ndim > 1 else value)
 
     reported: dict[str, Any] = {name: mean(getattr(score, name)) for name in ("value", "descent", "penalty")}

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 
 import mjx_climb as mc
-from mjx_climb.arrays import namespace
+from mjx_climb.arrays import AnyArray, namespace
 from mjx_climb.inputs.own_objects import in_one_line
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.walk.metrics import PREFIX
@@ -147,8 +147,8 @@ class Objective:
             for term, own in zip(self.terms, ratios, strict=True)
         ]
 
-    def _weighted(self, ratios: list[tuple[Array, ...]]) -> Array:
-        total: Any = 0.0
+    def _weighted(self, ratios: list[tuple[Array, ...]]) -> AnyArray:
+        total: AnyArray = 0.0
         for term, (ratio, *worst) in zip(self.terms, ratios, strict=True):
             if self.worst is not None:
                 ratio = (1 - self.worst.weight) * ratio + self.worst.weight * worst[0]
@@ -169,7 +169,7 @@ def lost(metrics: Any) -> Any:
     return ((used > 1) | (metrics["diverged"] > 0) | stands).astype(used.dtype)
 
 
-def penalty_of(over: Array | np.ndarray) -> Array:
+def penalty_of(over: Array | np.ndarray) -> AnyArray:
     """Return 0 inside, a parabola just outside, a straight line of slope 10 far outside."""
     over = namespace(over).maximum(over, 0.0)
     return _PENALTY * over**2 / (1 + over / _BEND)
