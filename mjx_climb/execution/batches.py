@@ -101,21 +101,24 @@ def run(
         trees, own = (*trees, asked), (*own, jax.tree.map(lambda rate: rate.ndim - len(shape), asked))
     leaves, tree = jax.tree.flatten(trees)
     own_axes = jax.tree.leaves(own)
-    flat = [flattened(leaf, size, shape) for leaf, size in zip(leaves, own_axes, strict=True)]
-    batched = [leaf.ndim > size for leaf, size in zip(flat, own_axes, strict=True)]
-    walked = _without_fill([leaf for leaf, own in zip(flat, batched, strict=True) if own], count)
-    if not any(batched):  # a batch of equal robots: one leaf says how many
-        flat[0], batched[0] = np.broadcast_to(flat[0], (count, *flat[0].shape)), True
+    leads = [leaf.shape[: leaf.ndim - size] for leaf, size in zip(leaves, own_axes, strict=True)]
+    batched = [math.prod(lead) != 1 or (count == 1 and lead != ()) for lead in leads]
+    rows_of = {lead: _rows_of(lead, shape) for lead in dict.fromkeys(leads)}
+    tables = [v.reshape(math.prod(lead), *v.shape[len(lead) :]) for v, lead in zip(leaves, leads, strict=True)]
+    varying = [(table, rows_of[lead]) for table, lead, own in zip(tables, leads, batched, strict=True) if own]
+    walked = _without_fill(varying, count)
+    if not varying:  # a batch of equal robots: one leaf says how many
+        batched[0], varying = True, [(tables[0], rows_of[leads[0]])]
 
     number = 0 if asked is None else jax.tree.leaves(asked)[0].shape[len(shape)]
-    double = any(leaf.dtype == np.float64 for leaf in flat)
+    double = any(table.dtype == np.float64 for table in tables)
     kernel = not (double or over_time)  # in double precision its values do not find room in the registers
     tangents = number * paths.AN_ADJOINT if derivatives == _GRADIENT else number
     on = paths.device_for(count, tangents, kernel=kernel)
     call = _Call(function, structure, tuple(batched), derivatives=derivatives)
     enable_cache()
 
-    same = [leaf for leaf, own in zip(flat, batched, strict=True) if not own]
+    same = [table[0] for table, own in zip(tables, batched, strict=True) if not own]
     known = tuple((leaf.dtype.str, leaf.shape, leaf.tobytes()) for leaf in same)
 
     def by(path: str) -> dict[str, np.ndarray]:
@@ -126,7 +129,8 @@ def run(
 
         def of_rows(rows: np.ndarray, sharding: Sharding) -> dict[str, Array]:
             with devices.on_host(), jax.enable_x64(double):  # holds for one thread
-                each = jax.device_put([v[rows] for v, own in zip(flat, batched, strict=True) if own], sharding)
+                # each robot's values are taken here, where devices work side by side
+                each = jax.device_put([table.take(place[rows], 0) for table, place in varying], sharding)
                 by_kind = {True: iter(each), False: iter(_same_for_all(known, sharding))}
                 leaves = [next(by_kind[own]) for own in batched]
                 return program(call._replace(path=path), *jax.tree.unflatten(tree, leaves))
@@ -143,16 +147,17 @@ def run(
     return values, {n.removeprefix(derivatives): value for n, value in found.items() if n.startswith(derivatives)}
 
 
-def _without_fill(leaves: Sequence[np.ndarray], count: int) -> int:
+def _without_fill(varying: Sequence[tuple[np.ndarray, np.ndarray]], count: int) -> int:
     """Return how many robots of a batch there are before the last one is repeated, as where it fills up a batch.
 
-    Of equal robots, with which speed is measured, all.
+    Of equal robots, with which speed is measured, all. `varying` are values, and which of them each robot has.
     """
-    if count < 2 or any((leaf[-2] != leaf[-1]).any() for leaf in leaves):
+    if count < 2 or any((table[place[-2]] != table[place[-1]]).any() for table, place in varying):
         return count
     others = np.zeros(count, bool)
-    for leaf in leaves:
-        others |= (leaf != leaf[-1]).reshape(count, -1).any(1)
+    for table, place in varying:
+        differs = table != table[place[-1]]
+        others |= differs.any(tuple(range(1, differs.ndim)))[place]
     return int(np.flatnonzero(others)[-1]) + 2 if others.any() else count
 
 
@@ -216,6 +221,12 @@ def _shapes_of(call: _Call, tree: PyTreeDef, leaves: tuple[jax.ShapeDtypeStruct,
 def walking_with(robots: range, whole: int) -> range:
     """Return which robots of a batch of `whole` walk in a batch of their own, where `robots` shall keep their bits."""
     return devices.walking_with(robots, whole, in_regions=paths.path_for(None, kernel=True) == "regions")
+
+
+def _rows_of(lead: tuple[int, ...], shape: Sequence[int]) -> np.ndarray:
+    """Return which of the values with the batch axes `lead` each robot has, (B,)."""
+    numbers = np.arange(math.prod(lead)).reshape(lead)
+    return np.broadcast_to(numbers, shape).ravel()
 
 
 def flattened(value: _Values, own: int, shape: Sequence[int]) -> _Values:

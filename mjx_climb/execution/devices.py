@@ -118,7 +118,8 @@ def spread(
 
     def walk_share(number: int) -> dict[str, np.ndarray]:
         walked = walk(shares[number], SingleDeviceSharding(places[number]))
-        return {name: np.asarray(value) for name, value in walked.items()}
+        found: dict[str, np.ndarray] = jax.device_get(dict(walked))  # which begins to copy all before it waits for one
+        return found
 
     # An executor for each device of this process: the host launches every step of a loop and would keep others waiting.
     # CPU devices share the cores among them.

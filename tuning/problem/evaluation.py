@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Hashable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -29,6 +30,7 @@ from tuning.problem.spaces import NO_SPACE, Space, to_gains64
 # Directions above which derivatives are taken in reverse mode: a tangent costs some 0.4 values on a CPU and 0.65 on an
 # H200, reverse mode of two sums some ten; `doctor --bench` measures where they meet. All gains with axes stay below.
 REVERSE_ABOVE = 24
+_SORTED = 2**13  # walks, at least, that are scored by one thread
 RIGID = 1e12  # kg, kg m^2: a virtual mass that no wrench moves, with which base admittance is pd
 
 
@@ -133,16 +135,29 @@ class Problem:
         metrics = self.simulation.metrics(gains, **self._how)
         with jax.enable_x64(np.dtype(self.dtype) == np.float64):
             if not len(along):
-                # XLA sorts an ensemble's members ten times as long as NumPy
-                own = isinstance(self.objective, Objective) and self.objective.function is None
-                scored = _scored if own else _compiled_scored
-                return np.zeros((2, 0, len(theta)), self.dtype), scored(self.objective, metrics)[1]
-            weights, reported = _scored_weights(self.objective, metrics)
+                return np.zeros((2, 0, len(theta)), self.dtype), report_of(self.objective, metrics)
+            weights, report = _scored_weights(self.objective, metrics)
         found = self.simulation.vjp(gains, weights, **self._how)
         with jax.enable_x64(True):
             _, pull_back = jax.vjp(lambda theta: by_name(self.space.to_gains(theta)), theta)
             gradients = jax.vmap(lambda each: pull_back(each)[0])(jax.tree.map(lambda v: jnp.asarray(v, float), found))
-        return (np.asarray(gradients) @ along.T).transpose(0, 2, 1).astype(self.dtype), reported
+        return (np.asarray(gradients) @ along.T).transpose(0, 2, 1).astype(self.dtype), report
+
+
+def report_of(objective: Goal, metrics: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Return the fields of an `Evaluation` of points without derivatives, by their metrics (B,) or (members, B)."""
+    if not isinstance(objective, Objective) or objective.function is not None:
+        return _compiled_scored(objective, metrics)[1]
+    if objective.worst is None:
+        return _scored(objective, metrics)[1]
+    # NumPy sorts members in a tenth of XLA's time, and threads of it some points each
+    members, points = metrics["diverged"].shape
+    each = max(_SORTED // members, -(-points // devices.usable_cores()))
+    parts = [slice(start, start + each) for start in range(0, points, each)]
+    with ThreadPoolExecutor(len(parts)) as threads:
+        found = threads.map(lambda part: _scored(objective, {n: v[:, part] for n, v in metrics.items()})[1], parts)
+        whole: dict[str, Any] = jax.tree.map(lambda *some: np.concatenate(some), *found)
+    return whole
 
 
 def _scored(objective: Goal, metrics: Mapping[str, Any]) -> tuple[tuple[AnyArray, AnyArray], dict[str, Any]]:

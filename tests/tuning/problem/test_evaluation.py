@@ -50,24 +50,24 @@ def asked(monkeypatch):
     def fields(gains):
         return {name: jnp.asarray(getattr(gains, name), float) for name in ("stiffness", "damping")}
 
-    def rollout_metrics(scenario, gains, parameters, **how):
-        calls.append(("walks", how))
-        return jax.tree.map(np.asarray, walked(fields(gains)))
+    class Known(mc.Simulation):
+        def metrics(self, gains, **how):
+            calls.append(("walks", self.smooth, how))
+            return jax.tree.map(np.asarray, walked(fields(gains)))
 
-    def rollout_jvp(scenario, gains, tangents, parameters, **how):
-        calls.append(("jvp", how))
-        made = jax.vmap(lambda along: jax.jvp(formula, (fields(gains),), (along,))[1])(fields(tangents))
-        return walked(fields(gains)), made
+        def jvp(self, gains, tangents, **how):
+            calls.append(("jvp", self.smooth, how))
+            made = jax.vmap(lambda along: jax.jvp(formula, (fields(gains),), (along,))[1])(fields(tangents))
+            return walked(fields(gains)), made
 
-    def rollout_vjp(scenario, gains, weights, parameters, **how):
-        calls.append(("vjp", how))
-        _, back = jax.vjp(formula, fields(gains))
-        every = {name: weights.get(name, jnp.zeros((2, len(gains.stiffness)))) for name in formula(fields(gains))}
-        (found,) = jax.vmap(back)(every)
-        return {"inertia": jnp.zeros_like(found["stiffness"]), **found}
+        def vjp(self, gains, weights, **how):
+            calls.append(("vjp", self.smooth, how))
+            _, back = jax.vjp(formula, fields(gains))
+            every = {name: weights.get(name, jnp.zeros((2, len(gains.stiffness)))) for name in formula(fields(gains))}
+            (found,) = jax.vmap(back)(every)
+            return {"inertia": jnp.zeros_like(found["stiffness"]), **found}
 
-    for function in (rollout_metrics, rollout_jvp, rollout_vjp):
-        monkeypatch.setattr(mc, function.__name__, function)
+    monkeypatch.setattr(mc, "Simulation", Known)
     with jax.enable_x64(True):
         yield calls
 
@@ -84,8 +84,8 @@ def test_derivatives_of_both_modes_are_central_differences(asked, count, mode):
     theta = own.draw(rng, 3)
     along = rng.standard_normal((count, own.size))
     found = problem.evaluate(theta, along if count else None)
-    assert [name for name, _ in asked] == mode
-    assert all(how["smooth"] and how["unsteady"] and how["dtype"] == np.float64 for _, how in asked)
+    assert [name for name, *_ in asked] == mode
+    assert all(smooth and how == {"unsteady": True, "dtype": np.float64} for _, smooth, how in asked)
     assert found.gradient.shape == found.sharp.shape == (3, count)
     score = GOAL.score(walked({n: jnp.asarray(getattr(to_gains64(own, theta), n)) for n in ("stiffness", "damping")}))
     np.testing.assert_allclose(found.value, score.value)
@@ -100,12 +100,13 @@ def test_derivatives_of_both_modes_are_central_differences(asked, count, mode):
 
 
 def test_gains_are_feasible_that_keep_the_limits_in_all_walks(monkeypatch):
-    def of_two_members(scenario, gains, parameters, **how):
-        one = walked({name: jnp.asarray(getattr(gains, name), float) for name in ("stiffness", "damping")})
-        pulls = {"peak_pull_force": 0 * one["peak_pull_force"] + jnp.array([[39.0], [41.0]])}
-        return {name: jnp.broadcast_to(each, (2, 3)) for name, each in (one | pulls).items()}
+    class OfTwoMembers(mc.Simulation):
+        def metrics(self, gains, **how):
+            one = walked({name: jnp.asarray(getattr(gains, name), float) for name in ("stiffness", "damping")})
+            pulls = {"peak_pull_force": 0 * one["peak_pull_force"] + jnp.array([[39.0], [41.0]])}
+            return {name: jnp.broadcast_to(each, (2, 3)) for name, each in (one | pulls).items()}
 
-    monkeypatch.setattr(mc, "rollout_metrics", of_two_members)
+    monkeypatch.setattr(mc, "Simulation", OfTwoMembers)
     problem = problem_of("isotropic")
     with jax.enable_x64(True):
         assert not problem.evaluate(problem.space.draw(np.random.default_rng(0), 3)).feasible.any()

@@ -12,6 +12,7 @@ from mjx_climb.walk.metrics import PREFIX
 from tuning.methods.rounds import settled
 from tuning.problem import ensemble, plans
 from tuning.problem.ensemble import Ensemble, Gravity, Posterior, Pushes, Worst
+from tuning.problem.evaluation import report_of
 from tuning.problem.objectives import Limit, Objective, Term, lost, objective
 from tuning.problem.search import Search
 
@@ -54,11 +55,9 @@ def score_by_loops(goal, metrics):
     return value, smooth + penalty, penalty, feasible
 
 
-@pytest.mark.parametrize("worst", [None, Worst(share=0.4, weight=0.3)])
-@pytest.mark.parametrize("margin", [None, 0.05])
-def test_scores_of_points_are_those_of_loops(worst, margin):
-    """Terms of both directions with and without a smooth companion; limits just kept, just broken and far broken."""
-    random, points, members = np.random.default_rng(0), 60, 5 if worst else 1
+def drawn(points, worst, margin=None):
+    """Return an objective and metrics (members, points): limits just kept, just broken and far broken."""
+    random, members = np.random.default_rng(0), 5 if worst else 1
     terms = (
         Term("force_variation", 3.0, 2.0, 1.8, worst=2.6, smooth_worst=2.3),
         Term("travel", 1.0, 0.9, 0.8, larger_is_better=True, worst=0.8, smooth_worst=0.7),
@@ -71,11 +70,29 @@ def test_scores_of_points_are_those_of_loops(worst, margin):
     spread = random.uniform(0.001, 0.2, points)
     metrics = {name: random.normal(1, spread, (members, points)) for name in names}
     metrics["diverged"] = random.uniform(size=(members, points)) < 0.03
-    goal = Objective(terms, limits, worst=worst, margin=margin)
+    return Objective(terms, limits, worst=worst, margin=margin), metrics
+
+
+@pytest.mark.parametrize("worst", [None, Worst(share=0.4, weight=0.3)])
+@pytest.mark.parametrize("margin", [None, 0.05])
+def test_scores_of_points_are_those_of_loops(worst, margin):
+    """Terms of both directions with and without a smooth companion."""
+    goal, metrics = drawn(points := 60, worst, margin)
     found = goal.score(metrics if worst else {name: values[0] for name, values in metrics.items()})
     wanted = [score_by_loops(goal, {name: each[:, n] for name, each in metrics.items()}) for n in range(points)]
     np.testing.assert_allclose(np.array(found).T.astype(float), np.array(wanted, float), rtol=1e-9)
     assert 2 < np.sum(found.feasible) < points - 10 and np.isnan(found.value).any()
+
+
+def test_many_points_of_an_ensemble_are_scored_each_as_alone():
+    goal, metrics = drawn(points := 4000, Worst(share=0.4, weight=0.3))
+    found = report_of(goal, metrics)
+    for n in range(0, points, 57):
+        own = {name: each[:, n] for name, each in metrics.items()}
+        scored = [found[name][n] for name in ("value", "descent", "penalty", "feasible")]
+        np.testing.assert_allclose(scored, np.array(score_by_loops(goal, own), float), rtol=1e-9)
+        np.testing.assert_allclose(found["metrics"]["travel"][n], own["travel"].mean())
+    assert found["value"].shape == found["metrics"]["diverged"].shape == (points,)
 
 
 def test_a_walk_is_lost_that_uses_more_than_the_limit_of_a_grip_or_diverges():
