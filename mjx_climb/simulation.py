@@ -231,7 +231,7 @@ class Simulation:
 
     @functools.cached_property
     def _steady(self) -> bool:
-        """Whether the time step is short enough for the scenario's own contacts and joints, True: else it is refused."""
+        """True: the time step is short enough for the scenario's own contacts and joints; else it is refused."""
         check_time_step(self.scenario)
         return True
 

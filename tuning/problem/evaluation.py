@@ -147,7 +147,8 @@ class Problem:
 def report_of(objective: Goal, metrics: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Return the fields of an `Evaluation` of points without derivatives, by their metrics (B,) or (members, B)."""
     if not isinstance(objective, Objective) or objective.function is not None:
-        return _compiled_scored(objective, metrics)[1]
+        report: dict[str, Any] = _compiled_scored(objective, metrics)[1]
+        return report
     if objective.worst is None:
         return _scored(objective, metrics)[1]
     # NumPy sorts members in a tenth of XLA's time, and threads of it some points each
@@ -156,8 +157,8 @@ def report_of(objective: Goal, metrics: Mapping[str, np.ndarray]) -> dict[str, A
     parts = [slice(start, start + each) for start in range(0, points, each)]
     with ThreadPoolExecutor(len(parts)) as threads:
         found = threads.map(lambda part: _scored(objective, {n: v[:, part] for n, v in metrics.items()})[1], parts)
-        whole: dict[str, Any] = jax.tree.map(lambda *some: np.concatenate(some), *found)
-    return whole
+        report = jax.tree.map(lambda *some: np.concatenate(some), *found)
+    return report
 
 
 def _scored(objective: Goal, metrics: Mapping[str, Any]) -> tuple[tuple[AnyArray, AnyArray], dict[str, Any]]:
