@@ -6,6 +6,7 @@ other place.
 
 import os
 from pathlib import Path
+from typing import Any
 
 from mjx_climb.files.dataset import write_bytes_atomically
 from mjx_climb.inputs.file_contents import content, digest, needed
@@ -43,10 +44,10 @@ def portable_yaml(scenario: Scenario, folder: str | os.PathLike[str]) -> str:
     return scenario.relative_to(folder).to_yaml()
 
 
-def identity(scenario: Scenario) -> str:
-    """Return the scenario as YAML with the contents of its files, as a digest, in place of their paths.
+def identity(scenario: Scenario) -> dict[str, Any]:
+    """Return the scenario as plain values with the contents of its files, as a digest, in place of their paths.
 
     Raises:
         ConfigError: a file cannot be read.
     """
-    return scenario.with_files(lambda _, file: digest(Path(file))).to_yaml()
+    return scenario.with_files(lambda _, file: digest(Path(file))).plain()

@@ -118,9 +118,18 @@ def cache_in(folder: str) -> Iterator[None]:
 
 
 @functools.cache
+def version(distribution: str) -> str | None:
+    """Return the version of a distribution, None of one that is not installed; all of its metadata is read for it."""
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+@functools.cache
 def machine() -> str:
     """Return the key of all entries of this process, as text: versions, processor, devices, flags of XLA."""
-    known = [importlib.metadata.version(name) for name in ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx")]
+    known = [str(version(name)) for name in ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx")]
     known += [platform.python_version(), platform.machine(), platform.processor()]
     with contextlib.suppress(OSError), open("/proc/cpuinfo") as lines:  # instruction sets, where the system tells
         known += sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})

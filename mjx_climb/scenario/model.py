@@ -841,10 +841,13 @@ class Scenario(v.Section):
         )
         return low if wanted - low <= high - wanted else high
 
+    def plain(self) -> dict[str, Any]:
+        """The resolved scenario as plain values, those of `to_yaml`."""
+        return {key: value for key, value in self.model_dump(mode="json").items() if key != "own" or value}
+
     def to_yaml(self) -> str:
         """The resolved scenario as YAML; loading it gives an equal scenario."""
-        data = {key: value for key, value in self.model_dump(mode="json").items() if key != "own" or value}
-        return yaml.dump(data, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=110)
+        return yaml.dump(self.plain(), Dumper=Dumper, sort_keys=False, default_flow_style=None, width=110)
 
     @classmethod
     def from_yaml(cls, text: str, source: str = "scenario") -> Scenario:

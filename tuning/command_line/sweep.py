@@ -1,6 +1,5 @@
 """`mjx-climb sweep`, and rows of walks that are kept, shared out over machines as shards, and merged."""
 
-import importlib
 import shlex
 from collections.abc import Iterator
 from json import dumps, loads
@@ -17,6 +16,7 @@ from tuning.command_line.program import InputError, repeated, typed_but
 from tuning.problem.settings import Options, setting
 
 if TYPE_CHECKING:
+    from tuning.comparisons.of_sweep import Begun
     from tuning.searches.sweep import Grid as Walks
 
 
@@ -133,35 +133,43 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
     """Walk the rows of a grid or a draw, all or a shard's, and write the result of all."""
     with processes.joined(apart=asked.shard is not None) as team, output.session() as shell:
         part, which = processes.shard_from(asked.shard)
-        from tuning.background import Gate, background
-        from tuning.comparisons import paired
+        from tuning.background import Gate, background, ignore
         from tuning.searches import shards
         from tuning.writing import record
 
         work, (file, word, stage, unit) = asked.work(walk), ROWS[kind]
-        asked_rows = record.without_machine(work.identity())
-        out = walk.take(shell, file, work.problem, kind, word, team=team, shard=part is not None, rows=asked_rows)
+        asked_for = work.identity()
+        out = walk.take(
+            shell, file, work.problem, kind, word, team=team, shard=part is not None,
+            rows=record.without_machine(asked_for),
+        )  # fmt: skip
         about = {"again": typed_but("--shard", shards.SHARD), "name": walk.config.stem, "repeat": again}
         about["settings"] = dumps(shell.settings)  # for the folder of the merged result
         rows = shards.Rows(work, out, part, about)
         here, there, folder = len(rows.rows), rows.there, rows.folder or out
         said = [*asked.said(work, here, there), which, team.said, f"{there} are there already" if there else ""]
         shell.say("; ".join(filter(None, said)))
-        lacks = [] if kind == "sweep" else paired.without_interval(asked.members, None, tails=False)
+        lacks: list[str] = []
+        if kind != "sweep":
+            from tuning.comparisons import paired
+
+            lacks = paired.without_interval(asked.members, None, tails=False)
         shell.opening(work.problem.scenario, *lacks)
-        team.begin(folder, work.identity())
+        team.begin(folder, asked_for)
         beside = kind == "sweep" and rows.shard is None
         with (
             shell.keeping(f"of {here} {unit}", folder, there),
             background(busy=1) as begin,
             Gate() as gate,  # opened when the grid's program is traced: more traces at a time would wait for Python
         ):
-            begun = None
-            if beside:
+
+            def rivals(_: Any) -> "Begun":
+                from tuning import kinds  # noqa: F401  # which takes half a second with matplotlib
                 from tuning.comparisons import of_sweep
 
-                begin(gate.behind(lambda _: importlib.import_module("tuning.kinds")))  # matplotlib takes half a second
-                begun = of_sweep.begin(work.problem, work.walked, work.axes, lambda work: begin(gate.behind(work)))
+                return of_sweep.begin(work.problem, work.walked, work.axes, begin)
+
+            begun = begin(gate.behind(rivals)) if beside else None
             with shell.stage(stage, unit=unit, keeps=True, traced=gate.open) as show:
                 arrays = rows.walk(show)
             gate.open()
@@ -181,7 +189,7 @@ def walk_rows(asked: Any, walk: Walk, output: Output, kind: str, again: str) -> 
                     first = pages.first(found, work.named())
                 if first is not None:
                     shell.first_result(found, first, again, pages.LACKS)
-            shell.result(found, again, begun)
+            shell.result(found, again, None if begun is None else begun(ignore))
 
 
 @command("How does it depend on two gains?", "results/<config>-sweep", {"merge": merge})

@@ -1,8 +1,6 @@
 """Finished parts of a long computation, kept in a folder: an interrupted one goes on where it stopped."""
 
-import contextlib
 import hashlib
-import importlib.metadata
 import io
 import json
 import os
@@ -14,9 +12,9 @@ from typing import Any, Self
 
 import jax
 import numpy as np
-import yaml
 
 import mjx_climb as mc
+from mjx_climb.execution.cache import version
 from mjx_climb.execution.contents import identity
 from mjx_climb.files.dataset import PACKAGES
 from mjx_climb.files.locks import alone, refused
@@ -135,17 +133,14 @@ def identity_of(problem: Problem, packages: Mapping[str, str] = PACKAGES) -> dic
     Raises:
         Unidentifiable: something of the user's own that cannot be told from another.
     """
-    versions: dict[str, str | None] = dict.fromkeys(packages)
-    for name, distribution in packages.items():
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            versions[name] = importlib.metadata.version(distribution)
+    versions = {name: version(distribution) for name, distribution in packages.items()}
     drawn = problem.ensemble
     parameters = problem.parameters if drawn is None else None
     own = {
         "law": problem.law, "objective": problem.own_objective, "method": problem.own_method, "parameters": parameters,
     }  # fmt: skip
     return {
-        "scenario": yaml.safe_load(scenario_files.identity(problem.scenario)),
+        "scenario": scenario_files.identity(problem.scenario),
         **{name: None if value is None else identity(value, name) for name, value in own.items()},
         "ensemble": None if drawn is None else drawn.model_dump(mode="json"),
         "metrics": [

@@ -17,9 +17,8 @@ from mjx_climb.scenario.messages import printable
 from tuning.numbers import number
 from tuning.pages.page import ENVIRONMENT
 from tuning.pages.page import NAME as REPORT
-from tuning.results.result import RESULTS
+from tuning.results.result import RESULTS, SETTINGS
 
-SETTINGS = "settings.json"
 NAME = "runs.html"
 _LONGEST = 40  # characters of a value
 _VERDICT = '<p class="verdict">'

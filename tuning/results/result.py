@@ -20,6 +20,7 @@ WITHOUT_PARTS = (
     "trajectory.nc", "margins.json", "pushes.json", "reproduce.json", "excitation.csv", "replay.json"
 )  # fmt: skip
 _DATA = named_in(Path(__file__).parent, r'^    FILE = "([\w.]+)"$')
+SETTINGS = "settings.json"  # of the command
 # of all; tune --ensemble writes judged.nc too, so that this comes last
 RESULTS = (*WITHOUT_PARTS, "result.json", *sorted(_DATA, key=lambda name: name == "judged.nc"))
 

@@ -1,13 +1,16 @@
 """The result of a sweep: the metrics of walks over a grid of two gains."""
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from mjx_climb.files.dataset import larger_is_better
 from mjx_climb.walk.metrics import failed
 from tuning.results.result import Result
+
+if TYPE_CHECKING:
+    import xarray as xr  # walks do not wait for it
 
 HISTORIES = 256  # walks up to which a grid keeps time histories
 MOST_CELLS = 10_000  # on a page; of a larger grid it shows a coarser one
@@ -31,12 +34,12 @@ class Swept(Result):
         return tuple(str(name) for name in self.data["diverged"].dims)
 
 
-def holding(data: xr.Dataset, metric: str) -> xr.DataArray:
+def holding(data: "xr.Dataset", metric: str) -> "xr.DataArray":
     """Return a metric of those walks that do not fail, NaN elsewhere."""
     return data[metric].where(~failed(data))
 
 
-def best_cell(data: xr.Dataset, metric: str = "force_variation") -> xr.Dataset | None:
+def best_cell(data: "xr.Dataset", metric: str = "force_variation") -> "xr.Dataset | None":
     """Return the cell with the least `metric` among those that neither let go nor diverge, None where all fail.
 
     Its coordinates are the best gains. Margins and other metrics that should be large are maximised.
@@ -47,18 +50,18 @@ def best_cell(data: xr.Dataset, metric: str = "force_variation") -> xr.Dataset |
     return data.isel(values.argmin(dim=...)) if np.isfinite(values).any() else None
 
 
-def axes_of(grid: xr.Dataset) -> tuple[str, str]:
+def axes_of(grid: "xr.Dataset") -> tuple[str, str]:
     """Return the names of the two gains of a grid, the horizontal one first."""
     x, y = map(str, grid["diverged"].dims)
     return x, y
 
 
-def place_of(grid: xr.Dataset, cell: xr.Dataset) -> dict[str, int]:
+def place_of(grid: "xr.Dataset", cell: "xr.Dataset") -> dict[str, int]:
     """Return the indices of a cell along the axes of a grid."""
     return {name: int(np.argmin(abs(grid[name].values - cell[name].item()))) for name in axes_of(grid)}
 
 
-def coarser_grid(grid: xr.Dataset, chosen: xr.Dataset | None, most: int) -> xr.Dataset:
+def coarser_grid(grid: "xr.Dataset", chosen: "xr.Dataset | None", most: int) -> "xr.Dataset":
     """Return a grid with at most about `most` of its cells, evenly, the chosen one among them."""
     places = {} if chosen is None else place_of(grid, chosen)
     rows = {name: np.arange(grid.sizes[name]) for name in axes_of(grid)}

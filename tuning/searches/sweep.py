@@ -6,11 +6,10 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import jax
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 
 import mjx_climb as mc
@@ -32,6 +31,9 @@ from tuning.problem.variations import as_walked, checked
 from tuning.results.config_file import write_config
 from tuning.results.swept import HISTORIES, Swept
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
+
+if TYPE_CHECKING:
+    pass  # walks do not wait for it
 
 Axes = Mapping[str, ArrayLike]  # two gains by name, or values by path
 
@@ -205,6 +207,8 @@ class Grid:
 
         The coordinate `stretch` of time histories says when each stretch of time starts.
         """
+        import xarray as xr
+
         walked, scenario, metrics = self.walked, self.walked.scenario, self.walked.metrics
         cells = {name: value.reshape(*self.shape, *value.shape[1:]) for name, value in arrays.items()}
         axes: dict[str, np.ndarray | xr.DataArray] = dict(self.axes)

@@ -26,9 +26,8 @@ from mjx_climb.files.locks import alone, is_held, refused
 from mjx_climb.files.writing import write_in_place
 from mjx_climb.reading import leaving, read_found
 from tuning.methods import parts
-from tuning.pages.runs import SETTINGS
 from tuning.problem.evaluation import Problem
-from tuning.results.result import RESULTS, WITHOUT_PARTS
+from tuning.results.result import RESULTS, SETTINGS, WITHOUT_PARTS
 
 _OF_THE_MACHINE = ("versions", "platform", "batch_size")  # of an identity: how it is computed
 
