@@ -17,9 +17,9 @@ from tuning.background import Stage, silent
 from tuning.pages import page
 from tuning.pages.contents import Contents, Files, Picture, Written
 from tuning.pages.page import NOWHERE, Origin, Page, Part
-from tuning.pages.runs import SETTINGS
 from tuning.pages.section import Section
 from tuning.results.config_file import write_config
+from tuning.results.result import SETTINGS
 from tuning.writing.record import Settings, at_home, whole
 
 
