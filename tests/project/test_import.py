@@ -58,6 +58,21 @@ os._exit(0)
 """
 
 
+SWEPT = """
+import os, sys
+import mjx_climb as mc
+
+def walk(*_, **__):
+    late = {"matplotlib", "xarray", "pandas", "jinja2", "PIL", "tuning.comparisons.of_sweep"}
+    os.write(1, f"{late & set(sys.modules)}\\n".encode())
+    os._exit(0)
+
+mc.rollout_histories = walk
+from tuning.command_line import main
+main(["sweep", "case_1_2", "--stiffness", "1e3:1e4:2", "--damping", "1e2:1e3:2", "--out", sys.argv[1]])
+"""
+
+
 def printed(program, *arguments, **how):
     """Run a program in a process of its own to its end, and return what it prints."""
     command = [sys.executable, "-W", "ignore", "-c", program, *arguments]
@@ -86,6 +101,11 @@ def test_import_writes_nothing_and_starts_no_device(tmp_path):
 def test_walks_do_not_wait_for_what_draws_and_labels_them(before):
     late = "{'matplotlib', 'xarray', 'pandas', 'PIL'}"
     assert printed(f"import sys, {before}; print({late} & set(sys.modules))") == "set()\n"
+
+
+@pytest.mark.slow
+def test_the_first_walk_of_a_sweep_does_not_wait_for_its_page_and_rivals(tmp_path):
+    assert printed(SWEPT, tmp_path / "swept").endswith("set()\n")
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import itertools
 import jax
 import numpy as np
 import pytest
+from jax import Array
 
 import mjx_climb as mc
 from mjx_climb import execution
@@ -221,3 +222,34 @@ def test_a_rollout_is_made_of_parts_under_the_targets_of_each(begun):
     mc.Simulation(looks).rollout()
     # as many whole planning periods as fit into a part
     assert [structure.steps for _, structure, *_ in begun] == [1800] * 4
+
+
+class Recovering(VirtualModelAdmittance):
+    recovery_lead_time: Array = mc.gain("s", shape=(), bounds=(0.01, 1.0), default=0.2)
+
+
+GIVEN = {
+    "of the law": {"damping": np.full((3, 6), 1e2)},
+    "none": None,
+    "of the joint loop": {"kp": np.full(3, 50.0), "ki": 1.0},
+    "of the gait": {"gait.duty": np.array([0.8, 0.9, 0.85]), "gait.sway": 0.1},
+}
+
+
+@pytest.mark.parametrize("law", [None, Recovering()], ids=["plain", "recovering"])
+@pytest.mark.parametrize("gains", GIVEN.values(), ids=GIVEN)
+def test_walks_under_a_simulations_own_parameters_are_those_under_the_same_given(gains, law, monkeypatch):
+    """With gains of all kinds, in both precisions, and again."""
+    asked = []
+    monkeypatch.setattr(execution, "run", lambda *given, **how: asked.append(given) or {})
+    own = mc.parameters(CASE).replace(
+        {"contact.stiffness": np.array([[4e3], [5e3]]), "control.kd": np.full((2, 1), 0.3)}
+    )
+    held, open_ = mc.Simulation(CASE, law, parameters=own), mc.Simulation(CASE, law)
+    for dtype in (np.float32, np.float64, np.float32):
+        held.metrics(gains, dtype=dtype, unsteady=True)
+        open_.metrics(gains, own, dtype=dtype, unsteady=True)
+        (_, structure, robots), (_, expected, wanted) = asked[-2:]
+        assert structure == expected and robots.shape == wanted.shape == np.broadcast_shapes((2, 1), robots.shape)
+        jax.tree.map(np.testing.assert_array_equal, robots.arguments, wanted.arguments)
+        assert jax.tree.leaves(robots.axes) == jax.tree.leaves(wanted.axes)
