@@ -119,7 +119,7 @@ def test_a_step_with_tangents_costs_as_many_more_and_the_reverse_mode_no_more_th
     assert problem.env_steps(5, 1000) == 5 * 4 * steps * (1 + evaluation.REVERSE_ABOVE)
 
 
-@pytest.mark.parametrize(("more", "first"), [(0, "rollout_jvp"), (1, "rollout_metrics")])
+@pytest.mark.parametrize(("more", "first"), [(0, "jvp"), (1, "metrics")])
 def test_all_gains_with_axes_are_searched_by_tangents(more, first, monkeypatch):
     """Those of the paper's law on every axis, with its inertia and the joint loop's; reverse mode walks first."""
 
@@ -132,8 +132,8 @@ def test_all_gains_with_axes_are_searched_by_tangents(more, first, monkeypatch):
 
         return raised
 
-    for name in ("rollout_metrics", "rollout_jvp"):
-        monkeypatch.setattr(mc, name, asked(name))
+    for name in ("metrics", "jvp"):
+        monkeypatch.setattr(mc.Simulation, name, asked(name))
     every = space(CASE, Search(space="diagonal", inertia=True, joint_gains=True, also=("ki",)))
     assert every.size == 3 * 6 + 3 <= evaluation.REVERSE_ABOVE
     with pytest.raises(AskedError, match=first):
