@@ -504,3 +504,9 @@ def test_two_samples_are_a_log(tmp_path):
     log = read_log(write_csv(tmp_path / "log.csv", {"time": [1.0, 1.01], "LF.coxa.position": [0.1, 0.2]}), ROBOT)
     np.testing.assert_allclose(log.signals["LF.coxa.position"].time, [0.0, 0.01])
     np.testing.assert_allclose(log.signals["LF.coxa.position"].value, [0.1, 0.2])
+
+
+def test_a_topic_has_the_frame_of_its_headers(tmp_path):
+    messages = [(EPOCH + n, wrench(EPOCH + n, (1.0, 2.0, 3.0), "foot")) for n in range(3)]
+    read = record(bag(tmp_path / "bag", {"/wrench": ("geometry_msgs/msg/WrenchStamped", messages)}))
+    assert read.tables["/wrench"].frame == "foot"

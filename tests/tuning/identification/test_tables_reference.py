@@ -321,3 +321,10 @@ def test_words_that_two_places_share_in_a_row_are_no_names(said, named):
     made, used = by_names(fields, {f"mode_{number}": [word] * 3 for number, word in enumerate(said)})
     assert {word for name in made for word in said if word in name} == named
     assert bool(used) == bool(named)
+
+
+@pytest.mark.parametrize(("tail", "named"), [("name", True), ("name_of_day", False), ("joint_name", True)])
+def test_columns_name_others_where_all_words_behind_their_number_say_so(tail, named):
+    fields = {f"joint{n}_pos": np.arange(3.0) + n for n in range(2)}
+    made, used = by_names(fields, {f"joint{n}_{tail}": ["ab"[n]] * 3 for n in range(2)})
+    assert (used == {*fields}, len(made)) == (named, 2 * named)
