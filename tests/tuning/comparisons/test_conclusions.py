@@ -18,7 +18,7 @@ from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Limit, Objective, Term
 from tuning.problem.search import Search
 from tuning.results.judged import Comparison
-from tuning.results.swept import Swept, best_cell
+from tuning.results.swept import Swept, best_cell, coarser_grid
 from tuning.results.tuned import ENDS, Robust, Tuned
 from tuning.searches.retuned_pd import Rival
 from tuning.searches.sweep import Grid
@@ -97,6 +97,12 @@ def test_the_change_at_one_time_step_is_that_of_the_walk_at_that_step():
     worth, level, _ = of_sweep.conclusions(found, best_cell(found.data), rows(), RIVAL, level, walk(44.0))
     assert level == AtOneStep(5e-4, pytest.approx(0.1))
     assert worth.in_words.startswith("no verdict on the force sensor on this grid, since a time step of 0.0005 s turns")
+
+
+def test_a_coarser_grid_has_nearly_as_many_cells_as_it_may():
+    data = xr.Dataset({"diverged": (("a", "b"), np.zeros((40, 60), bool))}, {"a": np.arange(40), "b": np.arange(60)})
+    for most in (100, 1000, 2000):
+        assert 0.85 * most <= coarser_grid(data, None, most)["diverged"].size <= most
 
 
 def test_where_no_walk_holds_there_is_no_worth_and_pd_retuned_has_its_gains():

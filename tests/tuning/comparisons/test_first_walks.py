@@ -141,6 +141,7 @@ def test_the_first_cycle_that_holds_of_its_own_and_slower_ones_is_taken(fast, cy
     assert found.how == said and found.peak_foot_force == pytest.approx(10 * cycle)
     assert done == ([1] if fast < 0.6 else [1, 2])
     walks = len(asked)
+    assert asked[0]["duration"] == 1.2
     holds, how = on_ceiling(found.scenario, hung=found.hung)
     assert (holds, how) == on_ceiling(found.scenario) == (True, f"holds there too: the largest pull is {cycle + 1} N")
     # one more for the slowest, whose two cycles are longer than the walk that it was found by
@@ -172,6 +173,8 @@ def test_joint_gains_that_nothing_betters_stay_and_those_that_do_not_walk_are_sa
     assert with_joint_gains(own) == (own, "none of 44 others gives pd less force variation")
     walking(monkeypatch, lambda kp, kd, how: {"diverged": np.isclose(kp, 40), "force_variation": kp})
     assert with_joint_gains(own)[1].endswith("which does not walk with kp 40 and kd 0.2, HubRobo's in proportion")
+    walking(monkeypatch, lambda kp, kd, how: {"force_variation": np.where(np.isclose(kp, 40), 40.0, 10.0)})
+    assert with_joint_gains(own)[1].startswith("of 45 short walks of pd that of least force variation, 75 % less than")
     walking(monkeypatch, lambda kp, kd, how: {"diverged": True})
     assert with_joint_gains(own) == (own, "no others among those searched keep the base as near to its reference")
 

@@ -80,7 +80,7 @@ def written(tmp_path, monkeypatch):
 
 def test_sections_of_ones_own_stand_on_the_page_and_in_the_folder(written, tmp_path):
     """By FILE.py:NAME and as functions, below all that is shipped."""
-    told = written(f"{__file__}:all_of", none)
+    told = written(none, f"{__file__}:all_of")
     text = (tmp_path / "report.html").read_text()
     headings = re.findall("<summary>(.*)</summary>", text)
     assert headings[:2] == ["What else was found (1)", "Mine"] and len(headings) == 4
