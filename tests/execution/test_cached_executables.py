@@ -222,12 +222,12 @@ def test_a_digest_of_sources_is_of_code_and_models_under_their_names(tmp_path):
 
 @pytest.mark.parametrize("name", ["jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "python", "machine", "processor"])
 def test_a_machine_is_known_by_its_versions(monkeypatch, name):
-    before, version = cache.machine.__wrapped__(), cache.importlib.metadata.version
+    before, version = cache.machine.__wrapped__(), cache.version
     platform = {"python": "python_version", "machine": "machine", "processor": "processor"}
     if name in platform:
         monkeypatch.setattr(cache.platform, platform[name], lambda: "another")
     else:
-        monkeypatch.setattr(cache.importlib.metadata, "version", lambda of: "0" if of == name else version(of))
+        monkeypatch.setattr(cache, "version", lambda of: "0" if of == name else version(of))
     assert cache.machine.__wrapped__() != before
 
 

@@ -70,23 +70,23 @@ def _valley(walked, kp, kd):
 def walking(monkeypatch, **other):
     """Have walks go down the valley, with other metrics as functions of the gains."""
 
-    def walk(scenario, gains, *_, **__):
+    def walk(simulation, gains, *_, **__):
         joint = {name: by_name(gains)[name] for name in JOINT}
-        return _valley(scenario, **joint) | {name: values(joint) for name, values in other.items()}
+        return _valley(simulation, **joint) | {name: values(joint) for name, values in other.items()}
 
-    monkeypatch.setattr(mc, "rollout_metrics", walk)
+    monkeypatch.setattr(mc.Simulation, "metrics", walk)
 
 
 def test_pd_is_searched_over_all_its_bounds_and_refined(monkeypatch):
     """By the tuner's grid of 12 by 12, refined once in as many walks, at a time step that every one can follow."""
     calls = []
 
-    def walk(scenario, gains, *_, **__):
+    def walk(simulation, gains, *_, **__):
         kp, kd = (by_name(gains)[name] for name in JOINT)
-        calls.append((scenario.time_step, kp.size, kd.min(), kd.max()))
-        return _valley(scenario, kp, kd)
+        calls.append((simulation.scenario.time_step, kp.size, kd.min(), kd.max()))
+        return _valley(simulation, kp, kd)
 
-    monkeypatch.setattr(mc, "rollout_metrics", walk)
+    monkeypatch.setattr(mc.Simulation, "metrics", walk)
     found = retuned_pd.least(CASE)
     assert calls[0] == (2.5e-4, 145, pytest.approx(0.02), pytest.approx(2.0))
     assert [call[:2] for call in calls] == [(2.5e-4, 145)] * 2

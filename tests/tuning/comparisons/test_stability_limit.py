@@ -116,7 +116,8 @@ def asked(monkeypatch):
     """Have radii counted, not computed; return what they are asked for."""
     kept = []
 
-    def radii_of(walk, robots, axes, delays, periods, first):
+    def radii_of(walk, robots, axes, delays, periods, first, *, stances):
+        assert len(periods) % stances == 0
         kept.append((walk, *robots, delays, periods, first))
         return np.arange(float(len(periods)))
 
