@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import jax
 import numpy as np
@@ -31,9 +31,6 @@ from tuning.problem.variations import as_walked, checked
 from tuning.results.config_file import write_config
 from tuning.results.swept import HISTORIES, Swept
 from tuning.searches.shards import Counted, Kept, Rows, walk_shard
-
-if TYPE_CHECKING:
-    pass  # walks do not wait for it
 
 Axes = Mapping[str, ArrayLike]  # two gains by name, or values by path
 
@@ -207,6 +204,7 @@ class Grid:
 
         The coordinate `stretch` of time histories says when each stretch of time starts.
         """
+        # walks do not wait for it
         import xarray as xr
 
         walked, scenario, metrics = self.walked, self.walked.scenario, self.walked.metrics
