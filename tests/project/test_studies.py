@@ -57,7 +57,7 @@ def rows_of(file):
     return list(csv.DictReader(file.read_text("utf-8").splitlines()))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tables_of_laws_are_made_from_searches(tmp_path):
     """Two laws, searched on the case's own walk and walked on worse hardware: all three tables have their rows."""
     laws = ["--hardware", "ideal", "--case", "1_2", "--laws", *LAWS, "--own-gait", "--seeds", 2, "--nominal"]

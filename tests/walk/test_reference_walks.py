@@ -16,7 +16,9 @@ from mjx_climb.walk.sample import Quantities
 from tests.walk.reference_walks import WALKS, scenario_of, walked
 
 APPROVED = Path(__file__).parent / "approved"
-AT = (0.03, 0.31, 0.66, 1.0)  # shares of a walk
+# Shares of a walk. Whether a foot that lifts off in the first step touches the ground is a matter of rounding, which
+# moves its anchor by 1e-7 m: of the motion at 0.03 that was 1e-3, with another BLAS, of that at 0.12 it is 1e-4.
+AT = (0.12, 0.31, 0.66, 1.0)
 # XLA at its own optimisation differs by up to 9e-5 from what the tests compile
 RELATIVE, OF_LINE = 3e-4, 1e-5
 

@@ -193,7 +193,7 @@ def test_walks_of_any_gait_have_histories_and_samples(recovery):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("recovery", [None, {"shift": 0.01}])
+@pytest.mark.parametrize("recovery", [None, pytest.param({"shift": 0.01}, marks=pytest.mark.nightly)])
 def test_a_walk_is_made_in_parts_by_a_program_that_serves_walks_of_any_length_and_time_step(recovery, monkeypatch):
     """The parts are the walk in one go, of a gait that looks ahead too; its metrics are those of the batch."""
     changes = {"duration": 0.4, "gait.cycle": 0.4} | ({} if recovery is None else {"control.recovery": recovery})

@@ -111,7 +111,7 @@ NEW = {"base": 1.5, "included": 0.2, "mesh": 0.025}
 
 
 @pytest.mark.parametrize("command", [
-    pytest.param(command, marks=pytest.mark.slow if command in ("run", "replay") else pytest.mark.nightly)
+    pytest.param(command, marks=pytest.mark.slow if command == "replay" else pytest.mark.nightly)
     for command in COMMANDS
 ])  # fmt: skip
 def test_an_edited_robot_is_answered_for_as_with_an_empty_cache(command, asked, call, tmp_path):

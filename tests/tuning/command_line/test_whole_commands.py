@@ -47,6 +47,8 @@ COMMANDS = {
     "--members 4 --retuned-pd {files}/joint.yaml",
 }
 
+LONG = ("robust", "tune_many")
+
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
@@ -69,7 +71,9 @@ def said(call, files, tmp_path, monkeypatch):
     return said
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.nightly) if name in LONG else name for name in COMMANDS]
+)
 def test_a_command_leaves_what_was_read(name, said):
     approved.check_numbers(HERE / f"{name}.txt", said(f"{COMMANDS[name]} --out out", "out"))
 

@@ -206,7 +206,7 @@ def test_a_gap_is_cut_out_and_costs_only_what_it_holds():
     assert gap.estimates["control.kp"].value == pytest.approx(whole.estimates["control.kp"].value, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_prints_json_alone_and_writes_what_other_commands_read(tmp_path, call):
     write_csv(tmp_path / "log.csv", columns_of(log_of(TRUE, 4.0)))
     fit = [word for key in VALUES for word in ("--fit", key)]

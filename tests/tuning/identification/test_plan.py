@@ -125,6 +125,20 @@ def test_the_share_of_a_limit_is_that_of_the_joint_that_uses_most(rig, moved, sh
     assert rig.used(targets, carried) == (pytest.approx(share), which)
 
 
+def test_of_limbs_that_are_alike_to_rounding_the_first_one_is_named(rig, free):
+    targets, carried = still(rig)
+    carried.rates[7, 1:, 2] = 2.4 * (1 + 1e-12 * np.arange(3))
+    assert rig.used(targets, carried) == (pytest.approx(0.5), "speed of LH.tibia")
+    carried.rates[:], carried.angles[0, :, 1] = 0.0, rig.robot.stance_joints[:, 1] + 0.3 * (1 + 1e-12 * np.arange(4))
+    assert rig.used(targets, carried)[1] == "reach of LF"
+    carried.force[5] = np.array([0.0, 0.0, -4.0]) * (1 + 1e-12 * np.arange(4)[:, None])
+    assert free.used(targets, carried)[1] == "pull of LF"
+
+
+def test_joints_whose_axis_is_upright_fall_neither_way(rig):
+    assert rig.falling().tolist() == [[0.0, -1.0, 1.0]] * 4
+
+
 def test_angles_have_the_limits_of_joints_and_feet_half_the_way_to_the_next_foot(rig):
     targets, carried = still(rig)
     carried.angles[13, 1, 1] += 0.3
@@ -329,7 +343,7 @@ def test_limbs_fall_until_a_limit_is_near(found, rig):
     raised, falling = found.best.motion.segments[-2:]
     assert (raised.name, falling.name) == ("raise", "drop") and (raised.kp, falling.kp) == (40.0, 0.0)
     assert raised.start == 200 and raised.stop == falling.start == 350 and falling.stop <= 500
-    down = np.sign(rig.at_rest()[1]).ravel()
+    down = (np.sign(rig.at_rest()[1]) * [0, 1, 1]).ravel()  # the first joint of a limb has an upright axis
     np.testing.assert_allclose(raised.moved[-1], 0.7 * rig.axes().room * down, atol=1e-12)
     np.testing.assert_allclose(falling.moved, np.broadcast_to(raised.moved[-1], falling.moved.shape))
     assert (np.abs(np.diff(raised.moved[100:], axis=0)) < 1e-12).all() and np.abs(raised.moved[98]).max() > 0

@@ -223,7 +223,7 @@ def test_walks_that_lose_a_gripper_count_by_their_number_and_break_no_limit():
     assert goal.score(rows).feasible.tolist() == [False]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_search_over_large_pushes_finds_thresholds_with_which_more_walks_hold():
     """Under pd's stiff gains, on walks of the search and on others; at their upper bounds thresholds interrupt none."""
     scenario = mc.load_scenario(config_path("case_2.yaml"), {"duration": 2.5})

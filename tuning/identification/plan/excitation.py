@@ -203,7 +203,7 @@ def _drop(rig: Rig) -> list[Segment]:
     if not rig.asked.drop:
         return []
     axes, kp = rig.axes(), float((rig.asked.kp or (rig.parameters.joint_loop.kp,))[-1])
-    down = -np.sign(rig.at_rest()[1]).ravel()
+    down = rig.falling().ravel()
     time, rise = np.arange(0, 1.5, rig.period), 1.0
     raised = Segment("raise", 0, len(time), kp, -0.7 * axes.room * down * motions.smooth(time / rise)[:, None])
     fall = round(FALL / rig.period)

@@ -39,6 +39,7 @@ from tuning.identification.readers.log import Signal
 RATE, SPEED = 100.0, 5.0  # Hz, rad/s: where the config has no control period, no speed without load
 SETTLING = 1.0  # s, in the first posture before the log begins
 _SWAY = (0.03, 0.15)  # m, rad: from where a sway is scaled
+_ROUNDING = 1e-6  # relative: what limbs that are alike differ by, and below which a joint holds no weight
 
 
 class Segment(NamedTuple):
@@ -162,6 +163,11 @@ class Rig:
         inertia = np.linalg.inv(np.stack(driven, axis=2) - free[..., None])
         return np.diagonal(inertia, axis1=1, axis2=2), -np.matvec(inertia, free)
 
+    def falling(self) -> np.ndarray:
+        """Return which way each joint (limb, joint) falls with its torque off, -1 or 1; 0 where it bears no weight."""
+        holding = self.at_rest()[1]
+        return -np.sign(np.where(np.abs(holding) > _ROUNDING * np.abs(holding).max(), holding, 0.0))
+
     def targets(self, moved: np.ndarray) -> np.ndarray:
         """Return the joint targets (time, limb, joint) rad of a motion, unreachable ones as NaN."""
         robot = self.robot
@@ -216,7 +222,7 @@ class Rig:
         shares["torque"] = np.abs(torque) / (self.torque_limit * line)
         found = {}
         for name, share in shares.items():
-            _, limb, joint = np.unravel_index(np.argmax(share), share.shape)
+            _, limb, joint = np.unravel_index(_first_of_largest(share), share.shape)
             found[f"{name} of {robot.limbs[limb]}.{robot.joint_names[joint]}"] = float(share.max())
         if self.asked.base == "free":
             found |= self._pull(np.asarray(carried.force))
@@ -227,7 +233,7 @@ class Rig:
 
     def _pull(self, force: np.ndarray) -> dict[str, float]:
         pulled = np.where(force[..., 2] < 0, np.linalg.norm(force, axis=-1), 0.0)
-        limb = int(np.argmax(pulled.max(0)))
+        limb = _first_of_largest(pulled.max(0))
         return {f"pull of {self.robot.limbs[limb]}": float(pulled.max() / self.parameters.contact.holding_limit)}
 
     def _clear(self, angles: np.ndarray) -> dict[str, float]:
@@ -236,5 +242,10 @@ class Rig:
         between = np.linalg.norm(rest[:, None] - rest, axis=-1) + np.diag(np.full(len(rest), np.inf))
         feet = limb_frames(self.robot, None, np.asarray(angles)[:: self.hold]).foot
         share = np.linalg.norm(feet - rest, axis=-1) / (between.min(1) / 2)
-        limb = int(np.argmax(share.max(0)))
+        limb = _first_of_largest(share.max(0))
         return {f"reach of {self.robot.limbs[limb]}": float(share.max())}
+
+
+def _first_of_largest(values: np.ndarray) -> int:
+    """Return the place of the largest value, among those equal to rounding of the first: limbs that are alike tie."""
+    return int(np.argmax(values >= values.max() * (1 - _ROUNDING)))
