@@ -187,6 +187,19 @@ def test_an_executable_is_loaded_where_its_arguments_are(tmp_path, monkeypatch, 
     assert cache.loaded(tmp_path / "none", trees) is None
 
 
+def test_an_executable_counts_as_found_once_it_is_loaded(tmp_path, monkeypatch):
+    """Who compiles it after all must not be told that nothing was compiled."""
+    found = []
+    monkeypatch.setattr(cache.monitoring, "record_event", found.append)
+    monkeypatch.setattr(cache, "executable_of", lambda content, _: {b"whole": "executable"}[content])
+    for name in ("whole", "torn"):
+        cache.store_whole(tmp_path / name, name.encode())
+    with pytest.warns(UserWarning, match="cannot be loaded"):
+        assert cache.loaded(tmp_path / "torn", ()) is None
+    assert not found
+    assert cache.loaded(tmp_path / "whole", ()) == "executable" and found == ["/jax/compilation_cache/cache_hits"]
+
+
 def test_another_function_identity_argument_or_option_has_another_file(tmp_path, monkeypatch):
     """Whatever the order of the options; none where there is no folder, or several processes compute together."""
     real = runpy.run_path(cache.__file__)["executable_file"]  # the tests' own stores none

@@ -459,14 +459,14 @@ def test_a_crawl_goes_up_one_side_from_behind_and_then_up_the_other(saved, limbs
     assert (np.diff(places[:half, 0]) > 0).all() and (np.diff(places[half:, 0]) > 0).all()
 
 
-def arm(joints):
+def arm(joints, name="arm", end='<site name="foot_of_arm" pos="0 0 -0.05"/>'):
     """Return a row of bodies that ends in a foot of its own."""
     rows = "".join(
-        f'<body name="arm{n}" pos="0 0 {-0.03 if n else 0}"><joint name="arm{n}" axis="{n % 2} {1 - n % 2} 0"/>'
+        f'<body name="{name}{n}" pos="0 0 {-0.03 if n else 0}"><joint name="{name}{n}" axis="{n % 2} {1 - n % 2} 0"/>'
         f"{weight('0 0 -0.01', 0.1, '1e-4 1e-4 1e-4')}"
         for n in range(joints)
     )
-    return f'{rows}<site name="foot_of_arm" pos="0 0 -0.05"/>{"</body>" * joints}'
+    return f"{rows}{end}{'</body>' * joints}"
 
 
 @pytest.mark.parametrize(("joints", "limbs"), [(1, 4), (2, 5), (5, 5), (6, 4)])
@@ -474,6 +474,12 @@ def test_limbs_have_about_as_many_joints_as_most_of_them(saved, joints, limbs):
     """Of three joints each: a row of up to two more or less is one too."""
     robot = Found(saved(climbers.mjcf(4, 3, on_base=arm(joints))))
     assert len(robot.limbs) == limbs
+
+
+def test_rows_that_end_in_no_foot_have_no_part_in_how_many_joints_limbs_have(saved):
+    feelers = "".join(arm(7, f"feeler{n}_", "") for n in range(5))
+    robot = Found(saved(climbers.mjcf(4, 3, on_base=feelers)))
+    assert [len(chain.joints) for chain in robot.limbs.values()] == [3] * 4
 
 
 @pytest.mark.parametrize(

@@ -362,6 +362,9 @@ def test_columns_trajectory_and_summary_are_those_of_the_motion(found):
     assert np.isnan(columns["RH.tibia.command"][end:]).all() and np.isnan(columns["control.kp"][end:]).all()
     assert columns["control.kp"][0] == 50 and columns["control.kp"][end - 1] == 40
     np.testing.assert_array_equal(columns["torque_off"], off)
+    passive = ((False,) * 3, (False, True, False), (False,) * 3, (False,) * 3)
+    rowing = dataclasses.replace(found, robot=dataclasses.replace(found.robot, passive=passive))
+    assert columns.keys() - output.columns(rowing).keys() == {"LH.femur.command"}
     message = yaml.safe_load(output.trajectory(found))
     assert message["joint_names"][:4] == ["LF_coxa", "LF_femur", "LF_tibia", "LH_coxa"]
     assert len(message["points"]) == end

@@ -158,6 +158,26 @@ def test_joint_states_by_number_and_wrenches_at_sixty_hertz(tmp_path):
     assert [line for line in by_recorder.warnings if "with a jitter of" in line and "time: header" in line]
 
 
+@pytest.mark.parametrize(("count", "width"), [(11, None), (12, 3), (20, 5), (28, 7), (13, 0), (8, 0), (52, 0)])
+def test_a_limb_has_as_many_numbers_as_the_longest_or_a_few_more(tmp_path, count, width):
+    """Of limbs of 3, 3, 2 and 3 joints: 11 numbers are one after the other, else each limb has as many."""
+    uneven = tuple((name, joints[: 2 + (name != "RH")]) for name, joints in ROBOT.joints_in_file)
+    head = ",".join(f"position[{n}]" for n in range(count))
+    lines = [f"{0.01 * n},{','.join(str(0.01 * n + place) for place in range(count))}" for n in range(50)]
+    (tmp_path / "log.csv").write_text("\n".join([f"t,{head}", *lines]))
+    robot = dataclasses.replace(ROBOT, joints_in_file=uneven)
+    if width == 0:
+        with pytest.raises(ConfigError):
+            read_log(tmp_path / "log.csv", robot)
+        return
+    signals = read_log(tmp_path / "log.csv", robot).signals
+    place = 0
+    for limb, joints in uneven:
+        for joint, name in enumerate(ROBOT.joint_names[: len(joints)]):
+            assert signals[f"{limb}.{name}.position"].value[0] == place + joint
+        place += width or len(joints)
+
+
 def test_one_cell_that_packs_28_joints_with_stale_repeats(tmp_path):
     columns = recorded()
     fresh = np.arange(len(columns["time"])) % 3 != 1  # the second of three repeats the first

@@ -53,6 +53,14 @@ class SeedlessSampler(Sampler):
         super().__init__()
 
 
+@pytest.mark.parametrize("size", [100, 101])
+def test_more_than_a_hundred_numbers_are_not_searched(monkeypatch, size):
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    said = "Optuna to be installed" if size == 100 else "at most 100 numbers"
+    with pytest.raises(ConfigError, match=said):
+        Optuna().check(types.SimpleNamespace(size=size), Search(method="optuna"))
+
+
 class Study:
     """Trials that count up from 0 in each of their numbers, in the order of the box; the known ones come first."""
 

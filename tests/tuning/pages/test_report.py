@@ -454,6 +454,7 @@ def test_cells_of_a_grid_that_is_not_square():
     """Histories of one row only; gains in the order of the cells, in the unit of translations."""
     grid = grid_of({"peak_foot_force": np.arange(6.0)}, stiffness=[1e2, 1e3, 1e4], damping=[1e1, 1e2])
     lines = np.arange(24.0).reshape(3, 2, 2, 2)
+    lines[2, 1, 0] = np.nan, np.inf  # a walk that diverges
     points = explorer.grid_points(grid, histories_of(grid, lines).isel(damping=[1]), {}, {}, None)
     assert points["stored"] == [1, 3, 5] and points["values"]["peak_foot_force"] == list(range(6))
     assert points["gains"] == {"stiffness": [1e2, 1e2, 1e3, 1e3, 1e4, 1e4], "damping": [1e1, 1e2] * 3}
