@@ -63,12 +63,10 @@ def cache_folder() -> Path | None:
 @functools.cache
 def doubt(folder: Path) -> str | None:
     """Return why a folder is not used, and warn so the first time; None where all in it is this user's own."""
-    if not hasattr(os, "geteuid"):  # a system without such owners
-        return None
     with contextlib.suppress(OSError):  # not there yet, or who uses it gets the error
         private = not folder.stat().st_mode & 0o077
         for path in (folder, *folder.iterdir()):
-            if may_be_anothers(path, in_private=private):
+            if may_be_anothers(path.stat(), in_private=private):
                 why = (
                     f"the compilation cache is off: {path} is not this user's own, or others may write to it, and what "
                     f"lies there would be executed (remove it, chmod -R go-rwx {folder}, or set {VARIABLE})"
@@ -78,9 +76,10 @@ def doubt(folder: Path) -> str | None:
     return None
 
 
-def may_be_anothers(path: Path, *, in_private: bool = False) -> bool:
+def may_be_anothers(about: os.stat_result, *, in_private: bool = False) -> bool:
     """Return whether another user owns a file or folder, or may write to it, unless its folder lets nobody in."""
-    about = path.stat()
+    if not hasattr(os, "geteuid"):  # a system without such owners
+        return False
     return about.st_uid != os.geteuid() or bool(about.st_mode & 0o022 and not in_private)
 
 
@@ -373,7 +372,7 @@ def _tell(what: str, error: Exception) -> None:
 def read_whole(file: Path) -> bytes | None:
     """Return the bytes that `store_whole` wrote, None where nothing of this user's is there, or it is damaged."""
     try:
-        if may_be_anothers(file):
+        if may_be_anothers(file.stat()):
             return None
         digest, content = file.read_bytes().split(b"\n", 1)
     except (OSError, ValueError):  # ValueError: one line

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 import mjx_climb as mc
+from mjx_climb.execution.cache import may_be_anothers
 from mjx_climb.execution.contents import Unidentifiable
 from mjx_climb.files.dataset import OutputError, check_folder
 from mjx_climb.files.locks import alone, is_held, refused
@@ -30,6 +31,7 @@ from tuning.problem.evaluation import Problem
 from tuning.results.result import RESULTS, SETTINGS, WITHOUT_PARTS
 
 _OF_THE_MACHINE = ("versions", "platform", "batch_size")  # of an identity: how it is computed
+_OWN_ALONE = 0o755  # mode of a folder that is being written: no other user writes there, whatever the umask
 
 Settings = Mapping[str, Any]
 
@@ -180,7 +182,7 @@ def held(folder: Path, settings: Settings | None, *, shard: bool = False) -> Ite
     place = there / f"{kind}{_unique()}.part"
     with contextlib.ExitStack() as until:
         with refused(folder), alone(there):
-            place.mkdir()
+            place.mkdir(_OWN_ALONE)
             until.enter_context(alone(place))
             until.callback(shutil.rmtree, place, ignore_errors=True)
             for other in (other for above in (target, *target.parents) for other in above.glob(name)):
@@ -209,7 +211,7 @@ def whole(folder: Path, settings: Settings | None = None, *, finished: bool = Tr
     try:
         with contextlib.ExitStack() as until:
             with refused(folder), alone(there):
-                place.mkdir()
+                place.mkdir(_OWN_ALONE)
                 until.enter_context(alone(place))  # tells `recover` that somebody writes it
             yield place
             files = tuple(sorted(f.relative_to(place).as_posix() for f in place.rglob("*") if not f.is_dir()))
@@ -248,8 +250,7 @@ def _own(place: Path) -> bool:
         about = place.lstat()
     except FileNotFoundError:
         return False
-    own = not hasattr(os, "geteuid") or about.st_uid == os.geteuid()
-    return stat.S_ISDIR(about.st_mode) and own and not about.st_mode & stat.S_IWOTH
+    return stat.S_ISDIR(about.st_mode) and not may_be_anothers(about)
 
 
 def _nearest(target: Path) -> Path:
@@ -274,6 +275,7 @@ def _move(place: Path, target: Path) -> None:
     with alone(target.parent):
         if fresh := not target.is_dir():
             os.rename(place, target)
+            target.chmod(target.stat().st_mode | (target / SETTINGS).stat().st_mode & 0o022)  # as the umask has it
     if not fresh:
         with alone(target):
             _replace(place, target, record)

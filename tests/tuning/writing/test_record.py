@@ -357,9 +357,16 @@ def settled(folder):
     return there if own is not None and own.whole else None
 
 
+@pytest.fixture(params=[0o022, 0o002], ids=["alone", "shared with a group"])
+def umask(request):
+    before = os.umask(request.param)
+    yield request.param
+    os.umask(before)
+
+
 @pytest.mark.parametrize("settings", [OURS, THEIRS])
 @pytest.mark.parametrize("there", [False, True])
-def test_killed_at_any_step_the_next_run_finds_the_old_result_or_the_new_one(tmp_path, kill, there, settings):
+def test_killed_at_any_step_the_next_run_finds_the_old_result_or_the_new_one(tmp_path, kill, there, settings, umask):
     """Of the same run or of another; with a file that is no result's; and nothing hidden is left."""
     old, new = ({"a": text, "inputs/b": text} for text in ("old", "new"))
     new["c"] = "new"
@@ -380,7 +387,7 @@ def test_killed_at_any_step_the_next_run_finds_the_old_result_or_the_new_one(tmp
         assert found in expected and not list(tmp_path.glob("**/.one.*.part")), step
         seen.add(expected.index(found))
         fill(home, *new, settings=settings, text="new")  # the same command again
-        assert settled(home) == expected[1]
+        assert settled(home) == expected[1] and home.stat().st_mode & 0o777 == 0o777 & ~umask
         step = step + 1 if died else 0
     assert seen == {0, 1}
 
@@ -466,7 +473,7 @@ def test_a_folder_is_held_until_the_command_ends_by_all_but_shards_of_the_same(t
     assert listed(tmp_path) == [] and not [*tmp_path.glob("**/.*")]
 
 
-def test_what_a_killed_command_leaves_hinders_nobody_and_is_removed(tmp_path, kill):
+def test_what_a_killed_command_leaves_hinders_nobody_and_is_removed(tmp_path, kill, umask):
     def command():
         with record.held(tmp_path / "one", OURS):
             os.mkdir(tmp_path / "one")
@@ -478,7 +485,7 @@ def test_what_a_killed_command_leaves_hinders_nobody_and_is_removed(tmp_path, ki
     assert not [*tmp_path.glob(".one.*.part")]
 
 
-@pytest.mark.parametrize("whose", ["another's", "everybody's"])
+@pytest.mark.parametrize("whose", ["another's", "everybody's", "its group's"])
 def test_a_result_that_another_user_planted_is_not_taken(tmp_path, monkeypatch, whose):
     """Beside the folder, or above it, under the name that this user's own unfinished move would have."""
     home = tmp_path / "above" / "one"
@@ -491,7 +498,7 @@ def test_a_result_that_another_user_planted_is_not_taken(tmp_path, monkeypatch, 
     if whose == "another's":
         monkeypatch.setattr(os, "geteuid", lambda: planted.stat().st_uid + 1)
     else:
-        planted.chmod(0o777)
+        planted.chmod(0o777 if whose == "everybody's" else 0o775)
     record.recover(home)
     assert (home / "gains.yaml").read_text() == "mine" and planted.exists()
     monkeypatch.undo()
