@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.segment import Segment
+from rich.segment import Segment, Segments
 from rich.table import Table
 
 import mjx_climb as mc
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from tuning.pages.section import SectionOf
     from tuning.results.result import Result
 
-WIDTH = 100  # of tables in a file, unless their numbers need more
+WIDTH = 100  # of tables in a file, unless their words or numbers need more
 _WIDEST = 100_000  # columns
-LONGEST_WORD = 40  # characters of names that are not broken
+LONGEST_WORD = 40  # characters of names that are not broken on a terminal
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 COMPILED = "/jax/core/compile/backend_compile_duration"  # or loaded, which an event before it says
@@ -374,19 +374,23 @@ def console(file: TextIO | None = None, *, stderr: bool = False) -> Console:
 
 
 def print_on(console: Console, *results: "str | page.Table") -> None:
-    """Print tables and lines; a table that is wider than the terminal goes on below, with the names of its rows."""
+    """Print tables and lines; a table that is wider than the terminal goes on below, with the names of its rows.
+
+    In a file one whose names have no room there is wider.
+    """
+    longest, most = (LONGEST_WORD, console.width) if console.is_terminal else (_WIDEST, _WIDEST)
     for result in results:
         if isinstance(result, str):
             console.print(result, soft_wrap=True)
             continue
-        for table in drawn(result, console.width):
-            console.print(table, width=_WIDEST, crop=False, no_wrap=True)
+        for table in drawn(result, console.width, longest):
+            console.print(Segments(console.render(table, console.options.update_width(most))), crop=False)
 
 
-def drawn(made: "page.Table", width: int) -> list[Table]:
+def drawn(made: "page.Table", width: int, longest_word: int = LONGEST_WORD) -> list[Table]:
     """Return a table for the terminal in parts, each with the names of rows, their unit, and as many others as fit.
 
-    Where a column is too wide its lines break, between words; long names break too.
+    Where a column is too wide its lines break, between words; names longer than `longest_word` characters break too.
     """
     every = [row for _, rows in made.sections for row in rows]
     headings = [heading.partition(":")[0] for heading, _ in made.sections]
@@ -394,7 +398,7 @@ def drawn(made: "page.Table", width: int) -> list[Table]:
     for place, head in enumerate(heads):
         cells = [row[place] for row in every] + headings * (place == 0)
         words = [part for cell in cells for part in (cell.split() if place < made.words else [cell])]
-        least = min(max(map(len, words), default=1), LONGEST_WORD if place < made.words else _WIDEST)
+        least = min(max(map(len, words), default=1), longest_word if place < made.words else _WIDEST)
         spans.append((max([least, *map(len, head.split())]), max(map(len, [*cells, *head.split("\n")]))))
     names = [place for place, name in enumerate(made.columns) if place < made.words or name == "unit"]
     parts = [list[int]()]
