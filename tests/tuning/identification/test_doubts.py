@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from mjx_climb.scenario.messages import ConfigError
 from tests.tuning.identification.recorded import JOINTS, ROBOT, recorded
 from tuning.identification.readers import read_log, write_csv
 from tuning.identification.readers.signals import Signals
@@ -174,7 +175,7 @@ WRONG |= {
     frozen: "RF.coxa.position: the same from 7 to 9.99 s while its command moves, suspected to be stuck",
     spikes: "LF.coxa.position: 9 of 1000 samples jump away from those beside them and back, .*outliers: drop",
     two_publishers: "LF.coxa.position and 11 more: 9.. of 1000 samples .*suspected to be of two publishers .take one",
-    **{of: f"LF.coxa.effort and 11 more: suspected to be numbers of {bits} bits read without .*bits: {bits} in"
+    **{of: f"LF.coxa.effort and 11 more: suspected to be numbers of {bits} bits .*bits: {bits} in signals.yaml, .*all"
        for bits, of in CURRENTS.items()},
     SIGN_BIT: "LF.coxa.effort and 11 more: suspected to be .* 11 bits read without their sign .sign_bit: 10 in",
     loads: "LF.coxa.effort: suspected to be numbers of 11 bits read without their sign .sign_bit: 10 in signals.yaml",
@@ -298,6 +299,9 @@ def test_a_position_that_is_a_turn_off_its_command_is_named(tmp_path):
     (two_publishers, {}, {"outliers": "keep"}),
     *((of, {f"{joint}.effort": {"bits": bits} for joint in JOINTS}, {}) for bits, of in CURRENTS.items()),
     (SIGN_BIT, {f"{joint}.effort": {"sign_bit": 10} for joint in JOINTS}, {}),
+    (CURRENTS[16], {}, {"bits": 16}),
+    (SIGN_BIT, {f"{joint}.position": {"bits": 12} for joint in JOINTS}, {"sign_bit": 10}),
+    (gap, {}, {"rate": 100 / 250}),
     (swapped, {f"{a}.{joint}.position": {"column": f"{b}.{joint}.position"} for a, b in (("LF", "RF"), ("RF", "LF"))
                for joint in ROBOT.joint_names}, {}),
 ])  # fmt: skip
@@ -347,6 +351,28 @@ def test_signs_come_back_to_the_last_bit(tmp_path, of):
     log = read(tmp_path, columns, Signals.make({"time": "time", "signals": {"LF.coxa.effort": source}}))
     expected = 2e-3 * np.round(30 * np.sin(np.arange(1000) / 50))
     np.testing.assert_allclose(log.signals["LF.coxa.effort"].value, expected, atol=1e-12)
+
+
+def test_where_the_sign_of_all_would_spoil_another_signal_it_is_said_of_the_signal(tmp_path):
+    """As a load with a sign bit beside a position of 0 to 4095 counts."""
+    columns = SIGN_BIT(recorded())
+    for name, most in (("LF.coxa.position", 1023), ("RH.tibia.position", 4095)):
+        columns[name] = np.round(np.linspace(0, most, 1000))
+        (said,) = [line for line in read(tmp_path, columns).warnings if "without their sign" in line]
+        assert said.endswith("sign_bit: 10 in signals.yaml" + (", of the signal or of all)" if most == 1023 else ")"))
+
+
+def test_what_a_signal_says_goes_before_what_the_file_says_of_all(tmp_path):
+    raw = {"time": np.arange(9.0), "LF.force.x": np.r_[np.zeros(8), 65527], "LF.force.y": np.r_[np.zeros(8), 4095]}
+    raw["LF.force.z"] = np.r_[np.zeros(8), 32777]
+    (tmp_path / "signals.yaml").write_text(
+        "time: time\nbits: 16\nsignals:\n  LF.force.x: {column: LF.force.x}\n"
+        "  LF.force.y: {column: LF.force.y, bits: 12}\n  LF.force.z: {column: LF.force.z, sign_bit: 15}\n"
+    )
+    found = read(tmp_path, raw, tmp_path / "signals.yaml").signals
+    assert [found[f"LF.force.{axis}"].value[-1] for axis in "xyz"] == [-9, -1, -9]
+    with pytest.raises(ConfigError, match=r"expected bits or sign_bit, one of the two, got 'bits 16, sign_bit 10'"):
+        Signals.make({"bits": 16, "sign_bit": 10})
 
 
 def test_counts_of_32_bits_are_both_counts_and_without_their_sign(tmp_path):

@@ -94,6 +94,18 @@ def limits_by_hand(read, robot):
 
 
 def signs_by_hand(recorded, signals):
+    """Of all where the numbers of the others are below the sign's place."""
+    lost, raw = dict(lost_by_hand(recorded, signals)), {}
+    for name, signal in recorded.items():
+        if not (signals.signals[name].bits or signals.signals[name].sign_bit):
+            raw[name] = max(signal.value / signals.signals[name].factor + signals.signals[name].zero)
+    for name, (key, bits) in lost.items():
+        unspoilt = all(most < 2 ** (bits - 1) for other, most in raw.items() if lost.get(other) != (key, bits))
+        where = f"{key} in signals.yaml" + (", of the signal or of all" if unspoilt else "")
+        yield name, f"suspected to be numbers of {bits} bits read without their sign ({where})"
+
+
+def lost_by_hand(recorded, signals):
     for name, signal in recorded.items():
         source = signals.signals[name]
         number = signal.value / source.factor + source.zero
@@ -108,11 +120,10 @@ def signs_by_hand(recorded, signals):
         jump = max(abs(np.diff(whole)))
         of_two = [each - 2.0**bits if each >= 2.0 ** (bits - 1) else each for each in whole]
         of_sign = [2.0 ** (bits - 1) - each if each >= 2.0 ** (bits - 1) else each for each in whole]
-        words = f"suspected to be numbers of {bits} bits read without their sign "
         if max(abs(np.diff(of_two))) < jump / 4 or (bits >= 16 and max(map(abs, of_two)) < max(whole) / 10):
-            yield name, words + f"(bits: {bits} in signals.yaml)"
+            yield name, (f"bits: {bits}", bits)
         elif max(abs(np.diff(of_sign))) < jump / 4:
-            yield name, words + f"(sign_bit: {bits - 1} in signals.yaml)"
+            yield name, (f"sign_bit: {bits - 1}", bits)
 
 
 def torque_by_hand(read, robot, known):

@@ -61,7 +61,7 @@ def read_log(
         got = f"{_columns(there)} ({why})" if why else _columns(there)
         raise ConfigError(recording.source, "", f"signals such as {', '.join([*signals_of(robot)][:3])}", got)
     meanings = signals_of(robot)
-    signals = _in_degrees(signals, robot, meanings)
+    signals = _each_in_full(signals, robot, meanings)
     slides = robot.sliding is not None
     raw = {name: _taken(recording, signals, name, meanings, place, slides=slides) for name in signals.signals}
     read, said = cleaned(raw, signals)
@@ -111,17 +111,13 @@ def _by_own_names(recording: Recording, robot: Robot) -> tuple[Signals, tuple[st
     return Signals(time=time, time_unit=unit, signals=own), tuple(sorted(said))
 
 
-def _in_degrees(signals: Signals, robot: Robot, meanings: Mapping[str, Meaning]) -> Signals:
-    """Return where signals stand, with the unit of the file at those of turning joints that name none."""
-    if signals.unit == "rad":
-        return signals
+def _each_in_full(signals: Signals, robot: Robot, meanings: Mapping[str, Meaning]) -> Signals:
+    """Return where signals stand, each with what the file says of all; its unit at those of turning joints alone."""
     sliding = {joint for joint, place in joints_of(robot).items() if robot.sliding is not None and robot.sliding[place]}
     turning = {f"{joint}.{what}" for joint in joints_of(robot).keys() - sliding for what in JOINT}
-    units = {name: _IN_DEGREES.get(meanings[name].unit) for name in signals.signals.keys() & turning}
-    sources = {
-        name: source.changed({"unit": units[name]}) if source.unit is None and units.get(name) else source
-        for name, source in signals.signals.items()
-    }
+    in_degrees = {n: {"unit": unit} for n in turning if (unit := _IN_DEGREES.get(meanings[n].unit))}
+    units, of_all = in_degrees if signals.unit == "deg" else {}, signals.of_all
+    sources = {n: source.completed(of_all | units.get(n, {})) for n, source in signals.signals.items()}
     return signals.model_copy(update={"signals": sources})
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from mjx_climb.robot.constants import Robot
 from tuning.identification.readers.log import KP, OFF, Signal, joints_of
-from tuning.identification.readers.signals import Signals
+from tuning.identification.readers.signals import Signals, Source
 
 MOVES = 0.02  # rad: a command that moves by less tells nothing
 STILL = 1e-4  # rad: less than the resolution of any encoder
@@ -130,26 +130,38 @@ def _range(value: Float[np.ndarray, " samples"], low: float, high: float) -> str
 
 
 def _without_sign(recorded: Read, signals: Signals) -> Iterator[tuple[str, str]]:
-    """Yield which whole numbers are smooth, or small, only where the highest bit is taken for their sign."""
-    for name, signal in recorded.items():
-        source = signals.signals[name]
-        number = signal.value / source.factor + source.zero
-        whole = number.round()
-        if name.endswith(_SWITCHED) or source.bits or source.sign_bit or np.abs(number - whole).max() > 1e-6:
-            continue
-        if whole.min() < 0 or not 2.0 ** (_FEWEST - 1) <= whole.max() < 2.0**63:
-            continue
-        bits = int(whole.max()).bit_length()
-        if source.counts_per_turn == 2**bits:
-            continue
-        as_read = float(np.abs(np.diff(whole)).max())
-        for key in ({"bits": bits}, {"sign_bit": bits - 1}):
-            signed = source.model_copy(update=key).signed(whole)
-            smooth = np.abs(np.diff(signed)).max() < as_read / 4
-            if smooth or ("bits" in key and bits >= 16 and np.abs(signed).max() < whole.max() / 10):
-                (words,) = (f"{each}: {value}" for each, value in key.items())
-                yield name, f"suspected to be numbers of {bits} bits read without their sign ({words} in signals.yaml)"
-                break
+    """Yield which whole numbers are smooth, or small, only where the highest bit is taken for their sign.
+
+    The key may stand once for all where it leaves the numbers of other signals as they are.
+    """
+    sources = {name: signals.signals[name] for name in recorded}
+    read = {name: each.value / sources[name].factor + sources[name].zero for name, each in recorded.items()}
+    read = {name: numbers for name, numbers in read.items() if not (sources[name].bits or sources[name].sign_bit)}
+    found = {name: key for name, numbers in read.items() if (key := _lost_sign(name, numbers, sources[name]))}
+    for name, (bits, words) in found.items():
+        others = (numbers for other, numbers in read.items() if found.get(other) != found[name])
+        of_all = all(numbers.max() < 2.0 ** (bits - 1) for numbers in others)
+        where = f"{words} in signals.yaml" + ", of the signal or of all" * of_all
+        yield name, f"suspected to be numbers of {bits} bits read without their sign ({where})"
+
+
+def _lost_sign(name: str, numbers: Float[np.ndarray, " samples"], source: Source) -> tuple[int, str] | None:
+    """Return the bits of numbers that were read without their sign, and the key that gives it back, None for others."""
+    whole = numbers.round()
+    if name.endswith(_SWITCHED) or np.abs(numbers - whole).max() > 1e-6:
+        return None
+    if whole.min() < 0 or not 2.0 ** (_FEWEST - 1) <= whole.max() < 2.0**63:
+        return None
+    bits = int(whole.max()).bit_length()
+    if source.counts_per_turn == 2**bits:
+        return None
+    as_read = float(np.abs(np.diff(whole)).max())
+    for key, value in (("bits", bits), ("sign_bit", bits - 1)):
+        signed = source.model_copy(update={key: value}).signed(whole)
+        smooth = np.abs(np.diff(signed)).max() < as_read / 4
+        if smooth or (key == "bits" and bits >= 16 and np.abs(signed).max() < whole.max() / 10):
+            return bits, f"{key}: {value}"
+    return None
 
 
 def _beyond_torque(read: Read, robot: Robot, known: Collection[str]) -> Iterator[tuple[str, str]]:

@@ -1,7 +1,7 @@
 """`signals.yaml`: the place of each signal in a log, its unit and sign."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -27,13 +27,9 @@ else:
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
 
-class Source(Settings):
-    """Where one signal stands, and how its numbers become SI: sign * (number - zero) * unit."""
+class _OfOneOrAll(Settings):
+    """What a file says of one signal, or of all that do not say it themselves."""
 
-    topic: str | None = setting(None, "topic of a bag")
-    field: str = setting("data", "path in the message, with dots; an entry of a list by its name or its number")
-    column: str | None = setting(None, "column of a table; of a cell with a list: name.0, name.1 ...")
-    unit: Unit | None = setting(None, "unit of the numbers; null: SI")
     bits: int | None = setting(
         None,
         "bits of numbers that were read without their sign, 1: of 16 bits 65527 is -9; null: read with it",
@@ -43,6 +39,20 @@ class Source(Settings):
     sign_bit: int | None = setting(
         None, "bit that makes the number in the bits below it negative, 1: of 10, 1033 is -9; null: none", ge=1, le=63
     )
+    rate: Positive | None = setting(None, "samples per second that were recorded, Hz; null: found")
+
+    def faults(self) -> Iterator[ValueError]:
+        if self.bits is not None and self.sign_bit is not None:
+            yield failure("bits or sign_bit, one of the two", got=f"bits {self.bits}, sign_bit {self.sign_bit}")
+
+
+class Source(_OfOneOrAll):
+    """Where one signal stands, and how its numbers become SI: sign * (number - zero) * unit."""
+
+    topic: str | None = setting(None, "topic of a bag")
+    field: str = setting("data", "path in the message, with dots; an entry of a list by its name or its number")
+    column: str | None = setting(None, "column of a table; of a cell with a list: name.0, name.1 ...")
+    unit: Unit | None = setting(None, "unit of the numbers; null: SI")
     sign: Literal[1, -1] = setting(1, "-1: the axis is the other way round")
     zero: Finite = setting(0.0, "number at zero, in the unit")
     counts_per_turn: Positive | None = setting(None, "encoder counts of one turn, 1")
@@ -50,16 +60,21 @@ class Source(Settings):
     time: str | None = setting(None, "column of its times; header or log of a topic; null: the file's")
     time_unit: TimeUnit | None = setting(None, "unit of its times; null: the file's")
     shift: Finite = setting(0.0, "added to its times, s: where its clock is late, a negative number")
-    rate: Positive | None = setting(None, "samples per second that it was recorded at, Hz; null: found")
 
     def faults(self) -> Iterator[ValueError]:
+        yield from super().faults()
         if (self.topic is None) == (self.column is None):
             yield failure("a topic or a column, one of the two", got=f"topic {self.topic}, column {self.column}")
         for units, key in (("counts counts/s", "counts_per_turn"), ("A mA", "torque_constant")):
             if self.unit in units.split(" ") and getattr(self, key) is None:
                 yield failure(f"{key} with the unit {self.unit}", got=None)
-        if self.bits is not None and self.sign_bit is not None:
-            yield failure("bits or sign_bit, one of the two", got=f"bits {self.bits}, sign_bit {self.sign_bit}")
+
+    def completed(self, of_all: Mapping[str, object]) -> "Source":
+        """Return where a signal stands, with the keys given for all that it does not have itself."""
+        own = {name for name in of_all if getattr(self, name) is not None}
+        if self.bits is not None or self.sign_bit is not None:
+            own |= {"bits", "sign_bit"}
+        return self.changed({name: value for name, value in of_all.items() if name not in own})
 
     def signed(self, numbers: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Return the recorded numbers with their signs."""
@@ -78,7 +93,7 @@ class Source(Settings):
         return self.sign * factor / (turns or 1.0) * (current or 1.0)
 
 
-class Signals(Settings):
+class Signals(_OfOneOrAll):
     """Where the signals of a log stand, in which units and on which clocks. Immutable."""
 
     time: str = setting("header", "column of the times; of topics header, the stamp where there is one, or log")
@@ -97,6 +112,11 @@ class Signals(Settings):
         5.0, "spacing that is called a gap, in usual spacings, 1"
     )
     signals: dict[str, Source] = setting({}, "where each signal stands, by its name")
+
+    @property
+    def of_all(self) -> dict[str, object]:
+        """The keys of a signal that are given once for all."""
+        return self.model_dump(include=set(_OfOneOrAll.model_fields), exclude_none=True)
 
     def to_yaml(self) -> str:
         """The settings as YAML without defaults, a line a signal; loading it gives equal ones."""
