@@ -5,6 +5,7 @@ import dataclasses
 import importlib
 import importlib.machinery
 import importlib.util
+import inspect
 import os
 import sys
 import types
@@ -97,14 +98,18 @@ def component_of(section: Kind, place: str, source: str = "scenario") -> Any:
     """Return the component that a section of a scenario names, with its values and options; its file is run.
 
     Raises:
-        ConfigError: in one line, a file that is gone or has changed, no such thing in it, or keys and values that it
-            does not take.
+        ConfigError: in one line, a file that is gone or has changed, no such thing in it, a class that lacks methods,
+            or keys and values that it does not take.
     """
     base, word = SEAMS[_seam(place)]
     found = class_of(section, place, source)
     if not issubclass(found if isinstance(found, type) else type(found), base):
         expected = f"a {word} that inherits from mjx_climb.{base.__name__}"
         raise ConfigError(source, place, expected, f"{found!r}")
+    if inspect.isabstract(found):
+        lacking = ", ".join(sorted(found.__abstractmethods__))
+        expected = f"{section.name} to have every method of mjx_climb.{base.__name__}"
+        raise ConfigError(section.file or source, "", expected, f"none named {lacking}")
     return _with(found, dict(section.items()), place, source)
 
 

@@ -32,6 +32,19 @@ class Weak(Gripper):
 
 weak = Weak(holding_limit=0.5)
 pole = PolyhedralGripper(**magnet(pull=15.0, friction=0.6))
+
+
+class Contactless(mc.Contact):
+    def init(self, grip_point, rotation):
+        return ()
+
+
+class Driveless(mc.Actuator):
+    pass
+
+
+class Calm(mc.Disturbance):
+    pass
 """
 SHORT = ["duration=0.3", "control.controller=pd"]
 ROWS = {"normals": [[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], "limits": [15.0, 8.0]}
@@ -160,12 +173,27 @@ def test_what_a_component_cannot_take_is_refused_in_one_line(changes, said):
         ("--drive", "{file}:Nobody", "expected a drive named Nobody, got none"),
         ("--drive", "{file}:weak", "hardware.servo: expected a drive that inherits from mjx_climb.Actuator, got Weak("),
         ("--disturbance", "gone.py:Wind", "gone.py: expected a readable file, got no such file or directory"),
+        (
+            "--contact",
+            "{file}:Contactless",
+            "{file}: expected Contactless to have every method of mjx_climb.Contact, got none named step",
+        ),
+        (
+            "--drive",
+            "{file}:Driveless",
+            "{file}: expected Driveless to have every method of mjx_climb.Actuator, got none named init, step",
+        ),
+        (
+            "--disturbance",
+            "{file}:Calm",
+            "{file}: expected Calm to have every method of mjx_climb.Disturbance, got none named act",
+        ),
     ],
 )
-def test_a_bad_name_at_the_shell_is_one_line(file, call, tmp_path, option, text, said):
+def test_a_bad_name_or_class_at_the_shell_is_one_line(file, call, tmp_path, option, text, said):
     code, _, err = call("run", "case_1_2", option, text.format(file=file), "--out", tmp_path / "out")
     [line] = err.splitlines()
-    assert code == 2 and said in line and not (tmp_path / "out").exists()
+    assert code == 2 and said.format(file=file) in line and not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
