@@ -325,8 +325,7 @@ def evaluate(rivals: Rivals, walk: Annotated[Walk, "-gains"], output: Output) ->
     friction, backlash, noise, bias or armature, as the config has it or a member drew it, or with other values of keys
     of the config's section hardware, as force_sensor.dead.LF=3.0 for a sensor that dies at 3 s, or with a value or
     factor at any path, as contact.damping=x0.5. Prints the loss of each
-    of the gains, and their remaining lead over pd (that of --retuned-pd, where it is given). DIR has every walk
-    (degraded.nc).
+    of the gains, and their lead over the best rival of the first gains as drawn. DIR has every walk (degraded.nc).
 
     --ceiling finds how good any law could be: the best joint targets over time for each walk, known in advance; the
     same plan for all walks, which needs no sensor; plans that know of a disturbance from a delay after its begin. The

@@ -18,14 +18,14 @@ from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
 from mjx_climb.scenario.model import Scenario
 from tuning.comparisons import judge as judging
-from tuning.comparisons import paired
+from tuning.comparisons import paired, verdicts
+from tuning.comparisons.side_by_side import VARIATION
 from tuning.gains.gains_file import Whole
 from tuning.problem.ensemble import Ensemble
 from tuning.problem.evaluation import Problem
 from tuning.problem.objectives import Objective
 from tuning.problem.variations import WORDS, Change, Factor, checked, paths_of, scalable, scaled
 from tuning.results.judged import Degraded
-from tuning.searches.retuned_pd import NAME
 from tuning.searches.shards import Counted, Rows
 from tuning.searches.sweep import default_batch_size
 
@@ -191,15 +191,17 @@ class Degradation(NamedTuple):
     """The loss by worse hardware."""
 
     losses: Mapping[str, xr.Dataset]  # by gains: settings against their own walks as drawn, see `paired.compared`
-    lead: Mapping[str, xr.Dataset]  # by setting: gains against pd (retuned, where it is there) in the same setting
-    baseline: str  # that pd
+    lead: Mapping[str, xr.Dataset]  # by setting: gains against the baseline in the same setting
+    baseline: str  # the best rival of the first gains as drawn; pd where none held
 
 
 def summary(walks: xr.Dataset) -> Degradation:
     """Return the differences between settings, and between gains in each of them, with their intervals."""
     goal, metrics = Objective((), ()), [name for name in METRICS if name in walks]
     names = walks["gains"].values.tolist()
-    baseline = NAME if NAME in names else judging.PD
+    drawn = walks.sel(setting=AS_DRAWN, drop=True)
+    means = judging.held(drawn)[VARIATION].mean("member").reindex(gains=names)
+    baseline = verdicts.best_rival(verdicts.by_lost_walks(means, judging.failed(drawn).mean("member"))) or judging.PD
     losses = {}
     for name in names:
         own = walks.sel(gains=name, drop=True).rename(setting="gains").transpose("gains", "member")

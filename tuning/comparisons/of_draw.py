@@ -37,13 +37,8 @@ def compare(found: Judged, stage: Stage = silent, *_: object) -> DrawComparison:
 
 def verdict(summed: xr.Dataset) -> str:
     """Return how the first gains do beside the best of the others that lose no more walks."""
-    first, *_ = names = summed["gains"].values.tolist()
-    means, lost = summed[VARIATION].sel(statistic="mean"), summed["failed"]
-    walked = {
-        name: verdicts.Walked(float(means.sel(gains=name)), bool(lost.sel(gains=name) <= lost.sel(gains=first)))
-        for name in names
-    }
-    return verdicts.against_best(first, walked, "mean force variation", "N", breaks="loses more walks")
+    walked = verdicts.by_lost_walks(summed[VARIATION].sel(statistic="mean"), summed["failed"])
+    return verdicts.against_best(next(iter(walked)), walked, "mean force variation", "N", breaks="loses more walks")
 
 
 def sensor_in_words(walks: xr.Dataset, metrics: list[str]) -> str:

@@ -571,6 +571,16 @@ def _worse(table: xr.Dataset, name: str, metric: str) -> bool:
     return bool(own["real"]) and (float(own["difference"]) > 0) != bool(own["larger_is_better"])
 
 
+def standing(table: xr.Dataset, name: str, metric: str) -> int:
+    """Return 1 for gains that are better than the baseline in a mean, -1 for worse ones, 0 where it cannot be told.
+
+    Lost walks count as well: who is worse in the mean and better in lost walks, or the reverse, is not told apart.
+    """
+    real = table["real"].sel(statistic="mean", gains=name)
+    sign = sum(bool(real.sel(metric=each)) * (1 - 2 * _worse(table, name, each)) for each in (metric, "failed"))
+    return int(np.sign(min(sign, 0) if _loses(table, name) else sign))
+
+
 def _loses(table: xr.Dataset, name: str) -> bool:
     """Tell whether gains lose more walks than the baseline, and perhaps more than `LOST_MOST` of all."""
     own = table.sel(metric="failed", statistic="mean", gains=name)

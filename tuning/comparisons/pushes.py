@@ -20,6 +20,7 @@ from mjx_climb.inputs.from_scenario import own_parameters
 from mjx_climb.inputs.resolve import AnyGains
 from mjx_climb.physics.equations_of_motion import DEFAULT_ENGINE
 from mjx_climb.scenario.messages import ConfigError
+from tuning.comparisons import verdicts
 from tuning.problem.objectives import lost
 
 SHARES = {"half": 0.5, "95 %": 0.95}  # of the walks that survive
@@ -165,9 +166,43 @@ def borne(found: xr.Dataset, share: float) -> Borne:
     return Borne(_middle(low[place], high[place]), float(least), float(most))
 
 
+def weakest(found: xr.Dataset, share: float) -> tuple[str, Borne]:
+    """Return the direction of the least force that a share survives, and that in every direction, of one walker."""
+    ways = found["direction"].values.tolist()
+    each = [borne(found.sel(direction=way), share) for way in ways]
+    least = Borne(*np.min(each, axis=0).tolist())
+    return ways[[one.value for one in each].index(least.value)], least
+
+
 def _middle(low: float, high: float) -> float:
     """Return the force between two, in equal ratios; 0 or infinity where only one of them was tried."""
     return float(low if low == 0 or np.isinf(high) else np.sqrt(low * high)) if np.isfinite(high) else np.inf
+
+
+def verdict(found: xr.Dataset) -> str:
+    """Return in a sentence how the first walker does in its weakest direction, beside the best of the others in theirs.
+
+    Forces whose intervals overlap are not told apart.
+    """
+    length, share = float(found["length"].max()), "95 %"
+    own = {name: found.sel(length=length, walker=name) for name in found["walker"].values.tolist()}
+    each = {name: weakest(walks, SHARES[share]) for name, walks in own.items()}
+    walked = {name: _walked(found, force.value) for name, (_, force) in each.items()}
+    (first, (way, force)), *_ = each.items()
+    what = f"{share} of the walks survive a push of {length:g} s in its weakest direction, {way}, of"
+    said = verdicts.against_best(first, walked, what, "N", larger_is_better=True)
+    if (best := verdicts.best_rival(walked, larger_is_better=True)) is None:
+        return said
+    theirs, rival = each[best]
+    apart = force.low > rival.high or force.high < rival.low
+    untold = "" if apart else f"; {found.sizes['draw']} walks in each direction do not tell them apart"
+    return f"{said}, in its own, {theirs}{untold}"
+
+
+def _walked(found: xr.Dataset, force: float) -> verdicts.Walked:
+    """Return a force as a score, with the digits that tables show."""
+    bound = "" if 0 < force < np.inf else in_words(found, force)
+    return verdicts.Walked(float(f"{min(force, found.attrs['largest']):.3g}"), bound=bound)
 
 
 def in_words(found: xr.Dataset, force: float) -> str:

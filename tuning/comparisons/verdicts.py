@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 import mjx_climb as mc
 from mjx_climb.inputs.resolve import AnyGains
@@ -23,8 +24,16 @@ _EQUAL = 5e-4  # relative; closer values have the same first three digits
 class Walked(NamedTuple):
     """The score of gains, and whether they keep every limit."""
 
-    value: float  # less is better; NaN: the walk failed
+    value: float  # NaN: the walk failed
     keeps: bool = True
+    bound: str = ""  # in words, where the value is no more than a bound
+
+
+def by_lost_walks(means: xr.DataArray, lost: xr.DataArray) -> dict[str, Walked]:
+    """Return the scores of gains from means and lost walks, (`gains`); the lost walks of the first are the limit."""
+    first, *_ = names = means["gains"].values.tolist()
+    most = float(lost.sel(gains=first))
+    return {name: Walked(float(means.sel(gains=name)), bool(lost.sel(gains=name) <= most)) for name in names}
 
 
 def in_words(name: str, joint: Mapping[str, float] | None = None) -> str:
@@ -53,9 +62,16 @@ def explained(names: Iterable[str]) -> str:
     return "".join(f"; {name}: {each}" for name, each in words.items() if name in there)
 
 
+def best_rival(walked: Mapping[str, Walked], *, larger_is_better: bool = False) -> str | None:
+    """Return the best of all but the first, of those that keep limits where any does; None if all walks failed."""
+    sound = {name: each for name, each in list(walked.items())[1:] if math.isfinite(each.value)}
+    sign = -1 if larger_is_better else 1
+    return min(sound, key=lambda name: (not sound[name].keeps, sign * sound[name].value), default=None)
+
+
 def against_best(
     ours: str, walked: Mapping[str, Walked], what: str, unit: str = "",
-    joint: Mapping[str, float] | None = None, breaks: str = "breaks a limit",
+    joint: Mapping[str, float] | None = None, breaks: str = "breaks a limit", *, larger_is_better: bool = False,
 ) -> str:  # fmt: skip
     """Return by how much gains are better or worse than the best of their rivals, which keeps limits where any does.
 
@@ -65,22 +81,23 @@ def against_best(
         what: the name of the score, in words, and its `unit`.
         joint: the gains of pd retuned.
         breaks: words for a rival that does not keep every limit.
+        larger_is_better: whether the best score is the largest.
     """
-    (_, own), *others = walked.items()
-    sound = {name: each for name, each in others if math.isfinite(each.value)}
-    best = min(sound, key=lambda name: (not sound[name].keeps, sound[name].value), default=None)
-    reached = f"{ours}: {_with_unit(what, own.value, unit)}" if math.isfinite(own.value) else f"{ours}: the walk failed"
+    own, *others = walked.values()
+    best = best_rival(walked, larger_is_better=larger_is_better)
+    reached = f"{ours}: {_with_unit(what, own, unit)}" if math.isfinite(own.value) else f"{ours}: the walk failed"
     if best is None:
         return f"{reached}; no rival held" if others else reached
-    rival, breaks = sound[best], "" if sound[best].keeps else f", which {breaks}"
+    rival, breaks = walked[best], "" if walked[best].keeps else f", which {breaks}"
     name = in_words(best, joint)
     if not math.isfinite(own.value):
-        return f"{reached}; the best rival that walked is {name}: {_with_unit(what, rival.value, unit)}{breaks}"
-    change = own.value / rival.value - 1 if rival.value > 0 else math.nan
+        return f"{reached}; the best rival that walked is {name}: {_with_unit(what, rival, unit)}{breaks}"
+    known = rival.value > 0 and not own.bound and not rival.bound
+    change = own.value / rival.value - 1 if known else math.nan
     how = "beside"
     if math.isfinite(change):
         how = "the same as" if abs(change) < _EQUAL else f"{more_or_less(change)} than"
-    value = _with_unit("", rival.value, unit)
+    value = _with_unit("", rival, unit)
     return f"{reached}, {how} the best rival that walked, {name}: {value}{breaks}"
 
 
@@ -99,5 +116,5 @@ def more_or_less(change: float) -> str:
     return f"{100 * abs(change):.1f} % {'less' if change < 0 else 'more'}"
 
 
-def _with_unit(what: str, value: float, unit: str) -> str:
-    return " ".join(filter(None, [what, number(value), unit]))
+def _with_unit(what: str, reached: Walked, unit: str) -> str:
+    return " ".join(filter(None, [what, *([reached.bound] if reached.bound else [number(reached.value), unit])]))

@@ -1,4 +1,4 @@
-"""Gains on worse hardware: the loss of each, and their remaining lead over pd."""
+"""Gains on worse hardware: the loss of each, and their remaining lead over the best rival."""
 
 import xarray as xr
 from matplotlib.figure import Figure
@@ -7,6 +7,7 @@ from mjx_climb.viz import plots
 from tuning.comparisons import judge as judging
 from tuning.comparisons import paired, verdicts
 from tuning.comparisons.degraded import AS_DRAWN, METRICS, Degradation, summary
+from tuning.comparisons.side_by_side import VARIATION
 from tuning.numbers import number
 from tuning.pages.contents import Contents, Picture, contents_of
 from tuning.pages.page import Findings, Page, Table
@@ -70,7 +71,7 @@ def losses_table(found: Degraded, compared: Degradation) -> Table:
 
 
 def lead_table(found: Degraded, compared: Degradation) -> Table:
-    """Return each gains' difference from pd in the same setting, in per cent."""
+    """Return each gains' difference from the best rival in the same setting, in per cent."""
     about, sections = found.problem.metrics, []
     others = [name for name in compared.losses if name != compared.baseline]
     for metric in (name for name in METRICS if name in about.names):
@@ -81,24 +82,31 @@ def lead_table(found: Degraded, compared: Degradation) -> Table:
 
 
 def in_words(found: Degraded, compared: Degradation) -> str:
-    """Return in a sentence which setting takes most from the first gains, and how many walks are lost at most."""
-    name, table = next(iter(compared.losses.items()))
-    settings = [each for each in compared.lead if each != AS_DRAWN]
-    own = table.sel(metric="force_variation", statistic="mean")
-    differences = {each: float(own["difference"].sel(gains=each)) for each in settings}
-    real = [each for each in settings if bool(own["real"].sel(gains=each)) and differences[each] > 0]
-    worst = max(real, key=lambda each: differences[each], default=None)
-    taken = f"none takes force variation from {name} that can be told"
-    if worst is not None:
-        taken = f"{worst} takes most from {name}, {change(table, 'force_variation', worst)} % force variation"
-    share = table["value"].sel(metric="failed", statistic="mean", gains=settings)
-    lost, most = settings[int(share.values.argmax())], round(float(share.max()) * found.data.sizes["member"])
-    losing = "none of their walks is lost" if not most else f"{lost} loses {most} walks"
-    shown, lead = [AS_DRAWN, worst or settings[-1]], ""
-    if name != compared.baseline:
-        each = " and ".join(f"{change(compared.lead[own], 'force_variation', name)} % {own}" for own in shown)
-        lead = f"; beside {verdicts.in_words(compared.baseline)} its force variation is {each}"
-    return f"{found.data.sizes['member']} walks in each of {len(settings)} settings: {taken}; {losing}{lead}"
+    """Return in a sentence how the first gains do beside their best rival, as drawn and in each setting."""
+    means = compared.lead[AS_DRAWN]["value"].sel(statistic="mean")
+    walked = verdicts.by_lost_walks(means.sel(metric=VARIATION), means.sel(metric="failed"))
+    name, what = next(iter(walked)), f"mean {found.problem.metrics.in_words(VARIATION)} as drawn"
+    said = verdicts.against_best(name, walked, what, "N", breaks="loses more walks")
+    standing = {setting: paired.standing(table, name, VARIATION) for setting, table in compared.lead.items()}
+    for words, place in {f"{name} is ahead": 1, f"{name} is behind": -1, "cannot be told apart": 0}.items():
+        there = [setting for setting, own in standing.items() if own == place]
+        said += f"; {words}: {', '.join(there)}" if there else ""
+    return f"{said}; {_loss_in_words(name, compared.losses[name], found.data.sizes['member'])}"
+
+
+def _loss_in_words(name: str, table: xr.Dataset, members: int) -> str:
+    """Return which setting takes most from gains, and in which they lose most walks."""
+    own, lost = (table.sel(metric=metric, statistic="mean") for metric in (VARIATION, "failed"))
+    risen = own["difference"].where(own["real"], 0.0)
+    worst, most = str(risen["gains"].values[risen.values.argmax()]), int(lost["value"].values.argmax())
+    taken = f"no rise of the force variation of {name} can be told"
+    if float(risen.max()) > 0:
+        before, after = (number(float(own["value"].sel(gains=each))) for each in (AS_DRAWN, worst))
+        taken = f"the force variation of {name} rises most with {worst}, from {before} to {after} N"
+    count = round(float(lost["value"][most]) * members)
+    if not count:
+        return f"{taken}; {name} loses no walk in any setting, of {members} in each"
+    return f"{taken}; {name} loses most walks: {lost['gains'].values[most]}, {count} of {members}"
 
 
 def _plain(compared: Degradation) -> dict[str, dict[str, dict[str, dict[str, float]]]]:

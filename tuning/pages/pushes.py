@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 import mjx_climb as mc
 from mjx_climb.viz import plots
 from mjx_climb.viz.plots import key
-from tuning.comparisons.pushes import SHARES, borne, in_words
+from tuning.comparisons.pushes import SHARES, borne, verdict
 from tuning.numbers import to_json
 from tuning.pages.contents import Picture
 from tuning.pages.page import Findings, Page, Table
@@ -44,16 +44,6 @@ def _cells(found: xr.Dataset, own: xr.Dataset, share: float, length: float) -> l
         low, high = (f"{factor * force:.3g}" if force < np.inf else "more" for force in each[1:])
         cells.append(f"{factor * each.value:.3g} ({low} to {high})")
     return cells
-
-
-def verdict(found: xr.Dataset) -> str:
-    """Return in a sentence what the first gains bear in their weakest direction, of the longest push."""
-    length, name = float(found["length"].max()), found["walker"].values[0]
-    own = found.sel(length=length, walker=name)
-    forces = {way: borne(own.sel(direction=way), SHARES["95 %"]).value for way in found["direction"].values}
-    way = min(forces, key=lambda each: forces[each])
-    words = in_words(found, forces[way])
-    return f"{name}: 95 % of the walks survive a push of {length:g} s {way} of {words}, of {own.sizes['draw']} drawn"
 
 
 def summary(found: xr.Dataset) -> str:

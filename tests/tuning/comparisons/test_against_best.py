@@ -13,7 +13,7 @@ from tuning.comparisons import judge, of_draw, of_schedule, paired
 from tuning.comparisons.of_draw import verdict
 from tuning.comparisons.of_ensemble import shown
 from tuning.comparisons.side_by_side import AtOneStep
-from tuning.comparisons.verdicts import Walked, against_best, explained, in_words, named
+from tuning.comparisons.verdicts import Walked, against_best, best_rival, explained, in_words, named
 from tuning.pages import judge as judge_page
 from tuning.pages.contents import at_own_step
 from tuning.problem.ensemble import Ensemble, Worst
@@ -57,6 +57,17 @@ OURS = Walked(0.7607)
 def test_the_verdict_names_the_best_rival_with_numbers(rivals, said):
     found = against_best("tuned gains", {"tuned": OURS, **rivals}, "objective", joint=JOINT)
     assert found == f"tuned gains: objective 0.7607, {said}"
+
+
+def test_of_scores_that_are_better_the_larger_the_best_rival_has_the_largest():
+    """A bound has no per cent."""
+    walked = {"mine": Walked(8.0), "config": Walked(2.0), "pd": Walked(4.0)}
+    said = "mine: bears 8 N, 100.0 % more than the best rival that walked, pd as the config has it: 4 N"
+    assert against_best("mine", walked, "bears", "N", larger_is_better=True) == said
+    walked["pd"] = Walked(60.0, bound="more than 60 N")
+    said = "mine: bears 8 N, beside the best rival that walked, pd as the config has it: more than 60 N"
+    assert against_best("mine", walked, "bears", "N", larger_is_better=True) == said
+    assert best_rival(walked) == "config" and best_rival({"mine": Walked(8.0)}) is None
 
 
 def test_walks_that_failed_are_no_rivals_and_have_no_numbers():

@@ -145,6 +145,22 @@ def test_the_worth_of_a_sensor(how, asked, said):
     assert paired.sensor_in_words(table(**how), **given) == said
 
 
+@pytest.mark.parametrize(("changes", "standing"), [
+    ({"force_variation": (30, -14, -6)}, 1),
+    ({"force_variation": (44, 2, 6)}, -1),
+    ({"force_variation": (39, -4, 2)}, 0),
+    # lost walks: more of them, perhaps more of them, fewer, and fewer with a worse mean
+    ({"force_variation": (40, -3, 3), "failed": (0.1, 0.05, 0.15)}, -1),
+    ({"force_variation": (30, -14, -6), "failed": (0.1, 0.05, 0.15)}, 0),
+    ({"force_variation": (30, -14, -6), "failed": (0.04, -0.01, 0.06)}, 0),
+    ({"force_variation": (40, -3, 3), "failed": (-0.1, -0.15, -0.05)}, 1),
+    ({"force_variation": (44, 2, 6), "failed": (-0.1, -0.15, -0.05)}, 0),
+    ({"force_variation": (44, 2, 6), "failed": (0.1, 0.05, 0.15)}, -1),
+])  # fmt: skip
+def test_gains_are_ahead_or_behind_in_a_mean_and_in_lost_walks(changes, standing):
+    assert paired.standing(table({"mine": changes}), "mine", "force_variation") == standing
+
+
 def test_differences_are_rows_of_those_that_are_known():
     own = table()
     rows = paired.differences(own)

@@ -13,7 +13,8 @@ from mjx_climb.physics.kinematics import limb_frames
 from mjx_climb.robot_import.load import load_robot
 from mjx_climb.scenario.messages import ConfigError
 from tuning.comparisons import pushes
-from tuning.pages.pushes import pushes_table, summary, verdict
+from tuning.comparisons.pushes import verdict
+from tuning.pages.pushes import pushes_table, summary
 
 LIMITS = np.array([5.0, 20.0, 100.0])  # N, of walks that are up, down or other
 
@@ -42,8 +43,9 @@ def test_an_interval_holds_the_true_force_as_often_as_it_says():
 
 def test_a_limit_that_binds_is_named():
     strong, weak = drawn(np.full(80, 100.0)), drawn(np.zeros(80))
-    assert verdict(strong).endswith("up of more than 60 N, the largest tried, of 80 drawn")
-    assert verdict(weak).endswith("up of less than 0.938 N, the smallest tried, of 80 drawn")
+    alone = "mine: 95 % of the walks survive a push of 0.5 s in its weakest direction, up, of"
+    assert verdict(strong) == f"{alone} more than 60 N, the largest tried"
+    assert verdict(weak) == f"{alone} less than 0.938 N, the smallest tried"
     assert pushes_table(strong).sections[0][1][0][2:4] == ["> 60", "> 30"]
     (row, _) = json.loads(summary(strong))["pushes"]
     assert row["outside"] == "more than the largest" and row["force"] == [None, 60.0, None]
@@ -51,6 +53,53 @@ def test_a_limit_that_binds_is_named():
     (row, _) = json.loads(summary(even))["pushes"]
     np.testing.assert_allclose(row["impulse"], 6.0, rtol=0.03)
     assert row["outside"] == ""
+
+
+def side_by_side(**forces):
+    """Walkers whose draws, 80 or a tenth, all fail between a force up (and 1.5 times it down) and 1.02 times that."""
+    each = [np.broadcast_to(np.array([[1.0], [1.5]]) * force, (2, 80)) for force in forces.values()]
+    survived = np.array(each)[:, None]
+    survived = np.where(survived < 60 / 64, 0.0, np.minimum(survived, 60.0))
+    lost = np.where(survived == 60, np.inf, np.where(survived > 0, 1.0404 * survived, 60 / 64))
+    dims = ("walker", "length", "direction", "draw")
+    named = {"walker": [*forces], "length": [1.0], "direction": ["up", "down"]}
+    return xr.Dataset({"survived": (dims, survived), "lost": (dims, lost)}, named, {"smallest": 60 / 64, "largest": 60})
+
+
+@pytest.mark.parametrize(
+    ("forces", "said"),
+    [
+        # 1.02 times the force, the middle of what is survived and lost
+        ({"mine": 20.0, "config": 10.0, "pd": 5.0},
+         "20.4 N, 100.0 % more than the best rival that walked, the config's gains: 10.2 N, in its own, up"),
+        ({"mine": 10.0, "config": 5.0, "pd": 20.0},
+         "10.2 N, 50.0 % less than the best rival that walked, pd as the config has it: 20.4 N, in its own, up"),
+        ({"mine": 10.0, "pd": 10.2},
+         "10.2 N, 1.9 % less than the best rival that walked, pd as the config has it: 10.4 N, in its own, up; "
+         "80 walks in each direction do not tell them apart"),
+        ({"mine": 10.0, "pd": 10.0},
+         "10.2 N, the same as the best rival that walked, pd as the config has it: 10.2 N, in its own, up; "
+         "80 walks in each direction do not tell them apart"),
+        ({"mine": 100.0, "pd": 10.0},
+         "more than 60 N, the largest tried, beside the best rival that walked, pd as the config has it: 10.2 N, "
+         "in its own, up"),
+        ({"mine": 10.0, "config": 0.1, "pd": 100.0},
+         "10.2 N, beside the best rival that walked, pd as the config has it: more than 60 N, the largest tried, "
+         "in its own, up"),
+        ({"mine": 0.1, "pd": 0.1},
+         "less than 0.938 N, the smallest tried, beside the best rival that walked, pd as the config has it: less than "
+         "0.938 N, the smallest tried, in its own, up; 80 walks in each direction do not tell them apart"),
+    ],
+)  # fmt: skip
+def test_the_verdict_on_pushes_names_the_best_rival_with_its_force(forces, said):
+    own = "mine: 95 % of the walks survive a push of 1 s in its weakest direction, up, of"
+    assert verdict(side_by_side(**forces)) == f"{own} {said}"
+
+
+def test_each_walker_is_judged_by_its_own_weakest_direction():
+    found = side_by_side(mine=10.0, pd=20.0)
+    found["survived"][1], found["lost"][1] = found["survived"][1, :, ::-1].values, found["lost"][1, :, ::-1].values
+    assert verdict(found).endswith("pd as the config has it: 20.4 N, in its own, down")
 
 
 def test_each_draw_is_pushed_alike_and_its_force_is_bracketed(monkeypatch, case):
