@@ -4,13 +4,12 @@
 
 The steps of a case, each from the gains file that the one before it left, or from the shipped gains:
 
-    pd, transfer, planned, even, base, end_effector, internal
+    pd, transfer, even, base, end_effector, internal
                            a law's gains, joint gains and gait by CMA-ES; after pd within its means of all metrics
     feet_pd, feet          `PlannedFeet` beside pd, beside load transfer: by gradients
     network_pd, network    the network of docs/guides/network_law.py beside pd, beside load transfer: by gradients
     memory_pd, memory      the network with memory of learned_law.py, likewise
     blind, clairvoyant     `TimedFeet` beside pd: one plan for all walks, and a plan of each
-    blind_planned          that one plan beside planned transfer, which knows where feet grip as well
 
 Gradients are those of an adjoint where a law has more than 24 numbers.
 """
@@ -36,14 +35,7 @@ from planned_feet import PlannedFeet, TimedFeet
 
 import mjx_climb as mc
 import tuning
-from mjx_climb.control import (
-    PD,
-    EndEffectorAdmittance,
-    LoadTransfer,
-    PlannedTransfer,
-    VirtualModelAdmittance,
-    combined,
-)
+from mjx_climb.control import PD, EndEffectorAdmittance, LoadTransfer, VirtualModelAdmittance, combined
 from mjx_climb.control.internal_force import InternalForce
 from mjx_climb.inputs.gait_values import GAIT, scenario_with_gait
 from tuning.gains import gains_file
@@ -61,8 +53,8 @@ from tuning.searches.tune import start_of
 
 TABLE = mc.MetricTable((*mc.METRICS, SWING, RATE))
 ALSO = tuple(name for name in GAIT if name != "gait.stride")
-LAWS = {"pd": PD, "transfer": LoadTransfer, "planned": PlannedTransfer, "even": EvenTransfer,
-        "base": VirtualModelAdmittance, "end_effector": EndEffectorAdmittance, "internal": InternalForce}  # fmt: skip
+LAWS = {"pd": PD, "transfer": LoadTransfer, "even": EvenTransfer, "base": VirtualModelAdmittance,
+        "end_effector": EndEffectorAdmittance, "internal": InternalForce}  # fmt: skip
 SHIPPED = {"pd": "_pd", "transfer": "_best", "even": "_best", "base": ""}  # ends of the names of gains files
 ADDED = {"feet": PlannedFeet, "network": Network, "memory": Remembering, "blind": TimedFeet, "clairvoyant": TimedFeet}
 UNSEEN, MOST, WAY, STAGES, LATE = 512, 1500, 0.02, 4, 45.0
